@@ -7,11 +7,14 @@ from robot_sysid.api.calls import joint_torque_regressor as joint_torque_regress
 from robot_sysid.api.calls import payload as payload
 from robot_sysid.api.calls import plan as plan
 from robot_sysid.api.calls import read_log as read_log
+from robot_sysid.api.calls import self_test as self_test
 from robot_sysid.api.keywords import Model as Model
 from robot_sysid.api.results import Identified as Identified
 from robot_sysid.api.results import PlanResult as PlanResult
+from robot_sysid.config import IdentifyConfig as IdentifyConfig
 from robot_sysid.config import PayloadConfig as PayloadConfig
-from robot_sysid.config import SysidConfig as SysidConfig
+from robot_sysid.config import PlanConfig as PlanConfig
+from robot_sysid.config import SelfTestConfig as SelfTestConfig
 from robot_sysid.damiao.player import PlayReport as PlayReport
 from robot_sysid.errors import AmbiguousJointError as AmbiguousJointError
 from robot_sysid.errors import ColumnsError as ColumnsError
@@ -21,6 +24,7 @@ from robot_sysid.errors import InputError as InputError
 from robot_sysid.errors import ModelError as ModelError
 from robot_sysid.errors import SimulationError as SimulationError
 from robot_sysid.errors import SysidError as SysidError
+from robot_sysid.estimation.question import Priors as Priors
 from robot_sysid.logs.column_map import ColumnMap as ColumnMap
 from robot_sysid.logs.reader import MeasurementLog as MeasurementLog
 from robot_sysid.motion.plan import CheckedPlan as CheckedPlan

@@ -1,69 +1,80 @@
-"""All options of a run: frozen records that hold those of the stages and check them together.
+"""The options of each command: one frozen record per command, made of those of the stages.
 
-``SysidConfig`` holds the options of an identification or a plan, ``PayloadConfig`` those of the
-identification of a payload.
+What a command has no use for, its record does not have: the parser, the keywords of the Python
+functions and the tables in the documentation all come from these records.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_type_hints
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.logs import LogOptions
-from robot_sysid.model import ModelOptions
+from robot_sysid.estimation.question import EstimationOptions, Priors
+from robot_sysid.logs import FittedLogOptions, LogOptions
+from robot_sysid.model import ModelOptions, PosedModelOptions
 from robot_sysid.motion import (
     EMPTY,
+    EXCITATIONS,
     LOADED,
     ExcitationOptions,
     LimitOptions,
     PoseOptions,
+    ViewOptions,
 )
 from robot_sysid.records import file_access, option_fields
 from robot_sysid.records.controllers import AUTO, CHOICES
 from robot_sysid.records.option_fields import (
     SCALE,
-    Option,
     OptionRecord,
     TrajectoryOptions,
     joint_factors,
     option,
+    options_of,
     parse_folder,
 )
 from robot_sysid.simulation import SimulatedArmOptions
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")
+AnyMotionConfig = TypeVar("AnyMotionConfig", bound="MotionConfig")
+AnyLogConfig = TypeVar("AnyLogConfig", bound="LogConfig")
 
 
 @dataclass(frozen=True)
-class OutputOptions(OptionRecord):
-    """Where results go, and what of the model stays as it is (see ``estimation.file_fit``).
-
-    No result replaces ``config``, the file that the options come from.
-    """
+class FolderOptions(OptionRecord):
+    """Where files go; none replaces ``config``, the file that the options come from."""
 
     config: Path | None = None
     output_dir: Path = option(
         Path("sysid_output"), "folder for the results", "DIR", parse=parse_folder
     )
-    keep: tuple[str, ...] = option(
-        (),
-        "leave this of the model as it is: friction or rotor inertia of its joints, gravity, or "
-        "all links but the terminal one; may be repeated",
-        choices=("friction", "rotors", "gravity", "links"),
-        repeats=True,
-    )
-    links: bool = option(False, "print every link, not only the last one")
-    bundle: bool = option(
-        False,
-        "also write the updated model with its meshes and textures into DIR/bundle, to send it",
-    )
+    links: bool = False
+    report: bool = False
+
+
+@dataclass(frozen=True)
+class OutputOptions(FolderOptions):
+    """Where the results of an estimate go, and whether they are drawn."""
+
     report: bool = option(
         False, "also write report.html, a page with figures of the result"
+    )
+
+
+@dataclass(frozen=True)
+class ArmOutputOptions(OutputOptions):
+    """What an identification prints, and what it is to find."""
+
+    links: bool = option(False, "print every link, not only the last one")
+    torque_from: str | None = option(
+        None,
+        "no torque was measured: find servos, friction and rotor inertia from commanded and "
+        "measured positions",
+        choices=("position-error",),
+        default_text="measured torques",
     )
 
 
@@ -86,6 +97,22 @@ class MotorOptions(OptionRecord):
         "TYPE",
         repeats=True,
     )
+    can_id: tuple[int, ...] = ()
+    master_id: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.export_damiao != bool(self.motor_type):
+            raise InputError(
+                "--export-damiao and --motor-type go together, one motor type per joint of the "
+                "chain"
+            )
+
+
+@dataclass(frozen=True)
+class NumberedMotorOptions(MotorOptions):
+    """Which Damiao motors a trajectory is written for, and their CAN ids."""
+
     can_id: tuple[int, ...] = option(
         (),
         "CAN id of a motor; once per joint, base first",
@@ -99,48 +126,34 @@ class MotorOptions(OptionRecord):
         **_ID,
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.export_damiao and not self.motor_type:
-            raise InputError(
-                "--export-damiao requires at least one --motor-type, one per joint of the chain"
-            )
 
-
-def _set_options(
-    *records: Any, only: tuple[str, ...] = (), leave_out: tuple[str, ...] = ()
-) -> list[Option]:
-    """Return the options of option records that are not at their default.
-
-    Args:
-        records: option records, such as ``LogOptions``.
-        only: keys of the options to return; empty for all.
-        leave_out: keys of options not to return.
-    """
-    set_options = []
-    for record in records:
-        for set_option in option_fields.given_options(record):
-            key = set_option.key
-            if key not in leave_out and (not only or key in only):
-                set_options.append(set_option)
-    return set_options
+_FOLDERS = ("output_dir", "mesh_dir")
+"""Keys of options that name a folder."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Options that an identification of an arm and one of a payload share, checked together.
+    """Options of a command: base class of all.
 
     Attributes:
         model: the model file.
-        log: the recordings, and how they are read.
-        estimation: how the parameters are estimated.
         output: files to write.
+        written: names of the files that the command may write to the output folder.
     """
 
     model: ModelOptions
-    log: LogOptions = LogOptions()
-    estimation: EstimationOptions = EstimationOptions()
-    output: OutputOptions = OutputOptions()
+    output: FolderOptions = FolderOptions()
+    written: ClassVar[tuple[str, ...]] = (
+        file_access.PARAMS_NAME,
+        *file_access.MODEL_NAMES.values(),
+    )
+
+    @classmethod
+    def records(cls) -> Mapping[str, Any]:
+        """Return the class of each record of options that the command has, by attribute."""
+        types = get_type_hints(cls)
+        names = [entry.name for entry in fields(cls) if "fixed" not in entry.metadata]
+        return {name: types[name] for name in names}
 
     @classmethod
     def of(cls: type[AnyConfig], path: Path, **values: Any) -> AnyConfig:
@@ -154,148 +167,100 @@ class Config:
             InputError: an option is unknown, its value cannot be used, or it does not go with
                 another one.
         """
-        record_types = get_type_hints(cls)
-        known_keys = option_fields.keys_of(*record_types.values())
-        option_fields.refuse_unknown(values, known_keys)
+        classes = cls.records()
+        option_fields.refuse_unknown(values, option_fields.keys_of(*classes.values()))
         records: dict[str, Any] = {}
-        for name, record_type in record_types.items():
-            records[name] = option_fields.record_from(record_type, values)
+        for name, record_class in classes.items():
+            records[name] = option_fields.record_from(record_class, values)
         records["model"] = replace(records["model"], path=Path(path))
         return cls(**records)
 
     def __post_init__(self) -> None:
-        """Raise InputError for options that exclude each other or have no use in this run.
-
-        An output file that would replace an input file raises InputError, too.
-        """
-        for are_both_set, first, second in self._exclusive_options():
-            if are_both_set:
-                raise InputError(f"{first} and {second} exclude each other; choose one")
+        """Raise InputError where an output file would replace an input file."""
         file_access.refuse_overwriting(self.input_files(), self._output_files())
-        for is_used, reason, set_options in self._option_uses():
-            if not is_used and set_options:
-                raise InputError(f"{set_options[0].flag} {reason}")
-
-    def _exclusive_options(self) -> Iterator[tuple[bool, str, str]]:
-        """Yield (whether both are set, an option, another option that excludes it).
-
-        There are none here: subclasses override this method.
-        """
-        yield from ()
-
-    def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses a group of options, why not, those of it that are set).
-
-        There are none here: subclasses override this method.
-        """
-        yield from ()
-
-    def with_scale_uncertainty(
-        self: AnyConfig, joint_names: Sequence[str]
-    ) -> AnyConfig:
-        """Return the configuration with the scale uncertainty that a torque scale file states.
-
-        It is a percentage per joint. An uncertainty that the user sets, and a file without errors,
-        change nothing. ``joint_names`` are those of the chain (n,).
-        """
-        path = self.log.torque_scale
-        if not isinstance(path, Path):
-            return self
-        scale, error = joint_factors(path, joint_names, SCALE)
-        percentages = tuple((100.0 * error / scale).tolist())
-        is_set = self.estimation.scale_uncertainty is not None
-        if is_set or not all(map(isfinite, percentages)):
-            return self
-        estimation = replace(self.estimation, scale_uncertainty=percentages)
-        return replace(self, estimation=estimation)
 
     def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over; None stands for no file."""
-        log = self.log
-        factors = (log.torque_scale, log.torque_constants)
-        scale_files = [path for path in factors if isinstance(path, Path)]
-        return (
-            self.output.config,
-            self.model.path,
-            *log.measurements,
-            log.validation_measurements,
-            log.columns,
-            *scale_files,
-        )
+        files = [path for flag, path in self._files() if not flag.startswith("--save")]
+        return (self.model.path, self.output.config, *files)
+
+    def _files(self) -> Iterator[tuple[str, Path]]:
+        """Yield (flag, path) of each file that an option names."""
+        for record in vars(self).values():
+            for name, stated in options_of(record).items():
+                value = getattr(record, name)
+                value = value.file if isinstance(value, Priors) else value
+                values = value if isinstance(value, tuple) else (value,)
+                paths = [path for path in values if isinstance(path, Path)]
+                if name not in _FOLDERS:
+                    yield from ((stated.flag, path) for path in paths)
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""
-        names = [file_access.PARAMS_NAME, file_access.SERVO_NAME]
-        names += file_access.MODEL_NAMES.values()
-        for name in names:
+        for name in self.written:
             yield "--output-dir", self.output.output_dir / name
+        for flag, path in self._files():
+            if flag.startswith("--save"):
+                yield flag, path
 
 
-TORQUE_KEYS = (
-    "report",
-    "keep",
-    "links",
-    "torque_scale",
-    "torque_constants",
-    "save_measurements",
-)
-"""Keys of options that have no effect where no torque was measured."""
-PREDICTED = (
-    "torques",
-    "noise_torque",
-    "link_uncertainty",
-    "scale_uncertainty",
-    "zero_uncertainty",
-    "gravity_uncertainty",
-    "delay_uncertainty",
-    "friction_uncertainty",
-)
-"""Keys of the options from which a plan predicts the errors of an estimate."""
-PLANNED = {"excitation": "optimal", "plan_only": True}
-"""Defaults of a plan's options, by key."""
+def _fixed(record: OptionRecord) -> Any:
+    """Return the dataclass field of a record of options that the command does not have."""
+    return field(default=record, metadata={"fixed": True})
 
 
 @dataclass(frozen=True)
-class SysidConfig(Config):
-    """Options of one identification or plan; defaults are those of the command line."""
+class FittedTorqueOptions(EstimationOptions):
+    """Options of an estimate from simulated torques, which needs no more of them."""
+
+    friction_model: str | None = None
+    priors: Priors = Priors()
+    keep: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class MotionConfig(Config):
+    """Options of a command that plans or draws a motion: base class.
+
+    Attributes:
+        trajectory: duration, sample rate, speed and files of the motion.
+        excitation: how a motion is designed.
+        poses: what the motion is for.
+        limits: that it keeps.
+        estimation: which torques will be used, and how.
+        motors: that it is written for.
+    """
 
     trajectory: TrajectoryOptions = TrajectoryOptions()
-    excitation: ExcitationOptions = ExcitationOptions()
-    limits: LimitOptions = LimitOptions()
-    arm: SimulatedArmOptions = SimulatedArmOptions()
+    excitation: ExcitationOptions = _fixed(ExcitationOptions())
+    poses: PoseOptions = _fixed(PoseOptions())
+    limits: LimitOptions = _fixed(LimitOptions())
+    estimation: EstimationOptions = FittedTorqueOptions()
     motors: MotorOptions = MotorOptions()
-    poses: PoseOptions = PoseOptions()
 
-    @classmethod
-    def of_plan(cls, path: Path, **values: Any) -> SysidConfig:
-        """Return the configuration of a plan.
-
-        A motion is designed, unless the options name a trajectory, ask for resting poses or plan
-        for friction. Arguments and errors are those of ``of``.
-        """
-        sets_poses = values.get("static") or values.get("for_") == "friction"
-        defaults = {} if values.get("trajectory") or sets_poses else PLANNED
-        return cls.of(path, **{**defaults, **values, "plan_only": True})
-
-    @property
-    def is_measured(self) -> bool:
-        """Whether the data comes from a log or a plant instead of the model itself."""
-        return bool(self.log.measurements) or self.arm.plant_model is not None
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        is_timed = self.trajectory.duration != TrajectoryOptions.duration
+        is_from_file = self.trajectory.file is not None
+        if is_timed and is_from_file:
+            raise InputError("--trajectory and --duration exclude each other")
+        if self.poses.sets_its_time and (is_timed or is_from_file):
+            raise InputError(
+                "--static and --for friction exclude --trajectory and --duration; choose one"
+            )
 
     @property
     def plan_file(self) -> Path | None:
         """The file that the trajectory is written to, or None."""
-        if self.trajectory.save or not self.trajectory.plan_only:
-            return self.trajectory.save
-        return self.output.output_dir / file_access.PLAN_NAME
+        return self.trajectory.save
 
-    def limit_words(self) -> list[str]:
-        """Return the options on limits that motors have too, as words of a command line."""
-        from robot_sysid.damiao.trajectory import LIMITS
+    @property
+    def is_designed(self) -> bool:
+        """Whether the motion is found by a search."""
+        is_free = self.trajectory.file is None and not self.poses.sets_its_time
+        return is_free and self.excitation.kind == "optimal"
 
-        return option_fields.given_arguments(self.limits, LIMITS)
-
-    def with_seed(self) -> SysidConfig:
+    def with_seed(self: AnyMotionConfig) -> AnyMotionConfig:
         """Return the configuration with a seed, drawn where the run needs one and none is set."""
         if self.trajectory.seed is not None or not self._is_random():
             return self
@@ -306,145 +271,151 @@ class SysidConfig(Config):
 
     def _is_random(self) -> bool:
         """Return whether the run draws a motion or noise, so that it needs a seed."""
-        is_fixed = self.trajectory.file is not None or self.poses.purpose == "friction"
-        is_noisy = self.arm.plant_model is not None and self.arm.is_noisy
-        return not self.log.measurements and (is_noisy or not is_fixed)
-
-    def _exclusive_options(self) -> Iterator[tuple[bool, str, str]]:
-        """Yield (whether both are set, an option, another option that excludes it)."""
-        plan = self.trajectory
-        logs = self.log.measurements
-        has_plant = self.arm.plant_model is not None
-        yield bool(logs) and has_plant, "--measurements", "--plant-model"
-        is_designed = self.excitation.kind == "optimal"
-        is_from_file = plan.file is not None
-        has_duration = plan.duration != TrajectoryOptions.duration
-        yield (
-            self.poses.sets_its_time and (is_from_file or has_duration or is_designed),
-            "--static" if self.poses.static else "--for friction",
-            "--trajectory, --duration and --excitation optimal",
-        )
-        plays_logs = self.log.verify_rollout and bool(logs)
-        is_terminal = self.estimation.torques == "terminal"
-        yield plays_logs and is_terminal, "--verify-rollout", "--torques terminal"
-        saves = self.arm.save_measurements is not None
-        yield saves and len(logs) > 1, "--save-measurements", "several --measurements"
-        keeps_friction = "friction" in self.output.keep
-        no_friction = self.estimation.no_friction
-        yield keeps_friction and no_friction, "--keep friction", "--no-friction"
-        yield is_from_file and is_designed, "--trajectory", "--excitation optimal"
-        yield is_from_file and has_duration, "--trajectory", "--duration"
-
-    def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses a group of options, why not, those of it that are set)."""
-        yield from self._data_option_uses()
-        yield from self._motion_option_uses()
-
-    def _data_option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses a group of options, why not, those of it that are set).
-
-        The groups are the options on logs, simulated plants, the estimate and its results.
-        """
-        has_log = bool(self.log.measurements)
-        is_plan = self.trajectory.plan_only
-        is_designed = self.excitation.kind == "optimal"
-        has_plant = self.arm.plant_model is not None
-        yield (
-            not has_log,
-            "is about a motion; a log brings its own",
-            _set_options(self.trajectory, self.excitation, self.limits, self.motors),
-        )
-        yield (
-            has_log,
-            "describes a log; add --measurements LOG.csv",
-            _set_options(self.log)
-            + _set_options(self.estimation, only=("torque_from",)),
-        )
-        files = ("bundle", "report", "plant_model", "save_measurements")
-        yield (
-            not is_plan,
-            "is about an estimate; a plan stops before it",
-            _set_options(
-                self.estimation, self.output, self.arm, only=("no_friction", *files)
-            ),
-        )
-        needs_plant = (
-            "belongs to a simulated plant; add --plant-model (the model file itself "
-            "will do)"
-        )
-        yield (
-            has_plant,
-            needs_plant,
-            _set_options(self.arm, leave_out=("save_measurements", "noise_torque")),
-        )
-        # A plan or a design predicts errors of the estimate for this noise.
-        yield (
-            has_plant or is_plan or is_designed,
-            needs_plant,
-            _set_options(self.arm, only=("noise_torque",)),
-        )
-        # The two options left out also apply to torques simulated with the model itself.
-        yield (
-            self.is_measured,
-            "is about measured torques; add --measurements or --plant-model",
-            _set_options(self.estimation, leave_out=("torques", "no_friction"))
-            + _set_options(self.output, only=("keep", "links")),
-        )
-        yield (
-            self.estimation.torque_from is None,
-            "is about measured torques; leave it off with --torque-from",
-            _set_options(self.output, self.log, self.arm, only=TORQUE_KEYS),
-        )
-
-    def _motion_option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses a group of options, why not, those of it that are set).
-
-        The groups are the options on a motion: its purpose, motors, design and seed.
-        """
-        yield (
-            self.trajectory.plan_only,
-            "says what a plan is for; use robot-sysid plan",
-            _set_options(self.poses),
-        )
-        yield (
-            self.poses.static and self.poses.purpose == "payload",
-            "is about resting poses; add --for payload and --static",
-            _set_options(self.poses, leave_out=("for_",)),
-        )
-        yield (
-            self.motors.export_damiao,
-            "is only used together with --export-damiao; add it",
-            _set_options(self.motors),
-        )
-        yield (
-            self.excitation.kind == "optimal",
-            "is about a design; add --excitation optimal",
-            _set_options(self.excitation),
-        )
-        yield (
-            self._is_random(),
-            "has nothing to draw: the motion is given, and no noise is simulated",
-            _set_options(self.trajectory, only=("seed",)),
-        )
-
-    def input_files(self) -> tuple[Path | None, ...]:
-        """Return the files that a run reads and must not write over."""
-        return (*super().input_files(), self.arm.plant_model, self.trajectory.file)
+        return self.trajectory.file is None and self.poses.purpose != "friction"
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""
-        if self.arm.save_measurements is not None:
-            yield "--save-measurements", self.arm.save_measurements
-        if self.plan_file is not None:
-            yield "--save-trajectory", self.plan_file
-            yield (
-                "the CSV file beside --save-trajectory",
-                self.plan_file.with_suffix(".csv"),
-            )
+        path = self.plan_file
+        if path is not None:
+            yield "the CSV file beside --save-trajectory", path.with_suffix(".csv")
+            if self.trajectory.save is None:
+                yield "--output-dir", path
         if self.motors.export_damiao:
             yield "--output-dir", self.output.output_dir / file_access.DAMIAO_NAME
-        if not self.trajectory.plan_only:
-            yield from super()._output_files()
+        yield from super()._output_files()
+
+
+@dataclass(frozen=True)
+class SelfTestConfig(MotionConfig):
+    """Options of ``robot-sysid MODEL``, an identification of a simulated arm."""
+
+    output: OutputOptions = OutputOptions()
+    estimation: FittedTorqueOptions = FittedTorqueOptions()
+    arm: SimulatedArmOptions = SimulatedArmOptions()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for stated in option_fields.given_options(self.arm):
+            if self.arm.plant_model is None and stated.key != "save_measurements":
+                raise InputError(
+                    f"{stated.flag} belongs to a simulated plant; add --plant-model (the model "
+                    "file itself will do)"
+                )
+
+    def _is_random(self) -> bool:
+        """Return whether the run draws a motion or noise, so that it needs a seed."""
+        return self.arm.is_noisy or super()._is_random()
+
+
+@dataclass(frozen=True)
+class PlannedTrajectoryOptions(TrajectoryOptions):
+    """Options of a motion that is planned, and not simulated."""
+
+    plan_only: bool = True
+
+
+@dataclass(frozen=True)
+class DesignOptions(ExcitationOptions):
+    """How a plan's motion is made: by a search, unless random sinusoids are asked for."""
+
+    kind: str = option(
+        "optimal",
+        "a trajectory designed to tell as much as possible, or random sinusoids",
+        flag="--excitation",
+        choices=EXCITATIONS,
+    )
+
+
+@dataclass(frozen=True)
+class PredictionOptions(EstimationOptions):
+    """Options of the estimate that a plan predicts the errors of."""
+
+    no_friction: bool = False
+    friction_model: str | None = None
+    keep: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PlanConfig(MotionConfig):
+    """Options of ``plan``."""
+
+    model: PosedModelOptions
+    trajectory: PlannedTrajectoryOptions = PlannedTrajectoryOptions()
+    excitation: DesignOptions = DesignOptions()
+    poses: PoseOptions = PoseOptions()
+    limits: LimitOptions = LimitOptions()
+    estimation: PredictionOptions = PredictionOptions()
+    motors: NumberedMotorOptions = NumberedMotorOptions()
+    preview: ViewOptions = ViewOptions()
+    written: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def plan_file(self) -> Path:
+        """The file that the trajectory is written to."""
+        return self.trajectory.save or self.output.output_dir / file_access.PLAN_NAME
+
+    def limit_words(self) -> list[str]:
+        """Return the options on limits that motors have too, as words of a command line."""
+        from robot_sysid.damiao.trajectory import LIMITS
+
+        return option_fields.given_arguments(self.limits, LIMITS)
+
+
+@dataclass(frozen=True)
+class LogConfig(Config):
+    """Options of a command that estimates from logs: base class.
+
+    Attributes:
+        log: how logs are read.
+        estimation: how the parameters are estimated.
+    """
+
+    output: OutputOptions = OutputOptions()
+    log: LogOptions = LogOptions()
+    estimation: EstimationOptions = EstimationOptions()
+
+    def with_scale_prior(
+        self: AnyLogConfig, joint_names: Sequence[str]
+    ) -> AnyLogConfig:
+        """Return the configuration with the prior of scales that a torque scale file states.
+
+        It is a percentage per joint. A prior that the user sets, and a file without errors, change
+        nothing. ``joint_names`` are those of the chain (n,).
+        """
+        path = self.log.torque_scale
+        if not isinstance(path, Path):
+            return self
+        scale, error = joint_factors(path, joint_names, SCALE)
+        percentages = tuple((100.0 * error / scale).tolist())
+        priors = self.estimation.priors
+        if priors.scale is not None or not all(map(isfinite, percentages)):
+            return self
+        priors = replace(priors, scale=percentages)
+        return replace(self, estimation=replace(self.estimation, priors=priors))
+
+
+@dataclass(frozen=True)
+class IdentifyConfig(LogConfig):
+    """Options of ``identify``."""
+
+    output: ArmOutputOptions = ArmOutputOptions()
+    log: FittedLogOptions = FittedLogOptions()
+    written: ClassVar[tuple[str, ...]] = (*Config.written, file_access.SERVO_NAME)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.output.torque_from is None:
+            return
+        useless = [*option_fields.given_options(self.estimation)]
+        for stated in option_fields.given_options(self.log):
+            if stated.key in ("torque_scale", "torque_constants"):
+                useless.append(stated)
+        if self.output.report or self.output.links:
+            useless.append(options_of(self.output)["report"])
+        for stated in useless:
+            raise InputError(
+                f"{stated.flag} is about measured torques; leave it off with --torque-from"
+            )
 
 
 @dataclass(frozen=True)
@@ -518,40 +489,26 @@ class PayloadOptions(OptionRecord):
 
 
 @dataclass(frozen=True)
-class PayloadConfig(Config):
-    """Options of one payload; defaults are those of the command line."""
+class LoadedOptions(EstimationOptions):
+    """Options of the estimate of a payload, which uses the torques of all joints."""
 
+    torques: str = "chain"
+    no_friction: bool = False
+
+
+@dataclass(frozen=True)
+class PayloadConfig(LogConfig):
+    """Options of ``payload``."""
+
+    estimation: LoadedOptions = LoadedOptions()
     payload: PayloadOptions = field(default_factory=PayloadOptions)
+    written: ClassVar[tuple[str, ...]] = (*Config.written, file_access.CARD_NAME)
 
-    def _exclusive_options(self) -> Iterator[tuple[bool, str, str]]:
-        """Yield (whether both are set, an option, another option that excludes it)."""
-        is_exact = self.estimation.scale_uncertainty in (0.0, (0.0,))
-        yield (
-            self.payload.known_mass is not None and is_exact,
-            "--known-mass",
-            "--scale-uncertainty 0",
-        )
-
-    def _option_uses(self) -> Iterator[tuple[bool, str, list[Option]]]:
-        """Yield (whether this run uses a group of options, why not, those of it that are set)."""
-        yield (
-            self.payload.known_mass is None,
-            "is about a written model; --known-mass writes none",
-            _set_options(self.output, only=("bundle", "keep")),
-        )
-        yield (
-            not self.payload.static,
-            "is about motion; --static uses poses at rest",
-            _set_options(self.estimation, only=("cutoff", "friction_model")),
-        )
-
-    def input_files(self) -> tuple[Path | None, ...]:
-        """Return the files that a run reads and must not write over."""
-        return (*super().input_files(), *self.payload.empty, *self.payload.loaded)
-
-    def _output_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (option that has a file written, path) of each file that might replace an input."""
-        yield "--output-dir", self.output.output_dir / file_access.CARD_NAME
-        if self.payload.save_torque_scale is not None:
-            yield "--save-torque-scale", self.payload.save_torque_scale
-        yield from super()._output_files()
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        is_exact = self.estimation.priors.scale in (0.0, (0.0,))
+        if self.payload.known_mass is not None and is_exact:
+            raise InputError(
+                "--known-mass estimates torque scales, and a prior of scale 0 leaves them no "
+                "room; choose one"
+            )

@@ -508,8 +508,6 @@ def _run_entries(result: Result, notes: Sequence[str]) -> dict[str, Any]:
         "structural_rank": structural_rank,
         "validation": result.validation,
         "rollout": rollout_entry(result.rollout),
-        "delay": result.delay,
-        "tilt": result.tilt,
         "cutoff": result.cutoff,
         "friction_model": result.friction_model,
         "limitations": limitations(result),

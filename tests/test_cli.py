@@ -24,7 +24,7 @@ MISSING_MESH = ARM.replace(
     "<worldbody>", "<asset><mesh name='cup' file='cup.stl'/></asset><worldbody>"
 )
 SHORT = ("--duration", "1", "--sample-rate", "100", "--seed", "1")
-EXPORT = ("--quiet", "--export-damiao", *(("--motor-type", "DM4340") * 2))
+EXPORT = ("--export-damiao", *(("--motor-type", "DM4340") * 2))
 RESULTS = ["damiao_trajectory.csv", "params.json", "updated_model.xml"]
 WITH_OPTIONS = sorted([*RESULTS, "run.toml"])
 
@@ -64,17 +64,15 @@ def test_a_log_that_is_not_understood_leaves_a_columns_file_and_never_over_anoth
 BAD_OPTIONS = [
     ("--duration 0", "--duration must be positive"),
     ("--duration long", "argument --duration: invalid float value"),
-    ("--workspace 1", "argument --workspace: expected 6 arguments"),
     ("--duration=--", "argument --duration: expected a value, not --"),
-    ("--max-acceleration=--", "expected a value, not --"),
     ("--torques all", "argument --torques: invalid choice: 'all'"),
     ("--output-dir ''", "--output-dir: the folder's name is empty"),
     ("--output-dir \udcff", "cannot be written as UTF-8"),
     (f"--output-dir {300 * 'n'}", "File name too long"),
-    (f"--measurements {300 * 'n'}", "File name too long"),
+    (f"--trajectory {300 * 'n'}", "File name too long"),
     ("--joint wrist", "the model has: joint0, joint1"),
     ("--output-dir arm.xml/results", "arm.xml is not a folder"),
-    ("--measurement a", "--measurement: did you mean --measurements?"),
+    ("--output-di a", "--output-di: did you mean --output-dir?"),
     ("--export-damiao --motor-type DM1 --motor-type DM4340", "DM4340_48V"),
     ("--export-damiao --motor-type DM4340", "2 joints"),
     ("--mesh-dir arm.xml", "arm.xml is not a folder"),
@@ -170,7 +168,7 @@ def test_what_is_not_sought_or_not_seen_is_said(arm, command):
 
 def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, command):
     """Exit code 1, params.json, no model; an older model goes, and is said to have gone."""
-    assert command.run(arm, *SHORT, "--quiet") == ("", "")
+    command.run(arm, *SHORT)
     arm.write_text(
         ARM.replace("<worldbody>", '<compiler settotalmass="2"/><worldbody>')
     )
@@ -227,9 +225,8 @@ def test_a_signal_waits_until_the_new_set_is_there_with_the_model_last(
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", replace_and_interrupt)
         printed = command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
-    assert (
-        printed.err == "robot-sysid: error: interrupted; no unfinished file is left\n"
-    )
+    end = "robot-sysid: error: interrupted; no unfinished file is left\n"
+    assert printed.err.endswith(end)
     assert sorted(order) == RESULTS and order[-1] == "updated_model.xml"
     new_files = files_in(arm.parent / "sysid_output")
     assert sorted(new_files) == RESULTS

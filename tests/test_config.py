@@ -8,225 +8,154 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.config import PayloadConfig, SysidConfig
+from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.question import CHOSEN, DEFAULT_TERMINAL, EstimationOptions
+from robot_sysid.estimation.question import (
+    CHOSEN,
+    DEFAULT_TERMINAL,
+    EstimationOptions,
+    Priors,
+    read_priors,
+)
 from robot_sysid.records.option_fields import MAX_SAMPLES, write_torque_scale
 from tests.support import option_samples
 
 MODEL = Path("arm.xml")
 LOG = {"measurements": (Path("log.csv"),)}
 PLANT = {"plant_model": Path("truth.xml")}
-PLAN = {"plan_only": True}
-OPTIMAL = {"excitation": "optimal"}
 FILE = {"trajectory": Path("saved.json")}
-STATIC = {**PLAN, "for_": "payload", "static": True}
-SERVOS = {**LOG, "torque_from": "position-error"}
 MOTORS = {"export_damiao": True, "motor_type": ("DM4340",)}
-EMPTY_AND_LOADED = {"empty": (Path("a.csv"),), "loaded": (Path("b.csv"),)}
+LOGS = {"empty": (Path("a.csv"),), "loaded": (Path("b.csv"),)}
+CONTEXTS = {
+    SelfTestConfig: ({}, PLANT, MOTORS),
+    PlanConfig: ({}, {"for_": "payload"}, MOTORS),
+    IdentifyConfig: (LOG,),
+    PayloadConfig: (LOGS, {**LOGS, "known_mass": 1.0}),
+}
+"""Class of a command's options to options that others of its options may need."""
 
 
-def refusal(make=SysidConfig.of, **values):
+def refusal(config, **values):
     """The one line with which options are refused."""
     with pytest.raises(InputError) as caught:
-        make(MODEL, **values)
+        config.of(MODEL, **values)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
-def test_every_option_is_accepted_in_some_run_and_kept():
-    config = SysidConfig.of(MODEL)
-    assert config == SysidConfig(config.model) and config.model.path == MODEL
-    samples = list(option_samples.samples())
+@pytest.mark.parametrize("config_class", CONTEXTS)
+def test_every_option_of_a_command_is_accepted_in_some_run_and_kept(config_class):
+    samples = list(option_samples.samples(config_class))
     assert len({sample.option.key for sample in samples}) == len(samples)
     for sample in samples:
-        for context in ({}, OPTIMAL, STATIC, PLANT, LOG, SERVOS, MOTORS):
-            values = (
-                {"motor_type": ("DM4340",), **context} if context is MOTORS else context
-            )
+        for context in CONTEXTS[config_class]:
+            values = {**context, sample.option.key: sample.value}
             try:
-                config = SysidConfig.of(
-                    MODEL, **{**values, sample.option.key: sample.value}
-                )
+                config = config_class.of(MODEL, **values)
             except InputError:
                 continue
             assert getattr(getattr(config, sample.record), sample.field) == sample.value
             break
         else:
-            assert sample.option.key == "export_damiao"  # Never without motor types.
+            assert sample.option.key in ("torque_from", "motor_type"), sample.option.key
+
+
+PLAN_MESSAGE = "--static and --for friction exclude --trajectory and --duration"
 
 
 @pytest.mark.parametrize(
-    ("values", "message"),
+    ("config", "values", "message"),
     [
+        (SelfTestConfig, {"noise_torque": 0.1}, "--noise-torque belongs to a simul"),
+        (SelfTestConfig, {"duration": 0.0}, "--duration must be positive"),
+        (SelfTestConfig, {"speed": 1e-12}, "a trajectory of 1.5e+13 s with --samp"),
+        (SelfTestConfig, {"torques": "all"}, "--torques 'all': choose one of"),
+        (SelfTestConfig, {"export_damiao": True}, "--export-damiao and --motor-type"),
+        (SelfTestConfig, {**FILE, "duration": 3.0}, "--trajectory and --duration ex"),
+        (SelfTestConfig, {**PLANT, "torque_delay": 2.0}, "--torque-delay is given in"),
+        (SelfTestConfig, LOG, "unknown option 'measurements'"),
+        (PlanConfig, {"static": True}, "--static is for resting poses of --for pay"),
+        (PlanConfig, {**FILE, "for_": "friction"}, PLAN_MESSAGE),
+        (PlanConfig, {"for_": "friction", "duration": 3.0}, PLAN_MESSAGE),
+        (IdentifyConfig, {**LOG, "frictio_model": "x"}, "unknown option 'frictio_mod"),
+        (IdentifyConfig, {**LOG, "friction_model": "glue"}, "unknown friction term"),
         (
-            {**LOG, "duration": 3.0},
-            "--duration is about a motion; a log brings its own",
-        ),
-        ({**LOG, **MOTORS}, "--export-damiao is about a motion"),
-        ({"units": "deg"}, "--units describes a log; add --measurements LOG.csv"),
-        ({**PLANT, "torque_from": "position-error"}, "--torque-from describes a log"),
-        (
-            {"noise_torque": 0.1},
-            "--noise-torque belongs to a simulated plant; add --plant-model",
-        ),
-        (
-            {"cutoff": 3.0},
-            "--cutoff is about measured torques; add --measurements or --plant",
-        ),
-        (
-            {**SERVOS, "torque_scale": 2.0},
-            "--torque-scale is about measured torques; leave it off",
-        ),
-        ({"for_": "friction"}, "--for says what a plan is for; use robot-sysid plan"),
-        (
-            {**PLAN, "static": True},
-            "--static is about resting poses; add --for payload",
+            IdentifyConfig,
+            {**LOG, "friction_model": "coulomb", "no_friction": True},
+            "--friction-model and --no-friction exclude each other",
         ),
         (
-            {"excitation_time_budget": 3.0},
-            "--excitation-time-budget is about a design; add",
-        ),
-        ({**FILE, "seed": 7}, "--seed has nothing to draw"),
-        ({**FILE, **PLANT, "seed": 7}, "--seed has nothing to draw"),
-        (
-            {**FILE, **PLAN, "noise_torque": 0.1, "seed": 7},
-            "--seed has nothing to draw",
-        ),
-        ({**PLAN, "for_": "friction", "seed": 7}, "--seed has nothing to draw"),
-        (
-            {**PLAN, "encoder_resolution": 0.1},
-            "--encoder-resolution belongs to a simulated plant",
+            IdentifyConfig,
+            {**LOG, "keep": "friction", "no_friction": True},
+            "--keep friction and --no-friction exclude each other",
         ),
         (
-            {**PLAN, **PLANT},
-            "--plant-model is about an estimate; a plan stops before it",
+            IdentifyConfig,
+            {**LOG, "torque_from": "position-error", "torque_scale": 2.0},
+            "--torque-scale is about measured torques",
         ),
-        ({**PLAN, "no_friction": True}, "--no-friction is about an estimate"),
-        ({**PLAN, "report": True}, "--report is about an estimate"),
         (
-            {"can_id": (3,)},
-            "--can-id is only used together with --export-damiao; add it",
+            IdentifyConfig,
+            {**LOG, "torque_from": "position-error", "priors": {"scale": 1.0}},
+            "--priors is about measured torques",
         ),
-        ({"export_damiao": True}, "--export-damiao requires at least one --motor-type"),
+        (PayloadConfig, {}, "--empty LOG... is missing"),
+        (PayloadConfig, {"empty": (Path("a.csv"),)}, "--loaded LOG... is missing"),
+        (PayloadConfig, {**LOGS, "order": "AAB"}, "--order AAB"),
+        (
+            PayloadConfig,
+            {**LOGS, "known_mass": 1.0, "as_body": "load"},
+            "--known-mass writes no",
+        ),
+        (
+            PayloadConfig,
+            {**LOGS, "known_mass": 1.0, "priors": {"scale": 0.0}},
+            "--known-mass estimates torque scales",
+        ),
+        (
+            PayloadConfig,
+            {**LOGS, "save_torque_scale": Path("s")},
+            "--save-torque-scale is about",
+        ),
     ],
 )
-def test_an_option_that_does_not_count_is_refused(values, message):
-    assert refusal(**values).startswith(message)
+def test_what_means_nothing_or_excludes_each_other_is_refused(config, values, message):
+    assert refusal(config, **values).startswith(message)
 
 
 def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
     path = tmp_path / "scale.json"
-    write_torque_scale(
-        path, {"two": (2.0, 0.02), "other": (3.0, 1.0), "one": (1.1, 0.0055)}
-    )
+    scales = {"two": (2.0, 0.02), "other": (3.0, 1.0), "one": (1.1, 0.0055)}
+    write_torque_scale(path, scales)
 
     def sure(**values):
-        config = PayloadConfig.of(MODEL, **EMPTY_AND_LOADED, **values)
-        return config.with_scale_uncertainty(
-            ("one", "two")
-        ).estimation.scale_uncertainty
+        config = PayloadConfig.of(MODEL, **LOGS, **values)
+        return config.with_scale_prior(("one", "two")).estimation.priors.scale
 
     assert sure(torque_scale=path) == pytest.approx((0.5, 1.0))
-    assert sure(torque_scale=path, scale_uncertainty=2.0) == 2.0
+    assert sure(torque_scale=path, priors={"scale": 2.0}) == 2.0
     path.write_text('{"version": 1, "torque_scale": {"one": 1.1, "two": 2}}')
     assert sure(torque_scale=path) is sure(torque_scale=1.1) is sure() is None
 
 
 @pytest.mark.parametrize(
-    ("values", "message"),
+    ("config", "values"),
     [
-        ({}, "--empty LOG... is missing"),
-        ({"empty": (Path("a.csv"),)}, "--loaded LOG... is missing"),
-        ({**EMPTY_AND_LOADED, "order": "AAB"}, "--order AAB"),
+        (SelfTestConfig, {"save_trajectory": MODEL}),
+        (SelfTestConfig, {**FILE, "save_trajectory": Path("saved.json")}),
+        (SelfTestConfig, {"save_measurements": MODEL}),
         (
-            {**EMPTY_AND_LOADED, "known_mass": 1.0, "keep": "links"},
-            "--keep is about a written",
+            SelfTestConfig,
+            {"save_trajectory": Path("a.json"), "save_measurements": Path("a.csv")},
         ),
-        (
-            {**EMPTY_AND_LOADED, "known_mass": 1.0, "as_body": "load"},
-            "--known-mass writes no",
-        ),
-        (
-            {**EMPTY_AND_LOADED, "known_mass": 1.0, "scale_uncertainty": 0.0},
-            "--known-mass and --scale-uncertainty 0 exclude",
-        ),
-        (
-            {**EMPTY_AND_LOADED, "save_torque_scale": Path("s")},
-            "--save-torque-scale is about",
-        ),
-        (
-            {**EMPTY_AND_LOADED, "static": True, "cutoff": 3.0},
-            "--cutoff is about motion; --static",
-        ),
-        (
-            {**EMPTY_AND_LOADED, "empty": Path("sysid_output/params.json")},
-            "--output-dir would ov",
-        ),
+        (PlanConfig, {"trajectory": Path("sysid_output/trajectory.json")}),
+        (IdentifyConfig, {"measurements": Path("sysid_output/params.json")}),
+        (PayloadConfig, {**LOGS, "loaded": Path("sysid_output/payload_card.txt")}),
     ],
 )
-def test_of_a_payload_as_well(values, message):
-    assert refusal(PayloadConfig.of, **values).startswith(message)
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {**LOG, **PLANT},
-        {**FILE, **OPTIMAL},
-        {**FILE, "duration": 3.0},
-        {**STATIC, **OPTIMAL},
-        {
-            "measurements": (Path("a.csv"), Path("b.csv")),
-            "save_measurements": Path("c.csv"),
-        },
-        {**LOG, "verify_rollout": True, "torques": "terminal"},
-        {**LOG, "no_friction": True, "keep": "friction"},
-    ],
-    ids=str,
-)
-def test_options_that_exclude_each_other_are_refused(values):
-    assert "exclude each other" in refusal(**values)
-
-
-def test_what_goes_together_is_accepted():
-    for values in (
-        {**PLANT, **OPTIMAL},
-        {**PLANT, **FILE},
-        {**PLAN, **OPTIMAL},
-        {**PLAN, **FILE},
-    ):
-        SysidConfig.of(MODEL, **values)
-    for values, measured in (({}, False), (OPTIMAL, False), (LOG, True), (PLANT, True)):
-        assert SysidConfig.of(MODEL, **values).is_measured == measured
-    SysidConfig.of(
-        MODEL, save_trajectory=Path("a.json"), save_measurements=Path("b.csv")
-    )
-    SysidConfig.of(MODEL, **LOG, save_measurements=Path("other/log.csv"))
-    PayloadConfig.of(MODEL, **EMPTY_AND_LOADED, order="AB")
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {**LOG, "save_measurements": Path("./log.csv")},
-        {"save_trajectory": MODEL},
-        {**FILE, "save_trajectory": Path("saved.json")},
-        {"save_trajectory": Path("plan.csv")},
-        {"save_trajectory": Path("run.json"), "save_measurements": Path("run.csv")},
-    ],
-    ids=str,
-)
-def test_no_file_is_written_over_another_one(values):
-    assert "would overwrite" in refusal(**values)
-
-
-def test_an_unknown_key_names_the_nearest_or_lists_the_known_ones():
-    assert refusal(cutof=0.5) == "unknown option 'cutof'; did you mean 'cutoff'?"
-    assert refusal(zzz=0.5).startswith(
-        "unknown option 'zzz'; valid: accept, below_base, bundle, "
-    )
+def test_no_file_is_written_over_another_one(config, values):
+    assert "would overwrite" in refusal(config, **values)
 
 
 @given(st.floats(0.01, 1e5), st.floats(0.01, 1e5))
@@ -235,36 +164,12 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
 ):
     values = {"duration": duration, "sample_rate": rate}
     if duration * rate > MAX_SAMPLES:
-        assert "more than the 1e+09 a run can take" in refusal(**values)
+        assert "more than the 1e+09 a run can take" in refusal(SelfTestConfig, **values)
     elif duration * rate >= 1.0:
-        assert SysidConfig.of(MODEL, **values).trajectory.duration == duration
+        config = SelfTestConfig.of(MODEL, **values)
+        assert config.trajectory.duration == duration
     else:
-        assert "less than two samples" in refusal(**values)
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"duration": 0.0}, "--duration must be positive"),
-        ({"max_velocity": float("inf")}, "--max-velocity must be positive"),
-        ({"speed": 1e-12}, "a trajectory of 1.5e+13 s with --sample-rate"),
-        ({**LOG, "cutoff": 0.0}, "--cutoff must be positive (got 0)"),
-        ({**LOG, "friction_model": "glue"}, "unknown friction term 'glue'"),
-        (
-            {**PLANT, "encoder_resolution": -1.0},
-            "--encoder-resolution must be a number",
-        ),
-        (
-            {**PLANT, "torque_delay": 2.0},
-            "--torque-delay is given in seconds and may be at most 1",
-        ),
-        ({"torques": "all"}, "--torques 'all': choose one of chain, terminal"),
-        ({"speed": 1.5}, "--speed must be above 0 and at most 1 (got 1.5)"),
-        ({"seed": -1}, "--seed must be a number that is not negative"),
-    ],
-)
-def test_values_that_mean_nothing_are_refused(values, message):
-    assert refusal(**values).startswith(message)
+        assert "less than two samples" in refusal(SelfTestConfig, **values)
 
 
 @pytest.mark.parametrize(
@@ -280,3 +185,37 @@ def test_values_that_mean_nothing_are_refused(values, message):
 )
 def test_friction_is_chosen_by_the_data_unless_it_is_said(options, expected):
     assert EstimationOptions(**options).friction == expected
+
+
+def test_priors_are_read_from_toml_and_json_and_are_else_the_usual_ones(tmp_path):
+    toml = tmp_path / "priors.toml"
+    toml.write_text("scale = [1, 2.5]\nlink = 20\nnoise = 0.1\n")
+    json = tmp_path / "priors.json"
+    json.write_text('{"scale": [1, 2.5], "link": 20, "noise": 0.1}')
+    expected = Priors(link=20, scale=(1, 2.5), noise=0.1)
+    assert vars(read_priors(toml)) == {**vars(expected), "file": toml}
+    for value in (str(json), json, {"scale": [1, 2.5], "link": 20, "noise": 0.1}):
+        priors = IdentifyConfig.of(MODEL, **LOG, priors=value).estimation.priors
+        assert vars(priors) == {**vars(expected), "file": priors.file}
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (
+            "scal = 1",
+            "there is no prior 'scal'; priors are numbers by these names: link,",
+        ),
+        ("link = 'x'", "link must be a number (got 'x'); priors are numbers by"),
+        ("link = -1", "link must be a number that is not negative (got -1); priors"),
+        ("noise = 0", "noise must be positive (got 0); priors are"),
+        ("link = nan", "link must be a number that is not negative"),
+        ("link", "is no TOML file"),
+    ],
+)
+def test_a_file_of_priors_that_cannot_be_used_is_refused(tmp_path, text, complaint):
+    path = tmp_path / "priors.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"priors\.toml") as caught:
+        read_priors(path)
+    assert complaint in str(caught.value) and "\n" not in str(caught.value)

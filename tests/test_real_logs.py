@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(
 
 def identified(folder, model, log, *options):
     """(exit code, params.json) of one run."""
-    arguments = (model, "--measurements", log, "--output-dir", folder, *options)
+    arguments = ("identify", model, log, "--output-dir", folder, *options)
     code = main(list(map(str, arguments)))
     return code, json.loads((folder / "params.json").read_text())
 
@@ -73,7 +73,9 @@ def test_tx40s_rotor_inertia_is_seen(tmp_path):
     log = TX40 / "tx40_500Hz.csv"
     model = TX40 / "tx40.urdf"
     causes = ("link", "scale", "zero", "delay", "friction")
-    exact = [f"--{cause}-uncertainty=0" for cause in causes]
+    priors = tmp_path / "priors.json"
+    priors.write_text(json.dumps(dict.fromkeys(causes, 0)))
+    exact = ("--priors", priors)
     results = []
     for terms in ("coulomb-viscous-offset-armature", "coulomb-viscous-offset"):
         options = ("--friction-model", terms, *exact)

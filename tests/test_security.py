@@ -102,10 +102,9 @@ JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2" actuatorfrcrange="-60 6
 RATE = "--duration 6 --sample-rate 200 --seed 1"
 LINES = (
     f"arm.xml {RATE} --plant-model arm.xml --noise-torque 0.01 --save-measurements out/log.csv "
-    "--output-dir out --quiet",
-    "identify arm.xml out/log.csv --bundle --report --output-dir out --quiet",
-    f"plan arm.xml {RATE} --excitation sines --save-trajectory out/plan.json --output-dir out "
-    "--quiet",
+    "--output-dir out",
+    "identify arm.xml out/log.csv --report --output-dir out",
+    f"plan arm.xml {RATE} --excitation sines --save-trajectory out/plan.json --output-dir out ",
 )
 
 

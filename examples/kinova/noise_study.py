@@ -25,7 +25,7 @@ from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, rms_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.fit import Fitter, evidence
-from robot_sysid.estimation.question import Choice, EstimationOptions, Question
+from robot_sysid.estimation.question import Choice, EstimationOptions, Priors, Question
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import (
     Estimate,
@@ -47,13 +47,7 @@ MODELS = Path(__file__).resolve().parent / "model"
 SAMPLE_RATE = 1000.0
 ENCODER_STEP = 1e-4
 NORMAL_95 = 1.96
-KNOWN = dict.fromkeys(
-    (
-        f"{cause}_uncertainty"
-        for cause in ("link", "scale", "zero", "gravity", "delay", "friction")
-    ),
-    0.0,
-)
+KNOWN = Priors(link=0.0, scale=0.0, zero=0.0, gravity=0.0, delay=0.0, friction=0.0)
 """All that is not noise is known."""
 
 
@@ -174,7 +168,7 @@ class NoiseStudy:
 
     def identify(self, samples: DecimatedSamples) -> tuple[Estimate, Estimate]:
         """Return the estimate of the command line, and that before it had to be possible."""
-        question = Question(EstimationOptions(**KNOWN))
+        question = Question(EstimationOptions(priors=KNOWN))
         choice = Choice(self.friction)
         start = self.columns.start()
         torque = rms_torque(self.columns.datasets)

@@ -41,7 +41,7 @@ def main() -> int:
             "2. play and record: robot-sysid motors simulate ... --play --record measured.csv"
         )
         play_and_record(trajectory, folder / "measured.csv")
-        print("3. identify: robot-sysid MODEL --measurements measured.csv")
+        print("3. identify: robot-sysid identify MODEL measured.csv")
         close = compare(identify_log(model, folder / "measured.csv", folder))
     return 0 if close else 1
 
@@ -107,7 +107,7 @@ def play_and_record(trajectory: Path, record: Path) -> None:
 def identify_log(model: Path, log: Path, folder: Path) -> dict[str, object]:
     """Identify the model's terminal link from a log and return params.json."""
     output = folder / "identified"
-    succeeding(model, "--measurements", log, "--output-dir", output)
+    succeeding("identify", model, log, "--output-dir", output)
     return dict(json.loads((output / "params.json").read_text()))
 
 

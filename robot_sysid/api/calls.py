@@ -12,9 +12,22 @@ from typing import TYPE_CHECKING, Any, Protocol, Union
 
 import numpy as np
 
-from robot_sysid.api.keywords import Model, arm_of, path_of, python_words, with_keywords
+from robot_sysid.api.keywords import (
+    Model,
+    arm_of,
+    path_of,
+    python_words,
+    records_of,
+    with_keywords,
+)
 from robot_sysid.api.results import Identified, PlanResult, one_thread
-from robot_sysid.config import PLANNED, Config, PayloadConfig, SysidConfig
+from robot_sysid.config import (
+    Config,
+    IdentifyConfig,
+    PayloadConfig,
+    PlanConfig,
+    SelfTestConfig,
+)
 from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
 from robot_sysid.errors import InputError
@@ -23,6 +36,7 @@ from robot_sysid.logs.arrays import arrays_table, can_be_column
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import read_title
+from robot_sysid.model import PosedModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
 from robot_sysid.pipeline.planning import design_motion, predict_plan, require_motors
@@ -33,9 +47,6 @@ from robot_sysid.records.option_fields import record_from
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
-    from typing_extensions import Unpack
-
-    from robot_sysid.api import keyword_types as types
 
 
 class Frame(Protocol):
@@ -146,10 +157,8 @@ def _run_quietly(config: Config) -> Identified:
     return Identified(**vars(identification), notes=tuple(notes.notes))
 
 
-@with_keywords()
-def read_log(
-    log: Log, model: Model | RobotModel, **options: Unpack[types.ReadLogKeywords]
-) -> MeasurementLog:
+@with_keywords(LogOptions)
+def read_log(log: Log, model: Model | RobotModel, **options: Any) -> MeasurementLog:
     """Recognise, check and read a log of an arm.
 
     Args:
@@ -168,13 +177,13 @@ def read_log(
     return open_log(robot, _log_source(log), record_from(LogOptions, options))
 
 
-@with_keywords()
+@with_keywords(*records_of(IdentifyConfig))
 def identify(
     model: Model,
-    log: Log | Sequence[Log] | None = None,
+    log: Log | Sequence[Log],
     *,
-    validation: Log | None = None,
-    **options: Unpack[types.IdentifyKeywords],
+    validation_measurements: Log | None = None,
+    **options: Any,
 ) -> Identified:
     """Identify an arm: its terminal link, every other link, and its joints' friction.
 
@@ -182,10 +191,10 @@ def identify(
 
     Args:
         model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
-        log: one log of the real arm or several (see ``robot_sysid.Log``); None simulates the model
-            itself, or the ``plant_model`` among the options.
-        validation: a log to test the result on.
-        options: every option of the command, ``keep="gravity"`` for --keep gravity.
+        log: one log of the real arm or several (see ``robot_sysid.Log``).
+        validation_measurements: a log to test the result on.
+        options: every option of the command, ``keep="gravity"`` for --keep gravity; ``priors`` may
+            also be a mapping.
 
     Returns:
         The result, whether or not it may be trusted: see its ``failure``.
@@ -193,22 +202,38 @@ def identify(
     Raises:
         InputError: an option, the model or a log cannot be used; says why.
     """
-    values: dict[str, Any] = {**options}
-    if log is not None:
-        values["measurements"] = _log_sources(log)
-        if not values["measurements"]:
-            raise InputError("the list of logs is empty; give at least one log")
-    if isinstance(validation, (list, tuple)):
-        raise InputError("validation is one log, not a list; test the logs one by one")
-    if validation is not None:
-        values["validation_measurements"] = _log_source(validation)
+    values: dict[str, Any] = {**options, "measurements": _log_sources(log)}
+    if not values["measurements"]:
+        raise InputError("the list of logs is empty; give at least one log")
+    if isinstance(validation_measurements, (list, tuple)):
+        raise InputError(
+            "validation_measurements is one log, not a list; test the logs one by one"
+        )
+    if validation_measurements is not None:
+        values["validation_measurements"] = _log_source(validation_measurements)
     return _run_quietly(
-        SysidConfig.of(path_of(model, options.get("mesh_dir")), **values)
+        IdentifyConfig.of(path_of(model, options.get("mesh_dir")), **values)
     )
 
 
-@with_keywords(**PLANNED)
-def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
+@with_keywords(*records_of(SelfTestConfig))
+def self_test(model: Model, **options: Any) -> Identified:
+    """Identify an arm from a simulation of its model, or of another model that plays the arm.
+
+    Args:
+        model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
+        options: every option of ``robot-sysid MODEL``, such as ``plant_model="truth.xml"``.
+
+    Raises:
+        InputError: an option or a model cannot be used.
+    """
+    return _run_quietly(
+        SelfTestConfig.of(path_of(model, options.get("mesh_dir")), **options)
+    )
+
+
+@with_keywords(*records_of(PlanConfig))
+def plan(model: Model, **options: Any) -> PlanResult:
     """Design a trajectory, or check one that was saved, and predict an identification from it.
 
     Args:
@@ -222,7 +247,7 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
         InputError: an option or the model cannot be used.
     """
     path = path_of(model, options.get("mesh_dir"))
-    config = SysidConfig.of_plan(path, **options)
+    config = PlanConfig.of(path, **options)
     with _quietly() as notes:
         robot = load_arm(config.model, notes, config.limits.max_velocity)
         require_motors(config.motors, robot)
@@ -231,12 +256,12 @@ def plan(model: Model, **options: Unpack[types.PlanKeywords]) -> PlanResult:
     return PlanResult(config, robot, checked, printed, tuple(notes.notes))
 
 
-@with_keywords()
+@with_keywords(*records_of(PayloadConfig))
 def payload(
     model: Model,
     empty: Log | Sequence[Log],
     loaded: Log | Sequence[Log],
-    **options: Unpack[types.PayloadKeywords],
+    **options: Any,
 ) -> Identified:
     """Identify a payload from the difference between recordings without and with it.
 
@@ -288,13 +313,9 @@ class Regressor:
         return f"<Regressor Y {self.Y.shape}, tau {self.tau.shape}, {len(self.names)} parameters>"
 
 
-@with_keywords()
+@with_keywords(PosedModelOptions)
 def joint_torque_regressor(
-    model: Model,
-    q: ArrayLike,
-    qd: ArrayLike,
-    qdd: ArrayLike,
-    **options: Unpack[types.JointTorqueRegressorKeywords],
+    model: Model, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, **options: Any
 ) -> Regressor:
     """Return the regressor Y of all parameters of an arm, and the torque tau of its model.
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_sysid.api.keywords import Model, path_of, with_keywords
+from robot_sysid.api.keywords import MOTORS, Model, path_of, with_keywords
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.execution import MotorRun, lengthen_hold
 from robot_sysid.damiao.player import PlayReport, StopRequest
@@ -19,13 +19,11 @@ from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
+from robot_sysid.motion import LimitOptions
 from robot_sysid.records.file_access import DAMIAO_NAME, temporary_folder
 from robot_sysid.records.option_fields import given_options
 
 if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
-    from robot_sysid.api import keyword_types as types
     from robot_sysid.api.results import PlanResult
 
 __all__ = ["Say", "hold", "play"]
@@ -39,7 +37,7 @@ Say = Callable[[str], None]
 """Function that is called with one sentence about each event of a run."""
 
 
-@with_keywords(**dict.fromkeys(LIMITS))
+@with_keywords(*MOTORS, LimitOptions, only=LIMITS, **dict.fromkeys(LIMITS))
 def play(
     trajectory: Path | str | PlanResult,
     *,
@@ -47,7 +45,7 @@ def play(
     joint_map: Path | str | None = None,
     simulate: bool = False,
     say: Say = lambda sentence: None,
-    **options: Unpack[types.PlayKeywords],
+    **options: Any,
 ) -> PlayReport:
     """Play a trajectory on Damiao motors, with all checks of ``robot-sysid motors play``.
 
@@ -87,14 +85,14 @@ def play(
             return _play_plan(run, link, plan, say, is_real=not simulate)
 
 
-@with_keywords()
+@with_keywords(*MOTORS)
 def hold(
     model: Model,
     seconds: float,
     *,
     joint_map: Path | str | None = None,
     say: Say = lambda sentence: None,
-    **options: Unpack[types.HoldKeywords],
+    **options: Any,
 ) -> PlayReport:
     """Hold an arm at its present position, as ``robot-sysid motors hold`` does.
 

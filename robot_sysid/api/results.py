@@ -9,7 +9,6 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from robot_sysid.api.keywords import in_python, python_words
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import PlanConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Outcome, locked_folder, params_json_text
@@ -29,9 +28,9 @@ from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in, temporary_folder
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress, with_error
-from robot_sysid.results.parameter_table import HEADINGS, BeforeAfter, parameter_rows
+from robot_sysid.results.parameter_table import BeforeAfter, parameter_rows
 from robot_sysid.results.result_lines import result_lines
-from robot_sysid.results.written_model import model_in_memory, write_bundle
+from robot_sysid.results.written_model import model_in_memory
 from robot_sysid.trajectory import sample_count
 
 
@@ -45,7 +44,7 @@ def one_thread() -> AbstractContextManager[Any]:
 
 @dataclass(frozen=True, repr=False)
 class Identified(Identification):
-    """An identified arm or payload, from ``identify``, ``identify_from`` or ``payload``.
+    """An identified arm or payload, from ``identify``, ``self_test`` or ``payload``.
 
     Attributes:
         notes: the notes that the command would have printed, one sentence each.
@@ -148,29 +147,21 @@ class Identified(Identification):
         """Return the content of params.json (see docs/formats.md), without cards."""
         return dict(json.loads(params_json_text(self.result)))
 
-    def save(self, folder: str | Path, *, bundle: bool = False) -> tuple[Path, ...]:
+    def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write params.json, the data of a later report and, where trusted, the updated model.
 
-        Args:
-            folder: for the files; created where it is missing.
-            bundle: also copy model, meshes and textures into ``folder/bundle``.
-
-        Returns:
-            The written files.
+        The folder is created where it is missing; returns the written files.
 
         Raises:
             InputError: the folder cannot be written to.
         """
         from robot_sysid.report.runs import save_data
 
-        with in_python(), one_thread():
-            with locked_folder(Path(folder), Progress()):
-                outcome = self._write(Path(folder))
-                files = outcome.files
-                if outcome.traces is not None and self.result.is_measured:
-                    save_data(Path(folder), outcome.traces(), outcome.result_hash)
-            models = models_in(files)[:1] if bundle else []
-            return (*files, *(write_bundle(model, Path(folder)) for model in models))
+        with in_python(), one_thread(), locked_folder(Path(folder), Progress()):
+            outcome = self._write(Path(folder))
+            if outcome.traces is not None and self.result.is_measured:
+                save_data(Path(folder), outcome.traces(), outcome.result_hash)
+            return outcome.files
 
     def _write(self, folder: Path) -> Outcome:
         """Write params.json and, where the result may be used, the updated model to a folder."""
@@ -222,24 +213,6 @@ class Identified(Identification):
         usable = f"not to be used: {self.failure}" if self.failure else usable
         return f"<Identified {body} of {self.robot.path.name}: {mass}, {usable}>"
 
-    def _repr_html_(self) -> str:
-        """Return the table before -> after for a notebook, with the verdict above it."""
-        table = _html_row("th", HEADINGS)
-        for row in self.rows:
-            table += _html_row("td", row.cells)
-        verdict = ""
-        if self.failure:
-            verdict = f"<p><b>Not to be used:</b> {escape(self.failure)}</p>"
-        elif not self.result.verdict.is_trustworthy:
-            verdict = f"<p>{escape(self.lines()[-1])}</p>"
-        return f"{verdict}<table>{table}</table>"
-
-
-def _html_row(tag: str, cells: Sequence[str]) -> str:
-    """Return a row of an HTML table, its escaped cells in elements "th" or "td"."""
-    columns = [f"<{tag}>{escape(cell)}</{tag}>" for cell in cells]
-    return f"<tr>{''.join(columns)}</tr>"
-
 
 _DRAWN_RATE = 100.0
 """Samples per second of a drawn motion, whose fastest swing takes a second [Hz]."""
@@ -270,7 +243,7 @@ class PlanResult:
         notes: the notes that the command would have printed, one sentence each.
     """
 
-    config: SysidConfig
+    config: PlanConfig
     robot: RobotModel
     checked: CheckedPlan
     prediction: tuple[str, ...]
@@ -361,7 +334,3 @@ class PlanResult:
             verdict = f"not to be played: {self.failure}"
         arm = f"{self.robot.n_joints} joints of {self.robot.path.name}"
         return f"<PlanResult {self.duration:g} s for {arm}, {verdict}>"
-
-    def _repr_html_(self) -> str:
-        """Return the prediction for a notebook."""
-        return f"<pre>{escape(str(self))}</pre>"

@@ -166,7 +166,6 @@ class ConsoleOptions(OptionRecord):
     """
 
     verbose: bool = option(False, "say more", short="-v")
-    quiet: bool = option(False, "print errors only")
     debug: bool = option(False, "show the traceback of an error")
     json: bool = option(
         False, "print the result as JSON on standard output, all else on standard error"
@@ -189,8 +188,6 @@ class Console(ConsoleOptions, Progress):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.verbose and self.quiet:
-            raise InputError("--verbose and --quiet exclude each other; choose one")
         self._bar: Any = None
         self._printed_at = 0.0
         self.json_lines: list[str] = []
@@ -217,7 +214,7 @@ class Console(ConsoleOptions, Progress):
 
     def move_up(self, lines: int) -> None:
         """Have the next lines replace the last ones, on a terminal."""
-        if self._out.isatty() and not self.quiet:
+        if self._out.isatty():
             self._out.write(f"\x1b[{lines}A")
 
     def advance(self, label: str, done: float, total: float, text: str) -> None:
@@ -226,8 +223,6 @@ class Console(ConsoleOptions, Progress):
         Elsewhere a line is printed now and then, if there is a text, so that a log file shows that
         the run goes on.
         """
-        if self.quiet:
-            return
         if not sys.stderr.isatty():
             if text:
                 self._print_progress(f"{label}: {100.0 * done / total:.0f} %, {text}")
@@ -271,4 +266,4 @@ class Console(ConsoleOptions, Progress):
             print_line(f"note: {message}", sys.stderr)
 
     def _is_printed(self, message: str) -> bool:
-        return not self.quiet and (self.verbose or not isinstance(message, Detail))
+        return self.verbose or not isinstance(message, Detail)

@@ -6,18 +6,15 @@ import argparse
 import importlib
 import os
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
-from robot_sysid import __version__
 from robot_sysid.commands import COMMANDS, PROGRAM, Console, ConsoleOptions, print_line
 from robot_sysid.errors import EXIT_CODES, InputError
 from robot_sysid.records import option_fields as options
 from robot_sysid.records.file_access import read_toml
 
-PYTHON_ONLY = ("plan_only",)
-"""Keys of options that only Python programs have."""
 _NOT_IN_FILE = ("config", "help", "help_all", "version")
 """Options that a configuration file cannot hold."""
 
@@ -108,57 +105,30 @@ class Parser(argparse.ArgumentParser):
     def parse_with_file(self, path: Path, arguments: Sequence[str]) -> dict[str, Any]:
         """Return the options of a TOML file, replaced by those of the command line.
 
-        The file's options are turned into command-line words and parsed, so that both have the
-        same errors. A positional argument may come from either, so that this method makes all of
-        them optional in this parser. Options that were not given are left out.
-
-        Where the command line has an output folder, files that the TOML file has saved go there:
-        they would replace those of the run that it repeats.
+        The values of the file are checked where the options' records are made. A positional
+        argument may come from either, so that this method makes all of them optional in this
+        parser. Options that were not given are left out.
         """
         positionals = [a for a in self._actions if not a.option_strings]
         required = [action for action in positionals if action.required]
         for action in positionals:
             action.nargs = "*" if action.nargs == "+" else "?"
             action.required = False
-            action.default = None
-        file_arguments = list(self._file_arguments(path))
-        try:
-            values = vars(self.parse_args(file_arguments))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+        content = read_toml(path)
+        known = {action.dest for action in self._actions} - {*_NOT_IN_FILE}
+        for key in content:
+            if key not in known:
+                raise InputError(
+                    f"{path}: {self.prog} has no option {key}; leave it out"
+                )
         given = vars(self.parse_args(arguments))
-        saved = [key for key in values if key.startswith("save_")]
-        for key in saved if "output_dir" in given else ():
-            values[key] = given["output_dir"] / Path(values[key]).name
-        for key, value in given.items():
-            if value not in (None, []):
-                values[key] = value
         # A positional argument that was not given is None, or an empty list of many.
-        values = {k: value for k, value in values.items() if value not in (None, [])}
+        given = {k: value for k, value in given.items() if value not in (None, [])}
+        values = {**content, **given}
         missing = [str(a.metavar) for a in required if a.dest not in values]
         if missing:
             self.error(f"the following arguments are required: {', '.join(missing)}")
         return values
-
-    def _file_arguments(self, path: Path) -> Iterator[str]:
-        """Yield a TOML file's options as words of a command line, positional ones first."""
-        content = read_toml(path)
-        actions = {a.dest: a for a in self._actions if a.dest not in _NOT_IN_FILE}
-        for key in content:
-            if key not in actions:
-                raise InputError(
-                    f"{path}: {self.prog} has no option {key}; leave it out"
-                )
-        for key in sorted(content, key=lambda key: bool(actions[key].option_strings)):
-            action = actions[key]
-            value = content[key]
-            if isinstance(value, bool) != (action.nargs == 0):
-                expected = "true or false" if action.nargs == 0 else "a value"
-                raise InputError(f"{path}: {key} takes {expected} (got {value!r})")
-            if action.option_strings:
-                yield from _option_words(action, value)
-            else:
-                yield from _texts(value)
 
     def _print_message(self, message: str, file: Any = None) -> None:
         for line in message.rstrip("\n").split("\n"):
@@ -181,53 +151,24 @@ class Parser(argparse.ArgumentParser):
             defaults: by key, defaults of this command in place of the records'.
         """
         group = self.add_argument_group(title)
-        excluded = {*leave_out, *PYTHON_ONLY}
         for record in records:
             for name, option in options.options_of(record).items():
-                key = option.key
-                if key in excluded or (only and key not in only):
+                if option.key in leave_out or (only and option.key not in only):
                     continue
                 default = options.default_of(record, name)
-                default = (defaults or {}).get(key, default)
-                is_hidden = self._main is not None and key not in self._main
-                _add_option(group, option, default, is_hidden)
+                default = (defaults or {}).get(option.key, default)
+                is_hidden = self._main is not None and option.key not in self._main
+                is_flag = option.flag.startswith("-")
+                owner = group if is_flag else self
+                _add_option(owner, option, default, is_hidden and is_flag)
         return group
 
     def add_console_options(self) -> Parser:
         """Add the options that every command has, and return the parser."""
         group = self.add("console", ConsoleOptions)
-        version = f"{PROGRAM} {__version__}"
-        group.add_argument(
-            "--version", action="version", version=version, help="print the version"
-        )
         group.add_argument("-h", "--help", action="help", help="print the main options")
         group.add_argument("--help-all", action="help", help="print all options")
         return self
-
-
-def _option_words(action: argparse.Action, value: Any) -> Iterator[str]:
-    """Yield the words by which an option has a TOML value on a command line.
-
-    ``action.nargs`` is 0 for a switch, None for an option of one value, else the option takes
-    several words.
-    """
-    flag = action.option_strings[-1]
-    if action.nargs == 0:
-        if value:
-            yield flag
-        return
-    repeats = isinstance(action, argparse._AppendAction) and isinstance(value, list)
-    for repetition in value if repeats else [value]:
-        if action.nargs is None:
-            yield f"{flag}={','.join(_texts(repetition))}"
-        else:
-            yield flag
-            yield from _texts(repetition)
-
-
-def _texts(value: Any) -> list[str]:
-    """Return a TOML value, or each element of a list, as text."""
-    return list(map(str, value if isinstance(value, list) else [value]))
 
 
 def default_text(option: options.Option, default: Any) -> str:
@@ -264,8 +205,9 @@ def _add_option(
     settings: dict[str, Any] = {
         "help": argparse.SUPPRESS if is_hidden else _help_text(option, default),
         "default": argparse.SUPPRESS,
-        "dest": option.key,
     }
+    if option.flag.startswith("-"):
+        settings["dest"] = option.key
     if isinstance(default, bool):
         group.add_argument(*flags, action="store_true", **settings)
         return

@@ -11,7 +11,7 @@ from shlex import quote
 
 import robot_sysid
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import SelfTestConfig
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.file_access import draft_folder, temporary_folder
 from robot_sysid.records.option_fields import (
@@ -129,7 +129,7 @@ def _record_logs(model_folder: Path, folder: Path) -> None:
 
     for seed, (log, plant) in enumerate(PLANTS.items(), start=1):
         with temporary_folder() as discarded:
-            config = SysidConfig.of(
+            config = SelfTestConfig.of(
                 model_folder / GUESS,
                 **RECORDING,
                 plant_model=model_folder / plant,

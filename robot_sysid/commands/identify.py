@@ -12,57 +12,44 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
+from robot_sysid import __version__
 from robot_sysid.commands import PROGRAM, Console, overview
 from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.commands.report import require_report, write_outcome_report
 from robot_sysid.config import (
-    PLANNED,
-    PREDICTED,
     Config,
-    MotorOptions,
-    OutputOptions,
+    IdentifyConfig,
+    LogConfig,
+    MotionConfig,
     PayloadConfig,
-    PayloadOptions,
-    SysidConfig,
+    PlanConfig,
+    SelfTestConfig,
 )
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.logs import LogOptions
-from robot_sysid.model import ModelOptions
-from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions, ViewOptions
 from robot_sysid.records import file_access
-from robot_sysid.records.option_fields import TrajectoryOptions, default_of, options_of
-from robot_sysid.simulation import SimulatedArmOptions
+from robot_sysid.records.option_fields import default_of, options_of
 
 
 class CommandSpec(NamedTuple):
     """Help and options of one command.
 
     Attributes:
-        config: makes the run's configuration of a model file and options by key.
+        config: class of the record of the command's options.
         example: a complete command line.
         description: what the command does.
         main: keys of the options in the short help.
-        groups: heading in the help to classes of option records.
-        only: heading to keys of the only options that are added of the group; default all.
-        leave_out: keys of options of the groups that the command does not have.
-        defaults: by key, defaults in place of the records'.
         overview: lines of the help before the usage.
     """
 
-    config: Any
+    config: type[Config]
     example: str
     description: str
     main: Collection[str]
-    groups: Mapping[str, Sequence[Any]]
-    only: Mapping[str, Collection[str]] = {}
-    leave_out: Collection[str] = ()
-    defaults: Mapping[str, Any] = {}
     overview: Sequence[str] = ()
 
 
 ALONE = CommandSpec(
-    SysidConfig.of,
+    SelfTestConfig,
     "robot-sysid identify arm.xml log.csv",
     "With a model alone: simulate it along a random motion and identify its terminal link from "
     "that, as a test of the program. A model file that is called like a command is reached as "
@@ -77,24 +64,11 @@ ALONE = CommandSpec(
         "motor_type",
         "seed",
         "joint",
-        "verbose",
-        "quiet",
     ),
-    {
-        "model and output": (ModelOptions, OutputOptions),
-        "trajectory": (TrajectoryOptions,),
-        "excitation": (ExcitationOptions,),
-        "limits": (LimitOptions,),
-        "measurements": (LogOptions,),
-        "simulated plant": (SimulatedArmOptions,),
-        "estimation": (EstimationOptions,),
-        "Damiao motors": (MotorOptions,),
-    },
-    only={"excitation": ("excitation", "excitation_time_budget")},
     overview=overview(),
 )
 PLAN = CommandSpec(
-    SysidConfig.of_plan,
+    PlanConfig,
     "robot-sysid plan arm.xml --save-trajectory plan.json",
     "Design a trajectory that tells most about the terminal link, check it against "
     "all limits, say what it promises, and write it. --trajectory checks one that was saved.",
@@ -108,7 +82,6 @@ PLAN = CommandSpec(
         "trajectory",
         "save_trajectory",
         "excitation",
-        "excitation_time_budget",
         "max_velocity",
         "max_torque",
         "workspace",
@@ -116,22 +89,9 @@ PLAN = CommandSpec(
         "export_damiao",
         "motor_type",
     ),
-    {
-        "model and output": (ModelOptions, OutputOptions),
-        "trajectory": (TrajectoryOptions,),
-        "excitation": (ExcitationOptions,),
-        "plan for a payload": (PoseOptions,),
-        "limits": (LimitOptions,),
-        "prediction": (EstimationOptions, SimulatedArmOptions),
-        "Damiao motors": (MotorOptions,),
-        "preview": (ViewOptions,),
-    },
-    only={"prediction": PREDICTED},
-    leave_out=("keep", "links", "bundle", "report"),
-    defaults=PLANNED,
 )
 IDENTIFY = CommandSpec(
-    SysidConfig.of,
+    IdentifyConfig,
     "robot-sysid identify arm.xml log.csv",
     "Identify an arm from one log of it, or from several together: the terminal link, every "
     "other link with --links, friction and rotor inertia. Write a corrected model.",
@@ -142,24 +102,14 @@ IDENTIFY = CommandSpec(
         "columns",
         "units",
         "torque_scale",
-        "delay",
-        "cutoff",
         "validation_measurements",
         "friction_model",
         "links",
-        "coupling",
-        "verify_rollout",
         "keep",
     ),
-    {
-        "model and output": (ModelOptions, OutputOptions),
-        "logs": (LogOptions,),
-        "estimation": (EstimationOptions,),
-    },
-    leave_out=("measurements",),
 )
 PAYLOAD = CommandSpec(
-    PayloadConfig.of,
+    PayloadConfig,
     "robot-sysid payload arm.xml --empty a.csv d.csv --loaded b.csv c.csv --order ABBA",
     "Identify what is bolted to the flange from logs without and with it, and "
     "write a model that carries it and a card for controllers.",
@@ -178,26 +128,7 @@ PAYLOAD = CommandSpec(
         "columns",
         "units",
         "torque_scale",
-        "scale_uncertainty",
     ),
-    {
-        "recordings and payload": (PayloadOptions,),
-        "model and output": (ModelOptions, OutputOptions),
-        "logs": (LogOptions,),
-        "estimation": (EstimationOptions,),
-    },
-    only={
-        "estimation": (
-            "cutoff",
-            "friction_model",
-            "link_uncertainty",
-            "scale_uncertainty",
-            "zero_uncertainty",
-            "gravity_uncertainty",
-            "delay_uncertainty",
-        )
-    },
-    leave_out=("links", "measurements", "validation_measurements", "verify_rollout"),
 )
 SPECS = {"": ALONE, "plan": PLAN, "identify": IDENTIFY, "payload": PAYLOAD}
 """Name of the command to its specification; "" is the program with a model alone."""
@@ -213,21 +144,12 @@ def build_parser(command: str = "", full: bool = True) -> Parser:
     parser.add_argument(
         "path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file"
     )
-    if command == "identify":
+    for title, record in spec.config.records().items():
+        parser.add(title, record)
+    if not command:
+        version = f"{PROGRAM} {__version__}"
         parser.add_argument(
-            "measurements",
-            metavar="LOG",
-            nargs="+",
-            type=Path,
-            help="recording of the real arm",
-        )
-    for title, records in spec.groups.items():
-        parser.add(
-            title,
-            *records,
-            only=spec.only.get(title, ()),
-            leave_out=spec.leave_out,
-            defaults=spec.defaults,
+            "--version", action="version", version=version, help="print the version"
         )
     return parser.add_console_options()
 
@@ -240,51 +162,44 @@ def main(arguments: Sequence[str], command: str = "") -> int:
         command: "plan", "identify" or "payload"; "" for ``robot-sysid MODEL`` alone.
     """
     values, console = parse_command(partial(build_parser, command), arguments)
-    view = values.pop("view", False)
-    if view:
-        from robot_sysid.motion.viewer import require_display
-
-        require_display()
-    run_command(SPECS[command].config(**values), console, view)
+    run_command(SPECS[command].config.of(**values), console)
     return 0
 
 
-def run_command(config: Config, console: Console, view: bool = False) -> None:
-    """Run a command, print its outcome and write its report and bundle.
+def run_command(config: Config, console: Console) -> None:
+    """Run a command, print its outcome and write its report.
 
     The verdict is printed last, and not at all where the run failed: the error states it then.
 
     Args:
         config: options of the run.
         console: prints the outcome; the TOML file that the options came from is not replaced.
-        view: whether a planned motion is played in MuJoCo's viewer.
 
     Raises:
         SysidError: the run failed, its result cannot be used, or a wanted report is missing.
     """
-    require_report(config.output)
+    require_report(config.output.report)
+    is_viewed = isinstance(config, PlanConfig) and config.preview.view
+    if is_viewed:
+        from robot_sysid.motion.viewer import require_display
+
+        require_display()
     # Imported here so that --help and usage errors do not wait for MuJoCo.
-    from robot_sysid.pipeline.run_words import add_weighing_commands
     from robot_sysid.pipeline.stages import run
 
     config = replace(config, output=replace(config.output, config=console.config))
-    if isinstance(config, SysidConfig):
+    if isinstance(config, MotionConfig):
         config = config.with_seed()
     output = config.output
     with warnings_as_notes(console):
         try:
             outcome = run(config, console)
         except InputError as error:
-            logs = config.log.measurements
-            is_static = isinstance(config, PayloadConfig) and config.payload.static
-            # A payload of known mass has all that the weighing needs, but for the first scales.
-            if isinstance(config, PayloadConfig) and config.payload.known_mass is None:
-                logs = config.payload.empty
-            for log in logs[:1]:
-                add_weighing_commands(error, config.model, config.log, log, is_static)
+            if isinstance(config, LogConfig):
+                _add_weighing(error, config)
             raise
     checked = outcome.checked
-    if view and checked is not None and checked.problem is not None:
+    if is_viewed and checked is not None and checked.problem is not None:
         from robot_sysid.motion.viewer import play_in_viewer
 
         play_in_viewer(checked.problem.robot, checked.plan)
@@ -297,53 +212,48 @@ def run_command(config: Config, console: Console, view: bool = False) -> None:
     failure = write_outcome_report(outcome, output, config.model.mesh_dir, console)
     if outcome.failure:
         raise SysidError(" ".join(outcome.verdict) or outcome.failure)
-    if output.bundle:
-        from robot_sysid.results.written_model import write_bundle
-
-        # The first one is the file to use; a URDF beside it would replace its bundle.
-        for path in file_access.models_in(outcome.files)[:1]:
-            bundle = write_bundle(path, output.output_dir)
-            console.stage(f"Bundle saved to {bundle}")
     console.stage(*outcome.verdict)
     if failure:
         raise SysidError(failure)
 
 
+def _add_weighing(error: InputError, config: LogConfig) -> None:
+    """Add the command that weighs torque scales to an error that asks for it."""
+    from robot_sysid.pipeline.run_words import add_weighing_commands
+
+    logs: Sequence[Path] = ()
+    is_static = False
+    if isinstance(config, IdentifyConfig):
+        logs = config.log.measurements
+    elif isinstance(config, PayloadConfig):
+        is_static = config.payload.static
+        # A payload of known mass has all that the weighing needs, but for the first scales.
+        logs = () if config.payload.known_mass else config.payload.empty
+    for log in logs[:1]:
+        add_weighing_commands(error, config.model, config.log, log, is_static)
+
+
 def _write_settings(config: Config) -> None:
     """Write the file that repeats a run, but not over the file of its own --config."""
     path = config.output.output_dir / file_access.RUN_NAME
-    command = PROGRAM
-    defaults: Mapping[str, Any] = {}
-    if isinstance(config, PayloadConfig):
-        command = f"{PROGRAM} payload"
-    elif isinstance(config, SysidConfig) and config.trajectory.plan_only:
-        assert config.plan_file is not None
+    if isinstance(config, PlanConfig):
         path = config.plan_file.with_suffix(".toml")
-        command = f"{PROGRAM} plan"
-        defaults = PLANNED
-    if not file_access.is_same_file(path, config.output.config):
-        heading = f"{command} --config {quote(str(path))}"
-        records = vars(config).values()
-        text = settings_text(heading, config.model.path, records, defaults)
-        file_access.write_atomically(path, text)
+    if file_access.is_same_file(path, config.output.config):
+        return
+    (command,) = (name for name in SPECS if SPECS[name].config is type(config))
+    words = f"{PROGRAM} {command}".strip()
+    text = f"# In {Path.cwd()}: {words} --config {quote(str(path))}\n"
+    file_access.write_atomically(path, text + settings_text(config))
 
 
-def settings_text(
-    command: str, model: Path, records: Collection[Any], defaults: Mapping[str, Any]
-) -> str:
-    """Return the TOML text of a command's options that differ from their defaults.
-
-    Args:
-        command: command line that reads the file, for its first line, a comment.
-        model: the model file.
-        records: the option records.
-        defaults: by key, defaults of the command in place of the records'.
-    """
-    lines = [f"# In {Path.cwd()}: {command}", f"path = {_toml_value(model)}"]
-    for record in records:
-        for name, option in options_of(record).items():
-            value = getattr(record, name)
-            if value != defaults.get(option.key, default_of(record, name)):
+def settings_text(config: Config) -> str:
+    """Return the TOML text of a command's options that differ from their defaults."""
+    lines = [f"path = {_toml_value(config.model.path)}"]
+    for name in config.records():
+        record = getattr(config, name)
+        for field_name, option in options_of(record).items():
+            value = getattr(record, field_name)
+            if value != default_of(record, field_name):
                 lines.append(f"{option.key} = {_toml_value(value)}")
     return "\n".join([*lines, ""])
 

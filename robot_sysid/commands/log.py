@@ -21,8 +21,6 @@ from robot_sysid.records.option_fields import (
 
 INTERRUPTED = "interrupted; nothing was written"
 """What is said where the user interrupts the command."""
-LEFT_OUT = ("measurements", "validation_measurements", "verify_rollout")
-"""Keys of a log's options that only identifications have."""
 WITHOUT_MODEL = ("topic", "episode")
 """Keys of options that count without a model."""
 
@@ -43,7 +41,7 @@ def build_parser(full: bool = True) -> Parser:
         "path", metavar="MODEL", type=Path, nargs="?", help="MJCF or URDF file"
     )
     parser.add("model", ModelOptions)
-    parser.add("log", LogOptions, leave_out=LEFT_OUT)
+    parser.add("log", LogOptions)
     return parser.add_console_options()
 
 

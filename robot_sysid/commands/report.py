@@ -9,7 +9,7 @@ from typing import Any
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.config import OutputOptions
+from robot_sysid.config import FolderOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
 from robot_sysid.records.option_fields import (
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str]) -> int:
     values, console = parse_command(build_parser, arguments)
     page = record_from(PageOptions, values)
     mesh_dir = record_from(ModelOptions, values).mesh_dir
-    require_report(OutputOptions(report=True))
+    require_report(True)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.report.page import write_report
     from robot_sysid.report.runs import load_run
@@ -74,16 +74,16 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def require_report(output: OutputOptions) -> None:
+def require_report(is_wanted: bool) -> None:
     """Raise InputError where a wanted report cannot be made; called before a long run."""
-    if output.report:
+    if is_wanted:
         from robot_sysid.report.drawing import require_matplotlib
 
         require_matplotlib()
 
 
 def write_outcome_report(
-    outcome: Any, output: OutputOptions, mesh_dir: Path | None, console: Console
+    outcome: Any, output: FolderOptions, mesh_dir: Path | None, console: Console
 ) -> str | None:
     """Write the data of a later report, and the report if it is wanted.
 

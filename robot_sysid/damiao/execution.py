@@ -59,7 +59,7 @@ from robot_sysid.damiao.settings import (
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, error_text
-from robot_sysid.model import ModelOptions
+from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.option_fields import given_options, record_from
@@ -222,7 +222,9 @@ class MotorRun:
         """Return a plan's checks that need no bus; InputError for model options without a model."""
         checks = [*preflight.plan_checks(plan), *preflight.limit_checks(plan)]
         if self.robot is None:
-            for model_option in given_options(record_from(ModelOptions, self.values)):
+            for model_option in given_options(
+                record_from(PosedModelOptions, self.values)
+            ):
                 raise InputError(f"{model_option.flag} is about a model; add --model")
             return checks
         from robot_sysid.damiao import model_check
@@ -303,7 +305,7 @@ class MotorRun:
             return None
         from robot_sysid.parser import load_robot_model
 
-        model = record_from(ModelOptions, self.values)
+        model = record_from(PosedModelOptions, self.values)
         return load_robot_model(
             path,
             model.mesh_dir,

@@ -30,7 +30,7 @@ from robot_sysid.damiao.trajectory import (
     peaks_beyond,
 )
 from robot_sysid.errors import InputError
-from robot_sysid.model import ModelOptions
+from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import WEIGHT, LimitOptions
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import build_problem
@@ -322,7 +322,7 @@ def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
     if plan_file is None:
         return False
     _, settings = plan_file
-    model = record_from(ModelOptions, settings)
+    model = record_from(PosedModelOptions, settings)
     max_speed = float("inf")
     try:
         path = Path(settings["path"])

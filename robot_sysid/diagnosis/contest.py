@@ -231,7 +231,7 @@ class Contest:
         """
         trusted = is_plausible(self.posterior)
         fit = BaseFit(self.posterior, self.signals, trusted)
-        offered = [e for e in explanations(fit) if not self.is_estimated(e)]
+        offered = explanations(fit)
         columns = OfferedColumns.of(self.posterior.model, offered)
         winners: list[list[Score]] = []
         model = self.posterior
@@ -246,14 +246,6 @@ class Contest:
             winners.append(ties)
             model = ties[0].posterior
         return winners
-
-    def is_estimated(self, explanation: Explanation) -> bool:
-        """Return whether the estimate itself has a free parameter for this fault.
-
-        That is so for a delay or tilt of all joints where the options ask to find it ("auto").
-        """
-        settings = {"delay": self.options.delay, "tilt": self.options.tilt}
-        return explanation.joint is None and settings.get(explanation.name) == "auto"
 
 
 @dataclass(frozen=True)

@@ -212,9 +212,9 @@ def zeros(fit: BaseFit) -> Iterator[Explanation]:
 def tilt(fit: BaseFit) -> Iterator[Explanation]:
     """Yield a tilt of the base, by two angles [rad]; nothing where the model has no gravity."""
     if np.any(gravity_vector(fit.robot)):
-        text = "the base is tilted by {value} against the model's; have it found (identify --tilt "
+        text = "the base is tilted by {value} against the model's; level it, or turn the model"
         to_degrees = float(np.degrees(1.0))
-        describe = _norm(f"{text}auto)", to_degrees, "degrees")
+        describe = _norm(text, to_degrees, "degrees")
         columns = fit.log.columns_of(TILT_NAMES)
         spread = np.full(len(TILT_NAMES), 0.15)
         yield Explanation("tilt", Level.WARN, columns, spread, describe)
@@ -265,8 +265,7 @@ def delays(fit: BaseFit) -> Iterator[Explanation]:
     is d [s].
     """
     late = -fit.derivative(fit.rigid)
-    text = "torque lags position by {value}; record both at the same instant, or have it found "
-    text += "(identify --delay auto; payload does so by itself)"
+    text = "torque lags position by {value}; record both at the same instant"
     describe = _first_coefficient(text, factor=1e3, unit="ms")
     spread = 0.04
     columns = late[:, :, None]

@@ -21,7 +21,7 @@ from robot_sysid.dynamics.spatial import (
 )
 from robot_sysid.estimation.algebra.priors import EXPECTED, NuisanceGroup
 from robot_sysid.estimation.choices import WITH_ALL
-from robot_sysid.estimation.question import Choice, EstimationOptions, Question
+from robot_sysid.estimation.question import Choice, EstimationOptions, Priors, Question
 from robot_sysid.estimation.unknowns import build_unknowns
 from robot_sysid.records import DELAY_NAME, Array
 
@@ -101,9 +101,10 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     mean[: len(columns.names)] = columns.model_values
     # A small stated uncertainty of the links must not turn their usual errors into faults. A delay
     # that the estimate would allow for is reported all the same.
-    links = max(options.link_uncertainty, EstimationOptions().link_uncertainty)
-    late = min(options.delay_uncertainty, WORTH_A_WORD)
-    options = replace(options, link_uncertainty=links, delay_uncertainty=late)
+    links = max(options.priors.link, Priors.link)
+    late = min(options.priors.delay, WORTH_A_WORD)
+    priors = replace(options.priors, link=links, delay=late)
+    options = replace(options, priors=priors)
     friction = (friction_model(WITH_ALL),) * log.robot.n_joints
     nonzero = np.ones(len(columns.names), dtype=bool)
     # For each scale of the links' prior: groups of parameters, each with one cause of error.

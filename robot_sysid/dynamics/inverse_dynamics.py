@@ -515,7 +515,7 @@ def tilt_axes(level: Array, gravity: Array | None = None) -> Array:
     """
     size = float(np.linalg.norm(level))
     if size == 0.0:
-        raise InputError("--tilt auto needs gravity, but the model's gravity is zero")
+        raise InputError("the model has no gravity against which a tilt could show")
     down = np.asarray(level) / size
     # Perpendicular to gravity and to the world's axis that is farthest from gravity's direction.
     axis = int(np.argmin(np.abs(down)))

@@ -13,11 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.dynamics.equations import split_name
-from robot_sysid.dynamics.inverse_dynamics import (
-    TILT_NAMES,
-    gravity_vector,
-    tilt_angles,
-)
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector, tilt_angles
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.common_scale import LEAST_SCALE
 from robot_sysid.estimation.algebra.priors import LINK_KINDS
@@ -51,7 +47,6 @@ from robot_sysid.estimation.trust import (
     wrong_links,
 )
 from robot_sysid.records import (
-    DELAY_NAME,
     Array,
     DataOrigin,
     Flange,
@@ -179,16 +174,12 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
     """
     fit = answer.fit
     robot = answer.robot
-    options = fit.question.options
     scales = fit.choice.link_scales
     joints: dict[str, JointEstimate] = {}
     motors: dict[str, JointEstimate] = {}
     for name, joint in answer.joints():
         owners = joints if name in robot.joint_names else motors
         owners[name] = joint
-    tilt = None
-    if options.tilt == "auto":
-        tilt = math.hypot(*map(fit.value, TILT_NAMES))
     signals = motion_signals(fit.columns.datasets)
     models = {model.name for model in fit.choice.friction}
     return Result(
@@ -205,8 +196,6 @@ def _common(answer: Answer, data: DataOrigin) -> Result:
         cutoff=signals[0].cutoff if signals else None,
         link_scales={name: getattr(scales, name) for name in LINK_KINDS},
         conflicts=answer.errors.conflicts,
-        delay=fit.value(DELAY_NAME) if options.delay == "auto" else None,
-        tilt=tilt,
     )
 
 
@@ -237,10 +226,9 @@ def _result_notes(answer: Answer, file: ModelFile | None) -> Iterator[str]:
             "have a common scale error; one log cannot separate these two, and the stated errors "
             "include both"
         )
-    is_given = answer.fit.question.options.coupling is not None
     for motor in answer.fit.choice.couplings:
         if motor.tendon is None:
-            why = "as given" if is_given else "the torques give clear evidence of it"
+            why = "the torques give clear evidence of it"
             yield f"a motor turns with {motor.name}: {why}"
     # A group is the prior of the parameters with one cause of error.
     for group in answer.fit.unknowns.groups:

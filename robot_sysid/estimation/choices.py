@@ -15,8 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +26,6 @@ from robot_sysid.dynamics.friction import (
     FrictionModel,
     friction_model,
 )
-from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.common_scale import is_notable_scale
 from robot_sysid.estimation.algebra.least_squares import sample_counts
 from robot_sysid.estimation.algebra.priors import (
@@ -55,7 +52,6 @@ from robot_sysid.estimation.unknowns import (
 )
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.file_access import read_json
 
 CANDIDATES = (
     "coulomb-viscous-offset-armature",
@@ -144,7 +140,7 @@ def _link_evidence(fit: Fit) -> LinkEvidence | None:
                 bodies.append(tuple(link.theta))
     if not stated:
         return None
-    share = PER_CENT * fit.question.options.link_uncertainty
+    share = PER_CENT * fit.question.options.priors.link
     lengths = link_lengths(columns.robot, stated)
     # (10 L, 10 L + 2) effect of each error of the L stated links on their parameters.
     directions = share * link_directions(tuple(bodies), tuple(lengths))
@@ -379,18 +375,12 @@ def couplings_of(
     """Return (couplings that get regressor columns, the offered ones of these, which come last).
 
     Offered couplings are used only where the recordings show them (``select_couplings``).
-    Couplings of the model and of the user's file are used without evidence. With torques of the
-    last joint alone, which identify no coupling, there are only those of the user's file.
-
-    Raises:
-        InputError: the file that states couplings cannot be read, or does not fit the arm.
+    Couplings of the model are used without evidence. Torques of the last joint alone identify no
+    coupling.
     """
-    stated = () if options.coupling is None else read_couplings(options.coupling, robot)
     if options.torques != "chain":
-        return stated, ()
+        return (), ()
     of_model = couplings_of_model(robot)
-    if options.coupling is not None:
-        return (*of_model, *_missing(stated, of_model)), ()
     offered = tuple(_missing(neighbours(robot), of_model))
     return (*of_model, *offered), offered
 
@@ -545,52 +535,3 @@ def _motor_prior(fit: Fit, unknowns: Unknowns, motor: Coupling) -> NuisanceGroup
                 size = max(size, least_torque / column_size)
         sizes.append(size)
     return independent_prior("couplings", names, names, np.array(sizes))
-
-
-def read_couplings(path: Path, robot: RobotModel) -> tuple[Coupling, ...]:
-    """Return the couplings that a file of the user states.
-
-    The file is JSON: ``{"motor": {"joint": ratio, ...}, ...}``, or a matrix with a row per motor
-    and a column per joint of the chain. Ratios are motor speed, behind the motor's gear, per joint
-    speed. A motor that turns with one joint alone couples nothing and is left out.
-
-    Raises:
-        InputError: the file cannot be read, or does not fit the arm.
-    """
-    names = robot.joint_names
-    content = read_json(path, '--coupling takes JSON such as {"motor": {"joint": 1.0}}')
-    # What messages call a motor, to its entry in the file.
-    rows = dict[str, Any]()
-    if isinstance(content, dict):
-        for name, entry in content.items():
-            rows[f"motor {name!r}"] = entry
-    elif isinstance(content, list):
-        for index, entry in enumerate(content):
-            rows[f"row {index + 1}"] = entry
-    else:
-        rows[""] = content
-    motors = []
-    for label, row in rows.items():
-        if isinstance(row, list) and len(row) == robot.n_joints:
-            row = dict(zip(names, row))
-        if not isinstance(row, dict) or not all(map(_is_number, row.values())):
-            raise InputError(
-                f'--coupling {path}: {label} must be like {{"{names[-1]}": 1.0}}, or in a matrix '
-                f"{robot.n_joints} finite numbers in each row, one per joint of the chain"
-            )
-        unknown = [joint for joint in row if joint not in names]
-        if unknown:
-            raise InputError(
-                f"--coupling {path}: {label} turns with {unknown[0]!r}, which is no joint of the "
-                f"arm: {', '.join(names)}"
-            )
-        ratios = np.array([float(row.get(joint, 0.0)) for joint in names])
-        if np.count_nonzero(ratios) > 1:
-            motors.append(coupling(robot, ratios))
-    return tuple(motors)
-
-
-def _is_number(value: Any) -> bool:
-    """Tell whether a JSON value is a finite number."""
-    is_real = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return is_real and bool(np.isfinite(value))

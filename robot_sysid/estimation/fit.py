@@ -15,7 +15,6 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS, speed_name
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
-from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_bodies import (
     ConsistentLinks,
     LinksProblem,
@@ -44,10 +43,8 @@ from robot_sysid.estimation.question import Choice, Question
 from robot_sysid.estimation.unknowns import EstimatedRows, Unknowns, build_unknowns
 from robot_sysid.records import DELAY_NAME, Array, SquareRootInformation
 
-# Largest number of linearisations without a delay or tilt to estimate.
+# Largest number of linearisations.
 _MAX_ROUNDS = 8
-# Largest number of linearisations with a delay or tilt to estimate.
-_AUTO_ROUNDS = 20
 # Largest number of solutions, each of which holds more parameters at their bounds.
 _MAX_BOUND_ROUNDS = 6
 # Change of predicted torques and unknowns at convergence, in standard deviations of noise, priors.
@@ -360,18 +357,14 @@ class Fitter:
     ) -> Fit:
         """Return the fit at the point where linearisation has converged.
 
-        Bodies, delay, tilt and friction's speeds have to converge. With a delay or tilt to estimate
-        there are up to ``_AUTO_ROUNDS`` linearisations. Without, the last of ``rounds`` fits is
-        returned even if it has not converged.
+        Bodies, gravity of a file and friction's speeds have to converge; the last of ``rounds``
+        fits is returned even if they have not.
 
         Args:
             question: which parameters are wanted.
             choice: friction terms, couplings, and priors of the links.
             point: at which to start; None for the model's own values.
-            rounds: largest number of linearisations without a delay or tilt to estimate.
-
-        Raises:
-            SysidError: a delay or a tilt to estimate does not converge.
+            rounds: largest number of linearisations.
         """
         # Columns of load and of nonlinear terms depend on the estimate. While friction terms are
         # selected, load-dependent friction that only a prior allows for needs no exact columns.
@@ -383,11 +376,6 @@ class Fitter:
         point = point or self.columns.start()
         if (point.exact_load, point.in_file) != (exact_load, question.in_file):
             point = replace(point, exact_load=exact_load, in_file=question.in_file)
-        auto_names = []
-        for name in ("delay", "tilt"):
-            if not question.in_file and getattr(question.options, name) == "auto":
-                auto_names.append(name)
-        rounds = _AUTO_ROUNDS if auto_names else rounds
         for rounds_left in reversed(range(rounds)):
             fit = self.solve_around(point, question, choice)
             self._noise = fit.noise
@@ -397,12 +385,6 @@ class Fitter:
             if rounds_left:
                 point = next_point
                 del fit  # its rows and their evidence, before others are made
-        if auto_names:
-            raise SysidError(
-                f"the estimates of {' and '.join(auto_names)} do not settle within {rounds} rounds "
-                f"(last delay {1e3 * fit.point.delay:.3g} ms): this log does not show them well "
-                f"enough; lower the cut-off, or leave --{' and --'.join(auto_names)} off"
-            )
         return fit
 
 

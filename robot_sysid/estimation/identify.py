@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import FrictionModel, friction_model
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector, tilt_axes
 from robot_sysid.errors import prefix_input_errors
 from robot_sysid.estimation.algebra.priors import SURE, is_significant
 from robot_sysid.estimation.answer import Answer, written_payload
@@ -153,7 +152,6 @@ def answer_link(
 
     Raises:
         InputError: a recording is too short, or the couplings do not fit the arm.
-        SysidError: an estimated delay or tilt does not converge.
     """
     question = Question(options)
     progress.stage(
@@ -293,8 +291,6 @@ def _fitter(
         progress: receives a count of passes over the recordings.
     """
     options = question.options
-    if options.tilt == "auto":
-        tilt_axes(gravity_vector(robot))  # raises without gravity
     # All couplings: first stated ones, then ``offered``, which are used only with clear evidence.
     motors, offered = couplings_of(robot, options)
     columns = Columns(robot, datasets, options.torques, motors)
@@ -343,9 +339,7 @@ def without_standing(
     if options.friction is not None and not options.friction.terms:
         model = options.friction
     choice = Choice((model,) * robot.n_joints, columns.couplings)
-    question = Question(
-        replace(options, delay="off", tilt="off"), loaded=dataset.is_loaded
-    )
+    question = Question(options, loaded=dataset.is_loaded)
     fit = Fitter(columns, rms_torque([dataset])).fit(question, choice, rounds=1)
 
     (samples,) = fit.samples

@@ -6,17 +6,20 @@ from the recordings themselves, such as friction terms.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robot_sysid.errors import InputError
+from robot_sysid.records.file_access import read_json, read_toml
 from robot_sysid.records.option_fields import (
     OptionRecord,
     PerJoint,
-    given_options,
     option,
+    options_of,
+    record_from,
 )
 
 if TYPE_CHECKING:
@@ -35,24 +38,101 @@ CHOSEN = "auto"
 """Value of the option ``friction_model`` that selects each joint's friction terms from the data."""
 
 
-def _uncertainty(default: float, help: str, unit: str = "%") -> Any:
-    """Return the dataclass field of an option that is a prior standard deviation, zero or more.
+# Names of the parts of a model file that may stay as they are (``Question.unchanged_parts``).
+# Friction of joints and motors.
+FILE_FRICTION = "friction"
+# Rotor inertia.
+FILE_ROTORS = "rotors"
+# Direction of gravity.
+FILE_GRAVITY = "gravity"
+# All links but the terminal one.
+FILE_LINKS = "links"
 
-    Args:
-        default: value in the given unit.
-        help: text for the user.
-        unit: of the value, as it is printed.
+
+@dataclass(frozen=True)
+class Priors(OptionRecord):
+    """How wrong arms, models and sensors usually are: standard deviations of priors.
+
+    A file of ``--priors`` has these names as keys. docs/options.md says where each was seen.
     """
-    # The option is shown as P, and values below zero are refused.
-    return option(default, help, "P >= 0", unit=unit)
+
+    link: float = option(
+        5.0,
+        "how well the model knows the other links: their mass, their centre of mass as part of "
+        "their size, half of what their inertia is off by",
+        "P [%] >= 0",
+    )
+    scale: PerJoint | None = option(
+        None,
+        "how far each joint's torque scale may be off, one number or one per joint",
+        "P [%] >= 0",
+        default_text="2; 3 of payloads; what a file of torque scales says of itself",
+    )
+    zero: float = option(
+        2.0, "how far each joint's zero position may be off", "P [mrad] >= 0"
+    )
+    gravity: float = option(
+        0.3, "how far the base may be tilted against gravity", "P [deg] >= 0"
+    )
+    delay: float = option(
+        5.0, "how late or early the torque may be beside the position", "P [ms] >= 0"
+    )
+    friction: float = option(
+        2.0,
+        "how much friction may grow with the torque of the gear where the friction model has no "
+        "term for it; it may also be curved by five times that part of its Coulomb friction",
+        "P [%] >= 0",
+    )
+    noise: PerJoint | None = option(
+        None,
+        "of a plan: noise of the torques to expect, one number or one per joint",
+        "P [N·m] > 0",
+        default_text="0.3",
+    )
+    file: Path | None = None
+
+    def __str__(self) -> str:
+        """Return the file that the priors were read from, as it is typed."""
+        return str(self.file or "")
+
+
+def read_priors(path: str | os.PathLike[str]) -> Priors:
+    """Return the priors in a TOML or JSON file; those that it does not name have their defaults.
+
+    InputError where the file cannot be read, or has a key or value that is no prior's.
+    """
+    path = Path(path)
+    if path.suffix == ".json":
+        content = read_json(path, "a file of priors is JSON or TOML")
+    else:
+        content = read_toml(path)
+    try:
+        return replace(priors_of(content), file=path)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def priors_of(content: object) -> Priors:
+    """Return the priors in a table of numbers by name; InputError where it is no such table."""
+    names = options_of(Priors)
+    form = f"priors are numbers by these names: {', '.join(names)}"
+    if not isinstance(content, Mapping):
+        raise InputError(f"there is no table; {form}")
+    for key in content:
+        if key not in names:
+            raise InputError(f"there is no prior {key!r}; {form}")
+    try:
+        return record_from(Priors, content)
+    except InputError as error:
+        raise InputError(f"{str(error).lstrip('-')}; {form}") from None
 
 
 @dataclass(frozen=True)
 class EstimationOptions(OptionRecord):
     """Options of the user: how parameters are estimated from torques.
 
-    Each field's text says what it means. Uncertainties are standard deviations of priors in the
-    printed unit: percent, milliradians, degrees, milliseconds.
+    Each field's text says what it means. ``cutoff`` of the low-pass that all signals go through
+    [Hz] is no option; None chooses it from the data.
     """
 
     torques: str = option(
@@ -70,60 +150,21 @@ class EstimationOptions(OptionRecord):
         default_text="auto: each joint's by held-out torques; of the last joint's torque alone "
         f"{DEFAULT_TERMINAL}",
     )
-    cutoff: float | None = option(
-        None,
-        "cut-off of the low-pass that all signals go through",
-        "HZ [Hz] > 0",
-        default_text="from the data",
-    )
-    delay: str = option(
-        "off",
-        "estimate how much the torque lags behind the position",
-        choices=("off", "auto"),
-    )
-    tilt: str = option(
-        "off",
-        "estimate how much the base is tilted against gravity",
-        choices=("off", "auto"),
-    )
-    link_uncertainty: float = _uncertainty(
-        5.0,
-        "how well the model knows the other links: their mass, their centre of mass as part of "
-        "their size, half of what their inertia is off by",
-    )
-    scale_uncertainty: PerJoint | None = option(
-        None,
-        "how far each joint's torque scale may be off, one number or one per joint",
-        "P [%] >= 0",
-        default_text="2; 3 of payloads; what a file of torque scales says of itself",
-    )
-    zero_uncertainty: float = _uncertainty(
-        2.0, "how far each joint's zero position may be off", "mrad"
-    )
-    gravity_uncertainty: float = _uncertainty(
-        0.3, "how far the base may be tilted against gravity", "deg"
-    )
-    delay_uncertainty: float = _uncertainty(
-        5.0, "how late or early the torque may be beside the position", "ms"
-    )
-    friction_uncertainty: float = _uncertainty(
-        2.0,
-        "how much friction may grow with the torque of the gear where the friction model has no "
-        "term for it; it may also be curved by five times that part of its Coulomb friction",
-    )
-    coupling: Path | None = option(
-        None,
-        "JSON file of motors that turn with several joints",
+    priors: Priors = option(
+        Priors(),
+        "file that says how wrong model and sensors may be",
         "FILE",
-        default_text="found where it shows",
+        parse=read_priors,
+        default_text="as usual arms are",
     )
-    torque_from: str | None = option(
-        None,
-        "no torque was measured: find servos, friction and rotor inertia from commanded and "
-        "measured positions",
-        choices=("position-error",),
-        default_text="measured torques",
+    keep: tuple[str, ...] = option(
+        (),
+        "leave this of the model as it is: friction or rotor inertia of its joints, gravity, or "
+        "all links but the terminal one; may be repeated",
+        choices=(FILE_FRICTION, FILE_ROTORS, FILE_GRAVITY, FILE_LINKS),
+        repeats=True,
     )
+    cutoff: float | None = None
 
     def __post_init__(self) -> None:
         """Check each value, that the friction model exists, and that options do not conflict.
@@ -132,19 +173,22 @@ class EstimationOptions(OptionRecord):
             InputError: a check failed.
         """
         super().__post_init__()
-        if self.no_friction and self.friction_model is not None:
-            raise InputError("--friction-model and --no-friction exclude each other")
+        # A program may give a file's path or a table.
+        if not isinstance(self.priors, Priors):
+            is_file = isinstance(self.priors, os.PathLike)
+            priors = (read_priors if is_file else priors_of)(self.priors)
+            object.__setattr__(self, "priors", priors)
+        if self.no_friction:
+            for flag, is_given in (
+                ("--friction-model", self.friction_model is not None),
+                (f"--keep {FILE_FRICTION}", FILE_FRICTION in self.keep),
+            ):
+                if is_given:
+                    raise InputError(f"{flag} and --no-friction exclude each other")
         if self.friction_model not in (None, CHOSEN):
             from robot_sysid.dynamics.friction import friction_model
 
             friction_model(str(self.friction_model))
-        others = [entry for entry in given_options(self) if entry.key != "torque_from"]
-        # All other options describe how parameters are estimated from measured torques.
-        if self.torque_from is not None and others:
-            raise InputError(
-                f"{others[0].flag} is about measured torques; leave it off with --torque-from "
-                f"{self.torque_from}"
-            )
 
     @property
     def friction(self) -> FrictionModel | None:
@@ -176,17 +220,6 @@ class EstimationOptions(OptionRecord):
         terms = self.friction.terms
         given = {*terms, "coulomb"} if "sigmoid" in terms else {*terms}
         return tuple(t for t in friction_model(default).terms if t not in given)
-
-
-# Names of the parts of a model file that may stay as they are (``Question.unchanged_parts``).
-# Friction of joints and motors.
-FILE_FRICTION = "friction"
-# Rotor inertia.
-FILE_ROTORS = "rotors"
-# Direction of gravity.
-FILE_GRAVITY = "gravity"
-# All links but the terminal one.
-FILE_LINKS = "links"
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import link_names, names_of, other_links
 from robot_sysid.dynamics.friction import FADING_SPEEDS, speed_name
-from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.algebra.common_scale import hold_mean, with_common
 from robot_sysid.estimation.algebra.priors import (
@@ -59,13 +58,13 @@ WEIGHT = "known mass"
 OFFSETS = "sensor offsets"
 CURVATURE = 5.0
 """Prior standard deviation of the term "sqrt", divided by dry friction times the option
-``friction_uncertainty`` (a share, the default is 2 %)."""
+the prior ``friction`` (a share, the default is 2 %)."""
 FADING = 15.0
 """Prior standard deviation of each term that fades with speed, divided by dry friction times the
-option ``friction_uncertainty``: a Stribeck curve of 30 % with the default of 2 %."""
+prior ``friction``: a Stribeck curve of 30 % with the default of 2 %."""
 LARGEST_USUAL_LOSS = 2.5
 """Largest prior standard deviation of the share of its load that a gear loses, which is reached
-where dry friction is large, divided by the option ``friction_uncertainty``."""
+where dry friction is large, divided by the prior ``friction``."""
 LEAST_COULOMB = 0.02
 """Least dry friction assumed before a fit, as a share of the joint's root mean square torque."""
 LEAST_FITTED_COULOMB = 1e-3
@@ -156,7 +155,7 @@ class Unknowns:
         It is tried without a payload, where no option states the scales and other links have a
         prior: only their masses, as the model states them, show such an error.
         """
-        if question.loaded or question.options.scale_uncertainty is not None:
+        if question.loaded or question.options.priors.scale is not None:
             return False
         return bool(self.groups_of(LINKS))
 
@@ -315,10 +314,6 @@ def _increment_names(
         if FILE_GRAVITY not in question.unchanged_parts:
             yield from columns.tilts
         return
-    if question.options.delay == "auto":
-        yield DELAY_NAME
-    if question.options.tilt == "auto":
-        yield from TILT_NAMES
     for row, joint in zip(columns.joint_indices, columns.joints):
         for term in choice.friction[row].nonlinear_terms:
             yield speed_name(term, joint)
@@ -361,7 +356,7 @@ def _bodies(
     """Yield each unknown body's name, indices of its parameters (10,) and a usual body (10,)."""
     last = columns.robot.body_name
     are_kept = FILE_LINKS in question.unchanged_parts
-    others_are_unknown = question.options.link_uncertainty > 0.0 and not are_kept
+    others_are_unknown = question.options.priors.link > 0.0 and not are_kept
     for name, indices in columns.bodies().items():
         if name == "payload":
             # A payload is expected to be like the link that carries it.
@@ -396,7 +391,7 @@ def _prior_groups(
     joints = columns.joints
     joint_priors = (
         (SCALES, "scale", joints, scale_spread(columns, options, question.loaded)),
-        (ZEROS, "zero", columns.robot.joint_names, MILLI * options.zero_uncertainty),
+        (ZEROS, "zero", columns.robot.joint_names, MILLI * options.priors.zero),
         (DRIFT, "drift", joints, DRIFTS if question.drifts else 0.0),
     )
     for cause, prefix, members, deviation in joint_priors:
@@ -408,13 +403,13 @@ def _prior_groups(
         if cause == SCALES:
             prior = with_common(prior, choice.common_scale)
         yield prior
-    delay_error = 0.0 if question.resting else MILLI * options.delay_uncertainty
-    if options.delay == "off" and delay_error > 0.0:
+    delay_error = 0.0 if question.resting else MILLI * options.priors.delay
+    if delay_error > 0.0:
         yield independent_prior(
             DELAY, (DELAY_NAME,), ("the torque",), delay_error, may_widen
         )
-    if tilts and options.tilt == "off" and options.gravity_uncertainty > 0.0:
-        deviation = float(np.radians(options.gravity_uncertainty))
+    if tilts and options.priors.gravity > 0.0:
+        deviation = float(np.radians(options.priors.gravity))
         yield independent_prior(TILT, tilts, ("the base",) * 2, deviation, may_widen)
     if not question.resting:
         yield from _friction_group(columns, question, choice, torque)
@@ -425,12 +420,12 @@ def _friction_group(
 ) -> Iterator[NuisanceGroup]:
     """Yield the prior of friction terms that the joints' friction models lack, one group at most.
 
-    Standard deviations follow from a joint's dry friction, times ``friction_uncertainty``.
+    Standard deviations follow from a joint's dry friction, times the prior ``friction``.
 
     Args:
         torque: (n,) root mean square of each joint's measured torque [N m].
     """
-    share = PER_CENT * question.options.friction_uncertainty
+    share = PER_CENT * question.options.priors.friction
     if share == 0.0:
         return
     rows = list(columns.joint_indices)
@@ -510,7 +505,7 @@ def _link_group(
             members += [name] * N_INERTIAL
     if not links:
         return None
-    share = PER_CENT * question.options.link_uncertainty
+    share = PER_CENT * question.options.priors.link
     lengths = np.array(link_lengths(robot, links))
     thetas = np.array(usual_bodies)
     # Stated links share errors, placeholders do not: (numbers of links, share, factors).
@@ -535,10 +530,10 @@ def scale_spread(columns: Columns, options: EstimationOptions, loaded: bool) -> 
     Args:
         loaded: whether a payload is weighed, for which the default is larger.
     """
-    percent = options.scale_uncertainty
+    percent = options.priors.scale
     if percent is None:
         percent = LOADED_SCALE if loaded else USUAL_SCALE
-    scale = joint_values(percent, columns.robot.n_joints, "--scale-uncertainty")
+    scale = joint_values(percent, columns.robot.n_joints, "scale of --priors")
     return PER_CENT * scale[list(columns.joint_indices)]
 
 

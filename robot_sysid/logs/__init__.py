@@ -47,18 +47,12 @@ CHECKS = {
 
 @dataclass(frozen=True)
 class LogOptions(OptionRecord):
-    """Which logs of the real arm are read, and how their columns are declared.
+    """How logs of the real arm are read: what their columns are, and in which units.
 
     ``commanded`` is no option of a command: whether commanded positions are read in place of
     torques, as the identification of servos needs them.
     """
 
-    measurements: tuple[Path, ...] = option(
-        (),
-        "identify from this log of the real arm; may be repeated",
-        "LOG.csv",
-        repeats=True,
-    )
     columns: Path | None = option(
         None, "file that says which column is what", "FILE", default_text="recognised"
     )
@@ -97,12 +91,16 @@ class LogOptions(OptionRecord):
         choices=tuple(CHECKS),
         repeats=True,
     )
+    commanded: bool = False
+
+
+@dataclass(frozen=True)
+class FittedLogOptions(LogOptions):
+    """Which logs an arm is identified from (``measurements``), and which one only tests that."""
+
+    measurements: tuple[Path, ...] = option(
+        (), "recording of the real arm", "LOG", flag="measurements", takes_many=True
+    )
     validation_measurements: Path | None = option(
         None, "another log that only tests the result", "LOG.csv"
     )
-    verify_rollout: bool = option(
-        False,
-        "play the old and the new model on held-out pieces; write the new one only if it moves "
-        "more like the arm",
-    )
-    commanded: bool = False

@@ -317,6 +317,11 @@ class PoseOptions(OptionRecord):
     poses: int = 12
     dwell: float = 1.5
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.static and self.purpose != "payload":
+            raise InputError("--static is for resting poses of --for payload; add that")
+
     @property
     def target(self) -> str:
         """What an estimate is to identify: "link", "arm" or "payload" (``PriorKnowledge``)."""

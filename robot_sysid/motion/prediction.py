@@ -144,7 +144,7 @@ def limit_lines(
     for excess in check.excesses:
         yield f"NOT KEPT: {excess}"
     if any(excess.limit.endswith(RESERVE_WORDS) for excess in check.excesses):
-        yield "The reserve is for links known to --link-uncertainty; better known ones need less"
+        yield "The reserve is for links known to the prior (--priors); better ones need less"
 
 
 def _error_lines(prediction: Prediction) -> Iterator[str]:

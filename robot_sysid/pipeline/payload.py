@@ -103,7 +103,7 @@ def identify_payload(
         resting=options.static,
     )
     answer, free = answer_payload(
-        robot, datasets, question, progress, config.output.keep
+        robot, datasets, question, progress, config.estimation.keep
     )
     result = payload_of(answer, free, flange, _origin(recordings))
     if config.log.torque_scale is not None and result.payload is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import MotionConfig, PlanConfig
 from robot_sysid.errors import InputError
 from robot_sysid.export import MotorFile, Outcome
 from robot_sysid.motion import WEIGHT
@@ -41,7 +41,7 @@ gentler, but an arm that sticks longer at its reversals shows less: 0.03 costs a
 
 
 def design_motion(
-    config: SysidConfig, robot: RobotModel, progress: Progress
+    config: MotionConfig, robot: RobotModel, progress: Progress
 ) -> tuple[CheckedPlan, int]:
     """Return the motion of a run with its limit check, and the seed it was drawn with, 0 for none.
 
@@ -71,15 +71,15 @@ def design_motion(
     estimation = config.estimation
     request = MotionRequest(
         config.trajectory,
-        config.excitation,
+        replace(config.excitation, kind="optimal" if config.is_designed else "sines"),
         limits,
         torques=estimation.torques,
-        noise_torque=config.arm.noise_torque,
+        noise_torque=estimation.priors.noise or 0.0,
         played=motors.export_damiao,
         poses=config.poses,
-        link_uncertainty=estimation.link_uncertainty,
+        link_uncertainty=estimation.priors.link,
     )
-    if config.excitation.kind == "optimal":
+    if config.is_designed:
         from robot_sysid.motion.expected_errors import prior_knowledge
 
         target = config.poses.target
@@ -91,7 +91,7 @@ def design_motion(
 
 
 def predict_plan(
-    config: SysidConfig, checked: CheckedPlan
+    config: PlanConfig, checked: CheckedPlan
 ) -> tuple[Prediction | None, list[str]]:
     """Return the errors to expect of an identification from a checked motion, and printed lines.
 
@@ -130,7 +130,7 @@ def predict_plan(
     return None, lines
 
 
-def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
+def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
     """Write a planned motion, unless it breaks a limit, and return the outcome of the command.
 
     Args:
@@ -157,12 +157,11 @@ def write_plan(config: SysidConfig, robot: RobotModel, checked: CheckedPlan) -> 
     )
 
 
-def _step_after(config: SysidConfig, paths: Sequence[Path]) -> NextStep:
+def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
     """Return what to do with a planned motion: rehearse it on motors, or record and identify.
 
     ``paths``: the files that were written.
     """
-    assert config.plan_file is not None
     folder = config.plan_file.parent
     words: dict[str, Words] = {"model": str(config.model.path), "folder": folder}
     options = given_arguments(config.model)
@@ -180,7 +179,7 @@ def _step_after(config: SysidConfig, paths: Sequence[Path]) -> NextStep:
 
 
 def _write_motion(
-    config: SysidConfig, robot: RobotModel, plan: MotionPlan
+    config: PlanConfig, robot: RobotModel, plan: MotionPlan
 ) -> tuple[tuple[Path, ...], list[str]]:
     """Write all files of a planned motion; return their paths, and lines on clamped torques."""
     rate = config.trajectory.sample_rate
@@ -195,7 +194,7 @@ def _write_motion(
     return (*paths, motor_path), clamping_lines(report, robot.joint_names)
 
 
-def _shortfall(config: SysidConfig, prediction: Prediction | None) -> str:
+def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
     """Return what keeps a motion from its purpose; "" for nothing.
 
     Args:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import IdentifyConfig, SelfTestConfig
 from robot_sysid.diagnosis.log_checks import check_log
 from robot_sysid.estimation.build_result import result_of, traces_of
 from robot_sysid.estimation.dataset import Dataset, release_memory
@@ -19,7 +19,6 @@ from robot_sysid.estimation.identify import (
     Piece,
     answer_link,
     low_pass_recordings,
-    refit,
     shared_notes,
 )
 from robot_sysid.estimation.question import (
@@ -43,14 +42,8 @@ from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.prediction import (
-    LAST_FIFTH,
-    fitted_rows,
-    play,
-    split_time,
-    torque_error,
-)
-from robot_sysid.results.record import ModelTarget, Result, RolloutTest, Verdict
+from robot_sysid.results.prediction import torque_error
+from robot_sysid.results.record import ModelTarget, Result, Verdict
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.resampling import MOST_ROWS_KEPT, condense_run
@@ -62,11 +55,9 @@ _NOISE_STREAM = 1
 
 
 def identify_logs(
-    config: SysidConfig, robot: RobotModel, progress: Progress
+    config: IdentifyConfig, robot: RobotModel, progress: Progress
 ) -> Identification:
     """Read the logs, diagnose each of them, and identify the arm from all.
-
-    The samples of the first log are written to the file of ``--save-measurements``, if it is given.
 
     Args:
         config: names the logs, and says how they are read and fitted.
@@ -82,10 +73,6 @@ def identify_logs(
         progress.stage(f"Reading measurements from {path}...")
         logs.append(open_log(robot, path, options, progress))
     refuse_repeated_logs((str(log.path), log.samples) for log in logs)
-    if config.arm.save_measurements is not None:
-        write_measurement_csv(
-            config.arm.save_measurements, robot.joint_names, [logs[0].samples]
-        )
     tests = []
     if options.validation_measurements is not None:
         test = open_log(robot, options.validation_measurements, options, progress)
@@ -105,7 +92,7 @@ def identify_logs(
 
 
 def identify_plant(
-    config: SysidConfig,
+    config: SelfTestConfig,
     robot: RobotModel,
     plan: MotionPlan,
     seed: int,
@@ -170,9 +157,6 @@ def diagnose_logs(
         options: how the parameters will be estimated.
         progress: receives the findings.
     """
-    # A delay that is estimated and corrected need not stop the run.
-    if options.delay == "auto":
-        accepted = (*accepted, "delay")
     label = "Looking for what is wrong with the logs"
     for n_done, log in enumerate(logs):
         progress.advance(label, n_done, len(logs), "")
@@ -181,7 +165,7 @@ def diagnose_logs(
 
 
 def _identify_pieces(
-    config: SysidConfig,
+    config: IdentifyConfig | SelfTestConfig,
     robot: RobotModel,
     pieces: list[Piece],
     origin: DataOrigin,
@@ -214,7 +198,7 @@ def _identify_pieces(
         test_datasets[name] = low_pass_recordings(robot, test_pieces, test_options)[0]
     notes = (*notes, *filter_notes)
     progress.note(*notes)
-    keep = config.output.keep
+    keep = options.keep
     if options.no_friction:
         keep += (FILE_FRICTION, FILE_ROTORS)
     answer = answer_link(robot, datasets, options, progress, keep, test_datasets)
@@ -269,30 +253,3 @@ def _with_file_tests(
             verdict = judgement
             reasons.append(reason)
     return replace(result, file=file, verdict=verdict, reasons=tuple(reasons))
-
-
-def play_models(identification: Identification) -> RolloutTest:
-    """Simulate the original and the written model along recorded motions; return their errors.
-
-    Where logs were given that only test the result, these are played; else the last fifth of every
-    log, with a model identified from the first four fifths.
-    """
-    config = identification.config
-    mesh_dir = config.model.mesh_dir
-    answer = identification.answer
-    result = identification.result
-    assert answer is not None
-    datasets = identification.tests or answer.fit.columns.datasets
-    signals = [dataset.signals for dataset in datasets if dataset.signals is not None]
-    if identification.tests:
-        return play(result.robot, signals, partial(write_model, result), mesh_dir)
-
-    def write_from_beginnings(target: ModelTarget) -> None:
-        """Make every choice and the estimate from the beginnings of the logs; write that model."""
-        rows = [fitted_rows(log_signals) for log_signals in signals]
-        early = refit(answer, rows, config.output.keep)
-        write_model(result_of(early, result.data), target)
-
-    return play(
-        result.robot, signals, write_from_beginnings, mesh_dir, split_time, LAST_FIFTH
-    )

@@ -13,7 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.config import Config, PayloadConfig, SysidConfig
+from robot_sysid.config import (
+    Config,
+    IdentifyConfig,
+    LogConfig,
+    MotionConfig,
+    PayloadConfig,
+    PlanConfig,
+    SelfTestConfig,
+)
 from robot_sysid.dynamics.equations import (
     NO_FRICTION,
     TERMINAL_FRICTION,
@@ -43,7 +51,6 @@ from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import PerJoint, write_torque_scale
-from robot_sysid.results.prediction import rollout_refusal
 from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
@@ -66,8 +73,7 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
         SysidError: with the exit code that fits, see ``errors``.
     """
     progress = progress or Progress()
-    arm_config = config if isinstance(config, SysidConfig) else None
-    if arm_config is not None and arm_config.estimation.torque_from is not None:
+    if isinstance(config, IdentifyConfig) and config.output.torque_from is not None:
         from robot_sysid.servo import run_servo
 
         with meshes_not_kept():
@@ -81,14 +87,15 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
                 config.input_files(),
             )
     with locked_folder(config.output.output_dir, progress):
-        limits = LimitOptions if arm_config is None else arm_config.limits
-        robot = load_arm(config.model, progress, limits.max_velocity)
-        if arm_config is not None:
-            require_motors(arm_config.motors, robot)
-        if arm_config is not None and arm_config.trajectory.plan_only:
+        if not isinstance(config, MotionConfig):
+            robot = load_arm(config.model, progress)
+            return write_results(identify(config, robot, progress), progress)
+        robot = load_arm(config.model, progress, config.limits.max_velocity)
+        require_motors(config.motors, robot)
+        if isinstance(config, PlanConfig):
             with ignore_repeated_ctrl_c():
-                checked, _ = design_motion(arm_config, robot, progress)
-                return write_plan(arm_config, robot, checked)
+                checked, _ = design_motion(config, robot, progress)
+                return write_plan(config, robot, checked)
         identification = identify(config, robot, progress)
         return write_results(identification, progress)
 
@@ -129,21 +136,22 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
     Raises:
         InputError: a log cannot be used, or the motion breaks a limit.
     """
-    config = config.with_scale_uncertainty(robot.joint_names)
+    if isinstance(config, LogConfig):
+        config = config.with_scale_prior(robot.joint_names)
     if isinstance(config, PayloadConfig):
         from robot_sysid.pipeline.payload import identify_payload
 
         return identify_payload(config, robot, progress)
-    assert isinstance(config, SysidConfig)
-    if config.log.measurements:
+    if isinstance(config, IdentifyConfig):
         from robot_sysid.pipeline.recordings import identify_logs
 
         return identify_logs(config, robot, progress)
+    assert isinstance(config, SelfTestConfig)
     rate = config.trajectory.sample_rate
     with ignore_repeated_ctrl_c():
         checked, seed = design_motion(config, robot, progress)
         if checked.failure:
-            remedy = "try another --seed, or use --excitation optimal"
+            remedy = "try another --seed, or plan a motion"
             if config.trajectory.file is not None:
                 remedy = "slow the motion down with --speed, or design one for this arm"
             raise InputError(f"{checked.failure}; relax that limit, {remedy}")
@@ -171,8 +179,7 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
     The caller has locked the output folder. InputError where a file cannot be written.
 
     Args:
-        identification: the result, and the options that name the output folder;
-            ``--verify-rollout`` among them adds a simulation of both models to the result.
+        identification: the result, and the options that name the output folder.
         progress: receives stages, and notes on the written files.
     """
     config = identification.config
@@ -180,7 +187,6 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
     robot = result.robot
     mesh_dir = config.model.mesh_dir
     folder = config.output.output_dir
-    refused = None
     as_body = None
     card_choice = AUTO
     motor_file = None
@@ -189,16 +195,9 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
         as_body = config.payload.as_body
         card_choice = config.payload.cards
         scale_path = config.payload.save_torque_scale
-    elif isinstance(config, SysidConfig) and identification.plan is not None:
+    elif isinstance(config, MotionConfig) and identification.plan is not None:
         rate = config.trajectory.sample_rate
         motor_file = motor_writer(config.motors, robot, identification.plan, rate)
-    if config.log.verify_rollout and result.written_file is not None:
-        from robot_sysid.pipeline.recordings import play_models
-
-        progress.stage("Playing the model on held-out pieces...")
-        played = play_models(identification)
-        result = replace(result, rollout=played)
-        refused = rollout_refusal(played, config.log.accept)
     outcome = save(
         result,
         folder,
@@ -207,7 +206,6 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
         as_body=as_body,
         card_choice=card_choice,
         motor_file=motor_file,
-        refused=refused,
         inputs=[Path(path) for path in config.input_files() if path is not None],
         links=config.output.links,
         step=step_after_run(config, result),
@@ -225,7 +223,7 @@ _NEGLIGIBLE_MASS_ERROR = 1e-6
 
 
 def run_self_test(
-    config: SysidConfig,
+    config: SelfTestConfig,
     robot: RobotModel,
     plan: MotionPlan,
     seed: int,

@@ -514,6 +514,7 @@ _VALUE_TYPES: Mapping[str, tuple[tuple[type, ...], str]] = {
     "parse_folder": _PATH,
     "parse_numbers": ((Real,), f"a number, or {_PER_JOINT}"),
     "parse_factors": ((Real, os.PathLike), f"a number, a file, or {_PER_JOINT}"),
+    "read_priors": ((object,), "a file, or a mapping of numbers"),
     "bool": ((bool,), "True or False"),
 }
 """Name of the function that parses an option's text, "bool" for a switch, to the types of its
@@ -573,7 +574,7 @@ class TrajectoryOptions(OptionRecord):
         "FILE",
         flag="--save-trajectory",
     )
-    plan_only: bool = option(False, "make, check and write the trajectory, then stop")
+    plan_only: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -402,9 +402,6 @@ class Result:
         validation: errors of the fit in predicting torques: of held-out stretches of its logs
             first, then of other logs.
         friction_model: name of the friction model, or "per joint".
-        delay: time by which torque lags position [s]; None where it was not estimated.
-        tilt: angle between the model's gravity and the estimated one [rad]; None where it was not
-            estimated.
         cutoff: cut-off of the low-pass [Hz]; None of a simulation and of resting poses.
         link_scales: "mass", "centre_of_mass" and "inertia" to the factor by which the prior
             standard deviation of the other links was widened.
@@ -430,8 +427,6 @@ class Result:
     payload: Payload | None = None
     validation: tuple[Validation, ...] = ()
     friction_model: str | None = None
-    delay: float | None = None
-    tilt: float | None = None
     cutoff: float | None = None
     link_scales: Mapping[str, float] = field(default_factory=dict)
     wrong_links: tuple[records.WrongLink, ...] = ()

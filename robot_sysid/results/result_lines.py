@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import plan_write_back
-from robot_sysid.records import DELAY_NAME, Array, Validation
+from robot_sysid.records import Array, Validation
 from robot_sysid.records.messages import (
     PARAMETER_UNITS,
     Detail,
@@ -35,13 +34,7 @@ from robot_sysid.results.parameter_table import (
     table_lines,
     without_rounding,
 )
-from robot_sysid.results.record import (
-    BaseParameters,
-    Payload,
-    Quantity,
-    Result,
-    RolloutTest,
-)
+from robot_sysid.results.record import BaseParameters, Payload, Result, RolloutTest
 from robot_sysid.results.verdict import (
     before_after_text,
     cause_text,
@@ -140,7 +133,6 @@ def more_lines(result: Result, links: bool = False) -> list[str]:
     lines: list[str] = []
     if result.payload is not None:
         lines += _payload_lines(result.payload)
-    lines += _sensor_lines(result)
     lines += _validation_lines(result)
     if result.rollout is not None:
         lines += rollout_lines(result.rollout)
@@ -232,18 +224,6 @@ def _payload_lines(payload: Payload) -> Iterator[str]:
     for joint, scale in payload.torque_scale.items():
         low, high = scale.interval
         yield f"  {joint}: {scale.value:.4f} [{low:.4f}, {high:.4f}]"
-
-
-def _sensor_lines(result: Result) -> Iterator[str]:
-    """Yield a line on the delay of the torque and one on the tilt of the base, where estimated."""
-    sensors = result.sensors
-    if result.delay is not None:
-        error = sensors.get(DELAY_NAME, Quantity(0.0, 0.0)).error
-        yield f"Delay of torque behind position: {1e3 * result.delay:.3f} ± {1e3 * error:.2g} ms"
-    if result.tilt is not None:
-        errors = [sensors[name].error for name in TILT_NAMES if name in sensors]
-        error = math.degrees(math.hypot(*errors))
-        yield f"Tilt of the base: {math.degrees(result.tilt):.3f} ± {error:.2g} degrees"
 
 
 def _validation_lines(result: Result) -> Iterator[str]:

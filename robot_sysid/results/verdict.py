@@ -12,7 +12,7 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.records import DELAY_NAME, Source, Validation
+from robot_sysid.records import Source, Validation
 from robot_sysid.records.messages import Detail, percent
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
 
@@ -32,9 +32,6 @@ PRIOR_SHARE = 0.5
 SURE = 3.0
 """Standard errors from zero beyond which a sign is certain: noise alone reaches that once in 700
 times."""
-_NEGATIVE_DELAY = 2.0
-"""Standard errors below zero beyond which a delay is called negative: noise alone reaches that once
-in 44 times."""
 _USE_TEXTS = {
     Verdict.TORQUES_ONLY: "Only for torques of motions like the log's, not for the numbers",
     Verdict.AS_GOOD: "Usable, but the model was about as good before",
@@ -229,25 +226,12 @@ def _limitation_sentences(result: Result) -> Iterator[str]:
         names = ", ".join(np.array(PARAMETER_NAMES)[is_mostly_prior])
         yield Detail(f"determined more by the prior than by the data: {names}")
     yield from _prior_conflicts(result)
-    yield from _negative_delay(result)
     yield from _negative_friction(result)
     yield from _unexplained_residuals(result)
     if estimate.constrained:
         yield Detail(
             "the unconstrained estimate was not physically consistent, so the best consistent one "
             "was taken; the stated errors include this"
-        )
-
-
-def _negative_delay(result: Result) -> Iterator[str]:
-    """Yield a sentence where the torque precedes its motion, which no sensor can do."""
-    estimated = result.sensors.get(DELAY_NAME)
-    if result.delay is None or estimated is None:
-        return
-    if result.delay < -_NEGATIVE_DELAY * estimated.error:
-        yield (
-            f"the torque seems to come {-1e3 * result.delay:.2g} ms before the motion: the "
-            "positions are late, or friction turns earlier than the speed does; trust neither"
         )
 
 

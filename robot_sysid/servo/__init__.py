@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import ExportError
 from robot_sysid.export import Outcome, locked_folder, remove_earlier
-from robot_sysid.logs import LogOptions
+from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import (
     MeasurementLog,
     open_log,
@@ -342,7 +342,7 @@ def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
 
 def run_servo(
     robot: RobotModel,
-    logs: LogOptions,
+    logs: FittedLogOptions,
     folder: Path,
     mesh_dir: Path | None,
     progress: Progress,
@@ -380,7 +380,7 @@ def run_servo(
 
 
 def identify_servos(
-    robot: RobotModel, logs: LogOptions, progress: Progress
+    robot: RobotModel, logs: FittedLogOptions, progress: Progress
 ) -> tuple[ServoIdentification, Motion]:
     """Identify servos, friction and rotor inertia; return the result and poses from the logs.
 
@@ -458,7 +458,7 @@ def identify_servos(
 
 
 def _open_logs(
-    robot: RobotModel, paths: Sequence[Path], logs: LogOptions, progress: Progress
+    robot: RobotModel, paths: Sequence[Path], logs: FittedLogOptions, progress: Progress
 ) -> list[MeasurementLog]:
     """Return the logs in files, with their commands; announce each that is read."""
     opened = []

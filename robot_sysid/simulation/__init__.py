@@ -50,7 +50,7 @@ class SimulatedArmOptions(OptionRecord):
         0.0, "how much the measured torque lags", "S [s]", check=_delay_complaint
     )
     save_measurements: Path | None = option(
-        None, "write the measurements in the form that --measurements reads", "FILE"
+        None, "write the simulated measurements as a log", "FILE"
     )
 
     @property

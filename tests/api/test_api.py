@@ -117,7 +117,9 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
         np.testing.assert_allclose(from_form.theta, result.theta, rtol=1e-9)
     columns = ("time", "q", "tau")
     shorter, shortest = ({n: arrays[n][k:] for n in columns} for k in (1, 2))
-    both = rs.identify(workshop / "arm.xml", [log, shorter], validation=shortest)
+    both = rs.identify(
+        workshop / "arm.xml", [log, shorter], validation_measurements=shortest
+    )
     assert both.mass == pytest.approx(result.mass, rel=0.01)
     assert (
         len(both.result.file.other_validations) == 1
@@ -138,7 +140,9 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
     monkeypatch.setattr("robot_sysid.pipeline.recordings.torque_error", error_of)
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
     other = slice_samples(log.samples, 0, 1200)
-    worse = rs.identify(workshop / "arm.xml", workshop / "log.csv", validation=other)
+    worse = rs.identify(
+        workshop / "arm.xml", workshop / "log.csv", validation_measurements=other
+    )
     assert worse.result.verdict is Verdict.NO_BETTER
     assert "13 % -> 21 %" in worse.failure
 
@@ -210,7 +214,6 @@ def test_named_values_fit_together(result):
     )
     assert abs(result.mass - 4.0) < 3.0 * result.standard_errors["m"]
     assert result.failure is None
-    assert "mass" in result._repr_html_() and "<td>kg</td>" in result._repr_html_()
     assert str(result).startswith("  Before -> after ")
 
 
@@ -219,10 +222,10 @@ def test_a_result_is_the_same_after_pickling(result, tmp_path):
     assert unpickled.to_dict() == result.to_dict() and str(unpickled) == str(result)
     np.testing.assert_array_equal(unpickled.traces().q, result.traces().q)
     assert (tmp_path / "out" / "updated_model.xml") in unpickled.save(tmp_path / "out")
-    itself = rs.identify(result.robot.path, seed=1, duration=2.0)
+    itself = rs.self_test(result.robot.path, seed=1, duration=2.0)
     assert pickle.loads(pickle.dumps(itself)).mass == itself.mass
     assert "Self-test passed" in str(itself)
-    simulated = rs.identify(
+    simulated = rs.self_test(
         result.robot.path, plant_model=result.robot.path, seed=1, duration=4.0
     )
     unpickled = pickle.loads(pickle.dumps(simulated))
@@ -242,9 +245,9 @@ def test_results_plans_and_logs_say_what_they_are(workshop, result, monkeypatch)
 
 
 def test_a_saved_result_is_that_of_the_command(workshop, result, tmp_path):
-    files = result.save(tmp_path / "out", bundle=True)
+    files = result.save(tmp_path / "out")
     assert {path.name for path in files} == {"params.json", "updated_model.xml"}
-    written = rs.load_robot_model(tmp_path / "out" / "bundle" / "updated_model.xml")
+    written = rs.load_robot_model(tmp_path / "out" / "updated_model.xml")
     file = result.result.file
     assert written.prior.mass == pytest.approx(file.thetas[-1][0], rel=1e-9)
     assert written.friction.coulomb[-1] == pytest.approx(
@@ -280,10 +283,7 @@ def test_a_spec_has_the_result_in_it(result):
 def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_path):
     doubtful = replace(result.result, verdict=Verdict.TOO_WEAK, reasons=("so light",))
     doubtful_result = replace(result, result=doubtful)
-    assert (
-        doubtful_result.failure.startswith("so light")
-        and "Not to be used" in doubtful_result._repr_html_()
-    )
+    assert doubtful_result.failure.startswith("so light")
     assert [path.name for path in doubtful_result.save(tmp_path / "out")] == [
         "params.json"
     ]
@@ -295,7 +295,6 @@ def test_numbers_of_a_result_for_torques_only_are_not_called_usable(result):
     for_torques = replace(result.result, verdict=Verdict.TORQUES_ONLY)
     shown = replace(result, result=for_torques)
     assert shown.failure is None and "usable" not in repr(shown)
-    assert "Only for torques of motions like" in shown._repr_html_()
     assert repr(result).endswith("usable>")
 
 
@@ -343,7 +342,6 @@ def test_a_payload_is_the_difference(workshop, tmp_path):
     assert identified.theta[
         0
     ] == identified.mass and identified.center_of_mass.shape == (3,)
-    assert "<td>centre of mass x</td>" in identified._repr_html_()
     names = {path.name for path in identified.save(tmp_path / "out")}
     assert names == {"params.json", "updated_model.xml", "payload_card.txt"}
 
@@ -357,7 +355,7 @@ def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(
         identified = rs.payload(workshop / "arm.xml", *logs, known_mass=2.0, **options)
         return identified.to_dict()["payload"]["torque_scale"]
 
-    prior = {"scale_uncertainty": 50.0}
+    prior = {"priors": {"scale": 50.0}}
     scales_by_joint = scales(**prior)
     divided = scales(**prior, torque_scale=1.02)
     assert scales_by_joint["joint1"]["standard_error"] < 0.01
@@ -366,10 +364,8 @@ def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(
         assert abs(difference) < max(1e-3, 0.1 * scale["standard_error"]), joint
 
 
-@pytest.mark.slow
-def test_every_link_has_its_numbers(workshop, result):
-    identified = rs.identify(workshop / "arm.xml", workshop / "log.csv", links=True)
-    assert identified.to_dict() == result.to_dict()
+def test_every_link_has_its_numbers(result):
+    identified = result
     assert list(identified.links) == ["link0", "link1", "link2", "link3"]
     for link in identified.to_dict()["links"]:
         assert link["mass"] == identified.links[link["name"]].mass
@@ -377,7 +373,6 @@ def test_every_link_has_its_numbers(workshop, result):
         identified.links["link3"].mass == identified.mass
         and identified.friction["joint0"]["coulomb"] > 0.0
     )
-    assert "  link0 " in str(identified) and "  link0 " not in str(result)
 
 
 def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
@@ -405,12 +400,6 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
             lambda m: rs.identify(m, {"time": np.zeros((3, 2, 2))}),
             "no arrays with a row per sample",
         ),
-        (lambda m: rs.identify(m, plan_only=True), "call plan instead"),
-        (lambda m: rs.identify(m, "a.csv", verify_rollout=True), "needs the command"),
-        (
-            lambda m: rs.identify(m, "a.csv", torque_from="position-error"),
-            "needs the command",
-        ),
     ],
 )
 def test_what_cannot_be_used_is_one_clear_error(call, message, workshop):
@@ -433,6 +422,6 @@ def test_options_are_those_of_the_commands(workshop):
     """A path may be a text, a tuple a list."""
     model = workshop / "arm.xml"
     plain = {"seed": 1, "duration": 2.0}
-    result = rs.identify(str(model), None, mesh_dir=str(workshop), **plain)
-    same = rs.identify(model, mesh_dir=workshop, **plain)
+    result = rs.self_test(str(model), mesh_dir=str(workshop), **plain)
+    same = rs.self_test(model, mesh_dir=workshop, **plain)
     assert result.to_dict() == same.to_dict() and result.standard_errors == {}

@@ -94,8 +94,8 @@ def test_a_spec_is_identified_like_its_file(tmp_path):
     spec = mujoco.MjSpec.from_file(str(path))
     mesh_dir = spec.meshdir
     quick = {"seed": 1, "duration": 1.0}
-    from_file = rs.identify(path, **quick)
-    from_spec = rs.identify(spec, **quick)
+    from_file = rs.self_test(path, **quick)
+    from_spec = rs.self_test(spec, **quick)
     np.testing.assert_allclose(from_spec.theta, from_file.theta, rtol=1e-4, atol=1e-6)
     assert spec.meshdir == mesh_dir
     assert from_spec.spec().compile().ngeom == spec.compile().ngeom
@@ -105,7 +105,7 @@ def test_a_spec_is_identified_like_its_file(tmp_path):
     }
     held = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"), assets=assets)
     np.testing.assert_allclose(
-        rs.identify(held, **quick).theta, from_spec.theta, rtol=1e-6
+        rs.self_test(held, **quick).theta, from_spec.theta, rtol=1e-6
     )
     assert repr(from_spec).startswith(
         "<Identified link6 of kinova_fullinertia_guess.xml: 0.78"
@@ -116,25 +116,25 @@ def test_a_compiled_model_is_written_while_mujoco_still_knows_its_xml():
     quick = {"seed": 1, "duration": 1.0}
     model = mujoco.MjModel.from_xml_string(TEXT)
     model.body_mass[3] *= 2.0
-    identified = rs.identify(model, **quick)
+    identified = rs.self_test(model, **quick)
     assert identified.mass == pytest.approx(model.body_mass[3], rel=1e-5)
-    assert rs.identify(model, **quick).mass == identified.mass
+    assert rs.self_test(model, **quick).mass == identified.mass
     forgotten = mujoco.MjModel.from_xml_string(arms.serial_arm((arms.Z, arms.Y)))
     mujoco.MjModel.from_xml_string(TEXT)
     with pytest.raises(rs.ModelError, match="give its file, or the MjSpec"):
-        rs.identify(forgotten, **quick)
+        rs.self_test(forgotten, **quick)
 
 
 def test_the_meshes_of_a_compiled_model_are_read_from_a_given_folder():
     path = EXAMPLE / "model" / "kinova_fullinertia_guess.xml"
     model = mujoco.MjModel.from_xml_path(str(path))
     with pytest.raises(
-        rs.ModelError, match="which folder its meshes are; add mesh_dir="
+        rs.ModelError, match="which folder its meshes are; add mesh_dir FOLDER"
     ):
-        rs.identify(model, seed=1, duration=1.0)
+        rs.self_test(model, seed=1, duration=1.0)
     model = mujoco.MjModel.from_xml_path(str(path))
     folder = path.parent / "meshes"
-    identified = rs.identify(model, seed=1, duration=1.0, mesh_dir=folder)
+    identified = rs.self_test(model, seed=1, duration=1.0, mesh_dir=folder)
     assert identified.robot.mj_model.nmesh == model.nmesh > 0
 
 

@@ -51,5 +51,5 @@ def test_a_function_works_in_one(monkeypatch, arm_file):
         return identify(*arguments)
 
     monkeypatch.setattr(calls.stages, "identify", identify_and_count)
-    rs.identify(arm_file(arms.THREE), duration=1.0, seed=1)
+    rs.self_test(arm_file(arms.THREE), duration=1.0, seed=1)
     assert thread_counts == [{1}] and counts() == {2}

@@ -15,62 +15,85 @@ import pytest
 from robot_sysid import __version__
 from robot_sysid.cli import main
 from robot_sysid.commands import COMMANDS, identify, log
-from robot_sysid.commands.arguments import PYTHON_ONLY, parse_command
-from robot_sysid.config import PayloadConfig, SysidConfig
+from robot_sysid.commands.arguments import parse_command
+from robot_sysid.commands.identify import SPECS, build_parser, settings_text
+from robot_sysid.config import IdentifyConfig
+from robot_sysid.errors import InputError
 from tests.support import option_samples
 
-PARSERS = {**{name: partial(identify.build_parser, name) for name in identify.SPECS}}
+PARSERS = {name: partial(build_parser, name) for name in SPECS}
 PARSERS["log"] = log.build_parser
 POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
+IDENTIFY = partial(build_parser, "identify")
+MOST_OPTIONS = 25
 
 
-@pytest.mark.parametrize("name", PARSERS)
-def test_every_option_arrives_as_the_value_that_was_typed(name):
-    parser = PARSERS[name]
+@pytest.mark.parametrize("name", SPECS)
+def test_every_option_arrives_as_the_value_that_was_typed(name, tmp_path, monkeypatch):
+    """Whether it was typed, or is in the settings of a run that is repeated."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "priors.toml").write_text("link = 7.0")
+    config = SPECS[name].config
+    samples = {s.option.key: s for s in option_samples.samples(config)}
+    assert option_samples.keys_of(PARSERS[name]()) == {*samples}
     positional = POSITIONAL.get(name, ["arm.xml"])
-    config_type = PayloadConfig if name == "payload" else SysidConfig
-    samples = [*option_samples.samples(config_type)]
-    option_keys = option_samples.keys_of(parser())
-    sample_keys = {sample.option.key for sample in samples}
-    assert option_keys - {"view", "video"} <= sample_keys - set(PYTHON_ONLY)
-    for sample in (sample for sample in samples if sample.option.key in option_keys):
-        values, _ = parse_command(parser, [*positional, *sample.words])
-        assert values[sample.option.key] == sample.value
-        assert set(values) <= {"path", "measurements", "log", sample.option.key}
+    for key, sample in samples.items():
+        if key == "measurements":
+            continue
+        values, _ = parse_command(PARSERS[name], [*positional, *sample.words])
+        assert values[key] == sample.value
+        assert set(values) <= {"path", "measurements", key}
 
 
-@pytest.fixture
-def config_of(monkeypatch):
-    """Function: the configuration that a command line asks for, without running it."""
-    configs = []
-    monkeypatch.setattr(
-        identify, "run_command", lambda config, *_: configs.append(config) or 0
+def test_the_settings_of_a_run_repeat_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "priors.json").write_text('{"scale": [1.0, 2.0]}')
+    file = tmp_path / "run.toml"
+    given = {"torque_scale": "1.1,1.2", "priors": "priors.json", "links": True}
+    given.update(keep=["friction"], measurements=[Path("a 'b'.csv"), Path("c.csv")])
+    config = IdentifyConfig.of("an 'arm'.xml", **given)
+    file.write_text(settings_text(config))
+    values, _ = parse_command(IDENTIFY, ["--config", str(file)])
+    assert IdentifyConfig.of(**values) == config
+    assert config.estimation.priors.scale == (1.0, 2.0)
+
+
+def test_what_is_typed_counts_before_the_file(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'path = "arm.xml"\nunits = "deg"\nkeep = ["friction"]\nverbose = true\n'
     )
+    arguments = ["other.xml", "b.csv", f"--config={file}", "--keep", "links"]
+    values, console = parse_command(IDENTIFY, [*arguments, "--units", "rad"])
+    assert values == {
+        **{"path": Path("other.xml"), "measurements": (Path("b.csv"),)},
+        **{"units": "rad", "keep": ("links",)},
+    }
+    assert console.verbose and console.config == file
 
-    def ask(*arguments):
-        assert main([*arguments]) == 0
-        return configs.pop()
 
-    return ask
-
-
-def test_a_command_says_what_it_does_with_the_options(config_of):
-    assert config_of("arm.xml") == SysidConfig.of("arm.xml")
-    logs = (Path("a.csv"), Path("b.csv"))
-    assert config_of("identify", "arm.xml", "a.csv", "b.csv") == SysidConfig.of(
-        "arm.xml", measurements=logs
-    )
-    assert config_of("identify", "arm.xml", "a.csv", "--links") == SysidConfig.of(
-        "arm.xml", measurements=logs[:1], links=True
-    )
-    assert config_of("plan", "arm.xml") == SysidConfig.of(
-        "arm.xml", plan_only=True, excitation="optimal"
-    )
-    saved = config_of("plan", "arm.xml", "--trajectory", "p.json")
-    assert saved == SysidConfig.of("arm.xml", plan_only=True, trajectory="p.json")
-    assert (
-        config_of("plan", "arm.xml", "--excitation", "sines").excitation.kind == "sines"
-    )
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("unit = 8", "robot-sysid identify has no option unit"),
+        ("help = true", "robot-sysid identify has no option help"),
+        ("units = ", "mine.toml is no TOML file: "),
+        ("units = 'deg'", "the following arguments are required: MODEL, LOG"),
+        (
+            "path = 'a'\nmeasurements = ['b']\nlinks = 'x'",
+            "--links must be True or Fal",
+        ),
+        (None, "mine.toml: No such file"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path, text, message):
+    file = tmp_path / "mine.toml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(InputError) as error:
+        values, _ = parse_command(IDENTIFY, ["--config", str(file)])
+        IdentifyConfig.of(**values)
+    assert message in str(error.value)
 
 
 def help_lines(arguments, capsys):
@@ -90,7 +113,6 @@ def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(
     assert max(map(len, (*lines, *full))) <= 100
     assert name == "log" or len(lines) <= 50
     for action in PARSERS[name]()._actions:
-        assert action.help and not action.help.startswith("==")
         assert all(
             re.search(rf"{flag}\b", "\n".join(full)) for flag in action.option_strings
         )
@@ -119,14 +141,18 @@ def test_without_arguments_the_commands_are_printed_in_the_order_of_their_use(ca
 def test_the_version_is_printed(capsys):
     assert main(["--version"]) == 0
     lines_printed = capsys.readouterr().out.splitlines()
-    assert lines_printed == help_lines(["plan", "--quiet", "--version"], capsys)
+    assert lines_printed == help_lines(["arm.xml", "--version"], capsys)
     assert lines_printed == [f"robot-sysid {__version__}"]
+
+
+def test_identify_has_few_options(capsys):
+    lines = help_lines(["identify", "--help-all"], capsys)
+    assert sum(line.startswith("  -") for line in lines) <= MOST_OPTIONS
 
 
 ASKED = {
     "pa": {"payload "},
     "plan --excitation-t": {"--excitation-time-budget "},
-    "plan --excitation ": {"sines", "optimal"},
     "motors ch": {"check "},
     "motors play t.csv --rec": {"--record "},
     "arm.xml --motor-t": {"--motor-type "},
@@ -136,7 +162,7 @@ ASKED = {
 
 
 @pytest.mark.parametrize("typed", ASKED)
-def test_commands_options_values_and_files_are_completed(typed, tmp_path):
+def test_commands_options_and_files_are_completed(typed, tmp_path):
     (tmp_path / "log.csv").touch()
     line = f"robot-sysid {typed}"
     answer = tmp_path / "answer"

@@ -10,7 +10,7 @@ import pytest
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import parse_command
 from robot_sysid.commands.identify import build_parser
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import PlanConfig
 from robot_sysid.estimation.algebra import consistent_bodies
 from robot_sysid.motion.trajectories import LineTrajectory, load_trajectory
 from robot_sysid.trajectory import SineTrajectory
@@ -47,7 +47,7 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
     assert isinstance(saved.plan, SineTrajectory)
     assert saved.joint_names == ("joint0", "joint1", "joint2")
     file = path.parent / "sysid_output" / "trajectory.toml"
-    repeated = SysidConfig.of_plan(
+    repeated = PlanConfig.of(
         **parse_command(partial(build_parser, "plan"), ["--config", str(file)])[0]
     )
     assert repeated.excitation.kind == "sines"

@@ -13,7 +13,6 @@ from robot_sysid.report.runs import load_run
 from tests.support import arms
 
 RUN = ("--duration 2 --sample-rate 100 --seed 1",)
-MEASURED = (*RUN, "--friction-model coulomb-viscous --link-uncertainty 0")
 
 
 @pytest.fixture
@@ -49,7 +48,7 @@ def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch
         save_data(*arguments)
 
     monkeypatch.setattr(runs, "save_data", slowly)
-    command.run(arm, "--plant-model", arm, *MEASURED)
+    command.run(arm, "--plant-model", arm, *RUN)
     assert (folder / "report_data.npz").is_file() and not (
         folder / "report.html"
     ).exists()
@@ -73,7 +72,7 @@ def test_data_that_cannot_be_left_is_only_noted(command, arm, monkeypatch):
         raise OSError("disk full")
 
     monkeypatch.setattr(runs, "save_data", break_result)
-    printed = command.run(arm, "--plant-model", arm, *MEASURED)
+    printed = command.run(arm, "--plant-model", arm, *RUN)
     assert (
         "nothing was left for a later report" in printed.err
         and "disk full" in printed.err

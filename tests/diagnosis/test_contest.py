@@ -11,7 +11,7 @@ from robot_sysid.diagnosis.contest import Contest, findings
 from robot_sysid.diagnosis.log_checks import check_against_model, low_pass
 from robot_sysid.diagnosis.plausibility import is_plausible, last_mass, misfit
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions, Priors
 from robot_sysid.records import Measurement
 from tests.diagnosis.conftest import FOUR_AXES
 from tests.support import arms
@@ -39,7 +39,7 @@ def test_deviations_that_the_prior_allows_are_not_named(truth):
     """Torque scales that the user declares uncertain are unknowns of the base model."""
     log = replace(truth.log, tau=truth.log.tau * [1.0, 1.3, 0.8, 1.2, 1.0])
     signals = low_pass([log], None)
-    declared = EstimationOptions(scale_uncertainty=40.0)
+    declared = EstimationOptions(priors=Priors(scale=40.0))
     for options, is_named in ((EstimationOptions(), True), (declared, False)):
         contest = Contest(truth.robot, signals, options)
         assert bool(findings(contest, np.ones(5))) is is_named

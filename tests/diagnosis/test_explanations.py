@@ -18,7 +18,6 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     turn_gravity,
 )
-from robot_sysid.estimation.question import EstimationOptions
 from tests.support.wrong_logs import truth_of
 
 
@@ -190,15 +189,8 @@ REMEDIES = {
     "torque-scale: pass --torque-scale 200": lambda log, finding: replace(
         log, tau=log.tau / number_after("reads", finding.text)
     ),
-    "tilt": lambda log, _: log,
-    "delay": lambda log, _: log,
 }
 """Fault to the log that its finding advises."""
-OPTIONS = {
-    "tilt": EstimationOptions(tilt="auto"),
-    "delay": EstimationOptions(delay="auto"),
-}
-"""Fault to the options that the message of its check advises."""
 
 
 @pytest.mark.parametrize("fault", REMEDIES)
@@ -207,8 +199,7 @@ def test_the_advised_remedy_puts_the_log_right(check, four_joints, fault):
     name = fault.partition(":")[0]
     (named, *_) = [finding for finding in findings if finding.name == name]
     remedied = REMEDIES[fault](log, named)
-    options = OPTIONS.get(fault)
-    assert check_against_model(four_joints.robot, [remedied], options) == ()
+    assert check_against_model(four_joints.robot, [remedied]) == ()
 
 
 @pytest.mark.parametrize(("seed", "scale", "pull"), [(5, 0.12, 0.0), (1, 0.0, 0.5)])

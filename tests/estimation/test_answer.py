@@ -7,7 +7,7 @@ import pytest
 
 from robot_sysid.estimation.answer import base_parameters, structural_base
 from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions, Priors
 from tests.support import arms
 from tests.support.core_fits import fit_recordings
 from tests.support.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
@@ -32,12 +32,12 @@ def evaluate(combination, value_of):
     return total
 
 
-@pytest.mark.parametrize("link_uncertainty", [5.0, 0.0])
-def test_base_parameters_are_found_whatever_the_prior_of_links(link_uncertainty):
+@pytest.mark.parametrize("link", [5.0, 0.0])
+def test_base_parameters_are_found_whatever_the_prior_of_links(link):
     robot = four_joint_arm()
     arm = TrueArm(robot, 3, model_error=0.0)
     recording = add_noise(arm.recording(wide_motion(3), False), 0.01, 0)
-    options = EstimationOptions(link_uncertainty=link_uncertainty)
+    options = EstimationOptions(priors=Priors(link=link))
     fit = fit_recordings(robot, [recording], options)
     base = base_parameters(fit, fit_errors(fit))
     assert len(base.values) == base.structural_rank == structural_base(robot).rank

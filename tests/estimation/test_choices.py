@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
-from robot_sysid.errors import InputError
 from robot_sysid.estimation.choices import (
     CANDIDATES,
     choose,
@@ -21,12 +19,11 @@ from robot_sysid.estimation.choices import (
     couplings_of,
     couplings_of_model,
     neighbours,
-    read_couplings,
     select_couplings,
 )
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.held_out import CLEAR_SHARE
-from robot_sysid.estimation.question import EstimationOptions, Question
+from robot_sysid.estimation.question import EstimationOptions, Priors, Question
 from robot_sysid.estimation.unknowns import SCALES
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.simulator import simulate_inverse
@@ -202,7 +199,7 @@ def test_the_prior_of_links_widens_where_all_links_are_wrong(plant):
     """That the links are wrong, and not the torques, follows from the given torque scales."""
     choices = []
     for model in (perturb_links(plant, 0.5, 7), plant):
-        known_scales = {"duration": 30.0, "scale_uncertainty": 2.0}
+        known_scales = {"duration": 30.0, "priors": Priors(scale=2.0)}
         fit, _ = choose_and_fit(plant, model, friction=BASIC, **known_scales)
         choices.append(fit.choice)
     wide, narrow = (choice.link_scales for choice in choices)
@@ -224,7 +221,7 @@ def test_a_body_that_two_joints_move_is_one_link_of_the_prior():
 
 
 LONG = {"friction": BASIC, "seed": 3, "duration": 30.0}
-LEVEL = {"zero_uncertainty": 0.5, "gravity_uncertainty": 0.02, "delay_uncertainty": 0.0}
+LEVEL = Priors(zero=0.5, gravity=0.02, delay=0.0)
 
 
 def scale_torque(plant, factor):
@@ -243,7 +240,8 @@ def test_a_common_torque_scale_is_distinguished_from_wrong_links(
 ):
     """The model is the plant; a common scale looks like links that are all wrong alike."""
     torque = scale_torque(plant, factor)
-    fit, _ = choose_and_fit(plant, plant, torque, **LONG, **LEVEL, link_uncertainty=0.2)
+    priors = replace(LEVEL, link=0.2)
+    fit, _ = choose_and_fit(plant, plant, torque, **LONG, priors=priors)
     mass = plant.prior.mass
     assert bool(fit.choice.common_scale) == is_scaled
     error = abs(fit.values[0] - mass)
@@ -251,14 +249,12 @@ def test_a_common_torque_scale_is_distinguished_from_wrong_links(
     assert error < 0.1 * mass and error < 2.0 * stated < 0.2 * mass
 
 
-@pytest.mark.parametrize(("link_uncertainty", "grows"), [(1.0, True), (0.05, False)])
-def test_errors_grow_where_a_common_torque_scale_is_doubtful(
-    plant, link_uncertainty, grows
-):
+@pytest.mark.parametrize(("link", "grows"), [(1.0, True), (0.05, False)])
+def test_errors_grow_where_a_common_torque_scale_is_doubtful(plant, link, grows):
     """Torques contradict by 25 % links that are known to 1 %, or to 0.05 %: then they are wrong."""
     torque = scale_torque(plant, 1.25)
-    uncertainties = {**LEVEL, "link_uncertainty": link_uncertainty}
-    fit, _ = choose_and_fit(plant, plant, torque, **LONG, **uncertainties)
+    priors = replace(LEVEL, link=link)
+    fit, _ = choose_and_fit(plant, plant, torque, **LONG, priors=priors)
     errors = fit_errors(fit)
     (scales,) = (group for group in fit.unknowns.groups if group.cause == SCALES)
     prior_rows = scales.covariance_rows(fit.information.names, errors.total.inverse)
@@ -309,15 +305,10 @@ def test_a_motor_of_the_model_is_in_the_torque_whether_estimated_or_not(
 
 
 @since(3, 3)
-def test_motors_of_the_model_are_neither_candidates_nor_counted_twice(wrist, tmp_path):
+def test_motors_of_the_model_are_no_candidates(wrist):
     motors, candidates = couplings_of(wrist, EstimationOptions())
     assert [motor.tendon for motor in motors] == [0, None, None, None, None]
     assert motors[1:] == candidates
-    content = {"m": {"joint1": -1.5, "joint2": 3.0}, "n": {"joint0": 1, "joint1": 1}}
-    options = EstimationOptions(coupling=write_couplings(tmp_path, content))
-    motors, candidates = couplings_of(wrist, options)
-    names = [motor.name for motor in motors]
-    assert names == ["joint1-2*joint2", "joint0+joint1"] and not candidates
 
 
 def test_a_spring_or_a_tendon_to_a_held_joint_is_no_motor():
@@ -327,13 +318,6 @@ def test_a_spring_or_a_tendon_to_a_held_joint_is_no_motor():
     assert damper.model[1] == 3.0 and not np.any(damper.model[[0, 2]])
     shorter_arm = arms.robot_of(arms.TENDON_SPRING, joint="joint1")
     assert couplings_of_model(shorter_arm) == ()
-
-
-def write_couplings(folder, content):
-    """Write JSON, or text as it is, and return the path."""
-    path = folder / "coupling.json"
-    path.write_text(content if isinstance(content, str) else json.dumps(content))
-    return path
 
 
 def test_joints_and_motor_have_the_same_power(three_joint_arm):
@@ -349,32 +333,3 @@ def test_joints_and_motor_have_the_same_power(three_joint_arm):
     for term, expected in (("viscous", speed**2), ("coulomb", np.abs(speed))):
         index = equations.names.index(f"{term}[{motor.name}]")
         assert power[index] == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        {"motor_3": {"joint1": 1, "joint2": 1.0}, "motor_1": {"joint0": 3.0}},
-        [[1, 0, 0], [0, 1, 0], [0, 1, 1]],
-    ],
-)
-def test_a_file_names_motors_or_holds_a_matrix(three_joint_arm, tmp_path, content):
-    (motor,) = read_couplings(write_couplings(tmp_path, content), three_joint_arm)
-    assert motor.name == "joint1+joint2"
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("{", "not JSON"),
-        ({"m": {"wrist": 1.0}}, "no joint of the arm: joint0, joint1, joint2"),
-        ({"m": {"joint1": "fast"}}, "must be like"),
-        ({"m": {"joint1": True}}, "must be like"),
-        ('{"m": {"joint1": NaN}}', "must be like"),
-        ([[1, 0]], "3 finite numbers in each row"),
-        ("3", "must be like"),
-    ],
-)
-def test_a_wrong_file_is_refused(three_joint_arm, tmp_path, content, message):
-    with pytest.raises(InputError, match=message):
-        read_couplings(write_couplings(tmp_path, content), three_joint_arm)

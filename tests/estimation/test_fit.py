@@ -8,23 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
-from robot_sysid.errors import SysidError
 from robot_sysid.estimation import fit as fit_module
 from robot_sysid.estimation.choices import posterior_of
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import LARGEST_LOSS
-from robot_sysid.records import DELAY_NAME
 from tests.support import arms
 from tests.support.core_fits import (
     BASIC,
     EXACT_SENSORS,
+    NO_PRIORS,
     NOISE_ONLY,
     body_error,
     choice_of,
@@ -32,7 +29,7 @@ from tests.support.core_fits import (
     fit_recordings,
     fitter_of,
 )
-from tests.support.measured_logs import guess_model, log_of, plan_of, seeded_log
+from tests.support.measured_logs import guess_model, log_of, seeded_log
 from tests.support.payload_logs import (
     PAYLOAD,
     TrueArm,
@@ -208,30 +205,9 @@ def test_a_wrong_zero_is_found_in_its_joint_alone(plant):
     """The model knows the links; one encoder reads 10 mrad too much."""
     log = log_of(plant, noise_torque=0.02)
     shifted = replace(log, q=log.q + np.array([0.0, 0.01, 0.0]))
-    fit = fit_logs(plant, shifted, **{**NOISE_ONLY, "zero_uncertainty": 10.0})
+    fit = fit_logs(plant, shifted, priors=replace(NO_PRIORS, zero=10.0))
     assert fit.value("zero[joint1]") == pytest.approx(0.01, abs=1e-3)
     assert abs(fit.value("zero[joint2]")) < 1e-3
-
-
-def test_delay_and_tilt_are_found_together(plant, robot):
-    """To 0.1 ms and 0.02 degrees, encoder step 2e-5 rad."""
-    turn = np.radians(3.0) * np.array([np.cos(2.0), np.sin(2.0), 0.0])
-    down = Rotation.from_rotvec(turn).apply(gravity_vector(plant))
-    plan = plan_of(plant, 5)
-    log = log_of(
-        with_gravity(plant, down), plan, torque_delay=0.1, encoder_resolution=2e-5
-    )
-    fit = fit_logs(robot, log, **NOISE_ONLY, delay="auto", tilt="auto")
-    assert fit.value(DELAY_NAME) == pytest.approx(0.1, abs=1e-4)
-    cosine = fit.point.gravity @ down / 9.81**2
-    assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.02
-
-
-def test_a_search_that_does_not_converge_ends_with_a_remedy(robot, noisy, monkeypatch):
-    monkeypatch.setattr(fit_module, "_AUTO_ROUNDS", 1)
-    message = "delay and tilt do not settle within 1 rounds"
-    with pytest.raises(SysidError, match=message):
-        fit_logs(robot, noisy, delay="auto", tilt="auto")
 
 
 # ---- bodies

@@ -122,13 +122,6 @@ def test_the_mass_is_found_with_friction_chosen_by_the_logs(robot, noisy):
     assert result.estimate.inertial.mass == pytest.approx(0.8, abs=0.15)
 
 
-def test_a_tilt_needs_gravity():
-    axes = (arms.Z, arms.Y, arms.X)
-    weightless = arms.robot_of(arms.serial_arm(axes, option='gravity="0 0 0"'))
-    with pytest.raises(InputError, match="--tilt auto needs gravity"):
-        answer_logs(weightless, log_of(weightless), tilt="auto")
-
-
 def test_rows_that_a_refit_leaves_out_have_no_effect(robot, noisy):
     is_spoilt = np.arange(len(noisy))[:, None] > 0.9 * len(noisy)
     answer = answer_logs(robot, replace(noisy, tau=noisy.tau + 8.0 * is_spoilt))

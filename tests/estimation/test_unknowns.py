@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.question import EstimationOptions, Question
+from robot_sysid.estimation.question import EstimationOptions, Priors, Question
 from robot_sysid.estimation.unknowns import (
     COMMON,
     DELAY,
@@ -54,7 +54,6 @@ def groups_of(**arguments):
         ({"in_file": True}, {LINKS, TILT}),
         ({"in_file": True, "unchanged_parts": ("gravity", "links")}, set()),
         ({"options": NOISE_ONLY}, {DELAY}),
-        ({"options": {**NOISE_ONLY, "delay": "auto", "tilt": "auto"}}, set()),
     ],
 )
 def test_a_question_has_the_priors_of_its_causes(question, causes):
@@ -70,12 +69,7 @@ def test_a_question_has_the_priors_of_its_causes(question, causes):
 
 
 def test_priors_have_the_stated_sizes_in_si_units():
-    options = {
-        "scale_uncertainty": 4.0,
-        "zero_uncertainty": 1.0,
-        "gravity_uncertainty": 0.5,
-        "delay_uncertainty": 3.0,
-    }
+    options = {"priors": Priors(scale=4.0, zero=1.0, gravity=0.5, delay=3.0)}
     groups = groups_of(options=options)
     assert_allclose(groups[SCALES].factor, 0.04 * np.eye(4))
     assert_allclose(groups[ZEROS].factor, 1e-3 * np.eye(4))
@@ -99,10 +93,10 @@ def test_a_known_mass_has_a_prior_and_lets_scales_differ():
 
 
 def test_the_mean_of_torque_scales_is_held_by_the_best_known_joints():
-    options = {"scale_uncertainty": (1.0, 0.0, 2.0, 4.0)}
+    options = {"priors": Priors(scale=(1.0, 0.0, 2.0, 4.0))}
     scales = groups_of(options=options, loaded=True)[SCALES]
     assert_allclose(np.diag(scales.factor), [0.01, 1e-9, 0.02, 0.04])
-    options = {"scale_uncertainty": (1.0, 1.0, 2.0, 4.0)}
+    options = {"priors": Priors(scale=(1.0, 1.0, 2.0, 4.0))}
     factor = groups_of(options=options, loaded=True)[COMMON].factor
     # Deviations have no component along the mean weighted by 1 / variance.
     deviation = factor @ np.random.default_rng(1).standard_normal(4)

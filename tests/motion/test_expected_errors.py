@@ -16,7 +16,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.consistent_bodies import projected_covariance
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions, Priors
 from robot_sysid.estimation.unknowns import LINKS, SCALES
 from robot_sysid.motion.expected_errors import (
     TYPICAL_LOAD,
@@ -35,6 +35,7 @@ from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from tests.motion.test_prediction import best_plan
 from tests.support import arms
+from tests.support.core_fits import NOISE_ONLY
 from tests.support.excitation_arms import make_problem, robot
 
 RATE = 250.0
@@ -45,9 +46,8 @@ ARM = arms.serial_arm(
     joint='range="-2.5 2.5" frictionloss=".4" armature=".05" damping=".1"',
 )
 PLAN = best_plan(ARM, duration=10.0)
-CAUSES = ("link", "scale", "zero", "gravity", "friction")
 USUAL = EstimationOptions()
-KNOWN_ARM = EstimationOptions(**{f"{cause}_uncertainty": 0.0 for cause in CAUSES})
+KNOWN_ARM = EstimationOptions(**NOISE_ONLY)
 PROBLEM = make_problem(ARM, noise_torque=SIGMA)
 
 
@@ -149,7 +149,7 @@ def test_payload_errors_come_from_the_difference_of_recordings():
 
 
 def test_different_torque_scales_are_averaged_by_their_weights():
-    options = EstimationOptions(scale_uncertainty=(1.0, 2.0, 4.0, 8.0))
+    options = EstimationOptions(priors=Priors(scale=(1.0, 2.0, 4.0, 8.0)))
     scale_error = common_scale_error(PROBLEM, options)
     assert scale_error == pytest.approx(0.01 / np.linalg.norm([1.0, 0.5, 0.25, 0.125]))
 

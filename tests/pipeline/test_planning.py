@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.config import MotorOptions, SysidConfig
+from robot_sysid.config import MotorOptions, PlanConfig
 from robot_sysid.errors import InputError
 from robot_sysid.motion.plan import CheckedPlan
 from robot_sysid.motion.prediction import Prediction
@@ -77,7 +77,7 @@ def test_the_step_after_a_motion_that_is_not_ready_does_not_play_it(
     robot, tmp_path, monkeypatch, prediction, verdict
 ):
     monkeypatch.setattr(planning, "predict_plan", lambda *_: (prediction, []))
-    config = SysidConfig.of_plan(robot.path, output_dir=tmp_path)
+    config = PlanConfig.of(robot.path, output_dir=tmp_path)
     plan = SineTrajectory(*np.zeros((1, 2)), *np.zeros((3, 2, 1)), 4.0, fade=1.0)
     outcome = write_plan(config, robot, CheckedPlan(plan))
     assert outcome.verdict[0].startswith(verdict)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import SelfTestConfig
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import load_trajectory
@@ -54,14 +54,14 @@ def arm(arm_file):
     return arm_file(XML)
 
 
-def config(arm: Path, **more) -> SysidConfig:
+def config(arm: Path, **more) -> SelfTestConfig:
     values = {
         "duration": 3.0,
         "sample_rate": 200.0,
         "seed": 1,
         "output_dir": arm.parent / "out",
     }
-    return SysidConfig.of(arm, **{**values, **more})
+    return SelfTestConfig.of(arm, **{**values, **more})
 
 
 def test_a_run_returns_what_its_files_say(arm):
@@ -103,7 +103,7 @@ def test_an_updated_model_moves_together_with_the_original(tmp_path):
         "seed": 1,
         "output_dir": home / "out",
     }
-    run(SysidConfig.of(home / "model" / GUESS.name, **values))
+    run(SelfTestConfig.of(home / "model" / GUESS.name, **values))
     home.rename(tmp_path / "moved")
     assert (
         load_robot_model(tmp_path / "moved" / "out" / "updated_model.xml").n_joints == 7
@@ -140,7 +140,7 @@ def test_a_motion_keeps_the_peak_torque_of_the_motors_it_is_exported_for(arm):
 def test_the_models_own_values_come_back_with_where_they_are_from(torques, friction):
     plant = true_arm()
     options = {"torques": torques, "no_friction": not friction, "sample_rate": 500.0}
-    config = SysidConfig.of(plant.path, **options)
+    config = SelfTestConfig.of(plant.path, **options)
     plan = plan_of(plant, 1, 4.0)
     progress = Listener()
     identification = run_self_test(config, plant, plan, 7, progress)

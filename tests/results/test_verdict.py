@@ -16,7 +16,7 @@ from robot_sysid.dynamics.spatial import (
 )
 from robot_sysid.records import PriorConflict
 from robot_sysid.records.messages import Detail, percent
-from robot_sysid.results.record import Quantity, Verdict
+from robot_sysid.results.record import Verdict
 from robot_sysid.results.verdict import (
     COLOURED,
     SURE,
@@ -168,16 +168,6 @@ def test_parameters_with_more_prior_than_data_are_named():
     link = replace(made.terminal(made.estimate()), data_share=share)
     (sentence,) = limitations_of(links=(link,))
     assert "determined more by the prior than by the data: Ixx, Izz" in sentence
-
-
-@pytest.mark.parametrize("delay", [-0.003, -0.0019, 0.003])
-def test_a_torque_that_precedes_its_motion_is_reported_where_significant(delay):
-    sensors = {"delay": Quantity(-0.003, 0.001)}
-    sentences = limitations_of(delay=delay, sensors=sensors)
-    assert len(sentences) == (delay == -0.003)
-    for sentence in sentences:
-        assert "come 3 ms before the motion" in sentence
-        assert not isinstance(sentence, Detail)
 
 
 @given(

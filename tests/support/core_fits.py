@@ -12,7 +12,7 @@ from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import rms_torque
 from robot_sysid.estimation.fit import Fitter
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.question import Choice, EstimationOptions, Question
+from robot_sysid.estimation.question import Choice, EstimationOptions, Priors, Question
 from robot_sysid.records import DataOrigin, Source
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import split_at_gaps
@@ -20,12 +20,11 @@ from tests.support.measured_logs import CUTOFF
 
 BASIC = CANDIDATES[0]
 """The friction model with the fewest terms among which recordings choose."""
-NOISE_ONLY = {
-    f"{cause}_uncertainty": 0.0
-    for cause in ("link", "scale", "zero", "gravity", "friction")
-}
+NO_PRIORS = Priors(link=0.0, scale=0.0, zero=0.0, gravity=0.0, friction=0.0)
+"""Priors with which torque noise is the only source of error."""
+NOISE_ONLY = {"priors": NO_PRIORS}
 """Options with which torque noise is the only source of error."""
-EXACT_SENSORS = EstimationOptions(zero_uncertainty=0.0, gravity_uncertainty=0.0)
+EXACT_SENSORS = EstimationOptions(priors=Priors(zero=0.0, gravity=0.0))
 """Options with exact encoders and a level base, so that no prior allows a body to turn."""
 ORIGIN = DataOrigin(Source.LOG, "a log", 10.0, 200.0)
 

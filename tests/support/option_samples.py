@@ -9,10 +9,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, get_type_hints
+from pathlib import Path
+from typing import Any
 
 from robot_sysid.commands import ConsoleOptions
-from robot_sysid.config import SysidConfig
+from robot_sysid.config import Config
+from robot_sysid.estimation.question import Priors
 from robot_sysid.records.option_fields import Option, default_of, options_of
 
 # Values that cannot be made from the kind of value alone.
@@ -22,6 +24,9 @@ _CHOSEN = {
     "motor_type": ("DM4340", "DM4310"),
     "friction_model": "coulomb-viscous",
     "for_": "payload",
+    "priors": Priors(link=7.0, file=Path("priors.toml")),
+    "empty": (Path("a.csv"), Path("b.csv")),
+    "order": "AB",
 }
 
 
@@ -54,9 +59,9 @@ class Sample:
         return arguments
 
 
-def samples(config_type: type = SysidConfig) -> Iterator[Sample]:
-    """Yield a sample of every option of a run."""
-    for name, record in get_type_hints(config_type).items():
+def samples(config_type: type[Config]) -> Iterator[Sample]:
+    """Yield a sample of every option of a command."""
+    for name, record in config_type.records().items():
         for field, option in options_of(record).items():
             yield Sample(name, field, option, _value(option, default_of(record, field)))
 
@@ -78,6 +83,6 @@ def _value(option: Option, default: Any) -> Any:
 
 def keys_of(parser: argparse.ArgumentParser) -> set[str]:
     """Return the keys of the options that a parser takes, the console's left out."""
-    keys = {action.dest for action in parser._actions if action.option_strings}
+    keys = {action.dest for action in parser._actions}
     console = {option.key for option in options_of(ConsoleOptions).values()}
-    return keys - console - {"help", "version", "help_all"}
+    return keys - console - {"help", "version", "help_all", "path", "log"}

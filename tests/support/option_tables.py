@@ -11,24 +11,42 @@ import re
 from collections.abc import Mapping, Sequence
 
 from robot_sysid.commands import ConsoleOptions, identify, motors
-from robot_sysid.commands.arguments import PYTHON_ONLY, default_text
-from robot_sysid.config import PayloadOptions
+from robot_sysid.commands.arguments import default_text
+from robot_sysid.config import (
+    ArmOutputOptions,
+    DesignOptions,
+    NumberedMotorOptions,
+    PayloadOptions,
+)
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
-from robot_sysid.motion import PoseOptions, ViewOptions
-from robot_sysid.records.option_fields import Option, default_of, options_of
+from robot_sysid.estimation.question import EstimationOptions, Priors
+from robot_sysid.logs import FittedLogOptions
+from robot_sysid.model import PosedModelOptions
+from robot_sysid.motion import LimitOptions, PoseOptions, ViewOptions
+from robot_sysid.records.option_fields import (
+    Option,
+    TrajectoryOptions,
+    default_of,
+    options_of,
+)
+from robot_sysid.simulation import SimulatedArmOptions
 from tests.support.places import ROOT
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
-GROUPS = identify.SPECS[""].groups
 MAIN = identify.SPECS[""].main
 TABLES: Mapping[str, Sequence[type]] = {
-    **GROUPS,
-    "main": (
-        *(record for records in GROUPS.values() for record in records),
-        ConsoleOptions,
-    ),
+    "model and output": (PosedModelOptions, ArmOutputOptions),
+    "trajectory": (TrajectoryOptions,),
+    "excitation": (DesignOptions,),
+    "limits": (LimitOptions,),
+    "measurements": (FittedLogOptions,),
+    "simulated plant": (SimulatedArmOptions,),
+    "estimation": (EstimationOptions,),
+    "priors": (Priors,),
+    "Damiao motors": (NumberedMotorOptions,),
+    "main": tuple(identify.SPECS[""].config.records().values()),
     "plan for a payload": (PoseOptions,),
     "preview": (ViewOptions,),
     "console": (ConsoleOptions,),
@@ -51,13 +69,15 @@ def table(name: str) -> str:
     rows = ["| Option | Default | Meaning |", "| --- | --- | --- |"]
     for record in TABLES[name]:
         for field, option in options_of(record).items():
-            if option.key in PYTHON_ONLY or (name == "main" and option.key not in MAIN):
+            is_argument = not option.flag.startswith("-")
+            if is_argument or (name == "main" and option.key not in MAIN):
                 continue
             default = default_of(record, field)
             shown = default_text(option, default)
             if shown and not option.default_text:
                 shown = f"`{shown}`"
-            cells = (_typed_form(option, default), shown, _meaning(option))
+            form = f"`{field}`" if name == "priors" else _typed_form(option, default)
+            cells = (form, shown, _meaning(option))
             rows.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
     return "\n".join(rows) + "\n"
 

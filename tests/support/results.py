@@ -269,8 +269,6 @@ def whole(**changes) -> Result:
             validation_of(0.03, relative=0.012),
         ),
         friction_model="per joint",
-        delay=0.0032,
-        tilt=float(np.radians(0.5)),
         cutoff=8.0,
         link_scales={"mass": 4.0, "centre_of_mass": 1.0, "inertia": 2.0},
         wrong_links=(WrongLink("link3", 3.96, 2.8, 0.3),),

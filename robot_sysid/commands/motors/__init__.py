@@ -43,7 +43,7 @@ from robot_sysid.damiao.settings import (
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, serve, slcan_terminal
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
-from robot_sysid.model import ModelOptions
+from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import (
@@ -341,7 +341,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
 def _add_arm_options(parser: Parser, command: str) -> None:
     """Add to a command's parser the options that say which arm the motors drive."""
     help_text = "of the arm"
-    group = parser.add("arm", ModelOptions)
+    group = parser.add("arm", PosedModelOptions)
     if command != "map":
         help_text = (
             "MJCF or URDF of the arm; the trajectory is checked against its limits"

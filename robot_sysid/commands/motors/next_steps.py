@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from robot_sysid.commands.motors.session import Session
 from robot_sysid.damiao.settings import Plan
-from robot_sysid.model import ModelOptions
+from robot_sysid.model import PosedModelOptions
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import command_arguments
@@ -57,7 +57,7 @@ def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
         sentence = f"Next, {load} what is to be weighed, play it again"
         return NextStep(sentence, session.command("play", record=record))
     arm = session.values if session.values.get("model") else planned
-    options = command_arguments(arm, ModelOptions)
+    options = command_arguments(arm, PosedModelOptions)
     state = "motion recorded"
     if is_payload:
         state = "payload recorded"

@@ -24,7 +24,7 @@ from robot_sysid.damiao.recorder import Aside
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError
-from robot_sysid.model import ModelOptions
+from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Detail, NextStep, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
@@ -33,7 +33,7 @@ _PRINT_TIMEOUT = 1.0
 """Time that printing one line may take while a driver stalls [s]."""
 # Classes whose options ``Session.command`` repeats: before the model's file, and after it.
 _BUS_RECORDS = BusAddress, protocol.BusTiming
-_RUN_RECORDS = ModelOptions, PlaySettings, Permissions, RecordingOptions
+_RUN_RECORDS = PosedModelOptions, PlaySettings, Permissions, RecordingOptions
 
 
 def ask(prompt: str) -> str:

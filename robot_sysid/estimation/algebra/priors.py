@@ -10,7 +10,7 @@ gamma the number of directions that the data determines (MacKay, "Bayesian inter
 Computation 4(3), 1992, eq. 22 and 33), C the covariance of the estimate; never below 1.
 
 The widths of the other links' prior are estimated by kind of parameter. The user states a relative
-uncertainty of the links (``--link-uncertainty``, the share), and real models exceed it: masses are
+uncertainty of the links (the prior ``link``, the share), and real models exceed it: masses are
 off by 10 to 20 %, one link by 40 %. Confounded links predict torques equally well, so that held-out
 errors do not show such deviations; the marginal likelihood does. With the links' deviations
 

@@ -30,7 +30,7 @@ from robot_sysid.estimation.algebra.priors import (
     with_prior,
 )
 from robot_sysid.estimation.algebra.uncertainty import uncertainty
-from robot_sysid.estimation.question import EstimationOptions, Question
+from robot_sysid.estimation.question import EstimationOptions, Priors, Question
 from robot_sysid.estimation.unknowns import LINKS, SCALES, Unknowns
 from tests.support.arms import SEEDS, rigid_bodies
 from tests.support.estimates import prior_errors
@@ -300,7 +300,7 @@ def precision_of(groups):
     [
         (Question(EstimationOptions()), True),
         (Question(EstimationOptions(), loaded=True), False),
-        (Question(EstimationOptions(scale_uncertainty=2.0)), False),
+        (Question(EstimationOptions(priors=Priors(scale=2.0))), False),
     ],
     ids=["link", "payload", "scales are given"],
 )
