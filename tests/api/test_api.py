@@ -262,7 +262,7 @@ def test_a_result_of_arrays_is_saved_with_the_data_of_its_report(
     in_memory = replace(result.config.log, measurements=(log,))
     of_arrays = replace(result, config=replace(result.config, log=in_memory))
     of_arrays.save(tmp_path / "out")
-    assert load_run(tmp_path / "out").data is not None
+    assert load_run(tmp_path / "out").traces is not None
 
 
 def test_a_spec_has_the_result_in_it(result):
