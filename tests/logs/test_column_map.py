@@ -303,17 +303,6 @@ def test_a_blank_columns_file_is_filled_in_and_read(tmp_path):
     assert columns.time is not None and columns.time.index == 6
 
 
-def test_what_a_log_needs_is_said_once():
-    with pytest.raises(InputError) as caught:
-        recognise("when,A,B,C")
-    message = str(caught.value)
-    assert message.count("joint0, joint1, joint2") == 1
-    assert (
-        "one position column and one torque column for each joint of the chain"
-        in message
-    )
-
-
 @pytest.mark.parametrize(
     ("text", "fragments"),
     [

@@ -226,40 +226,29 @@ def lbr_states(types: Any, data: Measurement):
         yield time, types[LBR](*modes, *stamp, *arrays, 1.0)
 
 
-def iiwa_ros(folder: Path) -> Path:
-    """A ROS 1 bag of iiwa_ros: 200 Hz, joints iiwa_joint_1 .. iiwa_joint_7."""
-    store = typestore("ROS1")
-    data = motion_of(IIWA, rate=200.0)
-    messages = states(store.types, data, _numbered("iiwa_joint_"))
-    topics = [("/iiwa/joint_states", STATE, messages)]
-    return write_bag(folder / "iiwa", topics, "ROS1", store)
-
-
 GEN3 = "kinova_gen3/gen3.xml"
 
 
-def kortex(folder: Path, storage: str, topic_names: Sequence[str]) -> Path:
-    """A bag of Kinova's drivers with a gripper; angles of joint_states are within half a turn.
+def kortex(folder: Path, topic_names: Sequence[str]) -> Path:
+    """A ROS 1 bag of Kinova's driver with a gripper; angles of joint_states are within half a turn.
 
-    The ROS 1 driver publishes 100 Hz at most by default, joint_1 .. joint_7 and the finger, whose
-    effort is zero; base_feedback has no header and degrees from 0 to 360. The ROS 2 driver's
-    controller manager runs at 1 kHz.
+    The driver publishes 100 Hz at most by default, joint_1 .. joint_7 and the finger, whose effort
+    is zero; base_feedback has no header and degrees from 0 to 360.
     """
-    store = typestore(storage)
+    store = typestore("ROS1")
     types = store.types
-    is_ros1 = storage == "ROS1"
-    data = motion_of(GEN3, rate=100.0 if is_ros1 else 1000.0)
-    finger = "finger_joint" if is_ros1 else "robotiq_85_left_knuckle_joint"
+    data = motion_of(GEN3, rate=100.0)
     wrapped = replace(data, q=(data.q + np.pi) % (2.0 * np.pi) - np.pi)
     both = with_extra_joints(wrapped, 1, 0.4)
-    names = [*_numbered("joint_"), finger]
-    space = "/my_gen3" if is_ros1 else ""
     contents = {
-        "joint_states": (STATE, states(types, both, names)),
+        "joint_states": (
+            STATE,
+            states(types, both, [*_numbered("joint_"), "finger_joint"]),
+        ),
         "base_feedback": (KORTEX, kortex_feedback(types, data)),
     }
-    topics = [(f"{space}/{name}", *contents[name]) for name in topic_names]
-    return write_bag(folder / "kortex", topics, storage, store)
+    topics = [(f"/my_gen3/{name}", *contents[name]) for name in topic_names]
+    return write_bag(folder / "kortex", topics, "ROS1", store)
 
 
 def kortex_feedback(types: Any, data: Measurement):
@@ -316,12 +305,6 @@ DRIVER_LOGS = (
         lambda folder: franka(folder, "fr3", FR3, "MCAP", _ALL_FRANKA),
         1000.0,
     ),
-    DriverLog(
-        "fr3 on a panda's names",
-        PANDA,
-        lambda folder: franka(folder, "fr3", PANDA, "SQLITE3", _ALL_FRANKA),
-        1000.0,
-    ),
     # UniversalRobots/Universal_Robots_ROS2_Driver:
     # ur_robot_driver/doc/usage/utility_controllers.rst and pull request 1551
     DriverLog(
@@ -355,28 +338,19 @@ DRIVER_LOGS = (
         lambda folder: lbr(folder, "SQLITE3", _ALL_LBR[1:]),
         100.0,
     ),
-    # epfl-lasa/iiwa_ros: iiwa_driver/config/iiwa.yaml
-    DriverLog("iiwa_ros", IIWA, iiwa_ros, 200.0),
     # Kinovarobotics/ros_kortex:
     # kortex_driver/src/non-generated/driver/kortex_arm_driver.cpp
     DriverLog(
         "kortex ROS 1",
         GEN3,
-        lambda folder: kortex(folder, "ROS1", ("joint_states", "base_feedback")),
+        lambda folder: kortex(folder, ("joint_states", "base_feedback")),
         100.0,
     ),
     DriverLog(
         "kortex base_feedback alone",
         GEN3,
-        lambda folder: kortex(folder, "ROS1", ("base_feedback",)),
+        lambda folder: kortex(folder, ("base_feedback",)),
         100.0,
-    ),
-    # Kinovarobotics/ros2_kortex: kortex_driver/src/hardware_interface.cpp
-    DriverLog(
-        "kortex ROS 2",
-        GEN3,
-        lambda folder: kortex(folder, "MCAP", ("joint_states",)),
-        1000.0,
     ),
 )
 """Recordings whose efforts are torques: they need no option. The public code that is named states
