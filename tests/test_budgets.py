@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 9166,
     "robot_sysid/simulation": 5606,
     "robot_sysid": 12282,
-    "tests": 273631,
+    "tests": 272425,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

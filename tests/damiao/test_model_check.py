@@ -117,19 +117,6 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     )
 
 
-def test_printed_digits_of_positions_do_not_count_as_speed(arm, folder, rate=1000.0):
-    """At 1 kHz the fourth decimal of a position is 0.1 rad/s."""
-    velocity = 0.7654
-    time = np.arange(50) / rate
-    q = np.tile((velocity * time)[:, None], 3)
-    free = np.full(3, np.inf)
-    robot = replace(
-        arm, limits=JointLimits(-free, free, np.full(3, velocity + 1e-4), free)
-    )
-    motion = time, q, np.full_like(q, velocity), 0 * q
-    assert limit_findings(check_trajectory(folder, motion, 1.0, robot)) == set()
-
-
 # --- torque -------------------------------------------------------------------------------------
 
 

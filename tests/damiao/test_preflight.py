@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -39,13 +38,9 @@ def rows_of(n, position=0.0, velocity=0.0, torque=0.0, seconds=1.0):
     return time, position * risen, velocity * risen, torque * risen
 
 
-def checks_of(
-    rows, types, timing=None, inertia=None, parking_pose=None, offset=0.0, **settings
-):
+def checks_of(rows, types, timing=None, inertia=None, **settings):
     """What is said to what the checks look at of a plan, without a trajectory file."""
-    joints = [
-        replace(joint, offset=offset) for joint in damiao_joints(types, len(types))
-    ]
+    joints = damiao_joints(types, len(types))
     timing = timing or BusTiming()
     completed = PlaySettings(**settings).for_motors(
         [joint.spec for joint in joints], timing
@@ -54,9 +49,9 @@ def checks_of(
         "settings": completed,
         "timing": timing,
         "inertia": inertia,
-        "parking_pose": parking_pose,
+        "parking_pose": None,
     }
-    played = DamiaoTrajectory(Path(), tuple(joints), np.arange(len(rows[0])), *rows)
+    played = DamiaoTrajectory(Path(), joints, np.arange(len(rows[0])), *rows)
     return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))
 
 

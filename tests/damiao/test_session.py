@@ -148,18 +148,6 @@ def test_stamps_differ_from_joint_to_joint(echo):
     )
 
 
-def test_garbage_on_the_bus_is_ignored():
-    bench = Bench()
-    garbage = [Frame(17, b""), Frame(17, bytes([0x12]) + bytes(7)), Frame(99, bytes(8))]
-    garbage.append(Frame(17, bytes(8), error=True))
-    ours = bench.arm.handle
-    bench.arm.handle = lambda frame, time: [*garbage, *ours(frame, time)]
-    with bench.enabled():
-        replies = bench.exchange()
-    assert np.all(replies.answered)
-    assert replies.feedback.status.tolist() == [ENABLED, ENABLED]
-
-
 def test_a_damaged_answer_while_enabling_is_asked_again():
     """Where the arm is held would be where it never was."""
     bench = Bench()

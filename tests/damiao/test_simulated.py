@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.damiao.adapters import BusLink
-from robot_sysid.damiao.bus import SimulatedClock, SystemClock
+from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import (
     Address,
@@ -18,35 +18,9 @@ from robot_sysid.damiao.protocol import (
     decode_mit,
     disable_frame,
     enable_frame,
-    refresh_frame,
     set_zero_frame,
 )
-from robot_sysid.damiao.simulated import serve, simulated_motor, slcan_terminal
-from tests.support.damiao_rig import two_motor_arm
-
-
-class FarEnd:
-    """The arm's end of a bus: frames that come at given times, and what was answered."""
-
-    def __init__(self, clock, *arrivals):
-        self._clock = clock
-        self._arrivals = list(arrivals)
-        self.answers = []
-
-    def receive(self, until):
-        if self._arrivals and self._arrivals[0][0] <= until:
-            moment, frame = self._arrivals.pop(0)
-            self._clock.sleep_until(moment)
-            return frame
-        self._clock.sleep_until(until)
-        return None
-
-    def send(self, frame):
-        self.answers.append((self._clock.now(), frame.id))
-
-
-def serve_frames(clock, far, arm, seconds):
-    return serve(arm, far, clock, lambda: clock.now() < seconds)
+from robot_sysid.damiao.simulated import simulated_motor, slcan_terminal
 
 
 def test_a_motor_reads_commands_as_the_codec_does():
@@ -74,19 +48,6 @@ def test_a_motor_keeps_its_command_until_it_is_disabled():
     assert list(motor.command) == command and motor.shift == 0.0
     motor.handle(disable_frame(address), 0.03)
     assert not any(motor.command)
-
-
-def test_each_frame_is_answered_when_it_comes_and_an_echo_is_no_question():
-    clock = SimulatedClock()
-    arm = two_motor_arm()
-    requests = [(0.1 * i, refresh_frame(Address(0, i))) for i in (1, 2, 3)]
-    far = FarEnd(
-        clock, *requests, (0.4, enable_frame(Address(0, 1))._replace(echo=True))
-    )
-    assert serve_frames(clock, far, arm, 1.0).left_out == 0.0
-    assert far.answers == [(0.1, 17), (0.2, 18)] and not arm.motors[0].driving
-    # It lives in whole steps, and is asked for the last time a tick before the end.
-    assert -1e-9 < 1.0 - arm.time < arm.mechanism.timestep + 1e-3
 
 
 NEEDS_TERMINALS = pytest.mark.skipif(
@@ -130,10 +91,3 @@ def test_frames_pass_through_the_adapter_both_ways_whatever_else_is_on_the_line(
         line = os.open(device, os.O_WRONLY | os.O_NOCTTY)
         os.write(line, (b"t00C\r", b"t0018C\r", b"\xff\xfe\r", b"\r")[number % 4])
         os.close(line)
-
-
-@NEEDS_TERMINALS
-def test_an_adapter_that_nobody_reads_drops_frames_instead_of_waiting(adapter):
-    far, _, _ = adapter
-    for _ in range(2000):
-        far.send(Frame(1, bytes(8)))

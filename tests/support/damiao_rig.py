@@ -175,7 +175,6 @@ class Rig:
         n_joints=2,
         faults=(),
         timing=CLASSIC,
-        echo=False,
         extra_motors=(),
         start=None,
         permissions=None,
@@ -196,7 +195,7 @@ class Rig:
             cause(self)
         self.states_before = self.states()
         self.clock = ScriptedClock()
-        self.bus = SimulatedLink(self.clock, self.arm, timing, echo)
+        self.bus = SimulatedLink(self.clock, self.arm, timing)
         self.adapter = SlowAdapter(self.bus, self.clock, adapter)
         self.console = console
         self.wire = RememberingLink(self.adapter, self.clock)
@@ -217,17 +216,10 @@ class Rig:
         self.last_played = None
         self.error = self.report = None
 
-    def mount(self, j, can_id=None, master_id=None, **mounting):
+    def mount(self, j, **mounting):
         """Mount a motor in another way, and let the plan know it."""
         joints = list(self.plan.trajectory.joints)
-        ids = {
-            "can_id": can_id or joints[j].can_id,
-            "master_id": master_id or joints[j].master_id,
-        }
-        self.motors[j].joint = joints[j] = replace(joints[j], **ids, **mounting)
-        held = self.motors[j].registers
-        held[protocol.ESC_ID] = ids["can_id"]
-        held[protocol.MST_ID] = ids["master_id"]
+        self.motors[j].joint = joints[j] = replace(joints[j], **mounting)
         trajectory = replace(self.plan.trajectory, joints=tuple(joints))
         self.plan = replace(self.plan, trajectory=trajectory)
         self.bus.arm = self.arm = SimulatedArm(self.arm.mechanism, self.arm.motors)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -147,92 +145,60 @@ def test_a_motor_may_be_silent_for_so_long_and_no_longer(requested, cycles, mess
 CYCLE = 0.004
 
 
-def motion(cycles, change=lambda k, signals: None):
+def motion(cycles, sinks=lambda p: 0.0, carries=lambda p: 3.0 * np.cos(p)):
     """Yield replies and commands of two joints that swing slowly under kp 180 and gravity.
 
-    ``change`` may put other numbers into the signals of the second joint: q, qd, tau, and what is
-    commanded as p and t.
+    At a commanded position the second joint is off by ``sinks`` [rad], and is fed forward what
+    ``carries`` it [N m].
     """
     for k in range(cycles):
         time = k * CYCLE
         p = 0.3 * np.sin(2.0 * time)
         v = 0.6 * np.cos(2.0 * time)
-        signals = {
-            "q": p,
-            "qd": v,
-            "p": p,
-            "t": 3.0 * np.cos(p),
-            "tau": None,
-            "extra": {},
-        }
-        change(k, signals)
-        fed = np.array([8.0, signals["t"]])
-        command = MitCommand(
-            np.array([0.0, signals["p"]]),
-            np.array([0.0, v]),
-            np.full(2, 180.0),
-            np.full(2, 4.5),
-            fed,
-        )
-        commanded = command.motor_torque(
-            np.array([0.0, signals["q"]]), np.array([0.0, signals["qd"]])
-        )
-        tau = commanded[1] if signals["tau"] is None else signals["tau"](commanded[1])
-        replies = sample(time, signals["q"], signals["qd"], tau)
+        commands = (0.0, p), (0.0, v), (180.0, 180.0), (4.5, 4.5), (8.0, carries(p))
+        command = MitCommand(*map(np.array, commands))
+        q = p + sinks(p)
+        commanded = command.motor_torque(np.array([0.0, q]), np.array([0.0, v]))
+        replies = sample(time, q, v, commanded[1])
         replies.feedback.torque[0] = 8.0
-        yield replace(replies, **signals["extra"]), command
+        yield replies, command
 
 
-def stop_of(change, cycles=500):
-    """Return after how many cycles motion is stopped, by what, and the observer."""
+def stop_words_of(cycles):
+    """Return what stops a motion, or None."""
     watched = observer(max_torque_error=(25.0,))
-    for k, (replies, command) in enumerate(motion(cycles, change)):
-        watched.update(replies)
-        try:
+    try:
+        for replies, command in cycles:
+            watched.update(replies)
             watched.check(replies, command)
-        except HardwareAbort as stopped:
-            return k, stopped, watched
-    return None, None, watched
-
-
-BEGIN = 250
-
-
-def one(value):
-    return np.array([0, value])
+    except HardwareAbort as stopped:
+        return str(stopped)
+    return None
 
 
 def test_an_arm_that_does_as_it_should_is_left_alone():
-    assert stop_of(lambda k, signals: None)[1] is None
+    assert stop_words_of(motion(500)) is None
 
 
 def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
     """So it is where the cables of two arms were exchanged in a symmetric pose."""
 
-    def other_arm(k, signals):
-        load = 18.0 * np.sin(signals["p"])
-        signals["t"] = load
-        signals["q"] += 2.0 * load / 180.0
+    def load(p):
+        return 18.0 * np.sin(p)
 
-    k, stopped, _ = stop_of(other_arm)
-    assert "cables of two arms exchanged" in str(stopped) and str(stopped).startswith(
-        "motor 2"
-    )
+    words = stop_words_of(motion(500, lambda p: 2.0 * load(p) / 180.0, load))
+    assert words.startswith("motor 2") and "cables of two arms exchanged" in words
 
 
 def test_a_sagging_supply_names_the_other_joints_and_not_the_joint_itself():
-    watched = observer(max_torque_error=(25.0,))
-    for k, (replies, command) in enumerate(motion(BEGIN + 20)):
-        command = command._replace(torque=np.full(2, 9.0))
-        share = 0.4 if k >= BEGIN else 1.0
-        replies.feedback.torque[:] = share * command.motor_torque(
-            replies.feedback.position, replies.feedback.velocity
-        )
-        watched.update(replies)
-        try:
-            watched.check(replies, command)
-        except HardwareAbort as stopped:
-            assert "motor 1 makes 0.40 times" in str(stopped)
-            assert "so do others (motor 2): the supply sags" in str(stopped)
-            return
-    pytest.fail("nothing stopped the run")
+    def sagging():
+        for k, (replies, command) in enumerate(motion(270)):
+            command = command._replace(torque=np.full(2, 9.0))
+            feedback = replies.feedback
+            made = command.motor_torque(feedback.position, feedback.velocity)
+            feedback.torque[:] = (0.4 if k >= 250 else 1.0) * made
+            yield replies, command
+
+    words = stop_words_of(sagging())
+    assert "motor 1 makes 0.40 times" in words
+    assert "so do others (motor 2): the supply sags" in words
