@@ -21,8 +21,6 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     turn_gravity,
 )
-from robot_sysid.model.compilation import compiled_in_memory
-from robot_sysid.parser import load_robot_model, robot_from_compiled
 from robot_sysid.records import Array, Measurement, RobotModel
 from tests.support.wrong_logs import Truth
 
@@ -297,15 +295,6 @@ def stale_samples(scene: Scene) -> Scene:
     )
 
 
-def model_in_grams(scene: Scene) -> Scene:
-    """Return a right log beside a model that has g and g m^2 for kg and kg m^2."""
-    heavy = load_robot_model(scene.robot.path).mj_model
-    heavy.body_mass[:] *= 1e3
-    heavy.body_inertia[:] *= 1e3
-    robot = robot_from_compiled(compiled_in_memory(heavy), scene.robot.path, None)
-    return replace(scene, robot=robot)
-
-
 def leave_right(scene: Scene) -> Scene:
     """Return the scene as it is."""
     return scene
@@ -353,7 +342,6 @@ CAUSES: dict[str, tuple[Cause, tuple[str, ...]]] = {
     "uncalibrated": (uncalibrated_currents, SCALE),
     **causes_of_logs(SCALE, "amperes", "motor_side", "millinewtonmetres", "other_unit"),
     **causes_of_logs(SCALE, "per_cent", "one_joint_in_millinewtonmetres"),
-    "model_in_grams": (model_in_grams, SCALE),
     **causes_of_logs(("gravity",), "gravity_compensated", "external"),
     **causes_of_logs(("computed",), "computed_torque"),
     **causes_of_logs(("sign",), "torque_sign", "position_sign"),

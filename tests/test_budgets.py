@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 5507,
     "robot_sysid/commands": 13318,
     "robot_sysid/damiao": 44961,
-    "robot_sysid/diagnosis": 20090,
+    "robot_sysid/diagnosis": 19188,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 51260,
     "robot_sysid/logs": 21928,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 9166,
     "robot_sysid/simulation": 5606,
     "robot_sysid": 12282,
-    "tests": 272425,
+    "tests": 271369,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

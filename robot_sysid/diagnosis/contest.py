@@ -31,7 +31,6 @@ from robot_sysid.diagnosis.plausibility import (
     misfit,
     misfit_by_joint,
     reverses_friction,
-    strain,
 )
 from robot_sysid.diagnosis.relabelling import (
     Correction,
@@ -72,8 +71,6 @@ GROSS_JOINT = 0.5
 SMALL = 0.02
 """Share of unexplained torque that a relabelling may always leave, even where the base model leaves
 less."""
-TYPICAL_STRAIN = 7.0
-"""``strain`` of typical arms: squared deviation of their links from the model."""
 ODD_SCALE = 1.3
 """Ratio of measured torque to the model's, or its inverse, above which torque scales are tried."""
 STRETCHES = 8
@@ -428,7 +425,7 @@ def findings(contest: Contest, divided: Array) -> list[Finding]:
     if not is_plausible(last):
         return [implausible_links(last)]
     if len(named) > MOST_NAMES:
-        return [too_many_causes(contest.posterior, named)]
+        return [unexplained_torque(contest.posterior)]
     # Explanations of later rounds only fit what the first ``MOST_NAMES`` leave unexplained.
     return name_causes(contest.posterior, rounds[:MOST_NAMES])
 
@@ -537,33 +534,13 @@ def stretch_of_misfit(posterior: Posterior) -> str:
     return f", most of it from {time[0]:.3g} s to {time[-1]:.3g} s"
 
 
-def too_many_causes(base: Posterior, named: Sequence[Finding]) -> Finding:
-    """Return the finding that it takes more explanations at once than are likely to fit a log.
-
-    Args:
-        base: posterior of the base model.
-        named: findings on the log's explanations, which the text lists by check.
-    """
-    share = percent(misfit(base))
-    count = len(named)
-    names = ", ".join(cause.name for cause in named)
-    text = (
-        f"{share} of the torque is explained by no single cause: it would take {count} at once "
-        f"({names}); is the model of this arm, with what is fixed to its links?"
-    )
-    return Finding("unexplained", Level.WARN, text)
-
-
 def implausible_links(posterior: Posterior) -> Finding:
     """Return the finding that the estimated links are implausible for this arm."""
     mass, error = last_mass(posterior)
     arm = posterior.model.log.robot.mass
-    differences = np.sqrt(strain(posterior) / TYPICAL_STRAIN)
     text = (
         f"to fit this log, the terminal link would have {with_error(mass, error, 'kg')} on an arm "
-        f"of {arm:.3g} kg, and the other links {differences:.1f} times the usual "
-        "differences from the model: is the model of this arm, and its base mounted as the model "
-        "says? Where torques are currents of unknown scale, weigh a known mass with robot-sysid "
-        "payload --known-mass and pass its file as --torque-scale"
+        f"of {arm:.3g} kg, or other links far from the model's: is the model of this arm, and its "
+        "base mounted as the model says?"
     )
     return Finding("model", Level.WARN, text)

@@ -37,22 +37,12 @@ from robot_sysid.signals.process import (
 )
 from robot_sysid.signals.resampling import sampling_period, slice_samples
 
-SHORTEST = 1.0
-"""Length of a log below which no arm does anything worth fitting [s]."""
 ROWS = 40
 """Least number of independent samples per joint, for ten parameters and the joint's friction."""
 SLOWEST_RATE = 10.0
 """Sampling rate below which a motion cannot be differentiated [Hz]."""
 SLOWEST = 0.05
 """Speed that at least one joint has to reach [rad/s]."""
-
-
-def length_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
-    """Yield a finding where the pieces of a log together are shorter than ``SHORTEST``."""
-    span = _length(pieces)
-    if span < SHORTEST:
-        text = f"the log is {span:.2g} s long, too short; record ten seconds or more"
-        yield Finding("too-little", Level.REFUSE, text)
 
 
 def _length(pieces: Sequence[Measurement]) -> float:
@@ -158,61 +148,35 @@ WRONG_TIME = 0.03
 """Relative error of the time stamps above which a log is refused: correct logs have 0.001, a log
 whose velocities pass a low-pass of 3 Hz has 0.028."""
 OTHER = 0.5
-"""Relative difference above which recorded velocities are not the derivatives of the positions."""
+"""Relative difference above which the velocities are of another motion, or in another unit."""
 ALIKE = 0.02
 """Largest difference between joints in the relative error of the time stamps."""
 
 
-def velocity_findings(
-    pieces: Sequence[Measurement], joint_names: Sequence[str]
-) -> Iterator[Finding]:
-    """Yield findings where recorded velocities are not the derivatives of the positions.
+def velocity_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
+    """Yield a finding where recorded velocities are a factor times the derivatives of positions.
 
-    A factor that all joints have in common is an error of the time stamps, and refuses the log.
-    Differences of single joints make a note. Pieces without velocities are left out.
+    A factor that all joints have in common is an error of the time stamps. Pieces without
+    velocities are left out.
 
     The displacements p of a joint by its positions and v by its velocities are compared by the sums
-    p.p, p.v and v.v over all windows of time. The velocities are p.v / p.p times the derivatives.
+    p.p and p.v over all windows of time. The velocities are p.v / p.p times the derivatives.
     """
     recordings = [piece for piece in pieces if piece.qd is not None]
     if not recordings:
         return
-    products = np.array([_products(recordings, k) for k in range(len(joint_names))])
+    n_joints = recordings[0].q.shape[1]
+    products = np.array([_products(recordings, k) for k in range(n_joints)])
     largest = np.max(products[:, 0, 0], initial=0.0)
-    # Joints that move enough, with a tenth of the largest displacement; pp to is_other_motion have
-    # one element for each of these.
-    moving = np.flatnonzero(products[:, 0, 0] > 0.01 * largest)
-    pp = products[moving, 0, 0]
-    pv = products[moving, 1, 0]
-    vv = products[moving, 1, 1]
-    ratios = pv / pp
+    # Joints that move enough, with a tenth of the largest displacement.
+    moving = products[products[:, 0, 0] > 0.01 * largest]
+    ratios = moving[:, 1, 0] / moving[:, 0, 0]
     share = float(np.median(ratios)) - 1.0 if len(ratios) else 0.0
     if WRONG_TIME < abs(share) < OTHER and np.ptp(ratios) < ALIKE:
         text = f"by the recorded velocities, time in the log is {100.0 * abs(share):.2g} % too "
         text += f"{'long' if share > 0.0 else 'short'}; record the controller's own time stamps, "
         text += f"or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
         yield Finding("clock", Level.REFUSE, text)
-    # |v - p|^2 is large beside |p|^2.
-    is_off = vv - 2.0 * pv + pp > OTHER**2 * pp
-    # |v - ratio p|^2, which no multiple of p explains, is large beside |v|^2.
-    is_other_motion = vv - ratios * pv > OTHER**2 * vv
-    descriptions = []
-    for k in np.flatnonzero(is_off):
-        ratio = f"{ratios[k]:.3g} times that"
-        motion = "another motion" if is_other_motion[k] else ratio
-        descriptions.append(f"{joint_names[moving[k]]} {motion}")
-    if not descriptions:
-        return
-    name = "angle-unit"
-    if np.any(is_other_motion[is_off]):
-        name = "order"
-    elif np.any(ratios[is_off] < 0.0):
-        name = "sign"
-    text = (
-        f"recorded velocities are not how positions change ({', '.join(descriptions)}); nothing is "
-        "made from them, but look which column is wrong, and name it with --columns FILE"
-    )
-    yield Finding(name, Level.NOTE, text)
 
 
 def _products(pieces: Sequence[Measurement], joint: int) -> Array:
@@ -438,8 +402,7 @@ def check_against_model(
         InputError: the log is too short to be looked at.
     """
     options = options or EstimationOptions()
-    raw = [*length_findings(pieces), *clock_findings(pieces)]
-    raw += velocity_findings(pieces, robot.joint_names)
+    raw = [*clock_findings(pieces), *velocity_findings(pieces)]
     raw += sensor_findings(pieces, robot.joint_names)
     if any(finding.level is Level.REFUSE for finding in raw):
         return tuple(raw)
@@ -507,11 +470,6 @@ def check_log(
             robot, log.pieces, options, links_known, log.torque_scale
         )
     log_findings = tuple(f for f in log_findings if f.name in checks)
-    if options is not None and (options.cutoff or 0.0) > CUTOFF_HZ:
-        progress.note(
-            f"{log.path} is checked for faults below {CUTOFF_HZ:g} Hz only; the estimate has the "
-            f"cut-off of {options.cutoff:g} Hz"
-        )
     for finding in log_findings:
         is_accepted = finding.level is Level.WARN and finding.name in accepted
         # All other findings forbid an estimate, and become the error below.
@@ -544,7 +502,7 @@ def require_acceptable(
     if refused:
         # A remedy is none where something else is wrong as well.
         if len(refused) == 1:
-            raise refuse_for(log, refused[0], findings)
+            raise refuse_for(log, refused[0])
         raise InputError(f"{log.path}: {'; '.join(f.text for f in refused)}")
     if warned:
         texts = "; ".join(finding.text for finding in warned)

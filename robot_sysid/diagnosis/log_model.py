@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -126,7 +126,7 @@ class LogModel:
         self.right_sides = self._transform_right_sides(log)
         no_columns = np.zeros((len(log.torque), 0))
         self.explained: tuple[Array, ...] = (no_columns,) * len(self.rows)
-        self._determinants = np.linalg.slogdet(np.array(prior.precisions))[1]
+        self._determinant = float(np.linalg.slogdet(prior.precision)[1])
 
     def transform(self, joint: int, rows: Array) -> Array:
         """Return rows (K, m) of the joint with index ``joint``, transformed by frequency (K, m).
@@ -221,11 +221,7 @@ class LogModel:
         return posterior
 
     def at_noise(self, noise: Array) -> Posterior:
-        """Return the posterior under noise of given variances (K, n) [N^2 m^2].
-
-        The prior is a mixture of normal priors, one for each of ``prior.precisions``. The log
-        evidence is that of the mixture; all other fields are those under its likeliest component.
-        """
+        """Return the posterior under noise of given variances (K, n) [N^2 m^2]."""
         size = len(self.prior.estimated)
         total = size + self.explained[0].shape[1]
         # A' S^-1 A and A' S^-1 b of all rows A and right-hand sides b, with noise variances S.
@@ -236,32 +232,23 @@ class LogModel:
             weighted = rows / noise[:, joint, None]
             normal[np.ix_(indices, indices)] += rows.T @ weighted
             pull[indices] += self.right_sides[:, joint] @ weighted
-        posteriors = []
         # Log determinant of the noise. The transform mixes used rows with zeros, so the sum over
         # all frequencies is scaled by the share of rows that are used.
         used_share = self.count / len(self.right_sides)
         noise_size = float(used_share @ np.sum(np.log(2.0 * np.pi * noise), axis=0))
-        for precision, determinant in zip(self.prior.precisions, self._determinants):
-            prior_precision = np.eye(total)
-            prior_precision[:size, :size] = precision
-            inverse = normal + prior_precision
-            covariance, inverse_determinant = _invert(inverse)
-            mean = np.asarray(covariance @ pull)
-            residual = self.right_sides.copy()
-            for joint, (indices, rows) in enumerate(equations):
-                residual[:, joint] -= rows @ mean[indices]
-            # Computed from residuals: the difference of large sums would lose digits.
-            squares = float(np.sum(residual**2 / noise) + mean @ prior_precision @ mean)
-            # log |I + P A' S^-1 A|, with prior covariance P.
-            occam = inverse_determinant - determinant
-            evidence = float(-0.5 * (squares + occam + noise_size))
-            posteriors.append(
-                Posterior(self, evidence, mean, covariance, noise, residual)
-            )
-        evidences = [posterior.log_evidence for posterior in posteriors]
-        average = np.logaddexp.reduce(evidences) - np.log(len(evidences))
-        best = posteriors[int(np.argmax(evidences))]
-        return replace(best, log_evidence=float(average))
+        prior_precision = np.eye(total)
+        prior_precision[:size, :size] = self.prior.precision
+        covariance, inverse_determinant = _invert(normal + prior_precision)
+        mean = np.asarray(covariance @ pull)
+        residual = self.right_sides.copy()
+        for joint, (indices, rows) in enumerate(equations):
+            residual[:, joint] -= rows @ mean[indices]
+        # Computed from residuals: the difference of large sums would lose digits.
+        squares = float(np.sum(residual**2 / noise) + mean @ prior_precision @ mean)
+        # log |I + P A' S^-1 A|, with prior covariance P.
+        occam = inverse_determinant - self._determinant
+        evidence = -0.5 * (squares + occam + noise_size)
+        return Posterior(self, evidence, mean, covariance, noise, residual)
 
     def gain_of_torque(self, log: LogRows, posterior: Posterior) -> float:
         """Return the gain in log marginal likelihood [nats] of another log's torques over these.

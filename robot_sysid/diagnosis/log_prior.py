@@ -1,4 +1,4 @@
-"""The prior of a log without faults: the estimate's, with a wider last link and more friction.
+"""The prior of a log without faults: the estimate's, with wider links and more friction.
 
 Throughout, n is the number of joints, p that of parameters, k that of estimated parameters. The
 typical torque of a joint is ``LogRows.typical_torque``.
@@ -19,14 +19,14 @@ from robot_sysid.dynamics.spatial import (
     characteristic_length,
     parameter_scale,
 )
-from robot_sysid.estimation.algebra.priors import EXPECTED, NuisanceGroup
+from robot_sysid.estimation.algebra.priors import EXPECTED
 from robot_sysid.estimation.choices import WITH_ALL
 from robot_sysid.estimation.question import Choice, EstimationOptions, Priors, Question
 from robot_sysid.estimation.unknowns import build_unknowns
 from robot_sysid.records import DELAY_NAME, Array
 
-LINK_SCALES = (replace(EXPECTED, mass=2.0), replace(EXPECTED, mass=6.0))
-"""Scales of the prior of all links but the last one, over which the evidence is averaged."""
+LINK_SCALES = replace(EXPECTED, mass=6.0)
+"""Scales of the prior of all links but the last one."""
 PAYLOAD = 0.3
 """Prior standard deviation of the last link's mass, as a share of the arm's mass."""
 REACH = 0.15
@@ -62,20 +62,19 @@ larger delay is worth a finding."""
 
 @dataclass(frozen=True)
 class Prior:
-    """The prior of a log's parameters: a mixture of normal priors with different widths for links.
+    """The normal prior of a log's parameters.
 
     Attributes:
         estimated: (k,) indices of the estimated parameters, ascending.
         mean: (p,) prior means, and values of the parameters that are not estimated.
         spread: (k,) prior standard deviations.
-        precisions: inverse covariances (k, k) in units of ``spread``, one per scale of the links'
-            prior.
+        precision: (k, k) inverse covariance in units of ``spread``.
     """
 
     estimated: NDArray[np.int64]
     mean: Array
     spread: Array
-    precisions: tuple[Array, ...]
+    precision: Array
 
     def positions(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the positions (m,) in ``estimated`` of parameters with given indices (m,).
@@ -107,38 +106,30 @@ def base_prior(log: LogRows, options: EstimationOptions) -> Prior:
     options = replace(options, priors=priors)
     friction = (friction_model(WITH_ALL),) * log.robot.n_joints
     nonzero = np.ones(len(columns.names), dtype=bool)
-    # For each scale of the links' prior: groups of parameters, each with one cause of error.
-    mixture: list[tuple[NuisanceGroup, ...]] = []
-    for link_scales in LINK_SCALES:
-        choice = Choice(friction, link_scales=link_scales)
-        unknowns = build_unknowns(
-            columns, Question(options), choice, log.typical_torque, nonzero
-        )
-        mixture.append(unknowns.groups)
-        for group in unknowns.groups:
-            at = columns.indices(group.names)
-            mean[at] = group.mean
-            # The group's prior covariance is factor times its transpose.
-            sizes = np.sqrt(np.sum(group.factor**2, axis=1))
-            spread[at] = np.maximum(spread[at], sizes)
-    # The same parameters are unknown with every scale. Those of tilt and delay are unknown if the
-    # estimate is asked to find them.
+    choice = Choice(friction, link_scales=LINK_SCALES)
+    unknowns = build_unknowns(
+        columns, Question(options), choice, log.typical_torque, nonzero
+    )
+    for group in unknowns.groups:
+        at = columns.indices(group.names)
+        mean[at] = group.mean
+        # The group's prior covariance is factor times its transpose.
+        sizes = np.sqrt(np.sum(group.factor**2, axis=1))
+        spread[at] = np.maximum(spread[at], sizes)
+    # Tilt and delay are unknown if the estimate is asked to find them.
     wide = {**dict.fromkeys(TILT_NAMES, WIDE_TILT), DELAY_NAME: WIDE_DELAY}
     for name in set(wide) & set(unknowns.increments):
         spread[columns.index[name]] = wide[name]
 
     estimated = np.flatnonzero(spread)
-    precisions = []
-    for groups in mixture:
-        # Parameters without a group are independent, with a variance of one in these units.
-        precision = np.eye(len(estimated))
-        for group in groups:
-            indices = columns.indices(group.names)
-            at = np.searchsorted(estimated, indices)
-            scaled = group.factor / spread[indices, None]
-            precision[np.ix_(at, at)] = np.linalg.inv(scaled @ scaled.T)
-        precisions.append(precision)
-    return Prior(estimated, mean, spread[estimated], tuple(precisions))
+    # Parameters without a group are independent, with a variance of one in these units.
+    precision = np.eye(len(estimated))
+    for group in unknowns.groups:
+        indices = columns.indices(group.names)
+        at = np.searchsorted(estimated, indices)
+        scaled = group.factor / spread[indices, None]
+        precision[np.ix_(at, at)] = np.linalg.inv(scaled @ scaled.T)
+    return Prior(estimated, mean, spread[estimated], precision)
 
 
 def _plain_spread(log: LogRows) -> Array:

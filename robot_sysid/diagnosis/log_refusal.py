@@ -19,21 +19,12 @@ _PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
 """Titles that no columns file takes for a number, a factor, a key or a comment."""
 
 
-def refuse_for(
-    log: MeasurementLog, finding: Finding, findings: Sequence[Finding]
-) -> InputError:
-    """Return the error that refuses a log for a finding; ColumnsError where columns are wrong.
-
-    ``findings`` are all of the log.
-    """
+def refuse_for(log: MeasurementLog, finding: Finding) -> InputError:
+    """Return the error that refuses a log for a finding; ColumnsError where columns are wrong."""
     text = f"{log.path}: {finding.text}"
     payload_options = finding.payload_options
     if finding.correction is not None:
-        # Recorded velocities that are not how positions change have other columns than these.
-        same_checks = [other for other in findings if other.name == finding.name]
-        lines = _corrected_lines(
-            log.columns, finding.correction, with_velocity=len(same_checks) == 1
-        )
+        lines = _corrected_lines(log.columns, finding.correction)
         if lines:
             reason = text.removesuffix(COLUMNS_ADVICE)
             draft = _add_lines(log.options.columns, lines, reason)
@@ -53,7 +44,7 @@ def refuse_for(
 
 
 def _corrected_lines(
-    columns: ColumnMap, correction: ColumnCorrection, with_velocity: bool
+    columns: ColumnMap, correction: ColumnCorrection
 ) -> dict[str, str]:
     """Return key to value of the lines of a columns file that put columns right.
 
@@ -62,13 +53,13 @@ def _corrected_lines(
 
     Args:
         columns: the columns that the log was read with.
-        correction: of these columns.
-        with_velocity: whether velocities, where they are recorded, are corrected like positions.
+        correction: of these columns; velocities, where they are recorded, are corrected like
+            positions.
     """
     if columns.commanded or columns.joint_time:
         return {}
     groups = {name: getattr(columns, name) for name in correction.quantities}
-    if "position" in groups and with_velocity and columns.velocity:
+    if "position" in groups and columns.velocity:
         groups["velocity"] = columns.velocity
     lines = {}
     for quantity, group in groups.items():

@@ -35,8 +35,7 @@ def last_mass(posterior: Posterior) -> tuple[float, float]:
 def strain(posterior: Posterior) -> float:
     """Return the squared deviation d' P^-1 d of all links but the last one from the model.
 
-    d are the deviations of their parameters and P is the prior covariance of d. Of the priors of
-    different widths, the one with the smallest result counts.
+    d are the deviations of their parameters and P is the prior covariance of d.
     """
     log = posterior.model.log
     prior = posterior.model.prior
@@ -45,11 +44,7 @@ def strain(posterior: Posterior) -> float:
         names += link_names(log.robot, link)
     at = prior.positions(log.columns.indices(names))
     deviations = posterior.coefficients[at]
-    squares = []
-    for precision in prior.precisions:
-        links_precision = precision[np.ix_(at, at)]
-        squares.append(float(deviations @ links_precision @ deviations))
-    return min(squares)
+    return float(deviations @ prior.precision[np.ix_(at, at)] @ deviations)
 
 
 def is_plausible(posterior: Posterior) -> bool:

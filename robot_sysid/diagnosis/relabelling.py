@@ -66,8 +66,6 @@ _SAME_WAY = 0.9
 _SAME = 1.35
 # Largest ratio between a torque scale and the factor of a unit that explains it.
 _CLOSE = 1.25
-# Torque at the joint per ampere of its motor, at least and at most [N m/A]: a UR10e's is 10 to 12.
-_PER_AMPERE = (2.0, 25.0)
 # Prior standard deviation of the logarithm of a scale that all joints share.
 _COMMON_RANGE = 4.0
 # Prior standard deviation of the logarithm of a joint's scale over the common one.
@@ -538,39 +536,23 @@ def _meaning(typical: float, spread: float, error: float, divided: Array) -> str
         error: relative standard error of the common scale.
         divided: (n,) torque scales by which the torques were divided already.
     """
-    remedy = "if the model is this arm's, pass --torque-scale"
     if spread > _SAME:
-        factors = "a factor of its own for every joint, as "
-        if typical < 0.5:
-            return (
-                f"{factors}motor currents in amperes have, or the model of another arm; "
-                f"{WEIGHING}"
-            )
-        for_joints = (
-            "per joint" if np.all(divided == 1.0) else "per joint, times the one given"
-        )
         return (
-            f"{factors}uncalibrated currents or per cent of rated torque have, or the model of "
-            f"another arm; {remedy} {for_joints}: the file of robot-sysid payload --known-mass"
+            "a factor of its own for every joint, as motor currents or per cent of rated torque "
+            f"have, or the model of another arm; {WEIGHING}"
         )
-    nearest = _unit_near(typical, error)
-    if nearest is not None:
-        return f"as in {UNITS[nearest]}; {remedy} {_scale_text(nearest, divided)}"
-    if _PER_AMPERE[0] < 1.0 / typical < _PER_AMPERE[1]:
-        return "as motor currents in amperes have; give N·m per ampere with --torque-constants"
-    if 1.0 / 200.0 < typical < 1.0 / _PER_AMPERE[1]:
-        return (
-            f"as on the motor's side of a gear of 1:{1.0 / typical:.0f}, or in amperes; give the "
-            f"ratio as --torque-scale {_scale_text(typical, divided)}, or --torque-constants"
-        )
-    value = _scale_text(typical, divided, ".3g")
-    return f"another scale, or the model of another arm; {remedy} {value}"
+    unit = _unit_near(typical, error)
+    cause = "motor currents, torques before the gear, or the model of another arm"
+    if unit is not None:
+        cause = UNITS[unit]
+    value = _scale_text(unit or typical, divided)
+    return f"as in {cause}; if the model is this arm's, pass --torque-scale {value}"
 
 
-def _scale_text(scale: float, divided: Array, digits: str = ".4g") -> str:
+def _scale_text(scale: float, divided: Array) -> str:
     """Return the value of --torque-scale: a further scale times those in use already.
 
     ``divided`` (n,) are the scales in use; the value is one number where all joints have the same.
     """
     scales = divided[:1] if np.ptp(divided) == 0.0 else divided
-    return ",".join(format(value, digits) for value in (scale * scales).tolist())
+    return ",".join(format(value, ".4g") for value in (scale * scales).tolist())

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding, Level
+from robot_sysid.diagnosis import ColumnCorrection, Finding, Level
 from robot_sysid.diagnosis.log_rows import LOADED, LogRows, rms
 from robot_sysid.records import Array
 
@@ -36,10 +36,6 @@ WEIGHING = (
     "1 kg (of another mass, state it), record a motion called weight, and compare"
 )
 """What to do where torques are motor currents; the command that compares follows the message."""
-_SINGLE_UNITS = {1000.0: "mN·m", 100.0: "N·cm"}
-"""Units of torque that one joint alone has, by their number in a newton metre."""
-_CLOSE = 2.0
-"""Largest ratio between a joint's odd factor and the unit that explains it: friction adds to it."""
 # Model torque below which a joint's torque is mostly friction, over that of the strongest joint.
 _LEAST_LOAD = 0.03
 # Least weight of a joint [N m] or [N], far below any that matters.
@@ -64,21 +60,13 @@ def odd_unit_finding(log: LogRows) -> Finding | None:
     # A torque without gravity has a share of the model's at joints that carry weight.
     if factor < ODD_UNIT or typical_scale(log) < SMALL:
         return None
-    joint_names = log.robot.joint_names
-    name = joint_names[joint]
-    text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more"
-    unit = min(_SINGLE_UNITS, key=lambda number: abs(np.log(factor / number)))
+    name = log.robot.joint_names[joint]
     # Of a joint that the links hardly load, the factor is only a lower bound.
-    is_loaded = log.model_torque[joint] > _LEAST_LOAD * np.max(log.model_torque)
-    if not is_loaded or abs(np.log(factor / unit)) > np.log(_CLOSE):
-        text += ": as in mN·m or N·cm; put it right with --columns FILE: "
-        text += f"torque.{name} = 0.001 * TITLE"
-        return Finding("torque-scale", Level.REFUSE, text)
-    factors = np.ones(len(ratio))
-    factors[joint] = 1.0 / unit
-    correction = ColumnCorrection.of_factors(("torque",), joint_names, factors)
-    text += f": as in {_SINGLE_UNITS[unit]}{COLUMNS_ADVICE}"
-    return Finding("torque-scale", Level.REFUSE, text, correction=correction)
+    text = (
+        f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in mN·m or "
+        f"N·cm; put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
+    )
+    return Finding("torque-scale", Level.REFUSE, text)
 
 
 def foreign_unit_finding(log: LogRows, divided: Array) -> Finding | None:

@@ -58,12 +58,11 @@ def test_friction_that_a_model_overstates_hides_and_feigns_no_fault(damping):
     assert finding.text.startswith("joints joint1 and joint2 are exchanged in the pos")
 
 
-@pytest.mark.parametrize("stribeck_speed", [0.02, 0.035, 0.1])
-@pytest.mark.parametrize("crosses", [True, False])
+@pytest.mark.parametrize("stribeck_speed", [0.02, 0.1])
 def test_friction_of_a_joint_that_dwells_once_is_no_contact(
-    four_joints, stribeck_speed, crosses
+    four_joints, stribeck_speed
 ):
-    """The last joint's speed is flat where it crosses zero, or exceeds zero for a moment only."""
+    """The last joint's speed exceeds zero for a moment only."""
     robot = four_joints.robot
     time = np.arange(7500) / 250.0
     since_dwell = time - 15.3
@@ -71,13 +70,8 @@ def test_friction_of_a_joint_that_dwells_once_is_no_contact(
     other_rate = np.array([1.7, 1.9, 0.9, 1.5])
     # Each speed is a sum of two sines; that of the last joint is nearly zero at the dwell.
     sizes = np.array([0.3, 0.4, 0.3, 0.3])
-    shift = np.array([0.4, 1.0, 0.2, 0.0])
-    if crosses:
-        sizes[3] = 0.6
-        other_sizes = -sizes * rate / other_rate
-    else:
-        shift[3] = np.pi / 2.0
-        other_sizes = -1.01 * sizes
+    shift = np.array([0.4, 1.0, 0.2, np.pi / 2.0])
+    other_sizes = -1.01 * sizes
     qd = np.zeros((len(time), 4))
     q = np.zeros_like(qd)
     qdd = np.zeros_like(qd)

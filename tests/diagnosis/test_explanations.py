@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from benchmarks.confusion_causes import resting_torque
-from robot_sysid.diagnosis.base_fit import BaseFit
-from robot_sysid.diagnosis.explanations import torque_scales
 from robot_sysid.diagnosis.log_checks import check_against_model
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
@@ -213,12 +211,3 @@ def test_torque_scales_or_a_tilted_base_are_no_fault_of_the_clock(
     log = replace(truth.log, tau=(truth.log.tau + torque) * scales)
     findings = check_against_model(truth.robot, [log])
     assert {finding.name for finding in findings} <= {"torque-scale", "tilt"}, findings
-
-
-def test_a_joint_name_with_braces_is_printed_as_it_is(contest):
-    fit = BaseFit(contest.posterior, contest.signals, trusted=True)
-    names = ("shoulder{1}", *fit.robot.joint_names[1:])
-    fit.robot = replace(fit.robot, joint_names=names)
-    scale = next(torque_scales(fit))
-    text = scale.describe(np.zeros(1), np.zeros(1))
-    assert text.startswith("torque of joint shoulder{1} reads 1 times")

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robot_sysid.diagnosis.log_rows import rms
-
 
 def test_the_evidence_is_that_of_a_normal_distribution(contest):
     """Against the dense covariance of all rows of one joint after another."""
@@ -21,15 +19,12 @@ def test_the_evidence_is_that_of_a_normal_distribution(contest):
     share_used = np.repeat(base.count / n_rows, n_rows)
     variance = noise.T.ravel()
     right_side = base.right_sides.T.ravel()
-    log_likelihoods = []
-    for precision in base.prior.precisions:
-        prior_covariance = matrix @ np.linalg.solve(precision, matrix.T)
-        covariance = prior_covariance + np.diag(variance)
-        exponent = right_side @ np.linalg.solve(covariance, right_side)
-        log_determinant = np.linalg.slogdet(covariance)[1] - np.sum(np.log(variance))
-        log_determinant += np.sum(share_used * np.log(2.0 * np.pi * variance))
-        log_likelihoods.append(-0.5 * (exponent + log_determinant))
-    expected = np.logaddexp.reduce(log_likelihoods) - np.log(len(log_likelihoods))
+    prior_covariance = matrix @ np.linalg.solve(base.prior.precision, matrix.T)
+    covariance = prior_covariance + np.diag(variance)
+    exponent = right_side @ np.linalg.solve(covariance, right_side)
+    log_determinant = np.linalg.slogdet(covariance)[1] - np.sum(np.log(variance))
+    log_determinant += np.sum(share_used * np.log(2.0 * np.pi * variance))
+    expected = -0.5 * (exponent + log_determinant)
     assert base.at_noise(noise).log_evidence == pytest.approx(expected, abs=1e-3)
 
 
@@ -41,14 +36,6 @@ def test_the_transform_keeps_the_norm_of_the_used_rows(contest):
         used = rows[model.log.used[:, joint]]
         squares = np.sum(transformed**2, axis=0)
         assert_allclose(squares, np.sum(used**2, axis=0))
-
-
-def test_zero_columns_do_not_change_the_evidence(contest):
-    model = contest.posterior.model
-    columns = [np.zeros((len(model.right_sides), 2))] * 5
-    posterior = model.with_columns(columns).at_noise(contest.posterior.noise)
-    expected = contest.posterior.log_evidence
-    assert posterior.log_evidence == pytest.approx(expected, abs=1e-6)
 
 
 def test_columns_so_large_that_rounding_hides_the_prior_leave_the_same_residual(
@@ -72,8 +59,3 @@ def test_right_sides_are_linear_in_the_torque(contest):
     zero = log.with_torque(0.0 * log.torque).right_sides
     double = log.with_torque(2.0 * log.torque).right_sides
     assert_allclose(double - zero, 2.0 * (log.right_sides - zero), atol=1e-9)
-
-
-def test_rms_is_that_of_each_column():
-    values = np.array([[3.0, 0.0], [-3.0, 2.0]])
-    assert_allclose(rms(values), [3.0, np.sqrt(2.0)])

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from robot_sysid.diagnosis import ColumnCorrection, Finding, Level
+from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import relabellings
 from robot_sysid.errors import ColumnsError
@@ -38,7 +38,7 @@ def columns_of(titles, text):
     )
 
 
-def refusal(titles, correction, folder, text="", others=(), payload=(), **attributes):
+def refusal(titles, correction, folder, text="", payload=(), **attributes):
     """Return the error that refuses a log which was read with a columns file of this text.
 
     ``payload`` are options of that command.
@@ -54,7 +54,7 @@ def refusal(titles, correction, folder, text="", others=(), payload=(), **attrib
     finding = Finding(
         "order", Level.REFUSE, "it is wrong", payload, correction=correction
     )
-    return refuse_for(log, finding, [finding, *others])
+    return refuse_for(log, finding)
 
 
 def signals(columns, quantity):
@@ -81,30 +81,6 @@ def test_the_file_corrects_what_was_read(
         if source in correction.quantities:
             expected = correction.apply(expected)
         np.testing.assert_allclose([signals(after, quantity)], expected)
-
-
-def test_a_title_is_named_and_another_one_is_numbered(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    correction = ColumnCorrection(("torque",), NAMES, (0, 1, 2), (1.0, -1.0, 0.001))
-    plain = refusal(PLAIN, correction, tmp_path).draft.splitlines()
-    assert plain[1:] == [
-        "torque.joint1 = -joint1 torque",
-        "torque.joint2 = 0.001 * joint2 torque",
-    ]
-    numbered = refusal(NUMBERS, correction, tmp_path, FILE).draft.splitlines()
-    assert numbered[-2:] == ["torque.joint1 = -0.5 * #9", "torque.joint2 = 0.001 * #10"]
-    assert "torque.joint1 = 0.5 * #9" not in numbered
-    assert numbered[:2] == ["# mine", "time = #1"]
-
-
-def test_velocities_that_contradict_the_positions_stay_as_they_are(
-    tmp_path, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    other = Finding("order", Level.NOTE, "velocities are of another motion")
-    correction = ColumnCorrection(("position",), NAMES, (1, 0, 2), (1.0, 1.0, 1.0))
-    draft = refusal(PLAIN, correction, tmp_path, others=[other]).draft
-    assert "position.joint0" in draft and "velocity" not in draft
 
 
 def test_a_file_of_another_text_is_not_suggested(tmp_path, monkeypatch):
@@ -138,5 +114,5 @@ def test_an_option_is_suggested_that_no_title_contradicts(is_declared):
     )
     option = ("--units", "deg")
     finding = Finding("angle-unit", Level.REFUSE, "degrees", options=option)
-    error = refuse_for(log, finding, [finding])
+    error = refuse_for(log, finding)
     assert error.options == (() if is_declared else (option,))
