@@ -24,9 +24,9 @@ BUDGETS = {
     "robot_sysid/estimation": 51260,
     "robot_sysid/logs": 21928,
     "robot_sysid/mjcf": 9025,
-    "robot_sysid/model": 11071,
-    "robot_sysid/motion": 29484,
-    "robot_sysid/pipeline": 6875,
+    "robot_sysid/model": 10833,
+    "robot_sysid/motion": 28589,
+    "robot_sysid/pipeline": 6829,
     "robot_sysid/records": 9143,
     "robot_sysid/report": 8319,
     "robot_sysid/results": 16698,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 9166,
     "robot_sysid/simulation": 5606,
     "robot_sysid": 12282,
-    "tests": 271369,
+    "tests": 268943,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +14,7 @@ from robot_sysid.records import Motion
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms
-from tests.support.arms import SEEDS, random_chain, random_motion, robot_of
+from tests.support.arms import SEEDS, random_motion, robot_of
 
 NAMES = ("seven", "dry friction", "springs")
 PLAIN = {name: robot_of(arms.MODELS[name]) for name in NAMES}
@@ -30,28 +29,6 @@ def random_chunk(robot, seed, samples=5):
 def simulated(robot, motion):
     (measurement,) = simulate_inverse(robot, [motion])
     return measurement
-
-
-@pytest.mark.slow
-@given(random_chain(), SEEDS)
-def test_torques_are_mass_matrix_times_acceleration_plus_bias(xml, seed):
-    robot = robot_of(xml)
-    motion = random_chunk(robot, seed, 1)
-    model = robot.mj_model
-    at_v = robot.dof_index
-    data = mujoco.MjData(model)
-    data.qpos[:] = robot.reference_qpos
-    data.qpos[robot.qpos_index] = motion.q[0]
-    data.qvel[at_v] = motion.qd[0]
-    mujoco.mj_forward(model, data)
-    acceleration = np.zeros(model.nv)
-    inertial = np.zeros(model.nv)
-    acceleration[at_v] = motion.qdd[0]
-    mujoco.mj_mulM(model, data, inertial, acceleration)
-    expected = (inertial + data.qfrc_bias)[at_v]
-    scale = np.max(np.abs(inertial)) + np.max(np.abs(data.qfrc_bias))
-    tau = simulated(robot, motion).tau[0]
-    np.testing.assert_allclose(tau, expected, rtol=0.0, atol=1e-12 * (scale + 1.0))
 
 
 @given(st.sampled_from(sorted(PLAIN)), SEEDS)

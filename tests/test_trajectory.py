@@ -118,15 +118,3 @@ def test_sample_times_do_not_depend_on_the_chunk(duration, rate, chunk):
     assert times[0] == 0.0
     assert duration - 1.0 / rate < times[-1] <= duration
     assert np.all(np.diff(times) > 0.0)
-
-
-def test_a_joint_whose_weight_exceeds_its_limit_is_named():
-    """The other joints still move."""
-    limits = replace(THREE.limits, torque=np.array([50.0, 1.0, 50.0]))
-    robot = replace(THREE, limits=limits)
-    reference = robot.reference_qpos.copy()
-    reference[1] = 1.2
-    robot = replace(robot, reference_qpos=reference)
-    plan, notes = excitation(robot, 0, 15.0, ArmTorque(robot))
-    assert any("joint joint1;" in note and "smallest motion" in note for note in notes)
-    assert np.max(np.abs(dense(plan).q - plan.center)) > 0.1

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from robot_sysid.estimation.algebra import consistent_bodies
-from robot_sysid.motion import ExcitationOptions
+from robot_sysid.motion.design import Design
 from robot_sysid.parser import load_robot_model
 from tests.support import arms
 from tests.support.driver_logs import (
@@ -55,10 +55,13 @@ def folder(tmp_path, monkeypatch):
 def short_search(monkeypatch):
     """Plans are hardly searched for: only what is printed counts."""
 
-    def shortened(self, count):
-        return replace(self, draws=3, starts=1, rounds=1, iterations=3, evaluations=30)
+    few = {"draws": 3, "starts": 1, "rounds": 1, "iterations": 3, "evaluations": 30}
+    whole = Design.__init__
 
-    monkeypatch.setattr(ExcitationOptions, "for_joints", shortened)
+    def shortened(self, problem, options, *others):
+        whole(self, problem, replace(options, **few), *others)
+
+    monkeypatch.setattr(Design, "__init__", shortened)
     monkeypatch.setattr(consistent_bodies, "_DRAWS", 24)
 
 

@@ -23,7 +23,7 @@ from robot_sysid.dynamics.equations import (
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.model.bodies import body_theta, composite_theta, find_new_contacts
+from robot_sysid.model.bodies import body_theta, composite_theta
 from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
@@ -36,7 +36,7 @@ from robot_sysid.trajectory import (
     generate_excitation_trajectory,
     motion_chunks,
 )
-from tests.support import arms
+from tests.support import arms, witness
 from tests.support.places import MODELS
 
 pytestmark = pytest.mark.skipif(
@@ -197,5 +197,5 @@ def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
     result = design_excitation(design, np.random.default_rng(1))
     assert result.limit_check.holds
     assert list(violations(robot, result.trajectory)) == []
-    assert find_new_contacts(robot, motion_chunks(result.trajectory, 1000.0)) == ()
+    assert witness.new_contacts(robot, result.trajectory, 1000.0) == set()
     assert result.objective < 0.8 * result.start_objective

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -26,7 +26,7 @@ from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.chain import body_label
-from robot_sysid.records import ArmLink, Array, Flange, Motion, RobotModel, SubtreeBody
+from robot_sysid.records import ArmLink, Array, Flange, RobotModel, SubtreeBody
 
 PLACEHOLDER = 1e-3
 """Share of the other links' median mass below which a body's inertia counts as a placeholder."""
@@ -334,8 +334,6 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
     return Flange(name, rotation, translation, robot.body_name, robot.body_id)
 
 
-CHECK_RATE_HZ = 40.0
-"""How often a trajectory is checked; at 2 rad/s and 0.5 m that is every 25 mm."""
 _POSITIONS = 7
 """Positions of each joint at which two bodies are tried for whether they can part."""
 _MAX_JOINTS_BETWEEN = 3
@@ -396,19 +394,30 @@ def adjacent_bodies(mj_model: Any) -> NDArray[np.bool_]:
     return np.asarray(carries | carries.T)
 
 
-class ContactFinder:
-    """Finds which bodies touch in a configuration; pairs are of body ids, the lower one first.
+def update_contacts(mj_model: Any, data: Any) -> None:
+    """Compute frames and contacts at the positions that ``data`` has, in place.
 
-    Attributes:
-        resting_pairs: pairs that touch in the robot's reference configuration.
+    ModelError where MuJoCo has too little memory for the contacts.
     """
+    mujoco.mj_kinematics(mj_model, data)
+    mujoco.mj_comPos(mj_model, data)
+    try:
+        mujoco.mj_collision(mj_model, data)
+    except mujoco.FatalError:
+        raise ModelError(
+            "so many parts of the model touch each other that MuJoCo's memory does not hold their "
+            'contacts; give it more with <size memory="1G"/>, or let fewer parts collide'
+        ) from None
+
+
+class ContactFinder:
+    """Finds which bodies touch by design; pairs are of body ids, the lower one first."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self._model: Any = robot.mj_model
         self._data = data_at_pose(self._model, robot.reference_qpos)
         self._joint_counts = count_moving_joints(robot)
-        self.resting_pairs = self._touching()
 
     def by_design(self, pairs: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
         """Return those of some touching pairs of body ids that touch by the model's design.
@@ -443,28 +452,9 @@ class ContactFinder:
                 return False
         return True
 
-    def new_pairs(self, q: Array) -> set[tuple[int, int]]:
-        """Return the pairs that touch at chain positions q (n,), but not in ``resting_pairs``.
-
-        Changes the configuration in ``self._data``.
-        """
-        self._data.qpos[self._robot.qpos_index] = q
-        return self._touching() - self.resting_pairs
-
     def _touching(self) -> set[tuple[int, int]]:
-        """Return the pairs that touch now, without those that the same chain joints move.
-
-        ModelError where MuJoCo has too little memory for the contacts.
-        """
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        try:
-            mujoco.mj_collision(self._model, self._data)
-        except mujoco.FatalError:
-            raise ModelError(
-                "so many parts of the model touch each other that MuJoCo's memory does not hold "
-                'their contacts; give it more with <size memory="1G"/>, or let fewer parts collide'
-            ) from None
+        """Return the pairs that touch now, without those that the same chain joints move."""
+        update_contacts(self._model, self._data)
         if not self._data.ncon:
             return set()
         geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
@@ -475,29 +465,3 @@ class ContactFinder:
         # Bodies that the same joints move keep their distance.
         moving = bodies[counts[:, 0] != counts[:, 1]]
         return set(map(tuple, moving.tolist()))
-
-
-def find_new_contacts(robot: RobotModel, motions: Iterable[Motion]) -> tuple[str, ...]:
-    """Return a sentence for each two bodies that collide at rest, or else along a motion.
-
-    ``motions`` are the pieces of that motion in the order of time; only the first contact of two
-    bodies is stated.
-    """
-    finder = ContactFinder(robot)
-    first_time: dict[tuple[int, int], float] = {}
-    for motion in motions:
-        for time, q in zip(motion.time, motion.q):
-            for pair in finder.new_pairs(q):
-                first_time.setdefault(pair, float(time))
-
-    def contact(pair: tuple[int, int], occasion: str) -> str:
-        """Return the sentence on a pair of bodies (ids)."""
-        first = body_label(robot.mj_model, pair[0])
-        second = body_label(robot.mj_model, pair[1])
-        return f"{first} and {second} touch at {occasion}"
-
-    resting = finder.resting_pairs - finder.by_design(finder.resting_pairs)
-    sentences = sorted(contact(pair, "rest") for pair in resting)
-    for pair, time in first_time.items():
-        sentences.append(contact(pair, f"{time:.2f} s"))
-    return tuple(sentences)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_sysid.errors import InputError
@@ -44,15 +44,6 @@ FEWEST_HARMONICS = 3
 LONGEST_PERIOD = 60.0
 """Longest period of a designed trajectory [s]; a longer trajectory repeats itself, so that the time
 of a search grows only in proportion to its duration."""
-USUAL_JOINTS = 10
-"""Number of joints above which a search is shortened (``ExcitationOptions.for_joints``)."""
-USUAL_EVALUATIONS = 400
-"""Number of evaluations of the objective in a long round of a search for ``USUAL_JOINTS`` joints; a
-search for more joints gets a share of it per round."""
-FEWEST_DRAWS = 5
-"""Least number of random trajectories in a shortened search."""
-FEWEST_EVALUATIONS = 20
-"""Least number of evaluations per round in a shortened search."""
 
 
 @dataclass(frozen=True)
@@ -262,25 +253,6 @@ class ExcitationOptions(OptionRecord):
         harmonics = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         fade = min(LONGEST_FADE, 0.25 * duration)
         return FourierBasis(duration, base, harmonics, fade)
-
-    def for_joints(self, count: int) -> ExcitationOptions:
-        """Return the options with fewer draws, starts, rounds and evaluations for an arm of more
-        than ``USUAL_JOINTS`` joints, so that a search takes about as long as for that number.
-
-        The time of an evaluation grows with the square of ``count``, the number of joints. Options
-        with a time budget are returned as they are, because the budget bounds the time.
-        """
-        share = min(1.0, (USUAL_JOINTS / count) ** 2)
-        if share == 1.0 or self.time_budget is not None:
-            return self
-        evaluations = round(share * USUAL_EVALUATIONS)
-        return replace(
-            self,
-            draws=max(min(FEWEST_DRAWS, self.draws), round(share * self.draws)),
-            starts=max(1, round(share * self.starts)),
-            rounds=max(min(2, self.rounds), round(share * self.rounds)),
-            evaluations=min(self.evaluations, max(FEWEST_EVALUATIONS, evaluations)),
-        )
 
 
 @dataclass(frozen=True)

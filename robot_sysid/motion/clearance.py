@@ -27,7 +27,12 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.dynamics.spatial import cross
-from robot_sysid.model.bodies import ContactFinder, count_moving_joints, joint_ranges
+from robot_sysid.model.bodies import (
+    ContactFinder,
+    count_moving_joints,
+    joint_ranges,
+    update_contacts,
+)
 from robot_sysid.model.chain import body_label
 from robot_sysid.motion import HalfSpace
 from robot_sysid.motion.solids import HalfSpaces, pass_filters
@@ -398,13 +403,6 @@ class Clearance:
             nearest.normal[index] = spaces.normals[space]
             nearest.point[index] = lowest[nearer, space]
             nearest.bodies[index] = 0, body
-
-
-def update_contacts(mj_model: Any, data: Any) -> None:
-    """Compute frames and contacts at the positions that ``data`` has, in place."""
-    mujoco.mj_kinematics(mj_model, data)
-    mujoco.mj_comPos(mj_model, data)
-    mujoco.mj_collision(mj_model, data)
 
 
 def _with_margin(mj_model: Any, margin: float) -> Any:

@@ -225,7 +225,7 @@ class Design:
     Attributes:
         problem: the arm and its limits.
         sample_rate: of the recording [Hz].
-        options: of the search, shortened for an arm with many joints.
+        options: of the search.
         basis: functions whose M free coefficients per joint are searched.
         unit: (M,) scale of each free coefficient for the optimiser [rad].
         grid: (N,) times at which constraints are computed [s].
@@ -246,7 +246,7 @@ class Design:
     ) -> None:
         self.problem = problem
         self.sample_rate = motion.sample_rate
-        self.options = options.for_joints(problem.n_joints)
+        self.options = options
         self.basis: FourierBasis = options.basis(motion.duration)
         top = self.basis.top_frequency_hz
         if top > 0.5 * motion.sample_rate:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -11,9 +10,8 @@ import numpy as np
 
 from robot_sysid import trajectory
 from robot_sysid.errors import InputError
-from robot_sysid.model.bodies import CHECK_RATE_HZ, find_new_contacts
 from robot_sysid.motion import WEIGHT, ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.records import Motion, MotionPlan, RobotModel
+from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import (
     PerJoint,
@@ -126,8 +124,6 @@ def make_plan(
     plan = checked.plan
     require_countable(plan.duration, options.sample_rate)
     if checked.problem is None:
-        for contact in find_new_contacts(robot, _motion_chunks(plan, progress)):
-            progress.note(f"{contact} along this trajectory; do not play it on the arm")
         return checked
     _require_checkable(plan.duration)
     if not request.is_designed:
@@ -306,13 +302,3 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     if request.poses.purpose == WEIGHT:
         problem = gentle_problem(problem)
     return startable(problem) if is_new else problem
-
-
-def _motion_chunks(plan: MotionPlan, progress: Progress) -> Iterator[Motion]:
-    """Yield the motion that is searched for contacts, and advance the progress after each chunk."""
-    count = trajectory.sample_count(plan.duration, CHECK_RATE_HZ)
-    n_chunks = math.ceil(count / trajectory.CHUNK)
-    chunks = trajectory.motion_chunks(plan, CHECK_RATE_HZ)
-    for n_done, motion in enumerate(chunks, start=1):
-        yield motion
-        progress.advance("Looking for contacts", n_done, n_chunks, "")

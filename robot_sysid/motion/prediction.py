@@ -16,18 +16,15 @@ from robot_sysid.estimation.algebra.identifiability import describe
 from robot_sysid.motion.information import Criterion, mass_and_centre_errors
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import LIMIT_NAMES, RESERVE_WORDS, ExcitationProblem
-from robot_sysid.motion.solids import swept_space, unguarded_text
+from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.static import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import PARAMETER_UNITS, Detail, percent, position_unit
-from robot_sysid.trajectory import spread_motion
 
 LARGE_SHARE = 0.2
 """Predicted standard error over the parameter's size above which the parameter is named."""
 _SAME_POSE = 1e-6
 """How near to the model's pose a start counts as that pose [rad or m]."""
-_MOST_POSTURES = 3000
-"""Largest number of postures from which the swept box is computed."""
 
 
 @dataclass(frozen=True)
@@ -107,20 +104,6 @@ def invisible_combinations(
     return tuple(describe(space, problem.scale, spatial.PARAMETER_NAMES))
 
 
-def plan_lines(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    check: LimitCheck,
-    prediction: Prediction,
-) -> Iterator[str]:
-    """Yield the lines that ``robot-sysid plan`` prints about a checked motion; a ``Detail`` is
-    printed on demand only.
-    """
-    yield from limit_lines(problem, plan, check)
-    yield from _error_lines(prediction)
-    yield from motion_lines(problem, plan, check)
-
-
 def limit_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
@@ -147,7 +130,7 @@ def limit_lines(
         yield "The reserve is for links known to the prior (--priors); better ones need less"
 
 
-def _error_lines(prediction: Prediction) -> Iterator[str]:
+def error_lines(prediction: Prediction) -> Iterator[str]:
     """Yield the errors that an identification will state, and their largest causes."""
     yield f"{prediction.recordings}, it determines {prediction.subject} with these errors:"
     mass, centre = prediction.errors_of(prediction.covariance)
@@ -194,13 +177,13 @@ def _error_lines(prediction: Prediction) -> Iterator[str]:
 def motion_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
-    """Yield, mostly as details, how a motion uses its limits and its space, and where it starts;
+    """Yield, mostly as details, how a motion uses its limits, and where it starts;
     assumed limits are no detail.
     """
     yield Detail("Peaks (share of limit):")
     yield from map(Detail, _joint_lines(problem, check))
     yield from _assumed_lines(problem)
-    yield from map(Detail, _space_lines(problem, plan, check))
+    yield from map(Detail, _room_lines(check))
     yield from _start_lines(problem, plan)
 
 
@@ -262,24 +245,8 @@ def _assumed_limits(
     yield f"{family} {values} {unit} of {names}"
 
 
-def _space_lines(
-    problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
-) -> Iterator[str]:
-    """Yield the box that the moving bodies stay in, and the distances between bodies."""
-    lower, upper, lowest = swept_space(
-        problem.robot, spread_motion(plan, _MOST_POSTURES).q
-    )
-    # Rounded outwards, to a centimetre.
-    lower = np.floor(100.0 * lower) / 100.0
-    upper = np.ceil(100.0 * upper) / 100.0
-    ranges = zip("xyz", lower, upper)
-    box = ", ".join(f"{axis} {low:+.2f} to {high:+.2f}" for axis, low, high in ranges)
-    yield f"Swept box: {box} m; the lowest point is one of {lowest}"
-    if not problem.has_floor:
-        below = max(0.0, -float(lower[2]))
-        reach = f"gets {below:.2f} m below z = 0" if below else "stays above z = 0"
-        advice = "--keep-out 0 0 1 0 keeps all parts above it"
-        yield f"The model has no floor: this motion {reach}; {advice}"
+def _room_lines(check: LimitCheck) -> Iterator[str]:
+    """Yield when and by how much the pair with the least room is beyond its clearance."""
     closest = check.closest
     if np.isfinite(closest.distance):
         slack = f"about {1000.0 * closest.slack:.0f} mm more than required"

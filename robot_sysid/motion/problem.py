@@ -182,7 +182,6 @@ class ExcitationProblem:
             the model nor by an option.
         obstacles: distances between bodies that have to be kept.
         notes: sentences for the user on these limits.
-        has_floor: whether a floor, a half-space or a workspace keeps the arm above the ground.
         unguarded: names of the moving links without collision geometry.
     """
 
@@ -200,7 +199,6 @@ class ExcitationProblem:
     sigma: Array
     assumed: Mapping[str, NDArray[np.bool_]]
     notes: tuple[str, ...] = ()
-    has_floor: bool = True
     unguarded: tuple[str, ...] = ()
 
     @property
@@ -361,7 +359,6 @@ def build_problem(
         sigma=joint_values(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
         assumed=assumed,
         notes=tuple(notes),
-        has_floor=bool(base or limits.keep_out or limits.workspace) or has_floor(robot),
         unguarded=unguarded_links(robot),
     )
 

@@ -27,16 +27,12 @@ _CORNERS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0
 """Corners (8, 3) of a cube with half sides of one."""
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 """Ends (2, 3) of a capsule's or cylinder's axis with a half length of one."""
-_AXES = np.vstack((np.eye(3), -np.eye(3)))
-"""Directions (6, 3) of the world's axes, and against them."""
 _HULL_POINTS = 60
 """Corners beyond which a convex hull takes less time than it saves."""
 MARKER_MASS = 5e-3
 """Mass up to which a small part of an arm is no body but marks a frame, such as a tool's [kg]."""
 MARKER_SIZE = 0.02
 """Radius up to which a light part is small [m]: larger ones are the shell of a link."""
-_AT_ONCE = 256
-"""Postures looked at in one product: as much memory as fits into a processor's cache."""
 
 
 class Solid:
@@ -206,37 +202,6 @@ class HalfSpaces:
             lowest = positions[postures, body, None] + corner @ turn.transpose(0, 2, 1)
             heights = np.sum(lowest * self.normals, axis=2) - self._offsets
             yield body, postures, heights, lowest
-
-
-def swept_space(robot: RobotModel, q: Array) -> tuple[Array, Array, str]:
-    """Return the box that all moving parts stay in at positions q (N, n) of the chain.
-
-    Returns:
-        The lower and the upper corner (3,) of the box in the world [m], and the name of the body
-        that gets lowest.
-    """
-    model = robot.mj_model
-    data = data_at_pose(robot.mj_model, robot.reference_qpos)
-    moving = np.flatnonzero(count_moving_joints(robot))
-    solids = solids_of(model, moving.tolist())
-    reach = np.full((len(solids), 6), -np.inf)
-    for chunk in np.array_split(q, 1 + len(q) // _AT_ONCE):
-        positions = np.empty((len(chunk), model.nbody, 3))
-        turns = np.empty((len(chunk), model.nbody, 3, 3))
-        for k, configuration in enumerate(chunk):
-            data.qpos[robot.qpos_index] = configuration
-            mujoco.mj_kinematics(model, data)
-            positions[k] = data.xpos
-            turns[k] = data.xmat.reshape(-1, 3, 3)
-        for row, solid in zip(reach, solids):
-            directions = (_AXES @ turns[:, solid.body]).reshape(-1, 3)
-            extent = np.sum(solid.farthest(directions) * directions, axis=1)
-            heights = extent.reshape(-1, 6) + positions[:, solid.body] @ _AXES.T
-            row[:] = np.maximum(row, np.max(heights, axis=0, initial=-np.inf))
-    # Columns are reaches along x, y, z, -x, -y, -z.
-    lowest = int(np.argmax(reach[:, 5]))
-    upper, minus_lower = np.split(np.max(reach, axis=0), 2)
-    return -minus_lower, upper, body_label(model, solids[lowest].body)
 
 
 def mounting_height(

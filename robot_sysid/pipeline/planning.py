@@ -99,7 +99,7 @@ def predict_plan(
     errors.
     """
     from robot_sysid.motion import expected_errors, static
-    from robot_sysid.motion import prediction as predictions
+    from robot_sysid.motion.prediction import error_lines, limit_lines, motion_lines
 
     problem = checked.problem
     plan = checked.plan
@@ -107,27 +107,25 @@ def predict_plan(
     poses = config.poses
     rate = config.trajectory.sample_rate
     assert problem is not None and check is not None
-    if not poses.sets_its_time:
-        recording = expected_errors.RecordingPlan(rate, config.estimation, poses.target)
-        try:
-            prediction = expected_errors.predict(problem, plan, recording)
-        except InputError as error:
-            limits = [*predictions.limit_lines(problem, plan, check)]
-            unknown = f"The errors that it will leave cannot be predicted: {error}"
-            details = predictions.motion_lines(problem, plan, check)
-            return None, [*limits, unknown, *details]
-        return prediction, [*predictions.plan_lines(problem, plan, check, prediction)]
-    lines = [*predictions.limit_lines(problem, plan, check)]
+    prediction = None
+    lines = [*limit_lines(problem, plan, check)]
     if poses.static:
         mass = float(expected_errors.typical_load(problem)[0])
         scale_error = expected_errors.common_scale_error(problem, config.estimation)
         load = expected_errors.load_text(problem)
         lines += static.pose_lines(problem, plan, mass, load, scale_error)
-    else:
+    elif poses.sets_its_time:
         lines += static.sweep_lines(problem, plan)
         lines += expected_errors.friction_lines(problem, plan, rate, config.estimation)
-    lines += predictions.motion_lines(problem, plan, check)
-    return None, lines
+    else:
+        recording = expected_errors.RecordingPlan(rate, config.estimation, poses.target)
+        try:
+            prediction = expected_errors.predict(problem, plan, recording)
+            lines += error_lines(prediction)
+        except InputError as error:
+            lines.append(f"What errors it will leave cannot be predicted: {error}")
+    lines += motion_lines(problem, plan, check)
+    return prediction, lines
 
 
 def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:

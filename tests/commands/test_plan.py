@@ -12,7 +12,7 @@ from robot_sysid.commands.arguments import parse_command
 from robot_sysid.commands.identify import build_parser
 from robot_sysid.config import PlanConfig
 from robot_sysid.estimation.algebra import consistent_bodies
-from robot_sysid.motion.trajectories import LineTrajectory, load_trajectory
+from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, witness
 from tests.support.command_line import files_in
@@ -99,23 +99,6 @@ def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
     assert load_trajectory(path.parent / "sysid_output" / "trajectory.json")
 
 
-@pytest.mark.slow
-def test_poses_can_be_planned_saved_and_checked_again(command, arm_file):
-    path = arm_file(arms.THREE)
-    static = ("--for payload --static --sample-rate 100",)
-    printed = command.run("plan", path, *static, "--seed 1")
-    assert "12 poses, each approached from both sides" in printed.out
-    assert "Keeps all limits for " in printed.out
-    assert "loaded_again.csv --order ABBA --static" in printed.out.splitlines()[-1]
-    saved = path.parent / "sysid_output" / "trajectory.json"
-    assert isinstance(load_trajectory(saved).plan, LineTrajectory)
-    folder = ("--output-dir again --sample-rate 100",)
-    assert (
-        "Trajectory saved"
-        in command.run("plan", path, "--trajectory", saved, *folder).out
-    )
-
-
 def export(joints):
     return ("--export-damiao", *(MOTOR * joints), "--sample-rate 100")
 
@@ -157,33 +140,23 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     assert 0.0 < torque[1] <= 0.5
 
 
-@pytest.mark.usefixtures("without_prediction")
-def test_a_motor_file_that_cannot_be_made_leaves_no_trajectory(
-    command, arm_file, monkeypatch
-):
-    def fail(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    path = arm_file(arms.THREE)
-    monkeypatch.setattr("robot_sysid.damiao.trajectory.export_damiao_trajectory", fail)
-    written = files_in(path.parent)
-    command.run("plan", path, *SINES, *export(3), code=2)
-    assert files_in(path.parent) == written
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("purpose", ["friction", "arm"])
-def test_motions_for_friction_and_for_an_arm_can_be_saved_exported_and_checked_again(
+@pytest.mark.parametrize(
+    "purpose",
+    [
+        "--for friction",
+        "--for arm --excitation-time-budget 0.05 --seed 1",
+        "--for payload --static --seed 1",
+    ],
+)
+def test_motions_for_other_purposes_can_be_saved_exported_and_checked_again(
     command, arm_file, purpose
 ):
-    path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
-    drawn = ("--excitation-time-budget 0.05 --seed 1",) if purpose == "arm" else ()
-    printed = command.run("plan", path, "--for", purpose, *drawn, *export(2))
+    path = arm_file(arms.THREE)
+    printed = command.run("plan", path, purpose, *export(3))
     assert "Keeps all limits for " in printed.out
     folder = path.parent / "sysid_output"
     assert (folder / "damiao_trajectory.csv").exists()
-    repeated = ("--trajectory", folder / "trajectory.json", "--output-dir again")
-    assert (
-        "Trajectory saved"
-        in command.run("plan", path, *repeated, "--sample-rate 100").out
-    )
+    saved = ("--trajectory", folder / "trajectory.json", "--sample-rate 100")
+    again = command.run("plan", path, *saved, "--output-dir again")
+    assert "Trajectory saved" in again.out

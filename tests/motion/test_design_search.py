@@ -12,16 +12,15 @@ from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.model.bodies import find_new_contacts
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion import design_search as search
-from robot_sysid.motion.design import Candidate, Design, constraints_of
+from robot_sysid.motion.design import Design, constraints_of
 from robot_sysid.motion.design_search import design_excitation, draw_trajectory
 from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
-from tests.support import arms
+from tests.support import arms, witness
 from tests.support.arms import SEEDS
 from tests.support.excitation_arms import (
     DURATION,
@@ -68,7 +67,7 @@ def assert_obeys(xml, seed, **changes):
         assert np.all(np.abs(motion.qd) <= arm.limits.velocity * slack)
         assert np.all(np.abs(motion.qdd) <= problem.limits.acceleration * slack)
         assert np.all(np.abs(problem.torque(motion)) <= problem.limits.torque * slack)
-    assert find_new_contacts(arm, motion_chunks(result.trajectory, 500.0)) == ()
+    assert witness.new_contacts(arm, result.trajectory) == set()
     ends = result.trajectory.evaluate(np.array([0.0, result.trajectory.duration]))
     assert np.max(np.abs([ends.qd, ends.qdd])) < 1e-9
     assert result.limit_check.holds
@@ -115,32 +114,6 @@ def test_rounds_improve_the_objective_and_report_progress():
     assert result.objective < 0.9 * result.start_objective
     assert progress.done == sorted(progress.done)
     assert progress.totals == {progress.done[-1]}
-
-
-def test_the_best_start_is_improved_until_a_round_gains_little(monkeypatch):
-    """Scores of each round are fixed; the second start is better after its first round.
-
-    Its third round gains nothing, but only because it breaks limits.
-    """
-    scores = iter(
-        ((-1.0, -1.0), (-1.2, -1.2), (-1.2, -1.6), (-1.5, -1.51), (-1.505, -1.52))
-    )
-
-    def fake_improve(design, candidate, deadline):
-        feasible_score, score = next(scores)
-        rounds = candidate.rounds + 1
-        return Candidate(None, None, 1.0, rounds, score, None, feasible_score)
-
-    monkeypatch.setattr(search, "first_candidate", lambda _, x: Candidate(x, None))
-    monkeypatch.setattr(search, "improve", fake_improve)
-    candidates = []
-    design = make_design(arms.THREE, rounds=50)
-    starts = [np.zeros(1)] * 2
-    rounds = search._improve_starts(design, starts, candidates, np.inf)
-    assert list(rounds) == [1, 2, 3, 4, 5]
-    first, second = candidates
-    assert (first.rounds, first.feasible_score) == (1, -1.0)
-    assert (second.rounds, second.feasible_score) == (4, -1.505)
 
 
 def interrupt_after(rounds):

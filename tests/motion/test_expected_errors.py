@@ -16,7 +16,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.consistent_bodies import projected_covariance
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.question import EstimationOptions, Priors
+from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.estimation.unknowns import LINKS, SCALES
 from robot_sysid.motion.expected_errors import (
     TYPICAL_LOAD,
@@ -104,8 +104,9 @@ def test_predicted_errors_of_an_uncertain_arm_include_its_model_errors():
         assert 0.6 < np.median(standard_errors / stated.budget[cause]) < 3.0
 
 
-def test_covariances_by_cause_add_up_to_the_covariance():
-    expected = predict_errors()
+@pytest.mark.parametrize("target", ["link", "payload"])
+def test_covariances_by_cause_add_up_to_the_covariance(target):
+    expected = predict_errors(target=target)
     total = np.sum(list(expected.covariance_by_cause.values()), axis=0)
     assert_allclose(total, expected.covariance, atol=1e-9 * np.max(total))
 
@@ -144,14 +145,6 @@ def test_payload_errors_come_from_the_difference_of_recordings():
     scales = np.sqrt(expected.covariance_by_cause[SCALES][0, 0])
     assert 0.01 < common / expected.theta[0] < 0.03
     assert common <= scales < expected.standard_errors[0]
-    total = np.sum(list(expected.covariance_by_cause.values()), axis=0)
-    assert_allclose(total, expected.covariance, atol=1e-9 * np.max(total))
-
-
-def test_different_torque_scales_are_averaged_by_their_weights():
-    options = EstimationOptions(priors=Priors(scale=(1.0, 2.0, 4.0, 8.0)))
-    scale_error = common_scale_error(PROBLEM, options)
-    assert scale_error == pytest.approx(0.01 / np.linalg.norm([1.0, 0.5, 0.25, 0.125]))
 
 
 def test_the_load_is_the_one_that_torque_is_reserved_for():

@@ -128,19 +128,6 @@ def test_a_wall_between_two_samples_is_detected():
     assert contact.time == pytest.approx(check.closest.time, abs=3.0)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_skipping_samples_keeps_the_smallest_clearance(seed, monkeypatch):
-    problem = make_problem(TUBES_AND_POST)
-    plan = plan_of(problem, seed, 0.1)
-    checks = []
-    for skipping in (0, 10**9):
-        monkeypatch.setattr(limit_check, "WORTH_SKIPPING", skipping)
-        checks.append(check_limits(problem, plan))
-    alone, together = (check.closest.slack for check in checks)
-    assert abs(together - alone) <= CLEARANCE_RESOLUTION
-    assert checks[0].holds == checks[1].holds
-
-
 class Stopping:
     """The first joint moves at 2.1 rad/s and stops from one instant to the next."""
 
@@ -182,7 +169,7 @@ def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, speed):
     assert len(check.excesses) == len(full_check.excesses)
 
 
-def test_the_failure_counts_the_limits_and_names_the_worst():
+def test_the_failure_names_the_worst_limit():
     slow = FourierBasis(8.0, 0.125, 3, 4.0)
     plan = FourierTrajectory(slow, THREE.rest, np.zeros((3, 7)))
     assert check_limits(THREE, plan).failure is None
@@ -191,11 +178,6 @@ def test_the_failure_counts_the_limits_and_names_the_worst():
     start = "this trajectory must not be run: it breaks the "
     failure = check_limits(THREE, replace(plan, coefficients=coefficients)).failure
     assert failure.startswith(f"{start}position limit of joint joint2 (5.0 % ")
-    several = check_limits(THREE, replace(plan, coefficients=coefficients + 3.0))
-    count = len(several.excesses)
-    assert count > 1
-    ending = f"it breaks {count} limits, first the {several.excesses[0]}"
-    assert several.failure.endswith(ending)
 
 
 @pytest.mark.slow

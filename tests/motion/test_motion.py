@@ -60,16 +60,3 @@ def test_half_spaces_follow_the_workspace_and_the_planes():
     assert [side.normal.tolist() for side in box[:2]] == [[1, 0, 0], [0, 1, 0]]
     assert all(side.bodies == (2,) and side.clearance == 0.0 for side in box)
     assert LimitOptions().half_spaces([1], [1]) == ()
-
-
-def test_a_search_of_many_joints_takes_fewer_steps():
-    defaults = ExcitationOptions()
-    assert defaults.for_joints(7) == defaults.for_joints(10) == defaults
-    for_20_joints = defaults.for_joints(20)
-    for_60_joints = defaults.for_joints(60)
-    for name in ("draws", "rounds", "evaluations"):
-        searches = (for_60_joints, for_20_joints, defaults)
-        fewest, fewer, usual = (getattr(search, name) for search in searches)
-        assert 0 < fewest < fewer < usual
-    budgeted = ExcitationOptions(time_budget=60.0)
-    assert budgeted.for_joints(60) == budgeted

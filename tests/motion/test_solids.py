@@ -17,11 +17,10 @@ from robot_sysid.motion.solids import (
     Solid,
     outermost_points,
     solids_of,
-    swept_space,
     unguarded_links,
 )
 from tests.support.arms import SEEDS, X, Z, compile_xml, hinge, link, world
-from tests.support.excitation_arms import TUBES, robot
+from tests.support.excitation_arms import robot
 
 SIZE = np.array([0.3, 0.2, 0.5])
 SHAPES = ("sphere", "capsule", "ellipsoid", "cylinder", "box")
@@ -112,27 +111,6 @@ def test_each_half_space_binds_its_own_bodies():
     assert np.allclose(ball[3][0, :, 2], [0.9, 1.1])
     assert np.allclose(block[3][0, :, 2], [1.7, 2.3])
     assert [body for body, *_ in spaces.heights(*frames, margin=0.5)] == [0]
-
-
-@given(SEEDS)
-def test_the_swept_space_encloses_all_capsules_in_all_poses(seed):
-    arm = robot(TUBES)
-    model = arm.mj_model
-    data = mujoco.MjData(arm.mj_model)
-    positions = default_rng(seed).uniform(-2.0, 2.0, size=(5, 4))
-    lower, upper, lowest = swept_space(arm, positions)
-    ends = []
-    names = []
-    for q in positions:
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
-        for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE):
-            axis = model.geom_size[geom, 1] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
-            ends += [data.geom_xpos[geom] + axis, data.geom_xpos[geom] - axis]
-            names += 2 * [model.body(model.geom_bodyid[geom]).name]
-    assert_allclose(lower, np.min(ends, axis=0) - 0.03, atol=1e-12)
-    assert_allclose(upper, np.max(ends, axis=0) + 0.03, atol=1e-12)
-    assert lowest == names[int(np.argmin(np.array(ends)[:, 2]))]
 
 
 def test_the_outermost_points_include_bodies_fixed_to_the_last_one():

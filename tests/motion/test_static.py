@@ -148,17 +148,6 @@ def test_all_limits_are_kept_and_the_motion_is_gentle(posing, poses):
     assert np.max(check.joints[1]) <= static.GENTLE
 
 
-def test_rows_of_poses_count_in_units_of_each_joints_noise(posing):
-    """A joint whose torque is twice as noisy shows half as much of the payload."""
-    pose = default_rng(0).uniform(-1.0, 1.0, (5, 4))
-    factor = np.arange(1.0, 5.0)
-    noisier = replace(posing, sigma=factor * posing.sigma)
-    rows = static._gravity_rows(posing, pose)
-    assert np.all(np.any(rows[:, 1:] != 0.0, axis=(0, 2)))
-    noisier_rows = static._gravity_rows(noisier, pose)
-    assert_allclose(noisier_rows * factor[:, None], rows)
-
-
 def test_each_pose_is_approached_from_both_sides(poses):
     rests = np.flatnonzero(poses.dwells > 0.0)
     assert len(rests) == 12

@@ -138,6 +138,34 @@ def nearest(robot, plan, rate=500.0):
     return float(least)
 
 
+def new_contacts(robot, plan, rate=500.0):
+    """Return the pairs of bodies that touch along a plan, move against each other, and do not touch
+    in the arm's pose at rest.
+    """
+    model = robot.mj_model
+    at_rest = mujoco.MjData(model)
+    at_rest.qpos[:] = robot.reference_qpos
+    mujoco.mj_kinematics(model, at_rest)
+    resting = touching(model, at_rest)
+    found = set()
+    for data in _poses(robot, plan, rate):
+        found |= touching(model, data)
+    return found - resting
+
+
+def touching(model, data):
+    """Return the pairs of body ids that touch and move against each other, frames being known."""
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    pairs = set()
+    for geoms, distance in zip(data.contact.geom, data.contact.dist):
+        pair = tuple(sorted(model.geom_bodyid[geoms].tolist()))
+        joints = [_joints_above(model, body) for body in pair]
+        if distance <= 0.0 and joints[0] != joints[1]:
+            pairs.add(pair)
+    return pairs
+
+
 def _joints_above(model, body):
     """Return the ids of the joints that move a body."""
     return set(np.flatnonzero(np.isin(model.jnt_bodyid, _ancestors(model, body))))
