@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 6829,
     "robot_sysid/records": 9143,
     "robot_sysid/report": 8319,
-    "robot_sysid/results": 16698,
+    "robot_sysid/results": 16113,
     "robot_sysid/servo": 10964,
     "robot_sysid/signals": 9166,
     "robot_sysid/simulation": 5606,
     "robot_sysid": 12282,
-    "tests": 268943,
+    "tests": 268239,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

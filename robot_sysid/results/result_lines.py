@@ -14,7 +14,6 @@ from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.records import Array, Validation
 from robot_sysid.records.messages import (
-    PARAMETER_UNITS,
     Detail,
     number_text,
     percent,
@@ -34,7 +33,7 @@ from robot_sysid.results.parameter_table import (
     table_lines,
     without_rounding,
 )
-from robot_sysid.results.record import BaseParameters, Payload, Result, RolloutTest
+from robot_sysid.results.record import Payload, Result, RolloutTest
 from robot_sysid.results.verdict import (
     before_after_text,
     cause_text,
@@ -51,8 +50,6 @@ _FRICTION_ROUNDING = 1e-9
 """Friction below which a number is rounding error [N m]."""
 _MIN_CAUSE_SHARE = 0.05
 """Share of the standard error below which a cause is not listed: it changes the error by 0.1 %."""
-_FIT_GAIN = 0.1
-"""Relative difference between torque errors of fit and file up to which the fit's is left out."""
 
 
 def result_lines(result: Result, links: bool = False) -> list[str]:
@@ -236,16 +233,11 @@ def _validation_lines(result: Result) -> Iterator[str]:
     if file is None:
         yield from map(_fit_error_text, fits)
         return
-    fit_by_source = {test.source: test for test in reversed(fits[1:])}
-    if file.validation_after is not None and fits:
-        # The verdict states this error of the file.
-        yield from _fit_gain_lines("held-out data", file.validation_after, fits[0])
+    # The verdict states the error of the file on held-out data.
     for model_test, file_test in file.other_validations:
         source = model_test.source
         shares = before_after_text(model_test, file_test)
         yield f"Torque error of the model on {source}: {shares}"
-        if source in fit_by_source:
-            yield from _fit_gain_lines(source, file_test, fit_by_source[source])
     file_sources = [test.source for test, _ in file.other_validations]
     for test in fits[1:]:
         if test.source not in file_sources:
@@ -259,23 +251,8 @@ def _fit_error_text(test: Validation) -> str:
     return f"Validation on {test.source}: {test.rmse:.4f} N·m{relative}"
 
 
-def _fit_gain_lines(source: str, file: Validation, fit: Validation) -> Iterator[Detail]:
-    """Yield a line on the fit's torque error where it differs from that of the file.
-
-    The file has fewer terms than the fit. Both errors are those on the data ``source``.
-    """
-    file_error = file.relative_error
-    fit_error = fit.relative_error
-    if file_error is None or fit_error is None:
-        return
-    if abs(fit_error - file_error) > _FIT_GAIN * file_error:
-        yield Detail(
-            f"The fit itself reaches a torque error of {percent(fit_error)} on {source}"
-        )
-
-
 def _detail_lines(result: Result) -> Iterator[str]:
-    """Yield the lines that --verbose adds: errors by cause, residuals, sensors, friction models."""
+    """Yield the lines that --verbose adds: errors of the mass by cause, residuals by joint."""
     mass_error = float(result.body.errors[0])
     causes = result.body.mass_causes
     large = [c for c in causes if causes[c] > _MIN_CAUSE_SHARE * mass_error]
@@ -284,43 +261,11 @@ def _detail_lines(result: Result) -> Iterator[str]:
         listed = ", ".join(f"{cause_text(c)} {causes[c]:.2g}" for c in large)
         yield f"Error of the mass by cause, kg: {listed}"
     estimate = result.estimate
-    scaled = estimate.identifiability.scaled_condition_number
-    yield f"  Condition number, columns scaled: {scaled:.1f}"
     yield "  RMSE per joint:"
     for joint_name, rmse in estimate.rmse_per_joint.items():
         noise = estimate.noise_per_joint.get(joint_name)
         noise_text = "" if noise is None else f", noise {noise:.2g}"
         yield f"    {joint_name}: {rmse:.2e} N·m{noise_text}"
-    if result.is_measured:
-        texts = []
-        columns = (estimate.names, result.body.noise_errors, PARAMETER_UNITS)
-        for name, error, unit in zip(*columns):
-            if np.isfinite(error):
-                texts.append(f"{name} {error:.2g} {unit}")
-        yield f"  Standard errors of noise alone: {', '.join(texts)}"
-    if result.sensors:
-        yield "  Sensors:"
-    for name, sensor in result.sensors.items():
-        yield f"    {name}: {sensor.text}"
-    for name, joint in result.joints.items():
-        if joint.candidates:
-            candidates = sorted(joint.candidates.items(), key=lambda item: item[1])
-            listed = ", ".join(f"{model} {error:.4g}" for model, error in candidates)
-            yield f"  Held-out error of {name} by friction model, N·m: {listed}"
-    if result.base is not None:
-        yield from _base_lines(result.base)
-
-
-def _base_lines(base: BaseParameters) -> Iterator[str]:
-    """Yield a line on the number of base parameters, then one per base parameter."""
-    yield (
-        f"  Base parameters of all links: {len(base.values)} of {base.structural_rank} that any "
-        f"motion can show; {sum(base.essential)} of them essential to these logs"
-    )
-    rows = zip(base.combinations, base.values, base.standard_errors, base.essential)
-    for combination, value, error, is_essential in rows:
-        note = "" if is_essential else " (not essential)"
-        yield f"    {with_error(value, error)} = {combination}{note}"
 
 
 def clamping_lines(
@@ -346,7 +291,7 @@ def folder_text(folder: Path) -> str:
 
 
 def rollout_lines(test: RolloutTest) -> Iterator[str]:
-    """Yield the position errors of the old and the new model; those of single joints as details."""
+    """Yield the position errors of the old and the new model, and joints that became worse."""
     yield (
         f"Played on {test.held_out}: root mean square position error [rad or m], model before -> "
         "new model"
@@ -358,9 +303,6 @@ def rollout_lines(test: RolloutTest) -> Iterator[str]:
             f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {old_error:.3g} -> "
             f"{new_error:.3g}{ratio}"
         )
-        joint_errors = zip(test.joint_names, error.errors_before, error.errors_after)
-        for name, old_joint_error, new_joint_error in joint_errors:
-            yield Detail(f"    {name}: {old_joint_error:.3g} -> {new_joint_error:.3g}")
     yield from map("  {}".format, test.notes)
     if test.errors:
         longest = test.errors[-1]

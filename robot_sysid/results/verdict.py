@@ -11,19 +11,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from robot_sysid.dynamics.friction import friction_model
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Source, Validation
 from robot_sysid.records.messages import Detail, percent
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
 
 UNKNOWN = 0.5
 """Relative standard error from which on a mass is not known: two such errors reach zero."""
-WEAK = 0.1
-"""Standard error above which a parameter is weakly identified, relative to the scale of a body of
-this mass and size; docs/measurements.md states it, too."""
-COLOURED = 0.3
-"""Independent samples per sample below which residuals are called correlated in time: standard
-errors are then 1 / sqrt(0.3) = 1.8 times those of white noise."""
 WORSE = 1.5
 """Held-out error over fitted error above which the model limits the prediction, not noise, which
 differs by percents only between stretches of hundreds of samples."""
@@ -213,40 +206,9 @@ def limitations(result: Result) -> tuple[str, ...]:
 
 def _limitation_sentences(result: Result) -> Iterator[str]:
     """Yield the sentences of ``limitations`` on a measured result."""
-    estimate = result.estimate
-    body = result.body
-    if estimate.identifiability.unidentifiable:
-        combinations = "; ".join(estimate.identifiability.unidentifiable)
-        yield Detail(
-            f"not identifiable from these torques, model's values kept: {combinations}"
-        )
-    yield from map(Detail, _weak_parameters(body))
-    is_mostly_prior = body.is_determined & (body.data_share < PRIOR_SHARE)
-    if np.any(is_mostly_prior):
-        names = ", ".join(np.array(PARAMETER_NAMES)[is_mostly_prior])
-        yield Detail(f"determined more by the prior than by the data: {names}")
     yield from _prior_conflicts(result)
     yield from _negative_friction(result)
-    yield from _unexplained_residuals(result)
-    if estimate.constrained:
-        yield Detail(
-            "the unconstrained estimate was not physically consistent, so the best consistent one "
-            "was taken; the stated errors include this"
-        )
-
-
-def _weak_parameters(body: BodyEstimate) -> Iterator[str]:
-    """Yield a sentence on the parameters with large finite errors, the largest first."""
-    relative_errors = body.errors / body.inertial.scale
-    texts = []
-    for k in np.argsort(-relative_errors):
-        if WEAK < relative_errors[k] < np.inf:
-            texts.append(f"{PARAMETER_NAMES[k]} (± {percent(relative_errors[k])})")
-    if texts:
-        yield (
-            "weakly identifiable, with errors in percent of what a body of this mass and size "
-            f"has: {', '.join(texts)}; a faster, wider or longer motion shows more"
-        )
+    yield from _worse_predictions(result)
 
 
 def _prior_conflicts(result: Result) -> Iterator[str]:
@@ -289,17 +251,9 @@ def _negative_friction(result: Result) -> Iterator[str]:
         )
 
 
-def _unexplained_residuals(result: Result) -> Iterator[str]:
-    """Yield sentences on residuals that are correlated in time, and on larger held-out errors."""
+def _worse_predictions(result: Result) -> Iterator[str]:
+    """Yield sentences on torques that are predicted worse than the fitted ones."""
     estimate = result.estimate
-    # Joint to its number of independent samples per sample.
-    shares = estimate.independent_share.items()
-    correlated = [joint for joint, share in shares if share < COLOURED]
-    if correlated:
-        yield Detail(
-            f"residuals of {', '.join(correlated)} are correlated in time: slow noise, or an "
-            "effect that the model lacks; the stated errors include this"
-        )
     # The residual of exact data may be far below the least noise that a fit assumes.
     joint_noise = list(estimate.noise_per_joint.values()) or [0.0]
     noise = np.sqrt(np.mean(np.square(joint_noise)))

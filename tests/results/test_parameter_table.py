@@ -19,7 +19,6 @@ from robot_sysid.results.parameter_table import (
     table_lines,
     theta_rows,
 )
-from robot_sysid.results.record import JointEstimate, Quantity
 from tests.support import results as made
 
 NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)
@@ -77,16 +76,6 @@ def test_a_terminal_link_has_mass_centre_of_mass_inertia_and_friction():
     assert friction.error == approx(4e-4)
 
 
-def test_rotor_inertia_and_further_friction_terms_have_rows():
-    joint = made.joint_of(made.estimate(), "j6")
-    terms = {"armature": Quantity(0.11, 0.01), "load": Quantity(0.02, 0.005)}
-    joints = {"j6": replace(joint, terms={**joint.terms, **terms})}
-    rows = {row.name: row for row in parameter_rows(made.found(joints=joints))}
-    rotor = rows["rotor inertia"]
-    assert (rotor.before, rotor.after, rotor.unit) == (0.0, 0.11, "kg·m²")
-    assert rows["friction load"].after == 0.02
-
-
 def test_without_a_mass_a_link_has_first_moments_and_the_inertia_about_the_origin():
     rows = {row.name: row for row in parameter_rows(made.found(made.without_mass()))}
     assert len(rows) == 12 and np.isinf(rows["mass"].error)
@@ -111,13 +100,6 @@ def test_viscous_friction_of_a_slide_has_the_unit_of_a_force():
         rows = parameter_rows(made.found(robot=slider, joints=joints))
         (viscous,) = (row for row in rows if row.name == "viscous friction")
         assert viscous.unit == "N·s/m"
-
-
-def test_a_simulation_of_the_model_itself_states_no_errors():
-    joint = JointEstimate("coulomb-viscous", {}, made.MODEL_FRICTION["j6"])
-    for joints in ({}, {"j6": joint}):
-        rows = parameter_rows(made.itself(joints=joints))
-        assert [row.error for row in rows] == [None] * 12
 
 
 def test_a_payload_has_mass_centre_of_mass_and_inertia_about_it():

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.spatial import (
-    PARAMETER_NAMES,
-    characteristic_length,
-    parameter_scale,
-)
 from robot_sysid.records import PriorConflict
-from robot_sysid.records.messages import Detail, percent
+from robot_sysid.records.messages import Detail
 from robot_sysid.results.record import Verdict
 from robot_sysid.results.verdict import (
-    COLOURED,
     SURE,
     WORSE,
     limitations,
@@ -151,25 +143,6 @@ def test_a_conflict_with_the_model_is_a_detail_where_the_errors_allow_for_it(
     assert isinstance(sentence, Detail) is is_detail
 
 
-@given(st.sampled_from(PARAMETER_NAMES), st.floats(0.01, 10.0))
-def test_a_weak_parameter_is_named_with_its_error(name, share):
-    """Errors of 0.01 to 10 times what a body of 2 kg and this size has; 10 % is the limit."""
-    values = made.estimate().values
-    scale = parameter_scale(2.0, characteristic_length(values[:10]))
-    k = PARAMETER_NAMES.index(name)
-    sentences = limitations_of(made.with_value(name, values[k], share * scale[k]))
-    assert bool(sentences) == (share > 0.1)
-    assert not sentences or f"{name} (± {percent(share)})" in sentences[0]
-
-
-def test_parameters_with_more_prior_than_data_are_named():
-    share = np.ones(10)
-    share[[4, 9]] = 0.3, 0.49
-    link = replace(made.terminal(made.estimate()), data_share=share)
-    (sentence,) = limitations_of(links=(link,))
-    assert "determined more by the prior than by the data: Ixx, Izz" in sentence
-
-
 @given(
     st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0)
 )
@@ -180,14 +153,6 @@ def test_negative_friction_is_reported_where_significant(term, value, error):
     for sentence in sentences:
         assert f"{term} {value:.2g} of j5" in sentence
         assert not isinstance(sentence, Detail)
-
-
-@given(st.floats(0.01, 1.0))
-def test_correlated_residuals_are_reported(share):
-    result = made.estimate(effective_samples={"j5": 200.0 * share, "j6": 200.0})
-    sentences = limitations_of(result)
-    assert bool(sentences) == (result.independent_share["j5"] < COLOURED)
-    assert not sentences or "residuals of j5 are correlated in time" in sentences[0]
 
 
 @given(st.floats(0.5, 5.0))
