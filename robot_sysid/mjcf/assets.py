@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -221,10 +221,8 @@ def relocate(
     """
     assets = find_assets(document, mesh_dir)
     if document.is_urdf:
-        for asset in assets:
-            if asset.path is not None:
-                asset.node.set(asset.attribute, reference(asset.path, folder))
-        _keep_folders_of_urdf(document, assets)
+        paths = [asset.path for asset in assets if asset.path is not None]
+        _rename(document, assets, {path: reference(path, folder) for path in paths})
         return
     folders = asset_folders(document, mesh_dir)
     kinds = {asset.node.tag for asset in assets}
@@ -254,19 +252,24 @@ def bundle(document: ModelDocument, names: Mapping[Path, str]) -> None:
 
     ``names``: path of a file to that of its copy, relative to the document's text.
     """
-    assets = find_assets(document)
-    for asset in assets:
-        if asset.path is not None:
-            asset.node.set(asset.attribute, names[asset.path])
-    if document.is_urdf:
-        _keep_folders_of_urdf(document, assets)
-    else:
+    _rename(document, find_assets(document), names)
+    if not document.is_urdf:
         _set_folders(document, {})
 
 
-def _keep_folders_of_urdf(document: ModelDocument, assets: Sequence[Asset]) -> None:
-    """Have MuJoCo before 3.7 keep the folders in a URDF's names of meshes, if there are any."""
-    if any("/" in (asset.node.get(asset.attribute) or "") for asset in assets):
+def _rename(
+    document: ModelDocument, assets: Iterable[Asset], names: Mapping[Path, str]
+) -> None:
+    """Make a document refer to the files that it finds by other names."""
+    has_folder = False
+    for asset in assets:
+        name = asset.name
+        if asset.path is not None:
+            name = names[asset.path]
+            asset.node.set(asset.attribute, name)
+        has_folder |= "/" in name
+    if document.is_urdf and has_folder:
+        # MuJoCo before 3.7 drops the folders of a URDF's mesh names unless told otherwise.
         document.set_compiler({"strippath": "false"})
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import Asset, find_assets, urdf_shapes
+from robot_sysid.mjcf.assets import Asset, find_assets, relocate, urdf_shapes
 from robot_sysid.mjcf.documents import ModelDocument, Node, get, put_inertial
 from robot_sysid.mjcf.inertial import (
     MARGIN,
@@ -84,7 +84,7 @@ def make_compilable(
 def _use_absolute_meshes(
     document: ModelDocument, mesh_dir: Path | None
 ) -> Iterator[str]:
-    """Write the absolute path of every mesh, remove shapes with an unusable one; yield notes.
+    """Remove shapes with an unusable mesh, make the paths of all others absolute; yield notes.
 
     A shape is a link's <visual> or <collision>. ModelError where the inertia of a link that moves
     would be computed from the removed shape: the link has no <inertial>, or ``inertiafromgeom``
@@ -99,8 +99,6 @@ def _use_absolute_meshes(
         meshes = [assets[node] for node in shape.iter("mesh")]
         unusable = next((mesh for mesh in meshes if not _is_readable(mesh)), None)
         if unusable is None:
-            for mesh in meshes:
-                mesh.node.set("filename", str(mesh.path))
             continue
         link.remove(shape)
         if shape.tag == "collision":
@@ -108,6 +106,7 @@ def _use_absolute_meshes(
             if is_weighed and link.get("name") in moving_links:
                 raise _missing_mesh_error(document, link, unusable)
             removed.add(unusable.name)
+    relocate(document, folder=None, mesh_dir=mesh_dir)
     if removed:
         yield MeshesLeftOut(
             "collision meshes that are missing or unreadable to MuJoCo were left out "
