@@ -31,10 +31,10 @@ BUDGETS = {
     "robot_sysid/report": 8319,
     "robot_sysid/results": 16113,
     "robot_sysid/servo": 10964,
-    "robot_sysid/signals": 9166,
+    "robot_sysid/signals": 9080,
     "robot_sysid/simulation": 5606,
     "robot_sysid": 12282,
-    "tests": 268239,
+    "tests": 267418,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -53,9 +53,6 @@ _MOTION_TO_NOISE = 6.0
 # Largest share of an encoder's steps with a repeated reading for which the quantisation error
 # counts as white noise: the joint passes the steps too fast for a staircase.
 _REPEATED_SHARE = 0.01
-# Error of the acceleration over a hole in the log, relative to its root mean square, that does no
-# harm: noise usually leaves as much (chosen).
-_HOLE_ERROR = 0.01
 # Longest segment whose spectrum is averaged; a longer one would only resolve frequencies finer than
 # any cut-off needs (chosen) [s].
 _LONGEST_SEGMENT = 20.0
@@ -150,20 +147,6 @@ def acceleration_noise(spectra: Spectra | None, cutoff: float) -> float:
         return math.inf
     passed = spectra.frequency <= cutoff
     return math.sqrt(np.sum(spectra.noise[passed]) / np.sum(spectra.motion))
-
-
-def longest_bridged_hole(spectra: Spectra | None) -> float:
-    """Return the longest hole in the log [s] over which a cubic spline has the acceleration to 1 %;
-    infinite where nothing moves or there are no spectra.
-
-    In a hole of length h, the cubic with a motion's values and slopes at both ends misses the
-    acceleration of each angular frequency w by the share (w h)^2 / sqrt(720), root mean square.
-    """
-    if spectra is None or not np.any(spectra.motion > 0.0):
-        return math.inf
-    omega = 2.0 * math.pi * spectra.frequency
-    mean_fourth_power = spectra.motion @ omega**4 / np.sum(spectra.motion)
-    return math.sqrt(_HOLE_ERROR * math.sqrt(720.0 / mean_fourth_power))
 
 
 def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:

@@ -39,7 +39,6 @@ from robot_sysid.signals.cutoff import (
     acceleration_noise,
     acceleration_spectra,
     choose_cutoff,
-    longest_bridged_hole,
     quantisation_error,
 )
 from robot_sysid.signals.filters import (
@@ -70,7 +69,8 @@ LEAST_DIRECTION_SHARE = 0.05
 _LEAST_DEADBAND = 1e-3
 """Least deadband [rad/s]: encoder noise alone can look like this speed."""
 _LONGEST_HOLE_STEPS = 5.5
-"""Longest hole in the log, in sampling periods, that a spline bridges: noise of the samples around
+"""Longest hole in the log, in sampling periods, that a spline bridges, at most one period of the
+cut-off: noise of the samples around
 four lost ones is at most three times the usual noise in a row over them, and grows with the
 square of their number (tests/signals/test_process.py)."""
 _RIPPLE_SHARE = 0.0045
@@ -361,9 +361,7 @@ def process(
         position_filter, reach = _position_filter(low_pass, uniform, piece.spectra)
     q = position_filter.filter(uniform.q)
     lost = position_filter.half_width + reach
-    longest_hole = min(
-        longest_bridged_hole(piece.spectra), _LONGEST_HOLE_STEPS / uniform.rate
-    )
+    longest_hole = min(_LONGEST_HOLE_STEPS / uniform.rate, 1.0 / cutoff)
     is_hole = uniform.gap > longest_hole
     qd = first_derivative(q, uniform.rate, reach)
     qdd = second_derivative(q, uniform.rate, reach)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,7 +17,6 @@ from robot_sysid.dynamics.equations import (
     TERMINAL_FRICTION,
     Equations,
     friction_per_joint,
-    other_links,
 )
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
@@ -171,28 +169,3 @@ def test_a_measurement_without_derivatives_is_refused(missing):
         collect_sysid_data(
             equations, [replace(measure(SEVEN, 5)[0], **{missing: None})]
         )
-
-
-@pytest.mark.parametrize(
-    ("name", "terms"),
-    [
-        ("seven", TERMINAL_FRICTION),
-        ("slide in chain", TERMINAL_FRICTION),
-        ("shared bodies", TERMINAL_FRICTION),
-        ("springs", TERMINAL_FRICTION),
-        ("armature", TERMINAL_FRICTION),
-        ("nonlinear damping", TERMINAL_FRICTION),
-    ],
-)
-def test_the_models_parameters_explain_its_torque(name, terms):
-    """With all links free, the model's own parameters leave no residual."""
-    if name in arms.NEWER_MODELS and not hasattr(mujoco.MjModel, "dof_dampingpoly"):
-        pytest.skip("MuJoCo before 3.7")
-    robot = robot_of({**arms.MODELS, **arms.NEWER_MODELS}[name])
-    friction = friction_per_joint(robot, "terminal", terms)
-    equations = Equations(robot, "chain", friction, links=other_links(robot))
-    for measurement in measure(robot, 3):
-        for (rows, tau), columns in zip(equations.rows(measurement), equations.columns):
-            size = 1e-9 * (np.max(np.abs(measurement.tau)) + 1.0)
-            explained = rows @ equations.prior[columns]
-            assert_allclose(explained, tau, rtol=0.0, atol=size)

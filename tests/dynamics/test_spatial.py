@@ -132,14 +132,6 @@ def test_a_massless_body_has_its_com_at_the_origin_and_is_not_possible():
     assert spatial.characteristic_length(theta) == 1.0
 
 
-@given(SEEDS)
-def test_the_size_of_a_body_is_the_root_mean_square_distance_of_its_mass(seed):
-    masses, points = point_masses(default_rng(seed), 3)
-    expected = np.sqrt(masses @ np.sum(points**2, axis=1) / np.sum(masses))
-    size = spatial.characteristic_length(theta_of_points(masses, points))
-    assert size == pytest.approx(expected, rel=1e-12)
-
-
 @pytest.mark.parametrize("invalid", [np.nan, np.inf])
 def test_numbers_that_are_not_finite_are_inconsistent(invalid):
     theta = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))

@@ -10,14 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.interpolate import CubicSpline
 
 from robot_sysid.records import Measurement
 from robot_sysid.signals.cutoff import (
     acceleration_noise,
     acceleration_spectra,
     choose_cutoff,
-    longest_bridged_hole,
     quantisation_error,
 )
 from robot_sysid.signals.filters import design_low_pass, second_derivative
@@ -43,16 +41,6 @@ def test_the_encoder_noise_is_estimated_from_the_spectrum(seed, rate, sigma):
     tolerance = 0.005 + 6.0 * 1.31 / np.sqrt(len(q))
     assert_allclose(np.sqrt(spectra.level * rate / 2.0), sigma, rtol=tolerance)
     assert 1.4 < choose_cutoff(spectra)[0] < 25.0
-
-
-def test_quantisation_counts_as_its_own_noise():
-    resolution = 1e-4
-    time = seconds(15.0, 1000.0)
-    q = Swing().measurement(time, resolution).q
-    noise = np.sqrt(
-        acceleration_spectra(q, 1000.0, quantisation_error(q)).level * 1000.0 / 2.0
-    )
-    assert_allclose(noise, resolution / np.sqrt(12.0), rtol=0.12)
 
 
 def test_a_fast_small_motion_beside_a_slow_large_one_is_kept():
@@ -166,27 +154,3 @@ def test_the_predicted_acceleration_noise_equals_that_of_the_filter(seed, magnit
     noise_deviation = np.std(second_derivative(low_pass.filter(noise), rate))
     motion_deviation = np.std(second_derivative(low_pass.filter(motion), rate))
     assert 0.5 < share / (noise_deviation / motion_deviation) < 2.0
-
-
-@pytest.mark.parametrize("frequency", [0.5, 2.0])
-def test_a_spline_over_the_longest_bridged_hole_has_the_acceleration_to_one_percent(
-    frequency,
-):
-    omega = 2.0 * np.pi * frequency
-    rate = 400.0 * frequency
-    time = np.arange(8000) / rate
-    q = 0.3 * np.sin(omega * time)[:, None] + default_rng(0).normal(
-        0, 1e-6, (len(time), 1)
-    )
-    hole = longest_bridged_hole(acceleration_spectra(q, rate, np.zeros_like(q)))
-    errors = []
-    for phase in np.linspace(0.0, np.pi, 9):
-        # Times between which nothing is known lie half a hole to either side of zero.
-        outside = np.arange(0.5 * hole, 3.0 * hole, 0.1 * hole)
-        known = np.concatenate((-outside[::-1], outside))
-        spline = CubicSpline(known, np.sin(omega * known + phase))
-        inside = np.linspace(-0.5 * hole, 0.5 * hole, 101)
-        true = -(omega**2) * np.sin(omega * inside + phase)
-        errors.append(spline(inside, 2) - true)
-    relative = np.sqrt(np.mean(np.square(errors)) * 2.0) / omega**2
-    assert relative == pytest.approx(0.01, rel=0.25)

@@ -105,11 +105,6 @@ def test_smooth_functions_of_motion_need_few_samples(cutoff, rate, seed, chunk, 
     assert_close(signs, expected, atol=1e-12)
 
 
-def test_the_deadband_is_a_share_of_the_peak_speed():
-    signals = process(Swing().measurement(seconds(10.0, 200.0)), cutoff=8.0)
-    assert_array_equal(signals.deadband, 0.005 * np.max(np.abs(signals.qd), axis=0))
-
-
 def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
     swing = Swing()
     time = seconds(20.0, 200.0)
@@ -253,8 +248,7 @@ def test_only_rows_beside_a_long_hole_are_masked():
 
 
 @pytest.mark.parametrize(
-    "rate, cutoff, share, fewest",
-    [(125.0, 11.0, 0.15, 0.97), (125.0, 11.0, 0.3, 0.75), (500.0, 11.0, 0.3, 0.75)],
+    "rate, cutoff, share, fewest", [(125.0, 11.0, 0.15, 0.97), (125.0, 11.0, 0.3, 0.75)]
 )
 def test_samples_lost_at_random_cost_little(rate, cutoff, share, fewest):
     """Nearly all rows stay in use, with noise hardly larger than without losses."""
@@ -374,11 +368,3 @@ def test_samples_near_a_turn_may_be_at_rest(outward, standing):
     assert np.any(turning[:, 0])
     # A joint that never turns round is never unsure.
     assert not np.any(turning[:, 1])
-
-
-def test_readings_without_noise_show_every_motion():
-    time = np.arange(400) / RATE
-    q = np.sin(2.0 * np.pi * time)[:, None]
-    qd = 2.0 * np.pi * np.cos(2.0 * np.pi * time)[:, None]
-    turning = turning_samples(q, qd, np.zeros(1))
-    assert 0 < np.count_nonzero(turning) <= 4
