@@ -65,7 +65,6 @@ _NAMES = {
         "Payload",
         "Quantity",
         "Result",
-        "RolloutTest",
         "Verdict",
     ),
     "results.parameter_table": ("BeforeAfter",),

@@ -51,7 +51,6 @@ from robot_sysid.results.record import ModelFile as ModelFile
 from robot_sysid.results.record import Payload as Payload
 from robot_sysid.results.record import Quantity as Quantity
 from robot_sysid.results.record import Result as Result
-from robot_sysid.results.record import RolloutTest as RolloutTest
 from robot_sysid.results.record import Verdict as Verdict
 from robot_sysid.signals.process import LogPiece as LogPiece
 

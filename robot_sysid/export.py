@@ -41,7 +41,6 @@ from robot_sysid.results.record import (
     Quantity,
     Result,
     json_text,
-    rollout_entry,
 )
 from robot_sysid.results.result_lines import (
     block_lines,
@@ -120,7 +119,6 @@ def save(
     as_body: str | None = None,
     card_choice: str = AUTO,
     motor_file: MotorFile | None = None,
-    refused: str | None = None,
     inputs: Collection[Path] = (),
     links: bool = False,
     step: NextStep | None = None,
@@ -137,7 +135,6 @@ def save(
         as_body: name of a new body for the payload; None merges it into the terminal link.
         card_choice: whose cards of a payload are written, of ``controllers.CHOICES``.
         motor_file: writes the motor trajectory; None for none.
-        refused: why no model is to be written although the result may be used, or None.
         inputs: files that this run reads, beside the model; they stay whatever they are called.
         links: whether the printed table shows every link.
         step: what to do after a result that may be used; None for nothing more.
@@ -151,7 +148,7 @@ def save(
     # Of a known mass the torques are calibrated: there is nothing to write of such a payload.
     payload = result.payload
     is_calibration = payload is not None and payload.known_mass is not None
-    failure = refusal(result) or refused
+    failure = refusal(result)
     report = None
     card: Mapping[str, Any] | None = None
     written: list[Path] = []
@@ -507,7 +504,6 @@ def _run_entries(result: Result, notes: Sequence[str]) -> dict[str, Any]:
         "base_parameters": combinations,
         "structural_rank": structural_rank,
         "validation": result.validation,
-        "rollout": rollout_entry(result.rollout),
         "cutoff": result.cutoff,
         "friction_model": result.friction_model,
         "limitations": limitations(result),

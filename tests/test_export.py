@@ -175,18 +175,15 @@ def test_no_result_of_an_earlier_run_stays_and_nothing_else_goes(robot, out):
     ]
 
 
-@pytest.mark.parametrize("case", ["not trusted", "does not fit", "refused"])
+@pytest.mark.parametrize("case", ["not trusted", "does not fit"])
 def test_an_old_model_goes_also_where_this_run_writes_none(robot, out, case):
     write_files(out, EARLIER)
     result = heavier(robot)
-    options = {}
     if case == "not trusted":
         result = replace(result, verdict=Verdict.TOO_WEAK)
-    elif case == "does not fit":
-        result = result_of(robot, -robot.prior.theta)
     else:
-        options = {"refused": "played worse"}
-    output = save_result(robot, result, out, **options)
+        result = result_of(robot, -robot.prior.theta)
+    output = save_result(robot, result, out)
     assert (
         names_in(out) == ["params.json"] and len(output.notes) == len(RESULT_NAMES) - 1
     )
@@ -211,13 +208,8 @@ def test_what_this_run_reads_stays_whatever_it_is_called(robot, out):
     )
     robot_in_out = load_robot_model(out / "updated_model.xml", joint="j2")
     (out / "link").symlink_to(out, target_is_directory=True)
-    output = save_result(
-        robot_in_out,
-        heavier(robot_in_out),
-        out / "link",
-        refused="no",
-        inputs=[out / log],
-    )
+    weak = replace(heavier(robot_in_out), verdict=Verdict.TOO_WEAK)
+    output = save_result(robot_in_out, weak, out / "link", inputs=[out / log])
     names = ["link", "params.json", log, "servo.json", "updated_model.xml"]
     assert (
         names_in(out) == names

@@ -26,7 +26,7 @@ from robot_sysid.estimation.choices import (
     select_couplings,
 )
 from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.dataset import Dataset, Mask, motion_signals, rms_torque
+from robot_sysid.estimation.dataset import Dataset, motion_signals, rms_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
 from robot_sysid.estimation.fit import Fit, Fitter
@@ -242,24 +242,6 @@ def answer_payload(
         )
         weighed = replace(weighed, file=file)
     return weighed, weighed
-
-
-def refit(
-    answer: Answer, used: Sequence[Mask], unchanged_parts: tuple[str, ...]
-) -> Answer:
-    """Return the answer from a part of the rows of an answer's recordings, all choices made again.
-
-    Args:
-        answer: gives recordings and options.
-        used: mask (K,) for each recording of the rows to use.
-        unchanged_parts: parts of the model file that stay as they are.
-    """
-    fit = answer.fit
-    pairs = zip(fit.columns.datasets, used)
-    datasets = [replace(dataset, used=mask) for dataset, mask in pairs]
-    return answer_link(
-        answer.robot, datasets, fit.question.options, Progress(), unchanged_parts
-    )
 
 
 def _passes(progress: Progress) -> Callable[[], None]:

@@ -134,7 +134,7 @@ def _summary_of(run: Run) -> dict[str, Any]:
     """Return what both pages say of a run: title, rating and main numbers."""
     content = run.content
     rating = "part" if content["status"] == Verdict.TORQUES_ONLY.name else "good"
-    # A run may refuse a model whose numbers it trusts, as after a rollout that is no better.
+    # A run may refuse a model whose numbers it trusts.
     is_refused = content["verdict"][0].startswith("Not usable")
     if is_refused or not content["valid"]["trustworthy"]:
         rating = "bad"

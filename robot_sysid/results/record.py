@@ -408,7 +408,6 @@ class Result:
         wrong_links: links of the model that the recordings contradict.
         conflicts: priors that the data contradicts.
         notes: remarks for the user, one sentence each.
-        rollout: simulation of the old and the new model; None where the user did not ask for it.
     """
 
     question: str
@@ -432,7 +431,6 @@ class Result:
     wrong_links: tuple[records.WrongLink, ...] = ()
     conflicts: tuple[records.PriorConflict, ...] = ()
     notes: tuple[str, ...] = ()
-    rollout: RolloutTest | None = None
 
     @property
     def model_kind(self) -> str:

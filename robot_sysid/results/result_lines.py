@@ -131,8 +131,6 @@ def more_lines(result: Result, links: bool = False) -> list[str]:
     if result.payload is not None:
         lines += _payload_lines(result.payload)
     lines += _validation_lines(result)
-    if result.rollout is not None:
-        lines += rollout_lines(result.rollout)
     # A limitation that is a Detail stays one.
     lines += [type(text)(f"  Limit: {text}") for text in limitations(result)]
     if result.file is not None and result.file.unchanged:

@@ -1,8 +1,7 @@
-"""Writing identified links, joints, gravity and a payload into a model, and bundles of models.
+"""Writing identified links, joints, gravity and a payload into a model.
 
 Each written model is compiled and verified before it counts: the numbers are in it, nothing else
-has changed, and it takes the torques that the identification predicts. A bundle is a model with its
-meshes and textures in one folder, to be sent to somebody.
+has changed, and it takes the torques that the identification predicts.
 
 The arm's chain has n joints and as many links, base to terminal; theta (10,) are the parameters of
 a body: mass, first moments, and the inertia about its frame's origin.
@@ -11,9 +10,7 @@ a body: mass, first moments, and the inertia about its frame's origin.
 from __future__ import annotations
 
 import itertools
-import os
 import platform
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +21,7 @@ import numpy as np
 
 from robot_sysid import __version__
 from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
-from robot_sysid.errors import ExportError, InputError, delay_signals
+from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.assets import bundle, find_assets
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import WriteBack, plan_write_back, setting
@@ -39,10 +36,9 @@ from robot_sysid.mjcf.updated_model import (
 )
 from robot_sysid.model.bodies import body_theta, link_bodies, place_in_carrier
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.compilation import compile_model, mjcf_of
+from robot_sysid.model.compilation import mjcf_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
-from robot_sysid.records.file_access import draft_folder, lock_folder
 from robot_sysid.records.messages import Detail, with_error
 from robot_sysid.results import verification
 from robot_sysid.results.actuator_numbers import beside_actuators
@@ -394,60 +390,6 @@ def versions() -> dict[str, str]:
     }
 
 
-BUNDLE_NAME = "bundle"
-"""Name of the folder in the output folder that holds the bundle."""
-ASSETS = "assets"
-"""Name of the folder in the bundle that holds meshes and textures."""
-
-
-def write_bundle(model: Path, folder: Path) -> Path:
-    """Copy a written model and all files it refers to into the bundle, and return the copy's path.
-
-    The bundle lies in the output folder; an earlier one is replaced once the copy has been loaded.
-
-    Args:
-        model: path of the written model.
-        folder: the output folder, which is locked while the bundle is written.
-
-    Raises:
-        ExportError: the model refers to another model, or the copy does not load as the same model.
-        InputError: a file cannot be copied, or another run has the folder.
-    """
-    bundle_folder = folder / BUNDLE_NAME
-    try:
-        with (
-            lock_folder(folder),
-            draft_folder(bundle_folder) as draft,
-            draft_folder(bundle_folder) as trash,
-        ):
-            text, asset_names = _bundled_model(model, f"{ASSETS}/")
-            (draft / ASSETS).mkdir()
-            for source, name in asset_names.items():
-                shutil.copyfile(source, draft / name)
-            copy = draft / model.name
-            copy.write_bytes(text)
-            copied_model = verification.compiled_again(copy).mj_model
-            original = compile_model(model).mj_model
-            verification.require_same_model(original, copied_model, {})
-            _replace_folder(bundle_folder, draft, trash / BUNDLE_NAME)
-    except OSError as error:
-        raise InputError(
-            f"--bundle: cannot write {bundle_folder}: {error.strerror or error}"
-        ) from None
-    return bundle_folder / model.name
-
-
-def _replace_folder(folder: Path, new: Path, trash: Path) -> None:
-    """Put the folder ``new`` at the path ``folder``; anything that was there goes to ``trash``.
-
-    Signals are delayed meanwhile, so that an interrupt leaves neither half done.
-    """
-    with delay_signals():
-        if os.path.lexists(folder):
-            os.replace(folder, trash)
-        os.replace(new, folder)
-
-
 def model_in_memory(model: Path) -> Any:
     """Return a model and all files it refers to as one ``mujoco.MjSpec`` without files.
 
@@ -457,23 +399,22 @@ def model_in_memory(model: Path) -> Any:
         raise ExportError(
             f"a spec needs MuJoCo 3.2 or later, not {mujoco.__version__}; use save()"
         )
-    text, asset_names = _bundled_model(model, "")
+    text, asset_names = _model_and_assets(model)
     assets = {name: path.read_bytes() for path, name in asset_names.items()}
     return mujoco.MjSpec.from_string(text.decode("utf-8"), assets=assets)
 
 
-def _bundled_model(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
-    """Return a model's text with new paths of its assets, and each asset's file to its new path.
+def _model_and_assets(model: Path) -> tuple[bytes, dict[Path, str]]:
+    """Return a model's text with a name for each asset in place of its path, and file to name.
 
-    The new paths are relative and begin with ``folder``, which is "" or ends with a slash. Equal
-    file names get a number. Raises ExportError where the model attaches other models.
+    Equal names of files get a number. Raises ExportError where the model attaches other models.
     """
     document = read_document(model)
     assets = find_assets(document)
     if any(asset.node.tag == "model" for asset in assets):
         raise ExportError(
-            "--bundle: the model attaches other model files (<model file=...>), which a bundle "
-            "cannot hold; send the folders as they are"
+            "the model attaches other model files (<model file=...>), which a spec without files "
+            "cannot hold; use save()"
         )
     names: dict[Path, str] = {}
     for asset in assets:
@@ -482,11 +423,11 @@ def _bundled_model(model: Path, folder: str) -> tuple[bytes, dict[Path, str]]:
             continue
         # Two files never get one name, not even on a disk that ignores the case of letters.
         used_names = set(map(str.lower, names.values()))
-        name = f"{folder}{path.name}"
+        name = path.name
         for number in itertools.count(2):
             if name.lower() not in used_names:
                 break
-            name = f"{folder}{path.stem}_{number}{path.suffix}"
+            name = f"{path.stem}_{number}{path.suffix}"
         names[path] = name
     bundle(document, names)
     return document.text(), names

@@ -49,20 +49,14 @@ from robot_sysid.model.actuators import (
     servo_gains,
 )
 from robot_sysid.model.compilation import captured_warnings
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.option_fields import processor_count
-from robot_sysid.signals.process import ProcessedSignals
 from robot_sysid.simulation.plant import forward_model, set_chain_state
 
 STEP = 0.002
 """Time step of the rollouts [s]."""
-TRACKING_RATE = 2.0
-"""Bandwidth of the tracking servo of the closed loop [Hz], critically damped."""
 MAX_WINDOWS = 60
 """Number of windows of one horizon that are played, spread evenly over the pieces of the logs."""
-LARGEST_ERROR = {False: np.pi, True: 1.0}
-"""Position error beyond which a rollout counts as run away: of hinges (key False) [rad] and of
-slides (key True) [m]."""
 NO_ACTUATOR = -1
 """Value in place of a MuJoCo actuator id for a joint without an actuator that a rollout can use."""
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -192,84 +186,6 @@ def _has_threads() -> bool:
     return hasattr(rollout, "Rollout")
 
 
-@dataclass(frozen=True)
-class TrackingServo:
-    """Servo of the closed loop, which holds the model near the measured motion.
-
-    Attributes:
-        stiffness: (n,) Kp [N m/rad].
-        damping: (n,) Kd [N m s/rad].
-    """
-
-    stiffness: Array
-    damping: Array
-
-
-def low_passed_pieces(
-    signals: ProcessedSignals, first_time: float = -np.inf
-) -> list[Measurement]:
-    """Return the pieces of a low-passed log that can be played, from ``first_time`` [s] on.
-
-    A log is cut where a long gap in its samples was bridged, and loses the ends that the low-pass
-    filter does not reach. Torques are low-passed here, positions and velocities are so already.
-    """
-    half = signals.low_pass.half_width
-    inner = slice(half, len(signals) - half)
-    time = signals.time[inner]
-    bridged = signals.bridged[inner]
-    tau = signals.low_pass.filter(signals.tau)
-    usable = np.flatnonzero((time >= first_time) & ~bridged)
-    # Runs of successive samples: cut wherever an index is left out.
-    runs = np.split(usable, np.flatnonzero(np.diff(usable) > 1) + 1)
-    q = signals.q[inner]
-    qd = signals.qd[inner]
-    pieces = []
-    for run in runs:
-        if len(run) > 1:
-            pieces.append(Measurement(time[run], q[run], qd[run], tau[run]))
-    return pieces
-
-
-def tracking_servo(
-    robots: Sequence[RobotModel], pieces: Sequence[Measurement]
-) -> TrackingServo:
-    """Return one servo for several models of an arm, made for the largest inertia of any of them.
-
-    A joint's inertia is its diagonal element of the mass matrix, at about ten positions per piece.
-    With it the servo is critically damped, at a bandwidth of ``TRACKING_RATE``.
-    """
-    q = np.concatenate([piece.q[:: max(1, len(piece.q) // 10)] for piece in pieces])
-    inertia = np.zeros(q.shape[1])
-    for robot in robots:
-        model = forward_model(robot)
-        data = mujoco.MjData(model)
-        mass_column = np.empty(model.nv)
-        for positions in q:
-            set_chain_state(robot, model, data, positions, np.zeros_like(positions))
-            mujoco.mj_forward(model, data)
-            for joint, dof in enumerate(robot.dof_index):
-                mujoco.mj_mulM(model, data, mass_column, np.eye(model.nv)[dof])
-                inertia[joint] = max(inertia[joint], mass_column[dof])
-    rate = 2.0 * np.pi * TRACKING_RATE
-    return TrackingServo(inertia * rate**2, 2.0 * inertia * rate)
-
-
-def window_starts(
-    pieces: Sequence[Measurement], horizon: float
-) -> list[tuple[Measurement, float]]:
-    """Return up to ``MAX_WINDOWS`` windows, each as (piece, time at the window's start [s]).
-
-    Windows have the length ``horizon`` [s] and follow each other without a gap within each piece.
-    """
-    windows = []
-    for piece in pieces:
-        count = int((piece.time[-1] - piece.time[0]) / horizon + 1e-9)
-        for number in range(count):
-            windows.append((piece, float(piece.time[0] + number * horizon)))
-    indices = np.linspace(0, len(windows) - 1, min(len(windows), MAX_WINDOWS))
-    return [windows[k] for k in indices.round().astype(int)]
-
-
 def interpolate(at: Array | float, time: Array, values: Array) -> Array:
     """Return columns of values, interpolated linearly at new times; outside, the nearest ones.
 
@@ -283,55 +199,6 @@ def interpolate(at: Array | float, time: Array, values: Array) -> Array:
     """
     columns = [np.interp(at, time, column) for column in values.T]
     return np.stack(columns, axis=-1)
-
-
-def rollout_error(
-    robot: RobotModel,
-    windows: Sequence[tuple[Measurement, float]],
-    horizon: float,
-    servo: TrackingServo | None,
-) -> tuple[Array, int]:
-    """Return a model's position error when it plays windows of a log, and how many ran away.
-
-    Args:
-        robot: the arm with the model to be played.
-        windows: from ``window_starts``, of pieces that have velocities.
-        horizon: length of each window [s].
-        servo: pulls the model towards the measured motion; None for open loop.
-
-    Returns:
-        Root mean square error over all windows and steps (n,) [rad or m], in which no error counts
-        for more than ``LARGEST_ERROR``; number of windows in which one was larger.
-    """
-    steps = max(1, round(horizon / STEP))
-    model = rollout_model(robot, horizon / steps)
-    edges = np.arange(steps + 1) * model.opt.timestep
-    middles = 0.5 * (edges[1:] + edges[:-1])
-    n_joints = robot.n_joints
-    q, qd = np.empty((2, len(windows), steps + 1, n_joints))
-    torque = np.empty((len(windows), steps, n_joints))
-    for k, (piece, start) in enumerate(windows):
-        assert piece.qd is not None
-        q[k] = interpolate(edges + start, piece.time, piece.q)
-        qd[k] = interpolate(edges + start, piece.time, piece.qd)
-        torque[k] = interpolate(middles + start, piece.time, piece.tau)
-    if servo is not None:
-        # Spring and damper of the joint are implicit in a step, which keeps it stable; the torque
-        # moves their rest from the model's to the measured motion: positions at the step's begin,
-        # velocities at its end.
-        model.jnt_stiffness[model.dof_jntid[robot.dof_index]] += servo.stiffness
-        model.dof_damping[robot.dof_index] += servo.damping
-        spring_rest = np.array(model.qpos_spring[robot.qpos_index])
-        torque += servo.stiffness * (q[:, :-1] - spring_rest)
-        torque += servo.damping * qd[:, 1:]
-    inputs = RolloutInputs(q[:, 0], qd[:, 0], torque)
-    error = np.abs(RolloutRunner(robot, model).positions(inputs) - q[:, 1:])
-    largest = np.where(robot.is_slide, LARGEST_ERROR[True], LARGEST_ERROR[False])
-    # A rollout that diverged is NaN, and no comparison with NaN is true.
-    is_small = error < largest
-    ran_away = ~np.all(is_small, axis=(1, 2))
-    error = np.where(is_small, error, largest)
-    return np.sqrt(np.mean(error**2, axis=(0, 1))), int(np.count_nonzero(ran_away))
 
 
 @dataclass(frozen=True)

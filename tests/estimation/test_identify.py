@@ -12,12 +12,7 @@ from numpy.testing import assert_allclose
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.build_result import result_of
-from robot_sysid.estimation.identify import (
-    Piece,
-    answer_link,
-    low_pass_recordings,
-    refit,
-)
+from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.payload_recordings import (
     bodies_apart,
     contradiction,
@@ -120,19 +115,6 @@ def test_numbers_that_take_up_friction_left_out_are_not_called_usable(
 def test_the_mass_is_found_with_friction_chosen_by_the_logs(robot, noisy):
     result = result_of(answer_logs(robot, noisy, friction_model="auto"), ORIGIN)
     assert result.estimate.inertial.mass == pytest.approx(0.8, abs=0.15)
-
-
-def test_rows_that_a_refit_leaves_out_have_no_effect(robot, noisy):
-    is_spoilt = np.arange(len(noisy))[:, None] > 0.9 * len(noisy)
-    answer = answer_logs(robot, replace(noisy, tau=noisy.tau + 8.0 * is_spoilt))
-    (dataset,) = answer.fit.columns.datasets
-    time = dataset.motion.time
-    second = refit(answer, [time < time[0] + 0.8 * (time[-1] - time[0])], ())
-    mass = second.fit.values[0]
-    assert mass == pytest.approx(0.8, abs=0.2)
-    assert second.file is not None
-    assert spatial.is_consistent(second.file.fit.values[:10])
-    assert abs(answer.fit.values[0] - 0.8) > 2.0 * abs(mass - 0.8)
 
 
 # ---- recordings of a payload compared

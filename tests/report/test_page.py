@@ -78,7 +78,6 @@ def test_every_part_is_there_and_every_figure_has_a_caption_and_a_unit(text):
         "Motion and its limits",
         "Friction",
         "Prediction errors",
-        "Played in the simulator",
         "truth",
         "fifths of arm.csv",
     ):
@@ -141,7 +140,7 @@ def test_amber_is_the_colour_of_a_caveat_and_red_of_what_is_not_usable(
 ):
     for status, rating in (("AS_GOOD", "good"), ("TORQUES_ONLY", "part")):
         assert rating_in(page_with(link_run, tmp_path, status=status)) == rating
-    refused = ["Not usable: no model was written: the rollout is no better"]
+    refused = ["Not usable: no model was written: it is no better"]
     text = page_with(link_run, tmp_path, verdict=refused)
     assert rating_in(text) == "bad" and "mass [kg]</td>" not in text.split("fold")[0]
     # The torques of another run are not drawn.
@@ -160,7 +159,7 @@ def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(
 
 
 def test_a_model_of_its_own_simulation_has_one_body_without_errors(link_run, tmp_path):
-    absent = dict.fromkeys(("file", "standard_errors", "rollout", "base_parameters"))
+    absent = dict.fromkeys(("file", "standard_errors", "base_parameters"))
     absent |= {"links": [], "joints": {}, "couplings": {}, "validation": []}
     text = page_with(
         link_run, tmp_path, source="simulation of the model itself", **absent

@@ -1,4 +1,4 @@
-"""The better of two models is found by playing a log, and a file is judged by its torques."""
+"""A file is judged by its torques."""
 
 from __future__ import annotations
 
@@ -10,100 +10,12 @@ import pytest
 from numpy.testing import assert_allclose
 from pytest import approx
 
-from robot_sysid.errors import ExportError, InputError
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement
-from robot_sysid.results.prediction import (
-    LAST_FIFTH,
-    compare,
-    fitted_rows,
-    play,
-    rollout_refusal,
-    split_time,
-    torque_error,
-)
-from robot_sysid.signals.process import process
+from robot_sysid.results.prediction import torque_error
 from robot_sysid.simulator import ArmTorque
-from tests.simulation import test_playback
 from tests.support import arms
 from tests.support.model_files import write_files
 from tests.support.releases import since
-
-TRUTH = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=test_playback.JOINT.format(0.2))
-
-
-def test_the_better_of_two_models_is_found_in_either_order():
-    truth = test_playback.arm()
-    heavy_rotor = test_playback.arm(0.5)
-    recordings = [test_playback.recording(truth)]
-    improvement, deterioration = (
-        compare(*pair, recordings, "a piece")
-        for pair in ((heavy_rotor, truth), (truth, heavy_rotor))
-    )
-    assert improvement.is_better and rollout_refusal(improvement, ()) is None
-    assert not deterioration.is_better and "not better" in rollout_refusal(
-        deterioration, ()
-    )
-    assert improvement.score == approx(1.0 / deterioration.score)
-    # The piece is too short for the longest horizon.
-    assert test_playback.SECONDS < 3.0 and improvement.notes == (
-        "no held-out piece is as long as 3 s",
-    )
-    assert horizons(improvement) == {0.1, 0.3, 1.0}
-
-
-@pytest.fixture(scope="module")
-def signals():
-    """Processed signals of 8 s of the true arm's motion."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(test_playback, "SECONDS", 8.0)
-        log = test_playback.recording(test_playback.arm())
-    return process(
-        Measurement(log.time, log.q, None, log.tau),
-        test_playback.arm().joint_names,
-        20.0,
-    )
-
-
-def writes(xml):
-    """A function that writes an MJCF text to its target."""
-    return lambda target: target.files.write(target.path, xml)
-
-
-def horizons(test):
-    """The times [s] over which a model was played."""
-    return {error.horizon for error in test.errors}
-
-
-def test_the_written_file_is_played_on_the_held_out_end_of_the_log(signals):
-    test = play(
-        test_playback.arm(0.5), [signals], writes(TRUTH), None, split_time, LAST_FIFTH
-    )
-    assert test.is_better and horizons(test) == {0.1, 0.3, 1.0}
-    rows = fitted_rows(signals)
-    time = signals.decimated_time()
-    reach = signals.low_pass.half_width / signals.rate
-    assert 0.7 < np.mean(rows) < 0.8
-    assert np.max(time[rows]) + reach < split_time(signals) - reach
-
-
-def test_a_validation_log_is_played_from_its_beginning(signals):
-    test = play(test_playback.arm(0.5), [signals], writes(TRUTH), None)
-    assert test.is_better and test.held_out == "the validation log"
-    assert 3.0 in horizons(test)
-
-
-@pytest.mark.parametrize("error", [InputError, ExportError])
-def test_a_model_that_cannot_be_written_for_playing_is_refused(signals, error):
-    def fails(_):
-        raise error("it cannot hold this")
-
-    test = play(test_playback.arm(), [signals], fails, None)
-    assert test.score is None and not test.is_better
-    assert "it cannot hold this" in rollout_refusal(test, ())
-    assert rollout_refusal(test, ("rollout",)) is None
-    assert rollout_refusal(None, ()) is None
-
 
 OFFSETS = np.array([3.0, -2.0, 0.5])
 

@@ -91,7 +91,7 @@ def test_the_written_file_is_judged_by_its_torque_error_on_other_logs():
 
 def test_a_result_takes_no_more_than_a_screen():
     """A screen has 25 lines, of which stages take four."""
-    complete_result = made.whole(validation=(), rollout=None)
+    complete_result = made.whole(validation=())
     for result in (complete_result, made.payload(), made.itself()):
         assert len(result_lines.result_lines(result)) <= 21
 

@@ -1,6 +1,6 @@
 """The written model holds what was identified, and nothing else of the user's model has changed.
 
-A bundle stands alone: it loads as the same model wherever it is put.
+A model in memory needs no file.
 """
 
 from __future__ import annotations
@@ -32,17 +32,16 @@ from robot_sysid.model.bodies import (
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import atomic_files
-from robot_sysid.results import record, verification
+from robot_sysid.results import record
 from robot_sysid.results import written_model as model_module
 from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.verification import require_same_model
-from robot_sysid.results.written_model import write_bundle, write_model
+from robot_sysid.results.written_model import model_in_memory, write_model
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms, urdf
 from tests.support import results as made
-from tests.support.command_line import files_in
 from tests.support.model_files import ARM, random_theta, write_files
-from tests.support.places import EXAMPLE, GUESS
+from tests.support.places import EXAMPLE
 from tests.support.releases import since
 
 MJCF = ARM.replace(
@@ -543,7 +542,7 @@ def test_the_errors_of_what_is_written_count(tmp_path):
     )
 
 
-# ---- bundles
+# ---- models in memory
 
 STL = EXAMPLE / "model" / "meshes" / "gripper.stl"
 MESHES = """
@@ -560,13 +559,7 @@ MESHES = """
 """
 
 
-def load_moved_bundle(bundle, tmp_path):
-    """The bundle's model in another place, everything else gone."""
-    folder = tmp_path / "elsewhere"
-    shutil.move(bundle.parent, folder)
-    return mujoco.MjModel.from_xml_path(str(folder / bundle.name))
-
-
+@since(3, 3)
 def test_two_meshes_of_one_name_and_an_include(tmp_path):
     source = tmp_path / "source"
     for side in ("left", "right"):
@@ -575,50 +568,13 @@ def test_two_meshes_of_one_name_and_an_include(tmp_path):
     include = "<mujoco><option timestep='0.001'/></mujoco>"
     model = write_files(source, {"updated_model.xml": MESHES, "more.xml": include})
     original = mujoco.MjModel.from_xml_path(str(model))
-    bundle = write_bundle(model, tmp_path)
-    assert bundle == tmp_path / "bundle" / "updated_model.xml"
+    spec = model_in_memory(model)
     shutil.rmtree(source)
-    require_same_model(original, load_moved_bundle(bundle, tmp_path), {})
+    require_same_model(original, spec.compile(), {})
 
 
-def test_a_second_bundle_replaces_the_first_even_where_that_is_a_link(tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "file").touch()
-    (tmp_path / "bundle").symlink_to(tmp_path / "mine")
-    write_bundle(
-        write_files(tmp_path, {"first.xml": "<mujoco><worldbody/></mujoco>"}), tmp_path
-    )
-    assert (tmp_path / "mine" / "file").is_file()
-    bundle = write_bundle(GUESS, tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {"bundle", "first.xml", "mine"}
-    assert {path.name for path in bundle.parent.iterdir()} == {GUESS.name, "assets"}
-
-
-def test_a_bundle_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
-    first = write_files(tmp_path, {"first.xml": "<mujoco><worldbody/></mujoco>"})
-    bundle = write_bundle(first, tmp_path)
-    old_files = files_in(tmp_path)
-    monkeypatch.setattr(verification, "compiled_again", lambda path: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        write_bundle(GUESS, tmp_path)
-    assert files_in(tmp_path) == old_files
-    assert bundle.is_file()
-
-
-def test_a_urdf_takes_its_meshes_along(tmp_path):
-    mesh = urdf.mesh("collision", "package://thing/meshes/part.stl")
-    text = urdf.robot(urdf.serial({"arm": urdf.inertial() + mesh}))
-    meshes = tmp_path / "thing" / "meshes"
-    meshes.mkdir(parents=True)
-    shutil.copy(STL, meshes / "part.stl")
-    bundle = write_bundle(
-        write_files(tmp_path, {"thing/updated_model.urdf": text}), tmp_path
-    )
-    shutil.rmtree(tmp_path / "thing")
-    assert load_moved_bundle(bundle, tmp_path).nmesh >= 1
-
-
-def test_a_model_that_attaches_others_is_refused_and_leaves_nothing(tmp_path):
+@since(3, 3)
+def test_a_model_that_attaches_others_is_refused(tmp_path):
     (tmp_path / "other.xml").write_text(
         "<mujoco><worldbody><body name='b'/></worldbody></mujoco>"
     )
@@ -627,5 +583,4 @@ def test_a_model_that_attaches_others_is_refused_and_leaves_nothing(tmp_path):
     )
     model = write_files(tmp_path, {"updated_model.xml": text})
     with pytest.raises(ExportError, match="attaches other model files"):
-        write_bundle(model, tmp_path)
-    assert not list(tmp_path.glob("*bundle*"))
+        model_in_memory(model)

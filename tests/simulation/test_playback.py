@@ -1,4 +1,4 @@
-"""Playing logs: a perfect model makes no error, in open and closed loop; a wrong one does.
+"""Rollouts are what MuJoCo does step by step, on one processor or on many.
 
 Servos in rollouts are the model's own actuators where it has them, and springs else.
 """
@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.records import Measurement
 from robot_sysid.simulation import playback
 from robot_sysid.simulation.plant import set_chain_state
 from tests.support.arms import MODELS, SEVEN, X, Y, Z, robot_of, serial_arm
@@ -17,50 +16,10 @@ from tests.support.releases import since
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
 
 JOINT = 'range="-2.5 2.5" armature="{}" damping="3" frictionloss=".5"'
-SECONDS = 1.2
 
 
 def arm(armature=0.2):
     return robot_of(serial_arm((Z, Y, X), joint=JOINT.format(armature)))
-
-
-def recording(robot):
-    """The motion of an arm under smooth torques, every step of it."""
-    time = playback.STEP * np.arange(round(SECONDS / playback.STEP) + 1)
-    torque = 6.0 * np.sin(np.outer(time[:-1] + 0.5 * playback.STEP, [3.0, 4.0, 5.0]))
-    start = np.array([[0.1, -0.2, 0.3]])
-    model = playback.rollout_model(robot, playback.STEP)
-    inputs = playback.RolloutInputs(start, 0.0 * start, torque[None])
-    positions = playback.RolloutRunner(robot, model).positions(inputs)[0]
-    q = np.vstack((start, positions))
-    qd = np.vstack((0.0 * start, np.diff(q, axis=0) / playback.STEP))
-    return Measurement(time, q, qd, np.vstack((torque, torque[-1:])))
-
-
-@pytest.mark.parametrize("is_closed", [False, True])
-def test_the_arm_itself_makes_no_error_and_another_one_does(is_closed):
-    robot = arm()
-    other = arm(0.5)
-    piece = recording(robot)
-    windows = playback.window_starts([piece], 0.3)
-    assert len(windows) == 4
-    servo = playback.tracking_servo((robot, other), [piece]) if is_closed else None
-    error, _ = playback.rollout_error(robot, windows, 0.3, servo)
-    other_error, diverged = playback.rollout_error(other, windows, 0.3, servo)
-    # Torques are interpolated, so the first steps of a window are not quite the arm's.
-    assert np.max(error) < (2e-4 if is_closed else 1e-3)
-    assert np.all(other_error > 5.0 * error)
-    assert diverged == 0
-
-
-def test_an_error_that_runs_away_counts_with_the_largest_one():
-    robot = arm()
-    piece = recording(robot)
-    wild = Measurement(piece.time, piece.q, piece.qd, 1e6 * np.ones_like(piece.tau))
-    windows = playback.window_starts([wild], 1.0)
-    error, diverged = playback.rollout_error(robot, windows, 1.0, None)
-    assert diverged == 1
-    assert np.all(error <= np.pi + 1e-12)
 
 
 def random_inputs(robot, count=4, steps=30):

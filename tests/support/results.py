@@ -25,9 +25,7 @@ from robot_sysid.records import (
     WrongLink,
 )
 from robot_sysid.results.record import (
-    CLOSED,
     LINK,
-    OPEN,
     PAYLOAD,
     BaseParameters,
     BodyEstimate,
@@ -37,8 +35,6 @@ from robot_sysid.results.record import (
     Quantity,
     RecordingPayload,
     Result,
-    RolloutError,
-    RolloutTest,
     Verdict,
 )
 
@@ -239,9 +235,6 @@ def whole(**changes) -> Result:
         directional_coulomb=(Quantity(0.6, 0.01), Quantity(0.4, 0.02)),
     )
     bodies = (SubtreeBody(6, "link6", THETA, True),)
-    errors = RolloutError(
-        OPEN, 0.2, 5, np.array([0.2, 0.1]), np.array([0.02, 0.11]), (1, 0)
-    )
     result = found(
         robot=replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
         links=(first, terminal(estimate())),
@@ -275,13 +268,6 @@ def whole(**changes) -> Result:
         conflicts=(PriorConflict("links", ("link5",), 2.5, 1.0),),
         reasons=("because",),
         notes=("a note",),
-        rollout=RolloutTest(
-            JOINTS,
-            "last fifths",
-            CLOSED,
-            (errors, replace(errors, loop=CLOSED)),
-            ("one piece",),
-        ),
     )
     return replace(result, **changes)
 
