@@ -110,16 +110,6 @@ def test_simulated_time_takes_no_priority(monkeypatch):
     assert scheduler.schedules == {}
 
 
-def test_garbage_collection_and_the_switch_interval_are_put_back():
-    interval = sys.getswitchinterval()
-    with pytest.raises(ValueError), undisturbed_processor():
-        assert not gc.isenabled()
-        assert sys.getswitchinterval() < 1e-3
-        raise ValueError
-    assert gc.isenabled()
-    assert sys.getswitchinterval() == interval
-
-
 def test_a_refused_frame_does_not_reach_the_bus():
     bench = Bench()
     with pytest.raises(SysidError):

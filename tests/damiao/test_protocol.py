@@ -113,16 +113,6 @@ def test_many_joints_and_samples_survive_within_half_a_step(names, seed, shape):
             assert alone[0].tobytes() == frames[at].tobytes()
 
 
-@given(name=st.sampled_from(TYPES), raw=st.binary(min_size=8, max_size=8))
-def test_decoding_and_encoding_a_command_gives_its_bytes_back(name, raw):
-    scaling = scaling_of(name)
-    decoded = decode_mit(np.frombuffer(raw, dtype=np.uint8)[None], scaling)
-    if raw[:7] == b"\xff" * 7 or (decoded.kp[0] > 0 and decoded.kd[0] == 0):
-        refusal(decoded, scaling)
-    else:
-        assert encode_mit(decoded, scaling).tobytes() == raw
-
-
 @given(names=TYPE_LISTS, seed=SEEDS)
 def test_feedback_survives_within_a_step_and_half_a_step_centred(names, seed):
     """A motor drops the fraction, and says its limit where the truth is beyond it."""

@@ -109,33 +109,6 @@ def replies_of(q, qd, time, command=None, torque=0.0):
     return Replies(answered, time, feedback, answered, command)
 
 
-class FullDisk:
-    """A file on a disk that has become full; what it holds back fails again on closing."""
-
-    closed = False
-
-    def write(self, text):
-        raise OSError(28, "No space left on device")
-
-    def flush(self):
-        pass
-
-    def close(self):
-        self.closed = True
-        raise OSError(28, "No space left on device")
-
-
-def test_a_disk_that_becomes_full_is_told_and_raises_nothing(tmp_path):
-    recorder = recorder_for(tmp_path / "measured.csv")
-    recorder._file.close()
-    recorder._file = FullDisk()
-    assert recorder.failure is None
-    with recorder:
-        recorder.write(*one_cycle(1))
-    assert str(recorder.failure) == "[Errno 28] No space left on device"
-    assert recorder._file.closed
-
-
 def test_rows_of_joints_that_are_played_are_in_the_file_before_the_run_ends(tmp_path):
     """Two more motors are only held."""
     path = tmp_path / "measured.csv"

@@ -11,15 +11,7 @@ import pytest
 from robot_sysid.damiao.adapters import BusLink
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.protocol import (
-    Address,
-    Frame,
-    Scaling,
-    decode_mit,
-    disable_frame,
-    enable_frame,
-    set_zero_frame,
-)
+from robot_sysid.damiao.protocol import Frame, Scaling, decode_mit
 from robot_sysid.damiao.simulated import simulated_motor, slcan_terminal
 
 
@@ -33,21 +25,6 @@ def test_a_motor_reads_commands_as_the_codec_does():
         assert motor._unpack(command.tobytes()) == [
             float(value[0]) for value in meaning
         ]
-
-
-def test_a_motor_keeps_its_command_until_it_is_disabled():
-    """Being enabled again, or told to take a new zero while it drives, it goes on as before."""
-    motor = simulated_motor(DamiaoJoint("DM4340", 5, 0x15))
-    address = Address(0, 5)
-    motor.handle(enable_frame(address), 0.0)
-    motor.handle(Frame(5, bytes([0x90, 0, 0x80, 0x02, 0, 0x40, 0x08, 0])), 0.0)
-    command = list(motor.command)
-    assert any(command)
-    motor.handle(enable_frame(address), 0.01)
-    motor.handle(set_zero_frame(address), 0.02)
-    assert list(motor.command) == command and motor.shift == 0.0
-    motor.handle(disable_frame(address), 0.03)
-    assert not any(motor.command)
 
 
 NEEDS_TERMINALS = pytest.mark.skipif(

@@ -66,13 +66,3 @@ def test_a_jump_of_the_positions_is_found(rate, seed, share):
     q[row:, 0] += 0.02 if rate > 200.0 else 0.15
     result = mismatch(time, q, qd)
     assert result.joint == 0 and abs(result.row - row) <= 0.2 * rate + 8
-
-
-def test_velocities_of_a_joint_that_stands_are_found_in_the_first_window_that_has_them():
-    time = np.arange(400) / 250.0
-    q = np.zeros((400, 1))
-    qd = np.zeros((400, 1))
-    qd[100:200] = 9.0
-    result = mismatch(time, q, qd)
-    assert (result.row, result.joint, result.slope) == (75, 0, 0.0)
-    assert result.stated > 0.0
