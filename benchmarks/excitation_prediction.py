@@ -88,7 +88,7 @@ def beliefs(problem, motion):
 
 def drawn_links(robot, rng):
     """Return parameters of the other links, drawn from their prior and possible as bodies."""
-    share = 0.01 * OPTIONS.link_uncertainty
+    share = 0.01 * OPTIONS.priors.link
     links = []
     heavier, longer = share * rng.normal(size=2)
     for number in other_links(robot):

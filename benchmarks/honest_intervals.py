@@ -43,7 +43,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.estimation.algebra.priors import link_factor
 from robot_sysid.estimation.build_result import WIDER, payload_of
 from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
-from robot_sysid.estimation.question import EstimationOptions, Question
+from robot_sysid.estimation.question import EstimationOptions, Priors, Question
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel
@@ -90,12 +90,10 @@ class Cell:
 
     def options(self) -> EstimationOptions:
         """Return options with priors as wide as these deviations."""
-        return EstimationOptions(
-            link_uncertainty=self.links,
-            scale_uncertainty=self.scale,
-            zero_uncertainty=self.zero,
-            gravity_uncertainty=self.tilt,
+        priors = Priors(
+            link=self.links, scale=self.scale, zero=self.zero, gravity=self.tilt
         )
+        return EstimationOptions(priors=priors)
 
 
 USUAL = Cell(2.0, 1.0, 1.0, 0.1)

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.honest_intervals import ARMS
 from benchmarks.payload_by_difference import recordings, rms, weigh
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimation.question import EstimationOptions, Priors
 from robot_sysid.parser import load_robot_model
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 
@@ -47,7 +47,7 @@ def calibration(robot, arm, rng, sets):
     for _ in range(sets):
         raw = recordings(robot, arm, rng, payload=body(WEIGHT))
         logs = [divide_by_scale(recording, scale) for recording in raw]
-        options = EstimationOptions(scale_uncertainty=sure)
+        options = EstimationOptions(priors=Priors(scale=sure))
         payload = weigh(robot, logs, options, known_mass=WEIGHT).payload
         more, errors = np.transpose(
             [payload.torque_scale[joint] for joint in robot.joint_names]
@@ -70,7 +70,7 @@ def run(robot, seed, sets):
         raw = recordings(robot, arm, rng, payload=body(mass))
         plain.append(weigh(robot, raw).payload.body.inertial.mass / mass - 1.0)
         better = [divide_by_scale(recording, scale) for recording in raw]
-        options = EstimationOptions(scale_uncertainty=sure)
+        options = EstimationOptions(priors=Priors(scale=sure))
         result = weigh(robot, better, options).payload.body
         scaled.append(result.inertial.mass / mass - 1.0)
         stated.append(result.errors[0] / mass)

@@ -5,7 +5,7 @@
 Seven-joint arms with dry and viscous friction, with torques from 1e-4 to 1e3 N m and sample rates
 from 10 Hz to 20 kHz. Each is identified from its own simulation of 15 s (``robot-sysid MODEL``).
 The simulated log is then identified from a model whose last link is wrong by 30 %, once with noise
-as the only unknown cause (all ``--*-uncertainty 0``) and once with default priors. Printed: root
+as the only unknown cause (all priors 0) and once with default priors. Printed: root
 mean square torque of the strongest joint; relative error of the mass; largest error of the ten
 parameters over mass times size; the largest stated error; and the largest error over stated error.
 """
@@ -29,7 +29,6 @@ from robot_sysid.dynamics import spatial
 from tests.support.arms import LINK, SEVEN_AXES, TIP, serial_bodies, world
 
 UNCERTAIN = ("link", "scale", "zero", "gravity", "delay", "friction")
-EXACT = [word for cause in UNCERTAIN for word in (f"--{cause}-uncertainty", "0")]
 ACCEPTED = ("--accept", "computed")
 WRONG = 0.7
 RATES = (10.0, 25.0, 100.0, 1000.0, 20000.0)
@@ -112,9 +111,12 @@ def lines(
     params = run(folder / "own", true, *motion, "--save-measurements", log)
     truth = truth_of(true)
     yield "own simulation", line(params, truth)
-    for name, more in (("log, noise only", EXACT), ("log, defaults", [])):
+    priors = folder / "priors.json"
+    priors.write_text(json.dumps(dict.fromkeys(UNCERTAIN, 0)))
+    exact = ("--priors", priors)
+    for name, more in (("log, noise only", exact), ("log, defaults", ())):
         # What was computed looks like it.
-        arguments = (guess, "--measurements", log, *ACCEPTED, *more)
+        arguments = ("identify", guess, log, *ACCEPTED, *more)
         yield name, line(run(folder / name, *arguments), truth)
 
 

@@ -23,7 +23,7 @@ from benchmarks.honest_intervals import ARMS
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimation.build_result import payload_of
 from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
-from robot_sysid.estimation.question import EstimationOptions, Question
+from robot_sysid.estimation.question import EstimationOptions, Priors, Question
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
@@ -94,7 +94,7 @@ def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
 def single_difference(robot, raw):
     """Return the difference of the terminal link's mass in two separate fits [kg]."""
     exact = ("link", "scale", "zero", "gravity")
-    options = EstimationOptions(**{f"{cause}_uncertainty": 0.0 for cause in exact})
+    options = EstimationOptions(priors=Priors(**dict.fromkeys(exact, 0.0)))
     masses = []
     for is_loaded in (False, True):
         logs = [piece.samples for piece in raw if piece.is_loaded is is_loaded]

@@ -84,7 +84,7 @@ def watch_process(*command: str) -> tuple[float, float, str]:
 
 def run_command(*arguments: str) -> tuple[float, float]:
     """Run robot-sysid; return its processor time [s] and peak memory [MB]."""
-    command = (sys.executable, "-m", "robot_sysid", *arguments, "--quiet")
+    command = (sys.executable, "-m", "robot_sysid", *arguments)
     return watch_process(*command)[:2]
 
 
@@ -124,7 +124,7 @@ def format_row(
 def start_rows() -> Iterator[str]:
     """Yield the cost of importing libraries, and of the Quick Start."""
     with tempfile.TemporaryDirectory() as out:
-        options = ("--output-dir", out, "--seed", "0", "--quiet")
+        options = ("--output-dir", out, "--seed", "0")
         processes = {
             "importing mujoco and numpy": ("-c", "import mujoco, numpy"),
             "robot-sysid, the README's Quick Start": (

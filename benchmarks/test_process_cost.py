@@ -9,7 +9,7 @@ from tests.support.places import GUESS
 
 
 def test_an_hour_of_data_against_fifteen_seconds_in_peak_memory(benchmark, tmp_path):
-    options = ("--output-dir", str(tmp_path), "--seed", "0", "--quiet", "--duration")
+    options = ("--output-dir", str(tmp_path), "--seed", "0", "--duration")
     short = watch_quick_start(*options, "15")
     peak = benchmark.pedantic(watch_quick_start, (*options, "3600"), rounds=1)
     benchmark.extra_info["15 s [MB]"] = round(short)
