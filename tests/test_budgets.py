@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 5507,
     "robot_sysid/commands": 13318,
     "robot_sysid/damiao": 44961,
-    "robot_sysid/diagnosis": 19188,
+    "robot_sysid/diagnosis": 19370,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 51176,
     "robot_sysid/logs": 21928,

@@ -511,6 +511,27 @@ def ripples(fit: BaseFit) -> Iterator[Explanation]:
         )
 
 
+def couplings(fit: BaseFit) -> Iterator[Explanation]:
+    """Yield, for each motor that may turn several joints, the friction and inertia of its rotor.
+
+    The coefficients (3,) are its Coulomb and viscous friction and its rotor inertia. These
+    explanations compete, but ``is_possible`` rules out that they are reported: the estimate reports
+    couplings, and uses them only with clear evidence.
+    """
+    speed = np.max(rms(fit.log.motion.qd))
+    acceleration = np.max(rms(fit.log.motion.qdd))
+    # Typical sizes of what Coulomb, viscous friction and rotor inertia are multiplied by.
+    units = np.array([1.0, speed, acceleration])
+    for motor in fit.log.columns.couplings:
+        name = motor.name
+        terms = (f"coulomb[{name}]", f"viscous[{name}]", f"armature[{name}]")
+        columns = fit.log.columns_of(terms)
+        size = 0.3 * float(np.min(fit.log.typical_torque[motor.ratios != 0.0]))
+        describe = _first_coefficient("one motor turns with joints {joint}", joint=name)
+        coupling = Explanation("coupling", Level.NOTE, columns, size / units, describe)
+        yield replace(coupling, is_possible=lambda v, e: False)
+
+
 def crosstalk(fit: BaseFit) -> Iterator[Explanation]:
     """Yield torque sensors that also read a share of the torque of the joint before or after."""
     text = "the torque of joint {joint} holds {value} of that of joint {other}; calibrate its "
@@ -565,6 +586,7 @@ LINEAR: tuple[Callable[[BaseFit], Iterator[Explanation]], ...] = (
     pushes,
     hums,
     ripples,
+    couplings,
     crosstalk,
     warming,
 )

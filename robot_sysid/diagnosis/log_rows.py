@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.estimation.choices import neighbours
 from robot_sysid.estimation.columns import Columns
 from robot_sysid.estimation.dataset import Dataset
 from robot_sysid.records import Array, Motion, RobotModel
@@ -173,7 +174,7 @@ def log_rows(
     from scipy.ndimage import binary_dilation, binary_opening
 
     datasets = [Dataset("log", piece) for piece in signals]
-    columns = Columns(robot, datasets)
+    columns = Columns(robot, datasets, couplings=tuple(neighbours(robot)))
     pieces = columns.samples(columns.start())
     motion = _join_motions([dataset.motion for dataset in datasets])
     measured = []
