@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 9080,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12259,
-    "tests": 265282,
+    "tests": 265000,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
