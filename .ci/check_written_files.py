@@ -41,10 +41,8 @@ def write(folder: Path) -> None:
         output = folder / model.stem
         log = output / "log.csv"
         arm.record(log, arm.first_plan, 0.0)
-        coupling = output / "coupling.json"
-        coupling.write_text(json.dumps({"m": dict.fromkeys(robot.joint_names[-2:], 1)}))
         add_rotors(log, arm.first_plan, robot.n_joints)
-        command = ["identify", str(model), str(log), "--coupling", str(coupling)]
+        command = ["identify", str(model), str(log)]
         assert main([*command, "--output-dir", str(output)]) == 0, model
         files = sorted(output.glob("updated_model.*"))
         assert files, model

@@ -42,7 +42,7 @@ SEARCH = "plan search"
 EXAMPLE = "example"
 COMMANDS = {
     "identify itself": f"arm.xml --seed {{k}} {SHORT} {MOTORS} {INTO}",
-    "identify log": f"identify arm.xml log{{k}}.csv --bundle {INTO}",
+    "identify log": f"identify arm.xml log{{k}}.csv {INTO}",
     "plan": f"{PLAN} --excitation sines",
     # Ends when time is up, so that its results are other ones each time.
     SEARCH: f"{PLAN} --excitation-time-budget 2",

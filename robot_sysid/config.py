@@ -131,6 +131,11 @@ _FOLDERS = ("output_dir", "mesh_dir")
 """Keys of options that name a folder."""
 
 
+def _is_written(flag: str) -> bool:
+    """Return whether the file that an option names is written, and not read."""
+    return flag.lstrip("-").startswith("save-")
+
+
 @dataclass(frozen=True)
 class Config:
     """Options of a command: base class of all.
@@ -181,7 +186,7 @@ class Config:
 
     def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over; None stands for no file."""
-        files = [path for flag, path in self._files() if not flag.startswith("--save")]
+        files = [path for flag, path in self._files() if not _is_written(flag)]
         return (self.model.path, self.output.config, *files)
 
     def _files(self) -> Iterator[tuple[str, Path]]:
@@ -200,7 +205,7 @@ class Config:
         for name in self.written:
             yield "--output-dir", self.output.output_dir / name
         for flag, path in self._files():
-            if flag.startswith("--save"):
+            if _is_written(flag):
                 yield flag, path
 
 

@@ -31,9 +31,9 @@ BUDGETS = {
     "robot_sysid/report": 8319,
     "robot_sysid/results": 15335,
     "robot_sysid/servo": 10964,
-    "robot_sysid/signals": 9080,
+    "robot_sysid/signals": 9079,
     "robot_sysid/simulation": 4626,
-    "robot_sysid": 12259,
+    "robot_sysid": 12277,
     "tests": 265000,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""

@@ -157,7 +157,7 @@ def design_low_pass(
         InputError: the cut-off is too high for the rate, or its kernel longer than any log.
     """
     if not 0.0 < cutoff <= HIGHEST_CUTOFF * rate:
-        remedy = f"choose --cutoff between 0 and {HIGHEST_CUTOFF * rate:g} Hz"
+        remedy = f"choose a cut-off between 0 and {HIGHEST_CUTOFF * rate:g} Hz"
         raise InputError(
             f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; {remedy}"
         )
@@ -166,7 +166,7 @@ def design_low_pass(
     if least_half > _LONGEST_HALF_WIDTH:
         duration = 2.0 * least_half / rate
         fault = f"cut-off {cutoff:g} Hz would average over {duration:.3g} s"
-        raise InputError(f"{fault}, longer than any log; choose a higher --cutoff")
+        raise InputError(f"{fault}, longer than any log; choose a higher cut-off")
     step = max(1, int(rate / (2.0 * cutoff)))
     # ``LowPass.stride`` has to divide the step and the half width: of the strides that suffice, the
     # one that shortens the step least, of equal ones the largest.

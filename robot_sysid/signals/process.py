@@ -317,8 +317,7 @@ class LogPiece(Measurement):
         if self.spectra is None:
             count = len(resample_uniformly(self).q)
             raise InputError(
-                f"{count} samples are too few to choose a cut-off from; record longer, or give "
-                "identify or payload a --cutoff HZ"
+                f"{count} samples are too few to choose a cut-off from; record longer"
             )
         return choose_cutoff(self.spectra)
 
