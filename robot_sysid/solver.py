@@ -7,8 +7,8 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.algebra.consistent_bodies import (
-    ConsistentLinks,
     LinksProblem,
+    consistent_least_squares,
 )
 from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
 from robot_sysid.estimation.algebra.least_squares import (
@@ -43,7 +43,8 @@ def identify_parameters(
         # Near this body the solver looks for possible ones; other parameters are zero in it.
         link_only = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
         problem = LinksProblem((np.arange(N_INERTIAL),), link_only)
-        values = ConsistentLinks(*information.equations(1.0 / noise), problem).best()
+        equations = information.equations(1.0 / noise)
+        values = consistent_least_squares(*equations, problem)
     errors = uncertainty(information, 1.0 / noise, noise)
     n_samples = {}
     noise_per_joint = {}

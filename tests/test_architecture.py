@@ -76,6 +76,7 @@ LIBRARIES = {
     "rosbags": {"logs"},
     "pyarrow": {"logs"},
     "h5py": {"logs"},
+    "clarabel": {"estimation.algebra"},
 }
 SLOW_TO_IMPORT = {"scipy", "sympy", *LIBRARIES} - {"mujoco"}
 MOST_FILES = 16

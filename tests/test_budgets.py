@@ -21,11 +21,11 @@ BUDGETS = {
     "robot_sysid/damiao": 44961,
     "robot_sysid/diagnosis": 19370,
     "robot_sysid/dynamics": 8386,
-    "robot_sysid/estimation": 51176,
+    "robot_sysid/estimation": 48620,
     "robot_sysid/logs": 21928,
     "robot_sysid/mjcf": 9025,
     "robot_sysid/model": 10833,
-    "robot_sysid/motion": 28589,
+    "robot_sysid/motion": 28537,
     "robot_sysid/pipeline": 6829,
     "robot_sysid/records": 9143,
     "robot_sysid/report": 8319,
@@ -33,8 +33,8 @@ BUDGETS = {
     "robot_sysid/servo": 10964,
     "robot_sysid/signals": 9079,
     "robot_sysid/simulation": 4626,
-    "robot_sysid": 12277,
-    "tests": 265000,
+    "robot_sysid": 12276,
+    "tests": 263009,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -197,7 +197,7 @@ def test_a_run_starts_without_what_it_does_not_need_and_in_one_thread(tmp_path):
         "early = 'numpy' in sys.modules; "
         f"code = robot_sysid.cli.main([{str(ROOT / EXAMPLE)!r}, '--duration', '1']); "
         f"told = [os.environ.get(name) for name in {names}]; "
-        "slow = {'scipy', 'sympy', 'matplotlib', 'can', 'cvxpy', 'robot_sysid.report.page', "
+        "slow = {'scipy', 'sympy', 'matplotlib', 'can', 'clarabel', 'robot_sysid.report.page', "
         "'robot_sysid.damiao', 'robot_sysid.motion.design_search', 'glfw'} & set(sys.modules); "
         "wrong = early or slow or told != ['1'] * 3; "
         "sys.exit(code or (f'{early}, {told}, {slow}' if wrong else 0))"

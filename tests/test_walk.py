@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from robot_sysid.estimation.algebra import consistent_bodies
 from robot_sysid.motion.design import Design
 from robot_sysid.parser import load_robot_model
 from tests.support import arms
@@ -62,7 +61,6 @@ def short_search(monkeypatch):
         whole(self, problem, replace(options, **few), *others)
 
     monkeypatch.setattr(Design, "__init__", shortened)
-    monkeypatch.setattr(consistent_bodies, "_DRAWS", 24)
 
 
 def require_done(walk, wanted):

@@ -35,7 +35,6 @@ from robot_sysid.dynamics.friction import DRY_TERMS, NONLINEAR_TERMS, TERMS
 from robot_sysid.dynamics.inverse_dynamics import split_motion
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimation.algebra.common_scale import common_error
-from robot_sysid.estimation.algebra.consistent_bodies import BODIES, project_errors
 from robot_sysid.estimation.algebra.least_squares import normal_matrix, sample_counts
 from robot_sysid.estimation.algebra.priors import (
     SURE,
@@ -59,6 +58,8 @@ from robot_sysid.signals.process import ProcessedSignals
 
 # Cause in results: the low-pass of positions.
 FILTERING = "filtering"
+BODIES = "physical consistency"
+"""Cause in results: a step to consistent bodies that is longer than chance explains."""
 # Cause in results: parameters that are held at a bound.
 HELD = "friction at its bound"
 # Size below which the coefficient of an unidentified parameter in a combination is rounding error.
@@ -189,12 +190,6 @@ def fit_errors(fit: Fit) -> FitErrors:
         causes[cause] = np.vstack((causes.get(cause, rows[:0]), rows))
         total = total.with_cause(rows.T @ rows)
 
-    if not (fit.question.in_file or fit.question.loaded):
-        parameters, usual_body = fit.unknowns.bodies[fit.columns.robot.body_name]
-        indices = np.searchsorted(fit.unknowns.estimated, parameters)
-        total, causes = project_errors(
-            total, causes, indices, fit.values[parameters], usual_body
-        )
     move = _unlikely_move(fit)
     if len(move):
         causes[BODIES] = np.vstack((causes.get(BODIES, move[:0]), move))

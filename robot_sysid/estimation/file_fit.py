@@ -21,8 +21,8 @@ from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_bodies import (
     HARDLY,
-    ConsistentLinks,
     LinksProblem,
+    consistent_least_squares,
 )
 from robot_sysid.estimation.algebra.priors import LinkScales
 from robot_sysid.estimation.answer import Answer
@@ -192,7 +192,7 @@ def move_bodies(fit: Fit, estimate: Fit, errors: FitErrors) -> Fit:
         goal = np.append(matrix @ bodies, pull * estimate.values[parameters])
         stacked = np.vstack((matrix, np.diag(pull)))
         try:
-            moved = ConsistentLinks(stacked, goal, problem).best()
+            moved = consistent_least_squares(stacked, goal, problem)
         except SysidError:  # The file is as good with its own bodies.
             continue
         if np.sum((matrix @ (moved - bodies)) ** 2) <= HARDLY:

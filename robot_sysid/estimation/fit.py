@@ -16,8 +16,8 @@ import numpy as np
 from robot_sysid.dynamics.friction import NONLINEAR_TERMS, speed_name
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.estimation.algebra.consistent_bodies import (
-    ConsistentLinks,
     LinksProblem,
+    consistent_least_squares,
 )
 from robot_sysid.estimation.algebra.least_squares import (
     block_views,
@@ -534,9 +534,8 @@ def make_consistent(
     if unknowns.has_consistent_bodies(free):
         return free
     information = with_prior(data.of(unknowns), unknowns.groups)
-    matrix, right_side = information.equations(weights)
-    problem = ConsistentLinks(matrix, right_side, links_problem(unknowns))
-    return unknowns.full(problem.best())
+    equations = information.equations(weights)
+    return unknowns.full(consistent_least_squares(*equations, links_problem(unknowns)))
 
 
 def links_problem(unknowns: Unknowns) -> LinksProblem:

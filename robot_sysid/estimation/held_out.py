@@ -16,13 +16,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.consistent_bodies import ConsistentLinks
+from robot_sysid.estimation.algebra.consistent_bodies import consistent_least_squares
 from robot_sysid.estimation.algebra.least_squares import (
     normal_matrix,
     restrict,
@@ -62,15 +61,12 @@ class HeldOut:
         superset: unknowns that contain those of every set to compare, so that sums are made of
             their columns alone, which saves memory; None for all parameters.
         _triangles: cache of ``_other_triangles``, by the unknowns' indices and held values.
-        _starts: block to an inner solution of its last search for consistent bodies, at which the
-            next search of that block starts.
     """
 
     data: Evidence
     noise: Array
     superset: Unknowns | None = None
     _triangles: dict[tuple[bytes, bytes], Sequence[Array]] = field(default_factory=dict)
-    _starts: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
     def counts(self) -> Array:
@@ -188,22 +184,16 @@ class HeldOut:
     def consistent_squared_errors(self, unknowns: Unknowns) -> Array:
         """Return the squared error (blocks, joints) of blocks predicted from the others [N^2 m^2].
 
-        Bodies are physically consistent in every one of these estimates. Later calls start the
-        search for consistent bodies at the solutions of this one.
+        Bodies are physically consistent in every one of these estimates.
         """
         values = self._values(unknowns)
         problem = links_problem(unknowns)
         prior_rows = _prior_rows(unknowns)
-        # A search starts at the inner solution of this block's last one, else of the last block's.
-        start = None
         for index, estimate in enumerate(values):
             if not unknowns.has_consistent_bodies(estimate):
                 rows = np.vstack((self._other_triangles(unknowns)[index], prior_rows))
-                start = self._starts.get(index, start)
-                solver = ConsistentLinks(rows[:, :-1], rows[:, -1], problem, start)
-                values[index] = unknowns.full(solver.best())
-                start = solver.first
-                self._starts[index] = start
+                best = consistent_least_squares(rows[:, :-1], rows[:, -1], problem)
+                values[index] = unknowns.full(best)
         return self._squared_residuals(values)
 
     def _other_triangles(self, unknowns: Unknowns) -> Sequence[Array]:

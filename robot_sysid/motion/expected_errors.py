@@ -16,7 +16,6 @@ import numpy as np
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimation.algebra.common_scale import common_error
-from robot_sysid.estimation.algebra.consistent_bodies import project_errors
 from robot_sysid.estimation.algebra.identifiability import triangle_space
 from robot_sysid.estimation.algebra.priors import EXPECTED, NuisanceGroup, with_prior
 from robot_sysid.estimation.algebra.uncertainty import (
@@ -310,10 +309,6 @@ def predict_posterior(
         row[[information.names.index(name) for name in PAYLOAD_NAMES]] = common * load
         causes[SCALES] = np.vstack((causes.get(SCALES, row[None][:0]), row))
         errors = errors.with_cause(np.outer(row, row))
-    else:
-        indices, body = unknowns.bodies[robot.body_name]
-        estimated = np.searchsorted(unknowns.estimated, indices)
-        errors, causes = project_errors(errors, causes, estimated, body, body)
     return ExpectedPosterior(unknowns, errors, causes)
 
 

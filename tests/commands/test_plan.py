@@ -11,7 +11,6 @@ from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import parse_command
 from robot_sysid.commands.identify import build_parser
 from robot_sysid.config import PlanConfig
-from robot_sysid.estimation.algebra import consistent_bodies
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms, witness
@@ -25,7 +24,6 @@ MOTOR = ("--motor-type DM10010",)
 def test_it_writes_the_trajectory_and_says_what_it_promises(
     command, arm_file, monkeypatch
 ):
-    monkeypatch.setattr(consistent_bodies, "_DRAWS", 24)  # words alone are looked at
     path = arm_file(arms.THREE)
     printed = command.run("plan", path, *SINES)
     assert sorted(files_in(path.parent)) == [

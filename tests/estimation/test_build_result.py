@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from robot_sysid.diagnosis.log_rows import rms
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
-from robot_sysid.estimation.algebra.consistent_bodies import BODIES
 from robot_sysid.estimation.build_result import payload_of, result_of, traces_of
 from robot_sysid.estimation.dataset import Dataset, RestingPoses
+from robot_sysid.estimation.errors import BODIES
 from robot_sysid.estimation.identify import answer_link, answer_payload
 from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.records import Flange, Measurement

@@ -17,7 +17,6 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation import file_fit
-from robot_sysid.estimation.algebra.consistent_bodies import HARDLY
 from robot_sysid.estimation.choices import coupling
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
@@ -143,13 +142,13 @@ def test_bodies_are_moved_to_the_estimate_without_a_change_of_torques(
     assert distances[1] < 0.4 * distances[0]
     matrix, _ = before.evidence.of(before.unknowns).equations(before.weights)
     change = (after.values - before.values)[before.unknowns.estimated]
-    assert 0.0 < np.sum((matrix @ change) ** 2) < HARDLY
+    assert 0.0 < np.sum((matrix @ change) ** 2) < file_fit.HARDLY
     assert all(spatial.is_consistent(theta) for theta in thetas)
 
-    def fail(_):
+    def fail(*_):
         raise SysidError("no convergence")
 
-    monkeypatch.setattr(file_fit.ConsistentLinks, "best", fail)
+    monkeypatch.setattr(file_fit, "consistent_least_squares", fail)
     assert file_fit.move_bodies(before, answer.fit, answer.errors) is before
 
 

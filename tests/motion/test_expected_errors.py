@@ -13,7 +13,6 @@ from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.consistent_bodies import projected_covariance
 from robot_sysid.estimation.answer import estimate_of
 from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
 from robot_sysid.estimation.question import EstimationOptions
@@ -97,7 +96,7 @@ def test_predicted_errors_of_an_uncertain_arm_include_its_model_errors():
     (*_, stated) = identify_recording(USUAL, 0).links()
     # This model is right, which a recording finds out and a plan cannot know.
     ratio = stated.errors / expected.standard_errors
-    assert np.all((ratio > 0.3) & (ratio < 1.3))
+    assert np.all((ratio > 0.25) & (ratio < 1.3))
     assert np.all(expected.standard_errors > predict_errors(KNOWN_ARM).standard_errors)
     for cause in (LINKS, SCALES):
         standard_errors = np.sqrt(np.diag(expected.covariance_by_cause[cause]))
@@ -120,7 +119,6 @@ def test_the_search_minimises_the_predicted_errors(options):
     model = InformationModel(PROBLEM, sigma, prior)
     information = model.evaluate(motion.q, motion.qd, motion.qdd).information
     covariance = design_criterion(PROBLEM, prior).covariance(information)
-    covariance = projected_covariance(PROBLEM.robot.prior.theta, covariance)
     ratio = predict_errors(options).standard_errors / np.sqrt(np.diag(covariance))
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
 

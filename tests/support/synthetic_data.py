@@ -5,8 +5,6 @@ The wrench rows here are typed in from Newton and Euler, independently of the pa
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 
 from robot_sysid.dynamics import spatial
@@ -206,40 +204,3 @@ def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80, noise=0.0)
     equations = [(joint_rows(rng, count, axis, offset), np.arange(12))]
     names = (*spatial.PARAMETER_NAMES, "coulomb[joint0]", "viscous[joint0]")
     return information_of(equations, names, truth, noise, rng)
-
-
-def _solved(problem, tolerance):
-    import cvxpy
-
-    options = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            problem.solve(solver=cvxpy.CLARABEL, **options)
-        except cvxpy.error.SolverError:
-            return False
-    return problem.status == "optimal"
-
-
-def sdp_least_squares(matrix, right_side):
-    """Least ||A x - b||^2 with x[:10] a possible body, by cvxpy and clarabel, well scaled."""
-    import cvxpy
-
-    columns = np.column_stack((matrix[:, 10:], matrix[:, :10], right_side))
-    first = matrix.shape[1] - 10
-    inner = np.linalg.qr(columns, mode="r")[first:, first:]
-    inverse = np.linalg.inv(inner[:10, :10])
-    centre = spatial.pseudo_inertia(inverse @ inner[:10, 10])
-    units = np.sqrt(np.abs(np.diag(centre)))
-    columns = spatial.pseudo_inertia(inverse.T) / np.outer(units, units)
-    step = 1.0 / np.linalg.norm(columns.reshape(10, -1), 2)
-    y = cvxpy.Variable(10)
-    body = centre / np.outer(units, units)
-    for k in range(10):
-        body = body + step * y[k] * columns[k]
-    objective = cvxpy.Minimize(cvxpy.sum_squares(y))
-    problem = cvxpy.Problem(objective, [0.5 * (body + body.T) >> 0])
-    for tolerance in (1e-12, 1e-10, 1e-9):
-        if _solved(problem, tolerance):
-            break
-    return float(problem.value * step**2 + np.sum(inner[10:, 10] ** 2))
