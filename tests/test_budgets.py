@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 9079,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12276,
-    "tests": 263009,
+    "tests": 263001,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

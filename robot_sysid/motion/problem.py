@@ -356,7 +356,7 @@ def build_problem(
         link_errors=model_link_factor(robot, links, 0.01 * link_uncertainty),
         obstacles=obstacles,
         rows=rows,
-        sigma=joint_values(noise_torque, robot.n_joints, "--noise-torque")[list(rows)],
+        sigma=joint_values(noise_torque, robot.n_joints, "the prior noise")[list(rows)],
         assumed=assumed,
         notes=tuple(notes),
         unguarded=unguarded_links(robot),
