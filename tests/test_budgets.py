@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 5507,
     "robot_sysid/commands": 13318,
-    "robot_sysid/damiao": 44961,
+    "robot_sysid/damiao": 44491,
     "robot_sysid/diagnosis": 19370,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 48620,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 9079,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12276,
-    "tests": 263001,
+    "tests": 262744,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

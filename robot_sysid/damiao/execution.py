@@ -61,7 +61,6 @@ from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort, InputError, SysidError, error_text
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records import Array
 from robot_sysid.records.option_fields import given_options, record_from
 
 
@@ -230,10 +229,6 @@ class MotorRun:
         from robot_sysid.damiao import model_check
 
         checks += model_check.model_checks(plan, self._contacts)
-        if plan.parking_pose is not None:
-            # The last transfer leads from the last point to the parking pose.
-            name, begin, end = list(plan.transfers(plan.trajectory.q[0]))[-1]
-            checks += self._contacts.transfer_checks(name, begin, end)
         checks += model_check.torque_checks(plan.trajectory, plan.settings, self.robot)
         return checks
 
@@ -256,11 +251,8 @@ class MotorRun:
         q = plan.joint_positions(inspection)
         if np.all(np.isfinite(q)):
             checks += preflight.limit_checks(plan, q)
-            for name, begin, end in plan.transfers(q) if self.robot is not None else ():
-                # Transfers from and to where the arm stands: the way from the end of the
-                # trajectory to a parking pose has been checked without a bus, by ``checks``.
-                if begin is q or end is q:
-                    checks += self._contacts.transfer_checks(name, begin, end)
+            for transfer in plan.transfers(q) if self.robot is not None else ():
+                checks += self._contacts.transfer_checks(*transfer)
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
@@ -285,7 +277,7 @@ class MotorRun:
 
     def require_free(self, plan: Plan) -> None:
         """Raise InputError if a recording would replace an input, or a file without --overwrite."""
-        keys = "trajectory", "model", "joint_map", "park"
+        keys = "trajectory", "model", "joint_map"
         inputs = [self.values[key] for key in keys if self.values.get(key)]
         plan.recording.require_free(*inputs)
 
@@ -401,9 +393,6 @@ def run(
     held_positions = np.array([motor.position for motor in motors[n:]])
     session = MotorSession(link, joints, scaling, plan.command_range(held_positions))
     settings = _settings_with(plan, held_joints)
-    park: str | Array | None = settings.park
-    if plan.parking_pose is not None:
-        park = np.concatenate([plan.parking_pose, held_positions])
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     try:
@@ -423,7 +412,6 @@ def run(
                 recorder,
                 lambda text: console(partial(on_phase, text)),
                 lambda time: console.if_idle(partial(on_progress, time)),
-                park,
                 holding,
             )
             reference = trajectory_reference(plan.trajectory, settings.speed)

@@ -116,7 +116,7 @@ class Contacts:
             return
         contact = first_contact(self.problem, straight_way(begin, end))
         if contact is not None:
-            remedy = "bring the arm nearer by hand, or choose another --park"
+            remedy = "bring the arm nearer by hand"
             yield Check(STOP, f"{name} the model's {contact.label} touch; {remedy}")
 
 
@@ -128,9 +128,8 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     """Yield a stop for each limit of the model that a plan exceeds and for each contact.
 
     If there is none, one check with severity OK is yielded. A note names the links whose contacts
-    cannot be found. The trajectory and the parking pose are checked. ``contacts`` has the arm of
-    the model, loaded with an infinite ``max_velocity``, so that only the model's limits of speed
-    count.
+    cannot be found. ``contacts`` has the arm of the model, loaded with an infinite
+    ``max_velocity``, so that only the model's limits of speed count.
     """
     robot = contacts.robot
     unguarded = unguarded_text(contacts.problem.unguarded)
@@ -142,27 +141,11 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
     if contact is not None:
         excesses.append(f"the model's {contact.label} touch at {contact.time:.2f} s")
     excesses = [f"{excess}; {_SMALLER}" for excess in excesses]
-    if plan.parking_pose is not None:
-        excesses += _pose_excesses(robot, plan.parking_pose)
     for excess in excesses:
         yield Check(STOP, excess)
     if not excesses:
         name = robot.path.name
         yield Check(OK, f"the trajectory stays within the limits of {name}")
-
-
-def _pose_excesses(robot: RobotModel, pose: Array) -> Iterator[str]:
-    """Yield a sentence for each joint whose position in a parking pose is out of the model's range.
-
-    ``pose`` (n,) [rad or m] has the n joints of ``robot``.
-    """
-    limits = zip(robot.joint_names, pose, robot.limits.lower, robot.limits.upper)
-    for j, (name, q, lower, upper) in enumerate(limits):
-        if not lower - _ROUNDING <= q <= upper + _ROUNDING:
-            yield (
-                f"joint {name} is to be parked at {q:.4g} {_unit('position', robot, j)}, outside "
-                f"the model's {lower:g} to {upper:g}; choose another --park"
-            )
 
 
 def _joint_excesses(robot: RobotModel, motion: SampledTrajectory) -> Iterator[str]:

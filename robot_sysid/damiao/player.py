@@ -152,8 +152,6 @@ class Player:
         recorder: gets every cycle of the trajectory, but no transfers; None records nothing.
         on_phase: called with the name of each new phase; may not raise or wait.
         on_progress: called with the time played so far [s]; may not raise or wait.
-        park: how to leave the arm: "rest" lowers it, "start" returns it to where it stood,
-            positions (n,) [rad] are approached, and None leaves it where the trajectory ends.
         holding: computes the torque that holds the arm, and compares it with the torques measured
             while the arm stands, before the transfer and at the first point.
     """
@@ -166,7 +164,6 @@ class Player:
         recorder: MeasurementRecorder | None,
         on_phase: Callable[[str], None],
         on_progress: Callable[[float], None],
-        park: str | Array | None,
         holding: HoldingCheck,
     ) -> None:
         self._session = session
@@ -176,7 +173,7 @@ class Player:
         self._recorder = recorder
         self._announce = on_phase
         self._on_progress = on_progress
-        self._park = park
+        self._park = settings.park
         self._holding = holding
         self._observer = Observer(
             session.joints, settings, session.steps, session.peak_torque, holding
@@ -277,29 +274,23 @@ class Player:
             self._holding(q, commanded_torque)
 
     def _leave(self, last: Reference, at_start: Reference) -> None:
-        """Park the arm as the argument ``park`` of this class says.
+        """Park the arm as the settings say: not at all, lowered, or where it stood.
 
         ``last`` is the present reference, ``at_start`` that of the arm before it first moved.
         """
         if self._park is None:
             return
-        if isinstance(self._park, str) and self._park == "rest":
+        if self._park == "rest":
             self._announce("lowering the arm")
             self._phase(self._lower_from(last), paths.LONGEST_LOWERING)
             return
-        carries = self._holding.torque
-        target = at_start
-        if not isinstance(self._park, str):
-            # The feed-forward torque keeps its present difference from the expected torque.
-            torque = carries(self._park) + last.torque - carries(last.position)
-            target = Reference(self._park, np.zeros_like(self._park), torque)
         speed = self._settings.approach_speed
         parking, parking_time = paths.transfer_reference(
-            last, target, speed, shortest=1.0, carries=carries
+            last, at_start, speed, shortest=1.0, carries=self._holding.torque
         )
         self._announce(f"parking ({parking_time:.1f} s)")
         self._phase(parking, parking_time)
-        self._phase(hold_reference(target), self._settings.rest_time)
+        self._phase(hold_reference(at_start), self._settings.rest_time)
 
     def _lower_from(self, begin: Reference) -> paths.Lowering:
         """Return the reference that lowers the arm from ``begin``.

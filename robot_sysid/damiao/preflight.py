@@ -89,7 +89,7 @@ def limit_checks(plan: Plan, q: Array | None = None) -> list[Check]:
     Args:
         plan: plan of the run, with the user's limits.
         q: positions (n,) at which the arm stands [rad]; then only its transfers to the first point
-            and to the parking pose are compared. None compares only the trajectory.
+            and back are compared. None compares only the trajectory.
     """
     trajectory = plan.trajectory
     settings = plan.settings
@@ -238,8 +238,8 @@ def _frame_limit_checks(
 ) -> list[Check]:
     """Return a stop for each quantity of a joint beyond the range of its motor's frames.
 
-    The quantities are position (of the parking pose too), velocity, torque, and the slope of the
-    positions; a slope has the same size for joint and motor. If none is beyond, one check with
+    The quantities are position, velocity, torque, and the slope of the positions; a slope has the
+    same size for joint and motor. If none is beyond, one check with
     severity OK is returned.
 
     Args:
@@ -249,16 +249,10 @@ def _frame_limit_checks(
     """
     trajectory = plan.trajectory
     speed = plan.settings.speed
-    remedy = "export a smaller trajectory"
-    positions = trajectory.q
-    pose = plan.parking_pose
-    if pose is not None:
-        positions = np.vstack([positions, pose])
-        remedy = f"{remedy}, or choose another --park"
     # Quantities of the motors (rows, n) and their limits (n,).
     space = JointSpace.of(trajectory.joints)
     position, velocity, torque = space.to_motors(
-        positions, speed * trajectory.qd, trajectory.tau
+        trajectory.q, speed * trajectory.qd, trajectory.tau
     )
     pmax, vmax, tmax = np.array(limits, dtype=float).T
     checks = []
@@ -273,7 +267,7 @@ def _frame_limit_checks(
             checks.append(
                 _stop(
                     f"{trajectory.joints[j].label}: {quantity} {peak:.4g} {unit} is beyond "
-                    f"{owner} limit {quantity_limits[j]:g}; {remedy}"
+                    f"{owner} limit {quantity_limits[j]:g}; export a smaller trajectory"
                 )
             )
     return checks or [Check(OK, f"the trajectory stays within {owner} limits")]

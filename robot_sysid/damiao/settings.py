@@ -27,7 +27,6 @@ from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
-from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.option_fields import (
     OptionRecord,
     check_speed_factor,
@@ -133,8 +132,9 @@ class PlaySettings(OptionRecord):
     max_temperature: float = option(80.0, "of power stage and winding", "T [°C] >= 0")
     park: str | None = option(
         None,
-        "where to leave it: rest (lowered), start (where it stood), or a file of positions",
+        "where to leave it: rest (lowered) or start (where it stood)",
         "WHERE",
+        choices=("rest", "start"),
         default_text="disabled where it ends",
     )
     others: str = option(
@@ -319,35 +319,11 @@ class Plan:
         """Time that the trajectory takes to play [s]: the file's time over the speed factor."""
         return float(np.ptp(self.trajectory.time)) / self.settings.speed
 
-    @property
-    def parking_pose(self) -> Array | None:
-        """Positions (n,) [rad] in the file that --park names; None where it names no file.
-
-        InputError where the file cannot be read, or is not a line of n positions.
-        """
-        park = self.settings.park
-        n = self.trajectory.n_joints
-        if park in (None, "rest", "start"):
-            return None
-        refuse_special_file(str(park), "--park takes a file")
-        try:
-            cells = Path(str(park)).read_text(encoding="utf-8-sig").split(",")
-            pose = np.array([float(cell) for cell in cells])
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"--park takes rest, start or a file with a line of {n} positions; {park}: {error}"
-            ) from None
-        if pose.shape != (n,) or not np.all(np.isfinite(pose)):
-            raise InputError(
-                f"{park} has to hold {n} positions in one line, separated by commas"
-            )
-        return pose
-
     def command_range(self, held_positions: Array) -> CommandRange:
         """Return the range of commands for the n joints and m further motors that are only held.
 
         The result has n + m values per field, the joints first. Joints keep to the model's range,
-        or else to that of the trajectory and the parking pose; the m held motors keep to their
+        or else to that of the trajectory; the m held motors keep to their
         ``held_positions`` (m,) [rad]. A joint's speed limit is a tenth above its largest speed in
         the trajectory as played (by velocities and by slopes of positions), or above the approach
         speed if that is larger; for held motors it is a tenth above the approach speed.
@@ -356,10 +332,8 @@ class Plan:
         if self.model_range is not None:
             lower, upper = self.model_range
         else:
-            pose = self.parking_pose
-            poses = q if pose is None else np.vstack([q, pose])
-            lower = np.min(poses, axis=0)
-            upper = np.max(poses, axis=0)
+            lower = np.min(q, axis=0)
+            upper = np.max(q, axis=0)
         speeds = np.vstack([self.trajectory.slopes, self.trajectory.qd])
         peak_speed = np.abs(speeds).max(axis=0)
         approach_speed = self.settings.approach_speed
@@ -374,14 +348,12 @@ class Plan:
     def transfers(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
         """Yield name, begin and end (n,) [rad] of the motions before and after the trajectory.
 
-        The first leads from q (n,) [rad], where the arm stands, to the first point. A second leads
-        from the last point to the parking pose, and is yielded only if the arm is to be parked: in
-        the pose of a file, or, with --park start, at q.
+        The first leads from q (n,) [rad], where the arm stands, to the first point; with --park
+        start, a second leads back to q.
         """
-        pose = q if self.settings.park == "start" else self.parking_pose
         yield "on the way to the first point", q, self.trajectory.q[0]
-        if pose is not None:
-            yield "on the way to where it is parked", self.trajectory.q[-1], pose
+        if self.settings.park == "start":
+            yield "on the way to where it is parked", self.trajectory.q[-1], q
 
     def joint_positions(self, inspection: Inspection) -> Array:
         """Return the positions (n,) [rad] of the trajectory's joints when the bus was inspected.

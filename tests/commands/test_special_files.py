@@ -45,25 +45,18 @@ BASES = {
     "motors map": "--channel can0 --model two.xml",
 }
 """Command to words with which it gets as far as its files."""
-BESIDE = {
-    (
-        "motors hold",
-        "--park",
-    ): "--model two.xml --joint-map map.csv --channel can0 --yes"
-}
-"""Words in place of a command's own, for options that do not go with these."""
 
 
 def is_path(action):
     """Whether an option or a word of a parser takes a path."""
     kinds = {"Path", "parse_folder", "parse_factors"}
-    return getattr(action.type, "__name__", "") in kinds or action.dest == "park"
+    return getattr(action.type, "__name__", "") in kinds
 
 
 def words_with(command, action, path):
     """The words of a command with one path in the place of its own, or beside it."""
     flag = next(iter(action.option_strings), "")
-    arguments = BESIDE.get((command, flag), BASES[command]).split()
+    arguments = BASES[command].split()
     if flag in arguments:
         arguments[arguments.index(flag) + 1] = path
     elif flag:

@@ -45,12 +45,7 @@ def checks_of(rows, types, timing=None, inertia=None, **settings):
     completed = PlaySettings(**settings).for_motors(
         [joint.spec for joint in joints], timing
     )
-    fields = {
-        "settings": completed,
-        "timing": timing,
-        "inertia": inertia,
-        "parking_pose": None,
-    }
+    fields = {"settings": completed, "timing": timing, "inertia": inertia}
     played = DamiaoTrajectory(Path(), joints, np.arange(len(rows[0])), *rows)
     return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))
 
