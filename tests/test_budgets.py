@@ -31,7 +31,7 @@ BUDGETS = {
     "robot_sysid/report": 8319,
     "robot_sysid/results": 15335,
     "robot_sysid/servo": 10964,
-    "robot_sysid/signals": 9079,
+    "robot_sysid/signals": 9307,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12276,
     "tests": 262744,

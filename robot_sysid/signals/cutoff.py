@@ -56,6 +56,8 @@ _REPEATED_SHARE = 0.01
 # Longest segment whose spectrum is averaged; a longer one would only resolve frequencies finer than
 # any cut-off needs (chosen) [s].
 _LONGEST_SEGMENT = 20.0
+# Weights of the cosines of the Blackman-Harris window.
+_BLACKMAN_HARRIS = (0.35875, -0.48829, 0.14128, -0.01168)
 # Largest share of the log that is lost at its ends, in the low-pass of positions and in the
 # low-pass of regressor columns together (chosen).
 _TRIMMED_SHARE = 0.2
@@ -253,8 +255,9 @@ def _second_difference_spectrum(
 ) -> tuple[Array, Array, Array]:
     """Return the spectrum of the second difference of positions, an acceleration.
 
-    It is Welch's estimate under a Blackman-Harris window, of segments that overlap by three
-    quarters.
+    It is the mean over segments of the squared Fourier transform under a Blackman-Harris window,
+    after subtraction of the segment's mean (Welch, IEEE Trans. Audio Electroacoust. 15, 1967;
+    Harris, Proc. IEEE 66, 1978).
 
     Args:
         q: (N, n) positions on a uniform grid [rad].
@@ -265,16 +268,22 @@ def _second_difference_spectrum(
         Frequencies (F,) [Hz], zero left out; power densities (F, n); and the power density (F,)
         where positions are white noise of unit density.
     """
-    from scipy.signal import welch
-
-    frequency, power = welch(
-        np.diff(q, 2, axis=0) * rate**2,
-        rate,
-        "blackmanharris",
-        nperseg=length,
-        noverlap=3 * length // 4,
-        axis=0,
-    )
+    angle = 2.0 * np.pi / length * np.arange(length)
+    window = np.cos(np.outer(angle, range(4))) @ _BLACKMAN_HARRIS
+    last_start = len(q) - 2 - length
+    # Successive segments overlap by three quarters.
+    starts = range(0, last_start + 1, length - 3 * length // 4)
+    frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))
+    power = np.zeros((len(frequency), q.shape[1]))
+    for start in starts:
+        segment = np.diff(q[start : start + length + 2], 2, axis=0) * rate**2
+        deviation = segment - np.mean(segment, axis=0)
+        transform = np.fft.rfft(deviation * window[:, None], axis=0)
+        power += transform.real**2 + transform.imag**2
+    power *= 2.0 / (rate * np.sum(window**2) * len(starts))
+    if length % 2 == 0:
+        # The Nyquist frequency, which an even length has, is the one bin without a mirror image.
+        power[-1] *= 0.5
     phase = 2.0 * np.pi * frequency / rate
     shape = ((2.0 - 2.0 * np.cos(phase)) * rate**2) ** 2
     return frequency[1:], power[1:], shape[1:]
