@@ -250,28 +250,6 @@ class LogModel:
         evidence = -0.5 * (squares + occam + noise_size)
         return Posterior(self, evidence, mean, covariance, noise, residual)
 
-    def gain_of_torque(self, log: LogRows, posterior: Posterior) -> float:
-        """Return the gain in log marginal likelihood [nats] of another log's torques over these.
-
-        Noise S and covariance C stay those of the posterior of the model's torques. Up to a
-        constant, right-hand sides b then have 1/2 (b' S^-1 A C A' S^-1 b - b' S^-1 b).
-
-        Args:
-            log: the other log, which has the rows of this model.
-            posterior: posterior of this model with its own torques.
-        """
-        log_likelihoods = []
-        for right_sides in (self._transform_right_sides(log), self.right_sides):
-            weighted = right_sides / posterior.noise
-            pull = np.zeros(len(posterior.coefficients))
-            for joint in range(len(self.rows)):
-                indices, rows = self.equations(joint)
-                pull[indices] += weighted[:, joint] @ rows
-            squares = float(np.sum(right_sides**2 / posterior.noise))
-            explained = float(pull @ posterior.covariance @ pull)
-            log_likelihoods.append(0.5 * (explained - squares))
-        return log_likelihoods[0] - log_likelihoods[1]
-
     def _likely_noise(self, posterior: Posterior) -> Array:
         """Return the most likely variances (K, n) of noise given a posterior [N^2 m^2].
 

@@ -259,13 +259,14 @@ def find_wrong_torques(
     candidates = []
     for mistake in mistakes:
         assert mistake.torque is not None
-        corrected = model.log.with_torque(mistake.torque(model.log.torque))
-        gain = model.gain_of_torque(corrected, base)
-        if gain > 0.0:
-            candidates.append((gain, mistake, corrected))
+        log = model.log.with_torque(mistake.torque(model.log.torque))
+        corrected = model.with_torque_of(log)
+        evidence = corrected.at_noise(base.noise).log_evidence
+        if evidence > base.log_evidence:
+            candidates.append((evidence, mistake, corrected))
     corrections = []
     for _, mistake, corrected in nlargest(_FINALISTS, candidates, key=itemgetter(0)):
-        posterior = model.with_torque_of(corrected).posterior(base.noise)
+        posterior = corrected.posterior(base.noise)
         corrections.append(Correction.of(mistake.finding, posterior, base))
     return corrections
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
-from robot_sysid.errors import InputError, ModelError
+from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.chain import body_label
 from robot_sysid.records import ArmLink, Array, Flange, RobotModel, SubtreeBody
@@ -354,18 +354,12 @@ def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
 def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
     """Return how many chain joints move each body (nbody,); k joints are the chain's first k.
 
-    Bodies with equal counts keep their distances. InputError for joints of two arms, which do not
-    move the bodies one after the other.
+    Bodies with equal counts keep their distances.
     """
     model = robot.mj_model
     counts = np.zeros(model.nbody, dtype=np.int64)
-    for index, body in enumerate(model.dof_bodyid[robot.dof_index].tolist()):
-        moved = subtree(model, body)
-        # All that a joint of a serial chain moves is moved by the joints before it.
-        if np.any(counts[moved] != index):
-            names = ", ".join(robot.joint_names)
-            raise InputError(f"{names} are no serial chain: take one arm")
-        counts[moved] += 1
+    for body in model.dof_bodyid[robot.dof_index].tolist():
+        counts[subtree(model, body)] += 1
     return counts
 
 

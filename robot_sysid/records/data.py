@@ -400,17 +400,17 @@ class DataOrigin:
 
 
 SIGNAL_NAMES = ("q", "qd", "measured", "predicted", "prior_prediction", "friction")
-"""The fields of ``Signals`` with one column per joint."""
+"""The fields of ``Traces`` with one column per joint."""
 
 
 @dataclass(frozen=True)
-class Signals:
-    """Motion and torques of n joints at K instants.
+class Traces:
+    """Motion and torques of n joints at all K instants of a result's data, which figures draw.
 
     Attributes:
         joints: names, base to terminal.
         is_slide: (n,) whether a joint is a slide.
-        time: (K,) [s].
+        time: (K,), which starts anew with each log [s].
         q: (K, n) positions [rad].
         qd: (K, n) velocities [rad/s].
         measured: (K, n) torque [N m]; NaN where a sample was not used.
@@ -418,6 +418,8 @@ class Signals:
         prior_prediction: (K, n) torque [N m] that the model predicts as its file has it; of a
             payload, torque of the arm without it.
         friction: (K, n) the part of ``predicted`` that is friction [N m].
+        limits: of the joints.
+        truth: what the terminal link of a simulated arm really is; None for a real arm.
     """
 
     joints: tuple[str, ...]
@@ -429,6 +431,8 @@ class Signals:
     predicted: Array
     prior_prediction: Array
     friction: Array
+    limits: JointLimits
+    truth: InertialParameters | None = None
 
     def __post_init__(self) -> None:
         expected_shape = (len(self.time), len(self.joints))
@@ -436,19 +440,6 @@ class Signals:
             shape = np.shape(getattr(self, name))
             if shape != expected_shape:
                 raise InputError(f"{name} has shape {shape}, not {expected_shape}")
-
-
-@dataclass(frozen=True)
-class Traces(Signals):
-    """All instants of a result's data; the time starts anew with each log.
-
-    Attributes:
-        limits: of the joints.
-        truth: what the terminal link of a simulated arm really is; None for a real arm.
-    """
-
-    limits: JointLimits
-    truth: InertialParameters | None = None
 
     @property
     def residual(self) -> Array:
