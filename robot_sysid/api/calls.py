@@ -211,9 +211,7 @@ def identify(
         )
     if validation_measurements is not None:
         values["validation_measurements"] = _log_source(validation_measurements)
-    return _run_quietly(
-        IdentifyConfig.of(path_of(model, options.get("mesh_dir")), **values)
-    )
+    return _run_quietly(IdentifyConfig.of(path_of(model), **values))
 
 
 @with_keywords(*records_of(SelfTestConfig))
@@ -227,9 +225,7 @@ def self_test(model: Model, **options: Any) -> Identified:
     Raises:
         InputError: an option or a model cannot be used.
     """
-    return _run_quietly(
-        SelfTestConfig.of(path_of(model, options.get("mesh_dir")), **options)
-    )
+    return _run_quietly(SelfTestConfig.of(path_of(model), **options))
 
 
 @with_keywords(*records_of(PlanConfig))
@@ -246,7 +242,7 @@ def plan(model: Model, **options: Any) -> PlanResult:
     Raises:
         InputError: an option or the model cannot be used.
     """
-    path = path_of(model, options.get("mesh_dir"))
+    path = path_of(model)
     config = PlanConfig.of(path, **options)
     with _quietly() as notes:
         robot = load_arm(config.model, notes, config.limits.max_velocity)
@@ -280,9 +276,7 @@ def payload(
         "empty": _log_sources(empty),
         "loaded": _log_sources(loaded),
     }
-    return _run_quietly(
-        PayloadConfig.of(path_of(model, options.get("mesh_dir")), **values)
-    )
+    return _run_quietly(PayloadConfig.of(path_of(model), **values))
 
 
 @dataclass(frozen=True, repr=False)

@@ -38,18 +38,16 @@ Model = Union[str, "os.PathLike[str]", InMemory]
 """Path of an MJCF or URDF file, or a model of MuJoCo's."""
 
 
-def path_of(model: Model, mesh_dir: Any = None) -> Path:
-    """Return the file of a model; a model in memory is first written to a file by MuJoCo.
-
-    ``mesh_dir``: folder of its meshes as the user gave it, or None.
+def path_of(model: Model) -> Path:
+    """Return the file of a model; an MjSpec is first written to a file by MuJoCo.
 
     Raises:
         InputError: it is no model, or cannot be written.
     """
     if is_in_memory(model):
-        return file_of(model, has_mesh_folder=mesh_dir is not None)
+        return file_of(model)
     if not isinstance(model, (str, os.PathLike)):
-        valid = "the path of an MJCF or URDF file, a mujoco.MjSpec or a mujoco.MjModel"
+        valid = "the path of an MJCF or URDF file, or a mujoco.MjSpec"
         raise InputError(f"a model is {valid}, not {type(model).__name__}")
     return Path(model)
 

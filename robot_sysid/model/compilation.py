@@ -7,7 +7,6 @@ so its compiled inertias are replaced by accurate ones.
 
 from __future__ import annotations
 
-import contextlib
 import locale
 import os
 import re
@@ -17,14 +16,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Union
-from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
 
 from robot_sysid.errors import ModelError, error_text
 from robot_sysid.mjcf.assets import (
-    find_assets,
     refuse_missing_assets,
     refuse_special_assets,
     relocate,
@@ -325,22 +322,6 @@ InMemory = Union["mujoco.MjSpec", "mujoco.MjModel"]
 """A model that a program holds in memory."""
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
 """Folders of the files that ``file_of`` wrote; they are removed when the process ends."""
-_WRITTEN: WeakKeyDictionary[Any, tuple[Path, Any]] = WeakKeyDictionary()
-"""MjModel to its file, and to the MjModel that MuJoCo compiles from that."""
-_COMPARED = (
-    "body_mass",
-    "body_ipos",
-    "body_inertia",
-    "body_pos",
-    "qpos0",
-    "jnt_axis",
-    "jnt_range",
-    "dof_damping",
-    "dof_armature",
-    "dof_frictionloss",
-    "body_jntadr",
-)
-"""Arrays of two MjModels that must agree for both to be the same arm."""
 _WRITING_ACCURACY = 1e-4
 """Relative difference of numbers that MuJoCo writes: they have six digits."""
 
@@ -371,42 +352,6 @@ def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
     mjcf = _temporary_folder() / "model.xml"
     compile_model(path, mesh_dir, copy=mjcf)
     return mjcf
-
-
-def file_of(model: Any, has_mesh_folder: bool = False) -> Path:
-    """Return a temporary MJCF file of an MjSpec or MjModel, removed when this process ends.
-
-    MuJoCo writes it, with six digits of all numbers but those of inertials. Of an MjModel, it
-    writes only the last one that was loaded; for an earlier one the file of an earlier call is
-    returned, if there is one.
-    Raises ModelError where there is no file, and for an MjModel with meshes, which does not say in
-    which folder they are, unless ``has_mesh_folder``: that they are read from a given folder.
-    """
-    folder = _temporary_folder()
-    if _is_spec(model):
-        return _file_of_spec(model, folder)
-    with captured_warnings(), contextlib.suppress(*FAILURES):
-        path = folder / "model.xml"
-        _write_last_model(model, path)
-        # MuJoCo's first releases write the last model that was loaded, whichever is asked for.
-        copy = None
-        try:
-            copy = mujoco.MjModel.from_xml_path(str(path))
-        except FAILURES as error:  # such as of meshes that are elsewhere
-            fault = error_text(error)
-        is_copy = copy is None or _is_same_arm(model, copy)
-        if is_copy and _has_all_names(path, model):
-            _WRITTEN[model] = path, copy
-            if copy is None and not has_mesh_folder:
-                raise _reload_error(path, fault)
-            return path
-    path, copy = _WRITTEN.get(model, (folder, None))
-    if copy is None or not _is_same_arm(model, copy):
-        raise ModelError(
-            "a MjModel can be written only while it is the last that was loaded from XML; give its "
-            "file, or the MjSpec that it was compiled from"
-        )
-    return path
 
 
 def _temporary_folder() -> Path:
@@ -446,48 +391,34 @@ def _portable_text(path: Path, model: Any) -> bytes:
     return document.text()
 
 
-def _reload_error(path: Path, fault: str) -> ModelError:
-    """Return the error for an MJCF file of an MjModel that MuJoCo wrote and does not load.
+def file_of(model: Any) -> Path:
+    """Return a temporary MJCF file of an MjSpec, removed when this process ends.
 
-    ``fault``: MuJoCo's own reason, which counts unless the model's meshes are elsewhere.
+    MuJoCo writes it, with six digits of all numbers but those of inertials; the MjSpec stays as it
+    is. Raises ModelError where it does not compile, and for an MjModel, of which MuJoCo writes only
+    the last one that was loaded.
     """
-    assets = find_assets(read_document(path))
-    remedy = "or give its file, or the MjSpec that it was compiled from"
-    if any(asset.path is None for asset in assets):
-        return ModelError(
-            "a MjModel does not say in which folder its meshes are; add --mesh-dir "
-            f"FOLDER, {remedy}"
+    if not _is_spec(model):
+        raise ModelError(
+            "a MjModel cannot be written to a file; give its file, or the MjSpec that it was "
+            "compiled from"
         )
-    return ModelError(
-        f"MuJoCo cannot load the MjModel that it wrote itself: {fault}; mend that, {remedy}"
-    )
-
-
-def _has_all_names(path: Path, model: Any) -> bool:
-    """Return whether an MJCF file has the names of all bodies and joints of an MjModel."""
-    names = {model.body(k).name for k in range(1, model.nbody)}
-    names |= {model.joint(k).name for k in range(model.njnt)}
-    written = {node.get("name") for node in read_document(path).root.iter("*")}
-    return names - {""} <= written
-
-
-def _file_of_spec(spec: Any, folder: Path) -> Path:
-    """Return an MJCF file of an MjSpec, written into a folder; the MjSpec stays as it is."""
-    mj_model = _compile_spec(spec)
-    assets = dict(spec.assets or {})
+    folder = _temporary_folder()
+    mj_model = _compile_spec(model)
+    assets = dict(model.assets or {})
     for name, content in assets.items():
         data = content if isinstance(content, bytes) else content.encode()
         (folder / Path(name).name).write_bytes(data)
-    originals = {name: getattr(spec, name) for name in ("meshdir", "texturedir")}
+    originals = {name: getattr(model, name) for name in ("meshdir", "texturedir")}
     for name, value in originals.items():
-        asset_folder = Path(spec.modelfiledir, value).absolute()
-        setattr(spec, name, str(folder if assets else asset_folder))
+        asset_folder = Path(model.modelfiledir, value).absolute()
+        setattr(model, name, str(folder if assets else asset_folder))
     try:
-        text = spec.to_xml()
+        text = model.to_xml()
     finally:
         for name, value in originals.items():
-            setattr(spec, name, value)
-    file_name = re.sub(r"[^\w-]+", "_", spec.modelname) or "model"
+            setattr(model, name, value)
+    file_name = re.sub(r"[^\w-]+", "_", model.modelname) or "model"
     path = folder / f"{file_name}.xml"
     path.write_text(text, encoding="utf-8")
     path.write_bytes(_portable_text(path, mj_model))
@@ -502,16 +433,3 @@ def _compile_spec(spec: Any) -> Any:
         except FAILURES as error:
             fault = error_text(error)
             raise ModelError(f"MuJoCo cannot compile the MjSpec: {fault}") from None
-
-
-def _is_same_arm(model: Any, other: Any) -> bool:
-    """Return whether two MjModels are the same arm to the digits that MuJoCo writes."""
-    for name in _COMPARED:
-        values = getattr(model, name)
-        others = getattr(other, name)
-        has_same_shape = values.shape == others.shape
-        if not has_same_shape or not np.allclose(
-            values, others, rtol=_WRITING_ACCURACY, atol=1e-9
-        ):
-            return False
-    return True

@@ -51,10 +51,16 @@ def test_help_says_type_unit_and_default():
         ),
         (lambda: rs.identify("m", "l", output_dir="x"), "unknown option 'output_dir'"),
         (lambda: rs.identify("m", "l", units=5), "units must be a text (got 5)"),
-        (lambda: rs.identify(5, "l"), "a model is the path of an MJCF or URDF file, a"),
+        (
+            lambda: rs.identify(5, "l"),
+            "a model is the path of an MJCF or URDF file, or a",
+        ),
         (lambda: rs.payload("m", [], "b"), "empty LOG... is missing: a payload is fou"),
         (lambda: rs.plan("m", static=True), "static is for resting poses of for payl"),
-        (lambda: rs.read_log("l", 5), "a model is the path of an MJCF or URDF file, a"),
+        (
+            lambda: rs.read_log("l", 5),
+            "a model is the path of an MJCF or URDF file, or a",
+        ),
         (
             lambda: rs.identify("<mujoco>\n</mujoco>", "l"),
             "the model is XML text, not the path of a file; write it to a file, or",

@@ -73,7 +73,7 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
         ({"simulate": True}, "a simulated arm needs a model; add model"),
         (
             {"model": 5},
-            "a model is the path of an MJCF or URDF file, a mujoco.MjSpec or",
+            "a model is the path of an MJCF or URDF file, or a mujoco.MjSpec",
         ),
     ],
 )
