@@ -20,17 +20,18 @@ from robot_sysid.config import PlanConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Outcome, locked_folder, params_json_text
+from robot_sysid.model.compilation import lasting_folder
 from robot_sysid.motion.plan import CheckedPlan
 from robot_sysid.pipeline import Identification
 from robot_sysid.pipeline.planning import draft_plan
 from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
-from robot_sysid.records.file_access import atomic_files, models_in, temporary_folder
+from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.parameter_table import BeforeAfter, parameter_rows
 from robot_sysid.results.result_lines import result_lines
-from robot_sysid.results.written_model import model_in_memory
+from robot_sysid.results.written_model import spec_of
 from robot_sysid.trajectory import sample_count
 
 
@@ -170,18 +171,18 @@ class Identified(Identification):
         return write_results(replace(self, config=config), Progress())
 
     def spec(self) -> Any:
-        """Return a ``mujoco.MjSpec`` with the result applied; meshes and textures are in memory.
+        """Return a ``mujoco.MjSpec`` with the result applied, of a file that lasts as this process.
 
         Raises:
             SysidError: the result must not be used, or the model cannot hold it; says why.
         """
-        with in_python(), one_thread(), temporary_folder() as folder:
-            outcome = self._write(folder)
+        with in_python(), one_thread():
+            outcome = self._write(lasting_folder())
             models = models_in(outcome.files)
             if not models:
                 failure = outcome.failure or "this result is written into no model"
                 raise SysidError(failure)
-            return model_in_memory(models[0])
+            return spec_of(models[0])
 
     def plot(self) -> Any:
         """Return a matplotlib Figure: measured and predicted torque of each joint over time [N m].

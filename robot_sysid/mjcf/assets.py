@@ -247,16 +247,6 @@ def relocate(
             asset.node.set(asset.attribute, name)
 
 
-def bundle(document: ModelDocument, names: Mapping[Path, str]) -> None:
-    """Make a document refer to copies of its files.
-
-    ``names``: path of a file to that of its copy, relative to the document's text.
-    """
-    _rename(document, find_assets(document), names)
-    if not document.is_urdf:
-        _set_folders(document, {})
-
-
 def _rename(
     document: ModelDocument, assets: Iterable[Asset], names: Mapping[Path, str]
 ) -> None:

@@ -349,12 +349,12 @@ def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
     MuJoCo writes it, with six digits of all numbers but those of inertials. ModelError where the
     model does not compile.
     """
-    mjcf = _temporary_folder() / "model.xml"
+    mjcf = lasting_folder() / "model.xml"
     compile_model(path, mesh_dir, copy=mjcf)
     return mjcf
 
 
-def _temporary_folder() -> Path:
+def lasting_folder() -> Path:
     """Return a new folder that is removed when this process ends."""
     _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
     return Path(_FOLDERS[-1].name)
@@ -403,7 +403,7 @@ def file_of(model: Any) -> Path:
             "a MjModel cannot be written to a file; give its file, or the MjSpec that it was "
             "compiled from"
         )
-    folder = _temporary_folder()
+    folder = lasting_folder()
     mj_model = _compile_spec(model)
     assets = dict(model.assets or {})
     for name, content in assets.items():

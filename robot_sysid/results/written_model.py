@@ -22,7 +22,6 @@ import numpy as np
 from robot_sysid import __version__
 from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.mjcf.assets import bundle, find_assets
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import WriteBack, plan_write_back, setting
 from robot_sysid.mjcf.updated_model import (
@@ -390,44 +389,13 @@ def versions() -> dict[str, str]:
     }
 
 
-def model_in_memory(model: Path) -> Any:
-    """Return a model and all files it refers to as one ``mujoco.MjSpec`` without files.
+def spec_of(model: Path) -> Any:
+    """Return the ``mujoco.MjSpec`` of a model file, which reads its meshes when it is compiled.
 
-    Raises ExportError where it refers to another model, or where MuJoCo is older than 3.2.
+    Raises ExportError where MuJoCo is older than 3.2.
     """
     if not hasattr(mujoco, "MjSpec"):
         raise ExportError(
             f"a spec needs MuJoCo 3.2 or later, not {mujoco.__version__}; use save()"
         )
-    text, asset_names = _model_and_assets(model)
-    assets = {name: path.read_bytes() for path, name in asset_names.items()}
-    return mujoco.MjSpec.from_string(text.decode("utf-8"), assets=assets)
-
-
-def _model_and_assets(model: Path) -> tuple[bytes, dict[Path, str]]:
-    """Return a model's text with a name for each asset in place of its path, and file to name.
-
-    Equal names of files get a number. Raises ExportError where the model attaches other models.
-    """
-    document = read_document(model)
-    assets = find_assets(document)
-    if any(asset.node.tag == "model" for asset in assets):
-        raise ExportError(
-            "the model attaches other model files (<model file=...>), which a spec without files "
-            "cannot hold; use save()"
-        )
-    names: dict[Path, str] = {}
-    for asset in assets:
-        path = asset.path
-        if path is None or path in names:
-            continue
-        # Two files never get one name, not even on a disk that ignores the case of letters.
-        used_names = set(map(str.lower, names.values()))
-        name = path.name
-        for number in itertools.count(2):
-            if name.lower() not in used_names:
-                break
-            name = f"{path.stem}_{number}{path.suffix}"
-        names[path] = name
-    bundle(document, names)
-    return document.text(), names
+    return mujoco.MjSpec.from_file(str(model))

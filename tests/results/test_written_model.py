@@ -5,7 +5,6 @@ A model in memory needs no file.
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -35,13 +34,11 @@ from robot_sysid.records.file_access import atomic_files
 from robot_sysid.results import record
 from robot_sysid.results import written_model as model_module
 from robot_sysid.results.record import ModelTarget
-from robot_sysid.results.verification import require_same_model
-from robot_sysid.results.written_model import model_in_memory, write_model
+from robot_sysid.results.written_model import write_model
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms, urdf
 from tests.support import results as made
 from tests.support.model_files import ARM, random_theta, write_files
-from tests.support.places import EXAMPLE
 from tests.support.releases import since
 
 MJCF = ARM.replace(
@@ -540,47 +537,3 @@ def test_the_errors_of_what_is_written_count(tmp_path):
     assert_allclose(
         terminal_composite(mj_model, robot)[[4, 9]], [1.01e-2, 2e-4], rtol=1e-9
     )
-
-
-# ---- models in memory
-
-STL = EXAMPLE / "model" / "meshes" / "gripper.stl"
-MESHES = """
-<mujoco>
-  <compiler meshdir="parts" strippath="false"/>
-  <include file="more.xml"/>
-  <asset><mesh name="a" file="left/part.stl"/><mesh name="b" file="right/part.stl"/></asset>
-  <worldbody>
-    <body name="arm"><joint name="turn"/><geom type="mesh" mesh="a"/>
-      <body><joint/><geom type="mesh" mesh="b"/></body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-
-
-@since(3, 3)
-def test_two_meshes_of_one_name_and_an_include(tmp_path):
-    source = tmp_path / "source"
-    for side in ("left", "right"):
-        (source / "parts" / side).mkdir(parents=True)
-        shutil.copy(STL, source / "parts" / side / "part.stl")
-    include = "<mujoco><option timestep='0.001'/></mujoco>"
-    model = write_files(source, {"updated_model.xml": MESHES, "more.xml": include})
-    original = mujoco.MjModel.from_xml_path(str(model))
-    spec = model_in_memory(model)
-    shutil.rmtree(source)
-    require_same_model(original, spec.compile(), {})
-
-
-@since(3, 3)
-def test_a_model_that_attaches_others_is_refused(tmp_path):
-    (tmp_path / "other.xml").write_text(
-        "<mujoco><worldbody><body name='b'/></worldbody></mujoco>"
-    )
-    text = (
-        "<mujoco><asset><model name='o' file='other.xml'/></asset><worldbody/></mujoco>"
-    )
-    model = write_files(tmp_path, {"updated_model.xml": text})
-    with pytest.raises(ExportError, match="attaches other model files"):
-        model_in_memory(model)
