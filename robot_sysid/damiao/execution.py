@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -471,7 +470,7 @@ def _require_complete(console: Aside, writer: Aside) -> None:
 def _open_recorder(
     link: GuardedLink, plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
 ) -> Iterator[MeasurementRecorder | None]:
-    """Yield a recorder that writes a plan's files, or None if its ``recording.frames`` is None.
+    """Yield a recorder that writes a plan's files, or None if nothing is recorded.
 
     Args:
         link: link whose frames are logged.
@@ -479,21 +478,20 @@ def _open_recorder(
         motors: motors whose registers are written into the file's head.
         aside: runs the writing.
     """
-    path = plan.recording.frames
-    record = plan.recording.record
+    recording = plan.recording
     played = plan.trajectory
-    if path is None:
+    if recording.record is None or recording.frames is None:
         yield None
         return
     registers = [motor.registers for motor in motors[: played.n_joints]]
     head = recording_header(played.joints, registers, plan.settings, played.path.name)
     names = [f"j{j}" for j in range(played.n_joints)]
-    # Without --record, a recorder still writes the frames: kept until the end, they fill memory.
-    with contextlib.ExitStack() as stack:
-        frames = stack.enter_context(RawFrameLog(path, link))
-        centring = Centring(plan.settings.period, plan.ripple)
-        may_replace = plan.recording.overwrite or record is None
-        file = record or Path(os.devnull)
-        yield stack.enter_context(
-            MeasurementRecorder(file, head, names, aside, centring, frames, may_replace)
-        )
+    centring = Centring(plan.settings.period, plan.ripple)
+    with (
+        RawFrameLog(recording.frames, link) as frames,
+        MeasurementRecorder(
+            *(recording.record, head, names, aside, centring),
+            *(frames, recording.overwrite),
+        ) as recorder,
+    ):
+        yield recorder

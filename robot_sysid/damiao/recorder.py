@@ -134,21 +134,18 @@ class RawFrameLog:
     Time stamps are seconds since 1970.
 
     Args:
-        path: file, which is replaced if it exists. Its suffix decides the format: .log (candump),
-            .asc, .blf, .csv, .trc, ...
+        path: file in candump's format, which is replaced if it exists.
         link: link whose observer the log becomes.
 
     Raises:
-        InputError: the suffix is unknown, or the file cannot be written.
+        InputError: the file cannot be written.
     """
 
     def __init__(self, path: Path, link: GuardedLink) -> None:
         self._can = import_can()
         self._link = link
         try:
-            self._writer: Any = self._can.Logger(str(path))
-        except ValueError as error:
-            raise InputError(f"cannot log frames to {path}: {error}") from None
+            self._writer: Any = self._can.CanutilsLogWriter(str(path))
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror}") from None
         self._offset = time.time() - link.clock.now()
@@ -188,9 +185,7 @@ class RawFrameLog:
                 channel=self._link.channels[frame.bus],
             )
             self._writer.on_message_received(message)
-        file: Any = getattr(self._writer, "file", None)
-        if file is not None:
-            file.flush()
+        self._writer.file.flush()
 
 
 class MeasurementRecorder:

@@ -237,23 +237,15 @@ class Permissions(OptionRecord):
 class RecordingOptions(OptionRecord):
     """The files into which a run is recorded."""
 
-    record: Path | None = option(None, "write the measurement CSV", "FILE")
-    raw_log: Path | None = option(
-        None,
-        "write every frame, format by suffix: .log .asc .blf .trc",
-        "FILE",
-        default_text="beside --record",
+    record: Path | None = option(
+        None, "write the measurement CSV, and every frame beside it (.log)", "FILE"
     )
     overwrite: bool = option(False, "replace existing recordings")
 
     @property
     def frames(self) -> Path | None:
-        """File for every frame on the bus; None where neither this file nor a record is named.
-
-        By default it is the record with suffix .log.
-        """
-        default = None if self.record is None else self.record.with_suffix(".log")
-        return self.raw_log or default
+        """File for every frame on the bus, the record with suffix .log; None without a record."""
+        return None if self.record is None else self.record.with_suffix(".log")
 
     def require_free(self, *inputs: Path) -> None:
         """Raise InputError where a recording would replace a file that must not be replaced.

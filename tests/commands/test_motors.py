@@ -556,13 +556,12 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(
     """The frames themselves show that each motor braked before it was disabled."""
     trajectory = write_trajectory(tmp_path, swing(2, duration=6.0, amplitude=0.4))
     record = tmp_path / "measured.csv"
-    frames = tmp_path / "frames.log"
+    frames = tmp_path / "measured.log"
     with simulator(trajectory, model) as device:
         play = subprocess.Popen(
             [
                 *PROGRAM, "play", trajectory, "--yes",
                 "--interface", "slcan", "--channel", device, *SLOWLY, "--record", record,
-                "--raw-log", frames,
             ],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             preexec_fn=small_files_only if trouble == "disk full" else None,
