@@ -18,13 +18,13 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 5468,
     "robot_sysid/commands": 13318,
-    "robot_sysid/damiao": 44416,
+    "robot_sysid/damiao": 44315,
     "robot_sysid/diagnosis": 19234,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 48620,
     "robot_sysid/logs": 21928,
     "robot_sysid/mjcf": 8982,
-    "robot_sysid/model": 10374,
+    "robot_sysid/model": 10273,
     "robot_sysid/motion": 28537,
     "robot_sysid/pipeline": 6829,
     "robot_sysid/records": 9130,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 9307,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12276,
-    "tests": 262055,
+    "tests": 262027,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -1,11 +1,9 @@
 """CAN adapters: opening and reading them through python-can, and the maker's own serial adapter.
 
-python-can finds ``DamiaoSerialBus`` (``interface="damiao"``) by its entry point; the class is made
-on first use, because python-can is an extra. The adapter (921600 baud) takes 30 bytes per frame,
-numbers little endian: 55 AA, the length 1E, 03 for "send", number of repetitions in four bytes (1),
-pause between them in four bytes (10), id type (0 for 11 bits), CAN id in four bytes, frame type (0
-for data), number of data bytes, two filters (0), eight bytes of data, and a check byte that the
-adapter ignores (0).
+The latter (921600 baud) takes 30 bytes per frame, numbers little endian: 55 AA, the length 1E, 03
+for "send", number of repetitions in four bytes (1), pause between them in four bytes (10), id type
+(0 for 11 bits), CAN id in four bytes, frame type (0 for data), number of data bytes, two filters
+(0), eight bytes of data, and a check byte that the adapter ignores (0).
 
 It sends 16 bytes per frame: AA, type of packet (11 for a received frame), format, CAN id in four
 bytes little endian, eight bytes of data, 55.
@@ -22,7 +20,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 from robot_sysid.damiao.bus import Link, LinkError, SystemClock
@@ -387,7 +384,7 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         options[name] = _parse_value(value)
     try:
         if interface == SERIAL_ADAPTER:
-            return _bus_class()(channel, **options)
+            return SerialAdapter(channel, **options)
         bus = can.Bus(
             channel=channel, interface=interface, ignore_config=True, **options
         )
@@ -490,62 +487,49 @@ _PATIENCE = 1e-3
 """Time for which a serial port waits for a byte before it is asked again [s]."""
 
 
-def __getattr__(name: str) -> Any:
-    """Return the class DamiaoSerialBus, which python-can asks this module for by name."""
-    if name == "DamiaoSerialBus":
-        return _bus_class()
-    raise AttributeError(name)
+class SerialAdapter:
+    """The maker's adapter as a bus: classic CAN over a serial line; its bit rate is set in it.
 
+    It has the methods of python-can's buses that ``BusLink`` calls.
 
-@cache
-def _bus_class() -> Any:
-    """Return the class DamiaoSerialBus, made on first use because python-can is an extra."""
-    import can
-    import serial
+    Args:
+        device: path of the serial port.
+        baudrate: speed of the serial line [bit/s].
+        write_timeout: longest time for the line to take a packet [s].
+    """
 
-    class DamiaoSerialBus(can.BusABC):
-        """Classic CAN over the adapter's serial line; the bit rate is set in the adapter."""
+    def __init__(
+        self, device: str, baudrate: int = BAUD, write_timeout: float = _WRITE_TIMEOUT
+    ) -> None:
+        import serial
 
-        def __init__(
-            self,
-            channel: str,
-            baudrate: int = BAUD,
-            write_timeout: float = _WRITE_TIMEOUT,
-            **bus_options: Any,
-        ) -> None:
-            self._port = serial.Serial(
-                channel, baudrate, timeout=0, write_timeout=write_timeout
-            )
-            self._reader = PacketReader()
-            self._waiting = deque[Any]()
-            self.channel_info = f"Damiao serial adapter at {channel}"
-            super().__init__(channel=channel, **bus_options)
+        self._can = import_can()
+        self._port = serial.Serial(
+            device, baudrate, timeout=0, write_timeout=write_timeout
+        )
+        self._reader = PacketReader()
+        self._waiting = deque[Frame]()
 
-        def send(self, msg: Any, timeout: float | None = None) -> None:
-            """Send a frame; the adapter does not report when the frame was on the bus."""
-            self._port.write(packet(msg.arbitration_id, bytes(msg.data)))
+    def send(self, message: Any, timeout: float) -> None:
+        """Send a frame; the adapter does not report when the frame was on the bus."""
+        self._port.write(packet(message.arbitration_id, bytes(message.data)))
 
-        def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
-            """Return the next message, or None after ``timeout`` [s], and False (not filtered)."""
-            until = None if timeout is None else time.monotonic() + timeout
-            while not self._waiting:
-                # A time-out of None waits without limit.
-                self._port.timeout = until and max(until - time.monotonic(), 0.0)
-                # The rest of what has come already, or the first byte of what comes next.
-                piece = self._port.read(max(self._port.in_waiting, 1))
-                self._waiting.extend(self._reader.take(piece))
-                is_over = until is not None and time.monotonic() >= until
-                if is_over and not self._waiting:
-                    return None, False
-            frame = self._waiting.popleft()
-            return can_message(can, frame, timestamp=time.time()), False
+    def recv(self, timeout: float) -> Any:
+        """Return the next message, or None after ``timeout`` [s]."""
+        until = time.monotonic() + timeout
+        while not self._waiting:
+            self._port.timeout = max(until - time.monotonic(), 0.0)
+            # The rest of what has come already, or the first byte of what comes next.
+            piece = self._port.read(max(self._port.in_waiting, 1))
+            self._waiting.extend(self._reader.take(piece))
+            if time.monotonic() >= until and not self._waiting:
+                return None
+        frame = self._waiting.popleft()
+        return can_message(self._can, frame, timestamp=time.time())
 
-        def shutdown(self) -> None:
-            """Close the serial line."""
-            super().shutdown()
-            self._port.close()
-
-    return DamiaoSerialBus
+    def shutdown(self) -> None:
+        """Close the serial line."""
+        self._port.close()
 
 
 class LineReader:

@@ -43,16 +43,13 @@ def _type_number(name: str) -> int | None:
 
 _FIXED_GAIN = _type_number("mjGAIN_FIXED")
 _AFFINE_GAIN = _type_number("mjGAIN_AFFINE")
-_MUSCLE_GAIN = _type_number("mjGAIN_MUSCLE")
 _DCMOTOR_GAIN = _type_number("mjGAIN_DCMOTOR")
 _PID_GAIN = _type_number("mjGAIN_PID")
 _NO_BIAS = _type_number("mjBIAS_NONE")
 _AFFINE_BIAS = _type_number("mjBIAS_AFFINE")
 _NO_DYNAMICS = _type_number("mjDYN_NONE")
-_MUSCLE_DYNAMICS = _type_number("mjDYN_MUSCLE")
 _SETTLING = (
     _NO_DYNAMICS,
-    _MUSCLE_DYNAMICS,
     _type_number("mjDYN_FILTER"),
     _type_number("mjDYN_FILTEREXACT"),
 )
@@ -212,7 +209,7 @@ def output_range(mj_model: Any, actuator: int) -> Array:
 def _commanded_range(mj_model: Any, actuator: int) -> Array:
     """Return the smallest and largest force (2,) that an actuator's (id) controls ask for.
 
-    It is unlimited for a servo, for a plugin, and for a law of force that a program supplies.
+    It is unlimited for a servo, a muscle, a plugin, and a law of force that a program supplies.
     """
     gain_type = int(mj_model.actuator_gaintype[actuator])
     bias_type = int(mj_model.actuator_biastype[actuator])
@@ -228,11 +225,6 @@ def _commanded_range(mj_model: Any, actuator: int) -> Array:
         has_setpoint = _inputs(mj_model, actuator) != _FEEDFORWARD
         rows = control_rows(mj_model, actuator)
         return _UNLIMITED if has_setpoint else _control_range(mj_model, rows[0])
-    if gain_type == _MUSCLE_GAIN:
-        scale = mj_model.actuator_lengthrange[output], mj_model.actuator_acc0[output]
-        gain = mujoco.mju_muscleGain(length, 0.0, *scale, gain_parameters[:9])
-        bias = mujoco.mju_muscleBias(length, *scale, bias_parameters[:9])
-        return _scaled(_input_range(mj_model, actuator), gain) + bias
     if gain_type not in (_FIXED_GAIN, _AFFINE_GAIN):
         return _UNLIMITED
     gain = float(gain_parameters[0])
@@ -304,8 +296,6 @@ def _input_range(mj_model: Any, actuator: int) -> Array:
     values = _UNLIMITED
     if dynamics in _SETTLING and len(rows):
         values = _control_range(mj_model, rows[0])
-    if dynamics == _MUSCLE_DYNAMICS:
-        values = np.clip(values, 0.0, 1.0)
     if dynamics != _NO_DYNAMICS and mj_model.actuator_actlimited[actuator]:
         values = np.clip(values, *mj_model.actuator_actrange[actuator])
     return values

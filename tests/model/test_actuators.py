@@ -63,8 +63,6 @@ def settle_activations(model, data):
         controls = data.ctrl[module.control_rows(model, actuator)]
         control = controls[0] if len(controls) else 0.0
         value = control
-        if model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_MUSCLE:
-            value = np.clip(value, 0, 1)
         if model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
             value = UNBOUNDED * np.sign(control)
         if model.actuator_actlimited[actuator]:
@@ -103,7 +101,6 @@ def commanded_actuators(draw):
         f'<cylinder {common} {control} {force} area="{gain}" bias="-2 0 0"/>',
         f'<general {common} {control} dyntype="filter" dynprm=".1" actrange="-8 3"/>',
         f'<general {common} dyntype="integrator" actrange="-8 3" gainprm="{gain}"/>',
-        f'<muscle {common} {force} lengthrange=".1 1" force="{gain}"/>',
         f'<damper {common} ctrlrange="0 {gain}" kv="2"/>',
         f'<velocity {common} kv="{gain}" forcerange="-7 9"/>',
         f'<position {common} kp="{gain}" forcerange="-9 7"/>',
