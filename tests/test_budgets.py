@@ -24,9 +24,9 @@ BUDGETS = {
     "robot_sysid/estimation": 48620,
     "robot_sysid/logs": 21928,
     "robot_sysid/mjcf": 8982,
-    "robot_sysid/model": 10273,
+    "robot_sysid/model": 10146,
     "robot_sysid/motion": 28537,
-    "robot_sysid/pipeline": 6829,
+    "robot_sysid/pipeline": 6816,
     "robot_sysid/records": 9130,
     "robot_sysid/report": 8319,
     "robot_sysid/results": 15139,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 9307,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12276,
-    "tests": 262027,
+    "tests": 261921,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

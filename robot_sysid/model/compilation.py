@@ -115,18 +115,11 @@ def warnings_as_notes(progress: Progress) -> Iterator[None]:
         progress.note(f"MuJoCo warns: {warning}")
 
 
-def compile_model(
-    path: Path, mesh_dir: Path | None = None, copy: Path | None = None
-) -> CompiledModel:
+def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     """Compile an MJCF or URDF file, or raise ModelError with one line on why not.
-
-    Where MuJoCo's cache has no capacity, a tiny model is compiled last, so that the cache keeps
-    nothing of this one.
 
     Args:
         mesh_dir: folder that replaces the file's own for meshes (and, in a URDF, its packages).
-        copy: where to write the model as an MJCF, which MuJoCo does only of the last one that was
-            loaded; default nowhere.
     """
     document = read_document(path)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
@@ -149,40 +142,10 @@ def compile_model(
             speeds = velocity_limits(document)
         else:
             mj_model = _compile_mjcf(document, mesh_dir)
-        if copy is not None:
-            _write_last_model(mj_model, copy)
-    if _CACHE is not None and mujoco.mj_getCacheCapacity(_CACHE) == _NO_CAPACITY:
-        # MuJoCo keeps the files of the last model that was read: let it be a small one.
-        mujoco.MjModel.from_xml_string("<mujoco/>")
     _check_values(mj_model, document)
     notes += tuple(f"MuJoCo warns: {text}" for text in dict.fromkeys(warnings))
     language = "urdf" if document.is_urdf else "mjcf"
     return CompiledModel(mj_model, notes, document.sha256, language, speeds, increases)
-
-
-_CACHE = mujoco.mj_getCache() if hasattr(mujoco, "mj_getCache") else None
-"""MuJoCo's cache of meshes, of releases that have one."""
-_NO_CAPACITY = 1
-"""Capacity that holds no mesh [bytes]. MuJoCo 3.3.7 crashes at the first mesh if it is zero, and
-where the cache holds more than its new capacity."""
-
-
-@contextmanager
-def meshes_not_kept() -> Iterator[None]:
-    """Keep MuJoCo from caching the meshes of models that are compiled in a block.
-
-    The cache is four times the compiled model: 250 MB of an arm of 62 MB.
-    """
-    if _CACHE is None:
-        yield
-        return
-    capacity = mujoco.mj_getCacheCapacity(_CACHE)
-    try:
-        mujoco.mj_clearCache(_CACHE)
-        mujoco.mj_setCacheCapacity(_CACHE, _NO_CAPACITY)
-        yield
-    finally:
-        mujoco.mj_setCacheCapacity(_CACHE, capacity)
 
 
 def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
@@ -350,7 +313,11 @@ def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
     model does not compile.
     """
     mjcf = lasting_folder() / "model.xml"
-    compile_model(path, mesh_dir, copy=mjcf)
+    mj_model = compile_model(path, mesh_dir).mj_model
+    # MuJoCo writes only the last model that was loaded.
+    with captured_warnings():
+        mujoco.mj_saveLastXML(str(mjcf), mj_model)
+    mjcf.write_bytes(_portable_text(mjcf, mj_model))
     return mjcf
 
 
@@ -358,12 +325,6 @@ def lasting_folder() -> Path:
     """Return a new folder that is removed when this process ends."""
     _FOLDERS.append(tempfile.TemporaryDirectory(prefix="robot-sysid-"))
     return Path(_FOLDERS[-1].name)
-
-
-def _write_last_model(model: Any, path: Path) -> None:
-    """Have MuJoCo write an MjModel, the last that was loaded, to an MJCF file."""
-    mujoco.mj_saveLastXML(str(path), model)
-    path.write_bytes(_portable_text(path, model))
 
 
 def _portable_text(path: Path, model: Any) -> bytes:

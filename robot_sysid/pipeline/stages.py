@@ -33,7 +33,6 @@ from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Outcome, locked_folder, save
 from robot_sysid.model import ModelOptions
-from robot_sysid.model.compilation import meshes_not_kept
 from robot_sysid.motion import LimitOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import Identification
@@ -76,16 +75,15 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
     if isinstance(config, IdentifyConfig) and config.output.torque_from is not None:
         from robot_sysid.servo import run_servo
 
-        with meshes_not_kept():
-            robot = load_arm(config.model, progress)
-            return run_servo(
-                robot,
-                config.log,
-                config.output.output_dir,
-                config.model.mesh_dir,
-                progress,
-                config.input_files(),
-            )
+        robot = load_arm(config.model, progress)
+        return run_servo(
+            robot,
+            config.log,
+            config.output.output_dir,
+            config.model.mesh_dir,
+            progress,
+            config.input_files(),
+        )
     with locked_folder(config.output.output_dir, progress):
         if not isinstance(config, MotionConfig):
             robot = load_arm(config.model, progress)

@@ -18,7 +18,6 @@ from robot_sysid.model.bodies import body_theta, inertia_about_com
 from robot_sysid.model.compilation import (
     compile_model,
     file_of,
-    meshes_not_kept,
     mjcf_of,
     restore_exact_inertias,
 )
@@ -174,22 +173,6 @@ def test_a_decimal_comma_is_refused_before_meshes_are_read_wrongly(
     assert_model_refused(r"has ',' for a decimal point.*LC_NUMERIC, 'C'", path)
 
 
-@pytest.mark.skipif(
-    not hasattr(mujoco, "mj_getCache"), reason="this MuJoCo keeps no meshes"
-)
-def test_nothing_of_meshes_is_kept_where_memory_matters(tmp_path):
-    cache = mujoco.mj_getCache()
-    path = write_files(tmp_path, {"m.xml": MESH_MODEL, "d/m.obj": TETRAHEDRON})
-    capacity = 123456789
-    mujoco.mj_setCacheCapacity(cache, capacity)
-    compile_model(path)
-    with pytest.raises(KeyError), meshes_not_kept():
-        compile_model(path)
-        assert mujoco.mj_getCacheSize(cache) == 0
-        raise KeyError
-    assert mujoco.mj_getCacheCapacity(cache) == capacity
-
-
 SECOND_MOMENTS = {
     "plate": (1.0, 0.4, 0.0),
     "disc": (1.0, 1.0, 0.0),
@@ -214,16 +197,13 @@ def thin_link(rng):
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_an_mjcf_of_a_urdf_has_its_links_however_flat_and_whatever_is_loaded_since(
-    tmp_path_factory, seed
-):
+def test_an_mjcf_of_a_urdf_has_its_links_however_flat(tmp_path_factory, seed):
     rng = np.random.default_rng(seed)
     links = {name: thin_link(rng) for name in ("l1", "l2", "l3")}
     text = urdf.robot(urdf.serial(links))
     path = write_files(tmp_path_factory.mktemp("flat"), {"arm.urdf": text})
     original = compile_model(path).mj_model
-    with meshes_not_kept():  # which loads a small model after each one
-        copied = compile_model(mjcf_of(path)).mj_model
+    copied = compile_model(mjcf_of(path)).mj_model
     for name in links:
         body = original.body(name).id
         theta = body_theta(original, body)
