@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 5468,
     "robot_sysid/commands": 13318,
-    "robot_sysid/damiao": 44315,
+    "robot_sysid/damiao": 44189,
     "robot_sysid/diagnosis": 19234,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 48620,

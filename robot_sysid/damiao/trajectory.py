@@ -33,12 +33,6 @@ from robot_sysid.damiao.joints import (
     damiao_joints,
     motor_spec,
 )
-from robot_sysid.damiao.protocol import (
-    PLANNING_LIMIT,
-    BusTiming,
-    bus_load,
-    suggested_rate,
-)
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
@@ -62,7 +56,7 @@ class DamiaoExportReport:
     Attributes:
         joints: joints in the file with their motors, base to terminal.
         clamped_percent: share (n,) of each joint's samples that have a clamped value [%].
-        warnings: sentences about ratings, rates and clamped samples.
+        warnings: sentences about ratings and clamped samples.
     """
 
     joints: tuple[DamiaoJoint, ...]
@@ -166,7 +160,6 @@ def export_damiao_trajectory(
                 f"{joint.motor_type}; use a stronger motor or a slower trajectory"
             )
         warnings += rating_warnings(joint, velocity, torque)
-    warnings += _rate_warnings(first[0], len(joints))
     return DamiaoExportReport(joints, percent, tuple(warnings))
 
 
@@ -421,22 +414,3 @@ def limit_excesses(
         for j, peak in peaks_beyond(values, joint_limits + rounding):
             name = trajectory.joints[j].label
             yield f"{name}: {peak:.4g} {unit} is beyond {flag} {joint_limits[j]:g}"
-
-
-def _rate_warnings(time: Array, n_joints: int) -> Iterator[str]:
-    """Yield a warning where a file's rate by times (N,) [s] is too much for a classic CAN bus."""
-    if len(time) < 2:
-        return
-    rate = 1.0 / float(np.median(np.diff(time)))
-    classic = BusTiming()
-    fast = BusTiming(fd=True)
-    load = bus_load(n_joints, rate, classic)
-    if load > PLANNING_LIMIT:
-        classic_rate = suggested_rate(n_joints, classic)
-        fast_rate = suggested_rate(n_joints, fast)
-        yield (
-            f"{rate:g} Hz would fill {100 * load:.0f} % of a classic CAN bus "
-            f"({100 * bus_load(n_joints, rate, fast):.0f} % of CAN-FD): play the file at "
-            f"{classic_rate:g} Hz (CAN-FD: {fast_rate:g} Hz), or export it with --sample-rate "
-            f"{classic_rate:g}"
-        )
