@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 5468,
     "robot_sysid/commands": 13318,
-    "robot_sysid/damiao": 44189,
+    "robot_sysid/damiao": 43917,
     "robot_sysid/diagnosis": 19234,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimation": 48620,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 9307,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12276,
-    "tests": 261921,
+    "tests": 261820,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

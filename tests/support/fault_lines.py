@@ -60,12 +60,12 @@ SECOND = "a second motor has its id"
 FOREIGN = "gets commands of another program"
 UNSEEN = "another program commands it"
 MOVED = "its zero has moved"
-WEAK_SUPPLY = "it is weak, or its supply sags"
+DIFFERS = "are commanded: it is weak, its supply sags"
 UNANSWERED = "did not answer in time"
 LINES = (
     Line("motor makes half its torque", WeakMotor(SHOULDER, 0.5), "suddenly needs"),
     Line("motor makes 0.6 of its torque, at kp 500", WeakMotor(SHOULDER, 0.6), ""),
-    Line("motor makes half and says so", WeakMotor(SHOULDER, 0.5, True), WEAK_SUPPLY),
+    Line("motor makes half and says so", WeakMotor(SHOULDER, 0.5, True), DIFFERS),
     Line("motor lost", LostMotor(SHOULDER), UNANSWERED, quantity=OTHERS),
     Line("motor reports a fault", FailedMotor(SHOULDER), "reports status A", quantity=OTHERS),
     Line("second motor of the same id, wrist", SecondMotor(WRIST, 0.7), SECOND),
@@ -77,7 +77,7 @@ LINES = (
     Line("second master, shoulder", SecondMaster(SHOULDER, 0.5, True), FOREIGN),
     Line("encoder frozen, shoulder", FrozenEncoder(SHOULDER), "its encoder is frozen"),
     Line("encoder frozen, wrist", FrozenEncoder(WRIST), "its encoder is frozen"),
-    Line("reported position frozen", FrozenEncoder(SHOULDER, False), "it is frozen"),
+    Line("reported position frozen", FrozenEncoder(SHOULDER, False), DIFFERS),
     Line("gear slips 0.3 rad/s", SlippingGear(SHOULDER), "its gear slips", bound=0.4),
     Line(
         "gear slips, velocity is the joint's", SlippingGear(SHOULDER, is_felt=False),
@@ -89,7 +89,7 @@ LINES = (
         "velocity reversed", MotorSetting(SHOULDER, "velocity_factor", -1.0),
         "off its speed",
     ),
-    Line("torque reversed", MotorSetting(SHOULDER, "torque_factor", -1.0), "its sign is reversed"),
+    Line("torque reversed", MotorSetting(SHOULDER, "torque_factor", -1.0), DIFFERS),
     Line("supply sags", SaggingSupply(SHOULDER), "reports status 9", quantity=OTHERS),
     Line("3 kg gripped", GrippedMass(), "suddenly needs"),
     Line("push of 60 N", Push(), "suddenly needs"),

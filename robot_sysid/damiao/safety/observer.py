@@ -63,7 +63,6 @@ _ENOUGH = 3
 _MEMORY = 0.9  # Factor per cycle by which counts of surplus answers and foreign commands decay.
 _FEW = 2.5  # Decayed count above which the run stops: a single wrong one is a damaged frame.
 _OTHER_TORQUE = 0.15  # Accepted error of a reported torque [share of the peak torque].
-_NO_SCALE = 0.4  # Reported / commanded torque below which TMAX is not the cause.
 _EFFORT_WAY = 0.05  # Position error that makes the limit of a sudden effort [rad].
 _LEAST_EFFORT = 0.1  # Least such limit [share of the peak torque].
 _MOST_EFFORT = 0.25  # Largest such limit [share of the peak torque].
@@ -143,7 +142,7 @@ class Observer:
         self._surplus, self._foreign = np.zeros((2, n_joints))
         self.worst_tracking = np.zeros(n_joints)
         self.failed, self.stuck, self.to_switch_off = np.zeros((3, n_joints), bool)
-        self._stale, self._has_agreed = np.zeros((2, n_joints), bool)
+        self._stale = np.zeros(n_joints, bool)
         # Commanded and reported torque of the last cycles.
         self._pairs = np.full((2, _RECENT, n_joints), np.nan)
         # Position, velocity and torque of the last answer.
@@ -289,44 +288,16 @@ class Observer:
         self._pairs = np.roll(self._pairs, 1, axis=1)
         self._pairs[:, 0] = np.clip(commanded, -self._peak, self._peak), tau
         error = np.abs(self._pairs[1] - self._pairs[0])
-        is_large = np.abs(self._pairs[0, 0]) > 0.5 * self._other_torque
-        self._has_agreed |= is_large & (error[0] < 0.5 * self._other_torque)
-        differs = error > self._other_torque
-        often = np.count_nonzero(differs, axis=0) >= _ENOUGH
-        self._raise_first(often, lambda j: self._torque_finding(j, differs))
-
-    def _torque_finding(self, joint: int, differs: Mask) -> str:
-        """Return what a joint does whose reported torque is not the commanded one.
-
-        The result is a sentence without the joint's name. ``differs`` (_RECENT, n) says in which of
-        the last cycles, the newest first, each joint's reported and commanded torque differed.
-        """
-        agreed_before = bool(self._has_agreed[joint])
-        commanded, reported = self._pairs[:, differs[:, joint], joint]
-        is_made = np.abs(commanded) > 1e-9
-        shares = reported / np.where(is_made, commanded, 1e-9)
-        share = float(np.median(shares))
-        is_steady = bool(np.all(np.abs(shares - share) < 0.2 * max(abs(share), 0.5)))
-        often = np.count_nonzero(differs, axis=0) >= _ENOUGH - 1
-        if is_steady and abs(share + 1.0) < 0.2:
-            return "reports -1 times the torque that it was commanded to make: its sign is reversed"
-        is_weaker = (0.0 <= share < 1.0 and agreed_before) or abs(share) < _NO_SCALE
-        if is_steady and is_weaker:
-            often[joint] = False
-            others = [self._joints[j].label for j in np.flatnonzero(often).tolist()]
-            if others:
-                return (
-                    f"makes {share:.2f} times its commanded torque, and so do others "
-                    f"({', '.join(others)}): the supply sags"
-                )
-            return f"makes {share:.2f} times its commanded torque: it is weak, or its supply sags"
-        if is_steady and not agreed_before:
-            return _TORQUE_SCALE.format(share)
-        if self._still[joint] >= _STILL_CYCLES:
-            return "reports one and the same position while its torque changes: it is frozen"
-        return (
-            f"does not do what it is commanded ({reported[0]:.1f} for {commanded[0]:.1f} N m): "
-            "another program commands it, or its position or velocity is another than it reports"
+        often = np.count_nonzero(error > self._other_torque, axis=0) >= _ENOUGH
+        worst = np.argmax(np.nan_to_num(error), axis=0)
+        self._raise_first(
+            often,
+            lambda j: (
+                f"reports {self._pairs[1, worst[j], j]:.1f} N m where "
+                f"{self._pairs[0, worst[j], j]:.1f} are commanded: it is weak, its supply sags, "
+                "its encoder is frozen, its torque has another sign or scale, or another program "
+                "commands it"
+            ),
         )
 
     def _check_scales(self) -> None:

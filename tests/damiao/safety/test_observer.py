@@ -188,17 +188,3 @@ def test_a_joint_that_carries_the_arm_the_other_way_is_another_joint():
 
     words = stop_words_of(motion(500, lambda p: 2.0 * load(p) / 180.0, load))
     assert words.startswith("motor 2") and "cables of two arms exchanged" in words
-
-
-def test_a_sagging_supply_names_the_other_joints_and_not_the_joint_itself():
-    def sagging():
-        for k, (replies, command) in enumerate(motion(270)):
-            command = command._replace(torque=np.full(2, 9.0))
-            feedback = replies.feedback
-            made = command.motor_torque(feedback.position, feedback.velocity)
-            feedback.torque[:] = (0.4 if k >= 250 else 1.0) * made
-            yield replies, command
-
-    words = stop_words_of(sagging())
-    assert "motor 1 makes 0.40 times" in words
-    assert "so do others (motor 2): the supply sags" in words
