@@ -328,26 +328,23 @@ class MotorRun:
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
         yield GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
 
-    def open_link(self, timing: BusTiming | None = None) -> Link:
-        """Open the bus and return its link; ``timing`` replaces that of the options unless None."""
-        return open_bus(self.address, timing or self.timing, self.clock, self._tell)
+    def open_link(self) -> Link:
+        """Open the bus and return its link."""
+        return open_bus(self.address, self.timing, self.clock, self._tell)
 
     @contextlib.contextmanager
     def open_guarded(
-        self,
-        refuse: Callable[[Frame], None] = refuse_harmful,
-        timing: BusTiming | None = None,
+        self, refuse: Callable[[Frame], None] = refuse_harmful
     ) -> Iterator[GuardedLink]:
         """Open the bus for a block and yield its link; InputError without --channel.
 
         Args:
             refuse: called with each frame to be sent; raises for one that must not be sent.
-            timing: bit rates in place of those of the options; None for those of the options.
         """
         if not self.address.channel:
             problem = "this command needs --channel, for instance --channel can0"
             raise InputError(problem)
-        with contextlib.closing(self.open_link(timing)) as link:
+        with contextlib.closing(self.open_link()) as link:
             yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
 
 

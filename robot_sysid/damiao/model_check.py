@@ -238,20 +238,20 @@ def _foreign_torque_checks(
     model of the arm that is to be moved.
     """
     fed = _FedTorque.of(trajectory, robot)
-    is_as_planned = bool(np.any(fed.is_foreign)) and _is_as_planned(trajectory)
+    weighs_as_planned = bool(np.any(fed.is_foreign)) and _weighs_as_planned(trajectory)
     for j in np.flatnonzero(fed.is_foreign).tolist():
         finding = (
             f"{trajectory.joints[j].label}: the torque that the file feeds forward is that of "
             f"another motion or arm: it is off by {fed.error[j]:.1f} N m where "
             f"{robot.path.name} needs {fed.needed[j]:.1f} (rms)"
         )
-        if is_as_planned and _is_weighing(trajectory):
+        if weighs_as_planned:
             yield Check(
                 NOTE, f"{finding}; the file is as its model has it, and weighs this arm"
             )
             continue
-        remedy = WEIGH_FIRST if is_as_planned else "export the file again for this arm"
-        yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}")
+        remedy = "export the file again for this arm"
+        yield Check(STOP, f"{finding}, and {CANNOT_FOLLOW}; {remedy}, or {WEIGH_FIRST}")
 
 
 @dataclass(frozen=True)
@@ -286,25 +286,17 @@ class _FedTorque:
         )
 
 
-def _is_weighing(trajectory: DamiaoTrajectory) -> bool:
-    """Tell whether the plan settings beside a trajectory file are for weighing an unknown load."""
-    plan_file = plan_settings(trajectory.path.parent)
-    if plan_file is None:
-        return False
-    _, settings = plan_file
-    return settings.get("for_") == WEIGHT
-
-
-def _is_as_planned(trajectory: DamiaoTrajectory) -> bool:
-    """Tell whether a file's torque agrees with the model that the motion was planned with.
+def _weighs_as_planned(trajectory: DamiaoTrajectory) -> bool:
+    """Tell whether a motion was planned for weighing an unknown load, and a file's torque agrees
+    with the model that it was planned with.
 
     False where the settings of its plan are not beside it, or the model that they name cannot be
     loaded or has another number of joints.
     """
     plan_file = plan_settings(trajectory.path.parent)
-    if plan_file is None:
+    settings = {} if plan_file is None else plan_file[1]
+    if settings.get("for_") != WEIGHT:
         return False
-    _, settings = plan_file
     model = record_from(PosedModelOptions, settings)
     max_speed = float("inf")
     try:

@@ -14,7 +14,6 @@ from robot_sysid.records import Motion, MotionPlan, Traces
 from robot_sysid.results.record import Result
 
 if TYPE_CHECKING:
-    from robot_sysid.estimation.answer import Answer
     from robot_sysid.estimation.dataset import Dataset
 
 
@@ -27,7 +26,6 @@ class Identification:
         result: all identified numbers, with errors and verdict.
         checkpoints: motion on which a written model has to reproduce the predicted torque.
         traces: computes the measured and predicted torques that a report draws.
-        answer: the estimate behind the result; None of the model's own simulation.
         tests: recordings that only test the result.
         plan: the motion that a simulation followed; None of logs.
     """
@@ -36,6 +34,5 @@ class Identification:
     result: Result
     checkpoints: Motion
     traces: Callable[[], Traces]
-    answer: Answer | None = None
     tests: tuple[Dataset, ...] = ()
     plan: MotionPlan | None = None

@@ -116,7 +116,7 @@ def identify_payload(
     progress.note(*result.notes[len(robot.notes) :])
     checkpoints = answer.fit.columns.datasets[-1].motion
     traces = partial(traces_of, answer)
-    return Identification(config, result, checkpoints, traces, answer)
+    return Identification(config, result, checkpoints, traces)
 
 
 def _origin(recordings: Sequence[RawRecording]) -> DataOrigin:

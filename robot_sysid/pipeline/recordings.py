@@ -210,7 +210,7 @@ def _identify_pieces(
     all_tests = tuple(itertools.chain.from_iterable(test_datasets.values()))
     result = _with_file_tests(result, all_tests, checkpoints, config.model.mesh_dir)
     traces = partial(traces_of, answer)
-    return Identification(config, result, checkpoints, traces, answer, all_tests)
+    return Identification(config, result, checkpoints, traces, all_tests)
 
 
 def _with_file_tests(

@@ -242,7 +242,6 @@ class JointResiduals:
         lags: (v,) lags l = 0, 1, 2, ... [samples].
         products: (v,) mean of r_t r_(t+l) over t [N^2 m^2].
         hats: (v,) mean of H_(t,t+l) over t, H the hat matrix from this joint's torque to its fit.
-        pairs: (v,) number of pairs (t, t+l) in these means.
     """
 
     columns: NDArray[np.int64]
@@ -252,7 +251,6 @@ class JointResiduals:
     lags: NDArray[np.int64]
     products: Array
     hats: Array
-    pairs: Array
 
     def energy(self, spread: Array) -> float:
         """Return tr(Y C Y^T), the torque energy of errors of covariance C (k, k) [N^2 m^2]."""
@@ -370,7 +368,7 @@ def joint_residuals(
         hats += lagged_sums(image, lags)
     hats = hats / np.maximum(pairs, 1.0)
     lag = np.arange(lags + 1)
-    return JointResiduals(columns, count, decay, sums, lag, products, hats, pairs)
+    return JointResiduals(columns, count, decay, sums, lag, products, hats)
 
 
 def _decay(kernels: int) -> Array:
