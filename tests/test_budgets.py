@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 6797,
     "robot_sysid/records": 9130,
     "robot_sysid/report": 8319,
-    "robot_sysid/results": 15139,
-    "robot_sysid/servo": 10964,
+    "robot_sysid/results": 15090,
+    "robot_sysid/servo": 10959,
     "robot_sysid/signals": 9307,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12276,
-    "tests": 261820,
+    "tests": 261801,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -298,32 +298,21 @@ class Payload:
     known_mass: float | None = None
 
 
-OPEN = "open loop"
-"""The model is driven by the measured torques alone."""
-CLOSED = "closed loop"
-"""A servo holds the model near the measured motion, or follows the recorded commands."""
-
-
 @dataclass(frozen=True)
 class RolloutError:
     """Position errors of the old and the new model, simulated over windows of the same length.
 
     Attributes:
-        loop: ``OPEN`` or ``CLOSED``.
         horizon: length of a window [s].
         windows: number of windows.
         errors_before: (n,) root mean square errors with the old model [rad or m].
         errors_after: (n,) root mean square errors with the new model [rad or m].
-        diverged: number of windows in which the simulation diverged, with the old and the new
-            model; such a window counts with the largest error that is possible.
     """
 
-    loop: str
     horizon: float
     windows: int
     errors_before: Array
     errors_after: Array
-    diverged: tuple[int, int] = (0, 0)
 
     def __post_init__(self) -> None:
         check_arrays(
@@ -351,10 +340,9 @@ class RolloutTest:
     Attributes:
         joint_names: the n chain joints, base to terminal.
         held_out: description of the pieces.
-        servo: description of what holds the model in closed loop.
-        errors: one per loop and horizon that could be simulated, the longest horizon last.
-        notes: horizons that could not be simulated, and windows in which a simulation diverged, one
-            sentence each.
+        servo: description of what the servos of the model follow.
+        errors: one per horizon that could be simulated, the longest horizon last.
+        notes: horizons that could not be simulated, one sentence each.
     """
 
     joint_names: tuple[str, ...]
@@ -365,7 +353,7 @@ class RolloutTest:
 
     @property
     def score(self) -> float | None:
-        """Geometric mean of the error ratios of all loops and horizons; None without any."""
+        """Geometric mean of the error ratios of all horizons; None without any."""
         ratios = [error.ratio for error in self.errors if error.ratio is not None]
         if not ratios:
             return None
@@ -553,10 +541,8 @@ def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
         joint_entries = map(ratio_entry, error.errors_before, error.errors_after)
         errors.append(
             {
-                "loop": error.loop,
                 "horizon": error.horizon,
                 "windows": error.windows,
-                "diverged": dict(zip(("before", "after"), error.diverged)),
                 "overall": ratio_entry(*error.overall),
                 "joints": dict(zip(test.joint_names, joint_entries)),
             }

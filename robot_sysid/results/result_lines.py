@@ -298,7 +298,7 @@ def rollout_lines(test: RolloutTest) -> Iterator[str]:
         ratio = "" if error.ratio is None else f", {error.ratio:.3g} times"
         old_error, new_error = error.overall
         yield (
-            f"  {error.loop}, {error.horizon:g} s ({error.windows} windows): {old_error:.3g} -> "
+            f"  {error.horizon:g} s ({error.windows} windows): {old_error:.3g} -> "
             f"{new_error:.3g}{ratio}"
         )
     yield from map("  {}".format, test.notes)
@@ -308,6 +308,6 @@ def rollout_lines(test: RolloutTest) -> Iterator[str]:
         for k in np.flatnonzero(longest.errors_after > 1.005 * longest.errors_before):
             ratio_of_joint = longest.errors_after[k] / longest.errors_before[k]
             name = test.joint_names[k]
-            texts.append(f"{name} ({longest.loop}, {ratio_of_joint:.3g} times)")
+            texts.append(f"{name} ({ratio_of_joint:.3g} times)")
         if texts:
             yield f"  worse than before over the longest horizon: {', '.join(texts)}"

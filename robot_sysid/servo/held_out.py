@@ -14,7 +14,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
 from robot_sysid.results.prediction import HORIZONS, rollout_refusal
-from robot_sysid.results.record import CLOSED, RolloutError, RolloutTest
+from robot_sysid.results.record import RolloutError, RolloutTest
 from robot_sysid.servo.windows import MAX_DELAY_PERIODS, ServoProblem, make_problem
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import MAX_WINDOWS, ServoParameters, ServoRollouts
@@ -75,7 +75,7 @@ def play_servos(
     """
     errors = []
     goal_errors = []
-    notes = ["open loop was not played: no torque was measured"]
+    notes = []
     for horizon in HORIZONS:
         try:
             problem = make_problem(
@@ -90,7 +90,7 @@ def play_servos(
             continue
         # Root mean square error (n,) of each joint [rad].
         old, new = np.sqrt(np.mean(problem.errors(pair) ** 2, axis=1))
-        errors.append(RolloutError(CLOSED, horizon, len(problem.windows), old, new))
+        errors.append(RolloutError(horizon, len(problem.windows), old, new))
         goal_errors.append(
             float(np.sqrt(np.mean(problem.goal_errors(goal_delay) ** 2)))
         )

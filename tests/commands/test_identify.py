@@ -212,7 +212,6 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(
                 abs(number["value"] - terms[term][k]) < 4.0 * number["standard_error"]
             )
     errors = content["rollout"]["errors"]
-    assert {error["loop"] for error in errors} == {"closed loop"}
     assert all(3.0 * e["overall"]["after"] < e["overall"]["before"] for e in errors)
     written = mujoco.MjModel.from_xml_path(str(folder / "updated_model.xml"))
     gains = [

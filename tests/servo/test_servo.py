@@ -40,7 +40,7 @@ def robots(tmp_path_factory):
 def identification(robot):
     numbers = [np.full(2, value) for value in (GAIN, 3.0, 0.2, 0.1)]
     errors = ServoParameters(*np.full((4, 2), 0.01), 1e-3)
-    horizons = (RolloutError("closed loop", 1.0, 3, np.ones(2), 0.1 * np.ones(2)),)
+    horizons = (RolloutError(1.0, 3, np.ones(2), 0.1 * np.ones(2)),)
     is_identified = np.ones(9, dtype=bool)
     servos = ServoParameters(*numbers, 0.02)
     return servo.ServoIdentification(
@@ -141,7 +141,7 @@ def test_a_model_must_beat_its_rivals_over_every_horizon(new_errors, fault):
     errors = []
     for horizon, new_error in zip((1.0, 3.0), new_errors):
         new = np.full(2, new_error)
-        errors.append(RolloutError("closed loop", horizon, 3, np.ones(2), new))
+        errors.append(RolloutError(horizon, 3, np.ones(2), new))
     test = RolloutTest(("a", "b"), "the last fifth", "servos", tuple(errors))
     goal = GoalPrediction(0.05, (0.5, 0.5))
     refusal = servo_refusal(test, goal, ())
