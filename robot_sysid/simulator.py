@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +21,18 @@ from robot_sysid.records import (
 
 
 class ArmTorque:
-    """A function of a motion that returns the torques the model needs for it, friction included."""
+    """A function of a motion that returns the torques the model needs for it, friction included.
+
+    It is pickled as its robot alone: a pickle of MuJoCo's data ends the process in MuJoCo 3.0.
+    """
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self._dynamics = ArmDynamics(robot)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how pickle makes the object again: its class and its robot."""
+        return type(self), (self._robot,)
 
     def __call__(self, motion: Motion) -> Array:
         """Return joint torques (N, n) [N m]."""

@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 21928,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 10146,
-    "robot_sysid/motion": 28537,
+    "robot_sysid/motion": 28572,
     "robot_sysid/pipeline": 6797,
     "robot_sysid/records": 9130,
     "robot_sysid/report": 8319,
@@ -33,8 +33,8 @@ BUDGETS = {
     "robot_sysid/servo": 10959,
     "robot_sysid/signals": 9307,
     "robot_sysid/simulation": 4626,
-    "robot_sysid": 12276,
-    "tests": 261801,
+    "robot_sysid": 12305,
+    "tests": 261795,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -136,6 +136,7 @@ class Clearance:
         clearance: float,
         half_spaces: Sequence[HalfSpace],
     ) -> None:
+        self._arguments = (robot, start, clearance, half_spaces)
         self._robot = robot
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = data_at_pose(model, robot.reference_qpos)
@@ -163,6 +164,10 @@ class Clearance:
         self.outside_at_rest = []
         if self._spaces is not None:
             self.outside_at_rest = self._set_required_heights(self._spaces)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments of the constructor: another process makes its own MuJoCo data."""
+        return type(self), self._arguments
 
     def slack(self, q: Array) -> Slack:
         """Return the slack, with its gradient, at joint positions q (N, n) [rad or m]."""

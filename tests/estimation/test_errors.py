@@ -306,7 +306,7 @@ def pieces_of_a_real_log(run):
     folder = DATA / "kuka_lwr4"
     robot = load_robot_model(folder / "kuka_lwr4.urdf")
     path = folder / f"lwr4_hw{run}_200Hz.csv"
-    log = open_log(robot, path, LogOptions(measurements=(path,)), Progress()).samples
+    log = open_log(robot, path, LogOptions(), Progress()).samples
     return robot, [[cut_log(log, share)] for share in SHARES]
 
 
