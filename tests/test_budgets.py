@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 43860,
     "robot_sysid/diagnosis": 19234,
     "robot_sysid/dynamics": 8386,
-    "robot_sysid/estimation": 48615,
+    "robot_sysid/estimation": 48439,
     "robot_sysid/logs": 21928,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 10146,

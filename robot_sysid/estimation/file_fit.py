@@ -24,7 +24,6 @@ from robot_sysid.estimation.algebra.consistent_bodies import (
     LinksProblem,
     consistent_least_squares,
 )
-from robot_sysid.estimation.algebra.priors import LinkScales
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import IN_FILE, posterior_of
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
@@ -65,8 +64,8 @@ def fit_file(
         options: prior uncertainty of the arm's links, and which torques to use.
         unchanged_parts: names of the parts of the file that stay as they are, such as
             ``FILE_FRICTION``.
-        estimate: a fit of all effects, at which the search starts; rotors are taken from it, and
-            bodies are moved towards its bodies.
+        estimate: a fit of all effects, at which the search starts; rotors and the uncertainty of
+            links are taken from it, and bodies are moved towards its bodies.
         errors: errors of the estimate.
         carried: the payload (10,) of loaded recordings; None without one.
     """
@@ -104,21 +103,21 @@ def _fit_kind(
 ) -> Answer:
     """Return the best file of the kind ``question.file_kind``, "mjcf" or "urdf".
 
-    A first linearisation selects friction, the uncertainty of links, offsets and whether gravity
-    is turned; a second fit of the selected parameters, its bodies moved towards those of the
-    estimate, is the answer.
+    A first linearisation selects friction, offsets and whether gravity is turned; a second fit of
+    the selected parameters, its bodies moved towards those of the estimate, is the answer.
 
     Args:
         fitter: fits the recordings; its cached rows are replaced.
         question: what the file may hold and what stays as it is.
         motors: motors that turn several joints, which the file holds.
-        estimate: a fit of all effects, at which the search starts; rotors are taken from it.
+        estimate: a fit of all effects, at which the search starts; rotors and the uncertainty of
+            links are taken from it.
         errors: errors of the estimate.
     """
     columns = fitter.columns
     rotors = select_rotors(estimate) if _holds_rotors(question) else {}
     friction = _friction_terms(columns.robot, question, rotors)
-    choice = Choice(friction, motors, rotors=rotors)
+    choice = Choice(friction, motors, estimate.choice.link_scales, rotors=rotors)
     # Parameters that a file cannot hold go back to the model's values.
     values = estimate.values.copy()
     prefixes = ("scale", "drift", "zero", "load")
@@ -131,7 +130,6 @@ def _fit_kind(
 
     fit = fitter.fit(question, choice, point, rounds=1)
     judge = held_out(fit)
-    choice = predictive_link_scales(judge, fit, question, choice)
     choice = select_offsets(fit, question, choice)
 
     # Gravity, the only increment in a file, is turned only where that clearly predicts better.
@@ -273,11 +271,6 @@ def _validate_model(
 
 PULLS = tuple(np.geomspace(1.0, 1e-3, 13).tolist())
 """Weights of the estimate's bodies that are tried, where torques have a weight of one each."""
-SCALES = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Factors that are tried on the uncertainty of all links but the terminal one; 16 times the default
-of 5 % is nearly all of a link's parameters."""
-AS_GOOD = 1.02
-"""Ratio of squared errors up to which they count as equal: one per cent of the error."""
 CLEAR_OFFSET = 3.0
 """Least distance of a sensor's offset from zero, and of a rotor from the model's rotor, in standard
 errors, at which it is significant."""
@@ -361,33 +354,3 @@ def select_rotors(fit: Fit) -> dict[str, float]:
             of_joint = rotors_by_owner.get(joint, fit.value(f"armature[{joint}]"))
             rotors_by_owner[joint] = of_joint + motor.ratios[index] ** 2 * rotor
     return rotors_by_owner
-
-
-def predictive_link_scales(
-    judge: HeldOut, fit: Fit, question: Question, choice: Choice
-) -> Choice:
-    """Return the choice with the least factor on the links' uncertainty that predicts best.
-
-    The factor applies to all kinds of parameters alike. Factors of ``SCALES`` are tried until the
-    held-out error rises; squared errors up to ``AS_GOOD`` times the lowest count as equal. The
-    result is meant for a file, which has to predict well; the uncertainty of links is estimated by
-    ``priors.average_scales``.
-
-    Args:
-        judge: held-out errors of the recordings.
-        fit: a fit of the file, which gives the equations.
-        question: what the file may hold and what stays as it is.
-        choice: friction and priors so far.
-    """
-    scores = list[float]()
-    choices = []
-    for scale in SCALES:
-        wider = replace(choice, link_scales=LinkScales(scale, scale, scale, scale))
-        unknowns = fit.evidence.unknowns(fit.columns, question, wider)
-        choices.append(wider)
-        scores.append(float(np.mean(judge.score(unknowns))))
-        if scores[-1] > AS_GOOD * min(scores):
-            break
-    is_as_good = np.array(scores) <= AS_GOOD * min(scores)
-    # The first one, with the least factor.
-    return choices[int(np.argmax(is_as_good))]
