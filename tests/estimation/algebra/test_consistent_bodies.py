@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import clarabel
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,6 +15,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimation.algebra.consistent_bodies import (
     LEAST_SHARE,
+    TOLERANCES,
     LinksProblem,
     consistent_least_squares,
 )
@@ -142,3 +146,28 @@ def test_equations_that_are_no_numbers_are_our_error():
     problem = LinksProblem((BODY,), fit_last_joint(0.001)[0])
     with pytest.raises(SysidError, match="did not converge"):
         consistent_least_squares(np.full((12, 10), np.nan), np.zeros(12), problem)
+
+
+def test_a_search_that_panics_is_tried_with_another_tolerance(monkeypatch):
+    """What Clarabel raises where rounding leaves it without a number is no Exception."""
+    tolerances = []
+
+    class Solver:
+        """A solver of Clarabel that panics in its first searches."""
+
+        panics = 1
+
+        def __init__(self, *problem):
+            tolerances.append(problem[-1].tol_gap_rel)
+
+        def solve(self):
+            if len(tolerances) <= self.panics:
+                raise type("PanicException", (BaseException,), {})("Eigval error")
+            return SimpleNamespace(status="Solved", x=np.zeros(100))
+
+    monkeypatch.setattr(clarabel, "DefaultSolver", Solver)
+    fit_last_joint(0.001)
+    assert tolerances[:2] == list(TOLERANCES)
+    Solver.panics = 1000
+    with pytest.raises(SysidError, match="did not converge"):
+        fit_last_joint(0.001)
