@@ -14,22 +14,25 @@ priors  everything drawn from the default priors
 exact   nothing off but noise; Coulomb and viscous friction
 
 Two of the arms have torque sensors behind the gears: a tenth of the friction, no rotor inertia.
-Printed per arm and deviation: coverage, root mean square of error over stated error, root mean
-square relative error, and median relative stated error; then how many answers may be trusted, and
-how many of these are both 20 % and two stated errors off.
+Printed per arm and deviation, and of all arms: coverage, root mean square of error over stated
+error, root mean square relative error, and median relative stated error; then how many logs are
+refused, how many answers may be trusted, and how many of these have a last link's mass that is both
+20 % and two stated errors off. Numbers without a finite stated error are left out.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.honest_intervals import Off, body_off
+from benchmarks.answers import bare_model_text, identify_logs, number, write_log
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.inverse_dynamics import (
@@ -38,13 +41,10 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
     with_gravity,
 )
-from robot_sysid.estimation.algebra.priors import model_link_factor
-from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.support.core_fits import result_of_logs
 
 ARMS = {
     "ur5e": "universal_robots_ur5e/ur5e.xml",
@@ -73,7 +73,7 @@ class RealArm:
     Attributes:
         robot: the model as the user has it.
         thetas: (n, 10) the true links.
-        coulomb, viscous, rotor: (n,) true friction and rotor inertia.
+        coulomb, viscous, rotor, stribeck: (n,) true friction and rotor inertia.
         scales: (n,) torque column over true torque.
         motion: exact positions, velocities and accelerations; its torque is that of the model.
         rigid: (N, n) torque of the links and rotors [N m].
@@ -85,6 +85,7 @@ class RealArm:
     coulomb: Array
     viscous: Array
     rotor: Array
+    stribeck: Array
     scales: Array
     motion: Measurement
     rigid: Array
@@ -113,6 +114,8 @@ def wrong_links(robot: RobotModel, rng: np.random.Generator) -> Array:
 
 def prior_links(robot: RobotModel, rng: np.random.Generator) -> Array:
     """Return links (n, 10) drawn from the prior of 5 %; the last one is off by as much."""
+    from robot_sysid.estimation.algebra.priors import model_link_factor
+
     links = range(robot.n_joints)
     factor = model_link_factor(robot, links, 0.05)
     return robot.thetas + (factor @ rng.standard_normal(len(factor))).reshape(-1, 10)
@@ -172,7 +175,10 @@ def draw_arm(
         tau = np.stack([np.interp(late, exact.time, c) for c in tau.T], axis=1)
     q = exact.q + 2e-3 * is_off * rng.standard_normal(len(peak))
     log = Measurement(exact.time, np.round(q / STEP) * STEP, None, tau)
-    return RealArm(robot, thetas, coulomb, viscous, rotor, scales, exact, rigid, log)
+    stribeck = STRIBECK * coulomb * (deviation == "real")
+    return RealArm(
+        robot, thetas, coulomb, viscous, rotor, stribeck, scales, exact, rigid, log
+    )
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...], white: bool) -> Array:
@@ -195,54 +201,121 @@ def draw_arms(
         yield draw_arm(robot, deviation, has_sensors, duration, seed % 2 == 0, seed)
 
 
-def errors_of(arm: RealArm, options: EstimationOptions) -> tuple[list[Off], bool]:
-    """Return how far all numbers of an arm are off, and whether the answer may be trusted."""
-    robot = arm.robot
-    result = result_of_logs(robot, [arm.log], options)
-    offs = list(body_off(result.links[-1], arm.thetas[-1]))
-    bodies = {body.joint: body for body in result.links[:-1]}
-    for link in other_links(robot):
-        body = bodies.get(robot.joint_names[link])
+Off = tuple[str, float, float, float]
+"""Quantity, its error, its stated error, and the size that errors are divided by."""
+TERMS = {
+    "Coulomb": "coulomb",
+    "viscous": "viscous",
+    "rotor": "armature",
+    "Stribeck": "stribeck",
+}
+"""Quantity of a joint, its attribute in lower case, to its term in params.json."""
+
+
+def last_link_offs(body: dict[str, Any], true: Array) -> Iterator[Off]:
+    """Yield how far the last link's numbers in params.json are off the true link (10,)."""
+    stated = body["standard_errors"]
+    mass, com, inertia = spatial.com_from_theta(true)
+    size = float(np.sqrt(np.trace(inertia) / mass))
+    yield "last mass", body["mass"] - mass, number(stated["m"]), mass
+    for axis, value, centre in zip("xyz", body["center_of_mass"], com):
+        yield "its centre", value - centre, number(stated[f"com_{axis}"]), size
+    for (name, value), moment in zip(body["inertia_tensor"].items(), true[4:]):
+        yield "its inertia", value - moment, number(stated[name]), mass * size**2
+
+
+def joint_offs(arm: RealArm, joint: int, terms: dict[str, Any]) -> Iterator[Off]:
+    """Yield how far a joint's friction and rotor inertia in params.json are off."""
+    least_size = float(arm.robot.thetas[-1, 4:].max()) + 1e-3
+    for quantity, term in TERMS.items():
+        figure = terms.get(term) or (terms["sigmoid"] if term == "coulomb" else None)
+        # Not every joint has every term.
+        if figure is not None:
+            true = float(getattr(arm, quantity.lower())[joint])
+            stated = number(figure["standard_error"])
+            yield quantity, figure["value"] - true, stated, true or least_size
+
+
+def errors_of(arm: RealArm, answer: dict[str, Any]) -> list[Off]:
+    """Return how far the numbers of an answer, the content of params.json, are off."""
+    bodies = {body["joint"]: body for body in answer["links"]}
+    joint_names = arm.robot.joint_names
+    offs = list(last_link_offs(bodies[joint_names[-1]], arm.thetas[-1]))
+    for link in other_links(arm.robot):
+        body = bodies.get(joint_names[link])
         true_mass = float(arm.thetas[link][0])
         if body is not None:
-            error = body.inertial.mass - true_mass
-            offs.append(("other masses", error, float(body.errors[0]), true_mass))
-    for index, joint in enumerate(robot.joint_names):
-        terms = result.joints[joint].terms
-        truth = (
-            ("Coulomb", terms.get("coulomb") or terms["sigmoid"], arm.coulomb[index]),
-            ("viscous", terms["viscous"], arm.viscous[index]),
-            ("rotor", terms["armature"], arm.rotor[index]),
-        )
-        for quantity, term, value in truth:
-            size = float(value) if value else float(robot.thetas[-1, 4:].max()) + 1e-3
-            offs.append((quantity, term.value - float(value), term.error, size))
-    return offs, result.verdict.is_trustworthy
+            stated = number(body["standard_errors"]["m"])
+            offs.append(("other masses", body["mass"] - true_mass, stated, true_mass))
+    for index, joint in enumerate(joint_names):
+        offs += joint_offs(arm, index, answer["joints"][joint]["terms"])
+    return offs
 
 
-def study(
-    robot: RobotModel, arm_name: str, deviation: str, seeds: range
-) -> Iterator[str]:
-    """Yield one line per quantity, and one of the answers."""
-    offs: dict[str, list[tuple[float, float, float]]] = {}
-    trusted_count = 0
-    wrong_count = 0
-    for arm in draw_arms(robot, arm_name, deviation, seeds):
-        errors, is_trusted = errors_of(arm, EstimationOptions())
+@dataclass
+class Tally:
+    """Errors by quantity, and counts of answers."""
+
+    offs: dict[str, list[tuple[float, float, float]]]
+    answered: int = 0
+    refused: int = 0
+    trusted: int = 0
+    wrong: int = 0
+
+    def add(self, arm: RealArm, answer: dict[str, Any] | None) -> None:
+        """Count an answer, the content of params.json; None where the log is refused."""
+        if answer is None:
+            self.refused += 1
+            return
+        self.answered += 1
+        errors = errors_of(arm, answer)
         for quantity, *numbers in errors:
-            offs.setdefault(quantity, []).append((numbers[0], numbers[1], numbers[2]))
+            self.offs.setdefault(quantity, []).append(tuple(numbers))
         _, error, stated, true_mass = errors[0]
-        trusted_count += is_trusted
-        is_wrong = abs(error) > max(0.2 * true_mass, 2.0 * stated)
-        wrong_count += is_trusted and is_wrong
-    for quantity, rows in offs.items():
-        yield interval_line(quantity, np.array(rows))
-    yield f"{'answers':<16} trusted {trusted_count} of {len(seeds)}, of these wrong {wrong_count}"
+        if answer["valid"]["trustworthy"]:
+            self.trusted += 1
+            self.wrong += abs(error) > max(0.2 * true_mass, 2.0 * stated)
+
+    def join(self, other: Tally) -> None:
+        """Add another tally's errors and counts."""
+        for quantity, rows in other.offs.items():
+            self.offs.setdefault(quantity, []).extend(rows)
+        self.answered += other.answered
+        self.refused += other.refused
+        self.trusted += other.trusted
+        self.wrong += other.wrong
+
+    def lines(self) -> Iterator[str]:
+        """Yield one line per quantity, and one of the answers."""
+        for quantity, rows in self.offs.items():
+            yield interval_line(quantity, np.array(rows))
+        yield (
+            f"{'answers':<16} trusted {self.trusted} of {self.answered}, of these wrong "
+            f"{self.wrong}; refused {self.refused}"
+        )
+
+
+def study(path: Path, arm_name: str, deviation: str, seeds: range) -> Tally:
+    """Return the errors and counts of logs of arms that differ from a model file."""
+    tally = Tally({})
+    robot = load_robot_model(path)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        model = folder / "model.xml"
+        model.write_text(bare_model_text(path))
+        for arm in draw_arms(robot, arm_name, deviation, seeds):
+            write_log(folder / "log.csv", model, arm.log)
+            answer, _ = identify_logs(folder, model, [folder / "log.csv"])
+            tally.add(arm, answer)
+    return tally
 
 
 def interval_line(quantity: str, rows: Array) -> str:
     """Return the words of errors, stated errors and sizes, rows (m, 3)."""
-    error, stated, size = rows[np.isfinite(rows[:, 1])].T
+    is_stated = np.isfinite(rows[:, 1]) & (rows[:, 1] > 0.0)
+    error, stated, size = rows[is_stated].T
+    if not len(error):
+        return f"{quantity:<16}    none has a stated error"
     coverage = 100.0 * np.mean(np.abs(error) < 1.96 * stated)
     ratio = float(np.sqrt(np.mean((error / stated) ** 2)))
     rms = 100.0 * float(np.sqrt(np.mean((error / size) ** 2)))
@@ -265,11 +338,17 @@ def main() -> int:
     options = parser.parse_args()
     print(f"{'arm':<8}{'kind':<8}{'':<16}coverage  rms/stated    rms  median stated")
     seeds = range(options.first_seed, options.first_seed + options.logs)
+    totals = {deviation: Tally({}) for deviation in options.deviations}
     for arm_name in options.arms:
-        robot = load_robot_model(options.models / ARMS[arm_name])
         for deviation in options.deviations:
-            for line in study(robot, arm_name, deviation, seeds):
+            path = options.models / ARMS[arm_name]
+            tally = study(path, arm_name, deviation, seeds)
+            totals[deviation].join(tally)
+            for line in tally.lines():
                 print(f"{arm_name:<8}{deviation:<8}{line}", flush=True)
+    for deviation, total in totals.items():
+        for line in total.lines():
+            print(f"{'all':<8}{deviation:<8}{line}")
     return 0
 
 
