@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 43860,
     "robot_sysid/diagnosis": 19234,
     "robot_sysid/dynamics": 8386,
-    "robot_sysid/estimation": 48469,
+    "robot_sysid/estimation": 47110,
     "robot_sysid/logs": 21928,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 10146,
@@ -31,10 +31,10 @@ BUDGETS = {
     "robot_sysid/report": 8319,
     "robot_sysid/results": 15090,
     "robot_sysid/servo": 10959,
-    "robot_sysid/signals": 9307,
+    "robot_sysid/signals": 8948,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12305,
-    "tests": 261936,
+    "tests": 260137,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

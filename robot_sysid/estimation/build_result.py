@@ -271,23 +271,20 @@ def payload_of(
     robot = answer.robot
     known_mass = fit.question.known_mass
     # Judged is the payload before bodies were made consistent: that step hides a negative mass.
-    weighed_free = replace(weighed, errors=weighed.errors.without_step())
-    free = _payload(weighed_free, flange, weighed.fit.free)
+    free = _payload(weighed, flange, weighed.fit.free)
     sentence = contradiction(weighed.fit, flange)
     findings = list(judge_payload(robot, free, sentence, weighed.validation))
     if known_mass is not None:
         findings = list(judge_known_mass(findings, free.inertial.mass, known_mass))
     status, reasons = first(findings, Verdict.OK)
-    stated = replace(answer, errors=answer.errors.without_step())
     values = fit.free.copy()
     unknown_inertia = ""
     if status.is_trustworthy:
-        stated = answer
         values = fit.values.copy()
         theta, unknown_inertia = written_payload(answer)
         values[fit.columns.indices(PAYLOAD_NAMES)] = theta
     scatter = payloads_by_recording(weighed.fit, flange) if known_mass is None else ()
-    payload = _payload_estimate(stated, flange, values, scatter)
+    payload = _payload_estimate(answer, flange, values, scatter)
     notes = (*robot.notes, *answer.notes)
     if unknown_inertia:
         payload = _without_inertia(payload)

@@ -6,19 +6,6 @@ reads Y_j x = tau_j and has weight W_j = w_j^2, w_j = 1 / effective noise (``Fit
 matrix C (k, k) is the inverse of the normal matrix sum_j Y_j^T W_j Y_j, with that of the priors
 added. A prior (``NuisanceGroup``) belongs to one cause of error; F is its ``factor``, and its
 covariance (widened F) (widened F)^T.
-
-The low-pass of positions is one of the causes. Equations stay right under a filter that both their
-sides pass (``signals.low_pass``), but positions x pass one of their own, F, before velocities are
-computed. The motion that it removes, x - F x, is not known; the motion that a second pass removes,
-F x - F F x, is known, and nearly equal wherever F hardly changes motion. The torque of the
-identified arm differs by d between F x and F F x, which moves the estimate by C Y^T W d: that
-vector counts as one more standard error, in size and direction.
-
-Dry friction follows the sign of a speed, and Stribeck friction changes with slow speeds: their
-torque depends on how fast a joint is at each moment of a turn. It is computed at all samples; its
-change by a second pass, scaled to the motion that the first pass removes, is low-passed like the
-rows. Where the noise of positions asks for a cut-off within the motion, this is what makes Stribeck
-friction 15 to 30 % too large.
 """
 
 from __future__ import annotations
@@ -29,19 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import Equations, split_name
-from robot_sysid.dynamics.friction import DRY_TERMS, NONLINEAR_TERMS, TERMS
-from robot_sysid.dynamics.inverse_dynamics import split_motion
-from robot_sysid.dynamics.spatial import N_INERTIAL
+from robot_sysid.dynamics.equations import split_name
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.estimation.algebra.common_scale import common_error
 from robot_sysid.estimation.algebra.least_squares import normal_matrix, sample_counts
-from robot_sysid.estimation.algebra.priors import (
-    SURE,
-    WithPriors,
-    chi_square_limit,
-    misfits,
-)
+from robot_sysid.estimation.algebra.priors import WithPriors, misfits
 from robot_sysid.estimation.algebra.uncertainty import (
     JointResiduals,
     Uncertainty,
@@ -49,17 +28,11 @@ from robot_sysid.estimation.algebra.uncertainty import (
     joint_space,
     uncertainty,
 )
-from robot_sysid.estimation.columns import Columns, Point
-from robot_sysid.estimation.dataset import DecimatedSamples, release_memory
-from robot_sysid.estimation.fit import Fit, squared_effect
+from robot_sysid.estimation.dataset import release_memory
+from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.unknowns import COMMON, LINKS, SCALES, scale_spread
-from robot_sysid.records import Array, Measurement, Motion, PriorConflict
-from robot_sysid.signals.process import ProcessedSignals
+from robot_sysid.records import Array, PriorConflict
 
-# Cause in results: the low-pass of positions.
-FILTERING = "filtering"
-BODIES = "physical consistency"
-"""Cause in results: a step to consistent bodies that is longer than chance explains."""
 # Cause in results: parameters that are held at a bound.
 HELD = "friction at its bound"
 # Size below which the coefficient of an unidentified parameter in a combination is rounding error.
@@ -67,9 +40,6 @@ _ROUNDING = 1e-9
 # Eigenvalue of information, as a share of the largest one, above which data determines a direction
 # of the parameters that are held at bounds.
 _SEEN = 1e-12
-# Motion that a low-pass removes over the motion that a second pass removes, root mean square, where
-# the power of the speed falls with the sixth power of the frequency: the jerk jumps.
-_REMOVED = 2.4
 # Largest log odds of two models: above it the less likely one has no weight, and exp may overflow.
 _SURE = 500.0
 
@@ -130,17 +100,6 @@ class FitErrors:
             budget[SCALES] = np.hypot(budget[SCALES], self.common * np.abs(theta))
         return covariance, standard_errors(noise_products), budget
 
-    def without_step(self) -> FitErrors:
-        """Return the errors of ``Fit.free``, which took no step to consistent bodies."""
-        causes = dict(self.causes)
-        rows = causes.pop(BODIES, None)
-        if rows is None:
-            return self
-        covariance = self.total.covariance - rows.T @ rows
-        return replace(
-            self, total=replace(self.total, covariance=covariance), causes=causes
-        )
-
     def are_identified(self, combinations: Array) -> NDArray[np.bool_]:
         """Return whether each of m combinations (m, k) has identified parameters only (m,)."""
         hidden = np.isinf(self.total.standard_errors)
@@ -173,10 +132,7 @@ def fit_errors(fit: Fit) -> FitErrors:
     Args:
         fit: the fit; without its rows, noise is white.
     """
-    point = replace(fit.point, values=fit.values)
-    pull = filtering_bias(fit.columns, point, fit.samples)
-
-    # Noise and priors, then causes without a prior, then the steps to consistent bodies.
+    # Noise and priors, then causes without a prior.
     total = _noise_errors(fit)
     names = fit.unknowns.estimated_names
     causes = {}
@@ -184,41 +140,11 @@ def fit_errors(fit: Fit) -> FitErrors:
         causes[group.cause] = group.covariance_rows(names, total.inverse)
     conflicts = _conflicts(fit, total.effective)
 
-    bias = total.inverse @ (fit.weights**2 @ pull[:, fit.unknowns.estimated])
-    further = _further_causes(fit, total.inverse, causes, conflicts)
-    for cause, rows in (*further, (FILTERING, bias[None])):
+    for cause, rows in _further_causes(fit, total.inverse, causes, conflicts):
         causes[cause] = np.vstack((causes.get(cause, rows[:0]), rows))
         total = total.with_cause(rows.T @ rows)
 
-    move = _unlikely_move(fit)
-    if len(move):
-        causes[BODIES] = np.vstack((causes.get(BODIES, move[:0]), move))
-        total = total.with_cause(move.T @ move)
     return FitErrors(total, causes, _common_scale_error(fit), conflicts)
-
-
-def _unlikely_move(fit: Fit) -> Array:
-    """Return the excess of the step to physically consistent bodies over what chance explains.
-
-    The step leads from the unconstrained estimate ``Fit.free`` to the constrained one. The true
-    bodies are consistent, so that its cost, the squared effect in standard deviations of noise and
-    priors, is at most chi-square in the bodies' parameters: up to that, the errors of noise and
-    priors cover the step. A larger cost has another cause, which may make the estimate as wrong as
-    the step is long.
-
-    Returns:
-        (1, k) change of the estimated parameters; (0, k) where chance explains all of it.
-    """
-    move = (fit.values - fit.free)[None, fit.unknowns.estimated]
-    cost = squared_effect(fit, fit.values - fit.free)
-    impossible = 0
-    for indices, _ in fit.unknowns.bodies.values():
-        impossible += not spatial.is_consistent(fit.free[indices])
-    freedom = float(N_INERTIAL * max(impossible, 1))
-    cost_by_chance = chi_square_limit(freedom, 1.0 - SURE)
-    if cost > cost_by_chance:
-        return np.sqrt(1.0 - cost_by_chance / cost) * move
-    return move[:0]
 
 
 def _noise_errors(fit: Fit) -> Uncertainty:
@@ -372,100 +298,3 @@ def _common_scale_error(fit: Fit) -> float:
         return 0.0
     (scales,) = scale_priors
     return scales.widened * common_error(np.diag(scales.factor))
-
-
-def filtering_bias(
-    columns: Columns, point: Point, samples: Sequence[DecimatedSamples]
-) -> Array:
-    """Return the sum of Y_j^T d_j (joints, p) over recordings: the bias of normal equations.
-
-    d_j (K,) is the change in joint j's torque by a second low-pass of the positions [N m]. It is
-    zero for a recording of poses at rest.
-
-    Args:
-        columns: gives the recordings and the arm.
-        point: linearisation point, with the estimate as its values; its delay is removed here.
-        samples: rows of each recording around the point.
-    """
-    pull = np.zeros((len(columns.joints), len(columns.names)))
-    for dataset, recording in zip(columns.datasets, samples):
-        signals = dataset.remove_delay(point.delay).signals
-        if signals is None:
-            continue
-        # Indices of the recording's rows, the ends left out, and the motion low-passed twice there.
-        rows, second = signals.refiltered_motion
-        first = signals.motion(signals.low_pass.centres(len(signals))[rows])
-        equations, values = columns.arm_torque(point, dataset.is_loaded)
-        terms = [split_name(name)[0] for name in equations.names]
-        values[np.isin(terms, DRY_TERMS)] = 0.0
-        torques = _torques(equations, first, values)
-        refiltered = _torques(equations, second, values)
-        first_row, dry_changes = _dry_changes(columns, point, signals)
-        for index, block, tau in recording:
-            change = np.zeros(len(tau))
-            change[rows] = torques[index] - refiltered[index]
-            change[first_row : first_row + len(dry_changes)] += dry_changes[:, index]
-            is_used = np.isfinite(tau)
-            bias = block[is_used].T @ change[is_used]
-            pull[index, recording.columns[index]] += bias
-    return pull
-
-
-def _dry_changes(
-    columns: Columns, point: Point, signals: ProcessedSignals
-) -> tuple[int, Array]:
-    """Return (number of a decimated row, changes of dry friction from it on).
-
-    Changes (M, joints) are those by a second low-pass of the speeds, in successive rows [N m].
-    """
-    if signals.is_noiseless:
-        return 0, np.zeros((0, len(columns.joints)))
-    first_row, refiltered = signals.refiltered_speeds()
-    start = first_row * signals.low_pass.step
-    speeds = signals.qd[start : start + len(refiltered)]
-    friction = _dry_friction(columns, point, speeds)
-    change = friction - _dry_friction(columns, point, refiltered)
-    return first_row, _REMOVED * signals.low_pass.decimate(change)
-
-
-def _dry_friction(columns: Columns, point: Point, speeds: Array) -> Array:
-    """Return the torque (N, joints) of ``DRY_TERMS`` at speeds (N, n) of the joints [N m].
-
-    Motors that turn several joints are left out.
-    """
-    friction = np.zeros((len(speeds), len(columns.joints)))
-    for row, (index, joint) in enumerate(zip(columns.joint_indices, columns.joints)):
-        qd = speeds[:, index]
-        for term in DRY_TERMS:
-            size = point.values[columns.index[f"{term}[{joint}]"]]
-            if size and term in NONLINEAR_TERMS:
-                speed = (point.speed or {})[term][index]
-                friction[:, row] += size * NONLINEAR_TERMS[term].column(qd, speed)
-            elif size:
-                friction[:, row] += size * TERMS[term](qd, qd, qd)
-    return friction
-
-
-def _torques(equations: Equations, motion: Motion, values: Array) -> list[Array]:
-    """Return per joint the torque (K,) along a motion of K instants [N m].
-
-    It is computed in pieces of the motion, which limits memory.
-
-    Args:
-        equations: equations of the arm; each joint has rows in some of the parameters, and
-            right-hand sides.
-        motion: positions, velocities and accelerations (K, n).
-        values: (p,) parameters of the equations, in the order of their indices.
-    """
-    # Size of the rows of all joints at one instant, by which the motion is split.
-    width = motion.q.shape[1] * len(values)
-    pieces = []
-    for time, q, qd, qdd in split_motion(width, *vars(motion).values()):
-        measurement = Measurement(time, q, qd, np.zeros_like(q), qdd)
-        torques = []
-        for (block, right_side), columns in zip(
-            equations.rows(measurement), equations.columns
-        ):
-            torques.append(block @ values[columns] - right_side)
-        pieces.append(torques)
-    return list(map(np.concatenate, zip(*pieces)))

@@ -2,8 +2,7 @@
 
 Effects that a file cannot hold (torque scales, encoder zeros, a delay, friction that grows with the
 load) are left out of the model of the torque; only sensor offsets that the recordings clearly show
-stay in it. Optional terms are written where they lower the held-out error of the whole file. Bodies
-of equal torque are many: the file gets those that are nearest to the estimate with all effects.
+stay in it. Optional terms are written where they lower the held-out error of the whole file.
 
 Shapes: the chain has n joints, "joints" are those with equations, p parameters (``Columns.names``).
 """
@@ -17,18 +16,11 @@ import numpy as np
 
 from robot_sysid.dynamics.equations import names_of, split_name
 from robot_sysid.dynamics.friction import Coupling, FrictionModel, friction_model
-from robot_sysid.dynamics.spatial import N_INERTIAL
-from robot_sysid.errors import SysidError
-from robot_sysid.estimation.algebra.consistent_bodies import (
-    HARDLY,
-    LinksProblem,
-    consistent_least_squares,
-)
 from robot_sysid.estimation.answer import Answer
 from robot_sysid.estimation.choices import IN_FILE, posterior_of
 from robot_sysid.estimation.columns import PAYLOAD_NAMES, Point
-from robot_sysid.estimation.errors import FitErrors, fit_errors
-from robot_sysid.estimation.fit import Fit, Fitter, links_problem
+from robot_sysid.estimation.errors import fit_errors
+from robot_sysid.estimation.fit import Fit, Fitter
 from robot_sysid.estimation.held_out import HeldOut, held_out, is_clearly_lower
 from robot_sysid.estimation.question import (
     FILE_FRICTION,
@@ -50,7 +42,6 @@ def fit_file(
     options: EstimationOptions,
     unchanged_parts: tuple[str, ...],
     estimate: Fit,
-    errors: FitErrors,
     carried: Array | None = None,
 ) -> Answer:
     """Return the fit of the model file that predicts held-out torques best.
@@ -65,8 +56,7 @@ def fit_file(
         unchanged_parts: names of the parts of the file that stay as they are, such as
             ``FILE_FRICTION``.
         estimate: a fit of all effects, at which the search starts; rotors and the uncertainty of
-            links are taken from it, and bodies are moved towards its bodies.
-        errors: errors of the estimate.
+            links are taken from it.
         carried: the payload (10,) of loaded recordings; None without one.
     """
     robot = fitter.columns.robot
@@ -88,36 +78,31 @@ def fit_file(
     # A URDF states no rotor inertia: one that differs from the model's is not zero.
     has_rotors = _holds_rotors(mjcf_question) and any(select_rotors(estimate).values())
     if robot.kind == "mjcf" or not (motors or has_rotors):
-        return _fit_kind(fitter, question, motors, estimate, errors)
-    best = _fit_kind(fitter, mjcf_question, motors, estimate, errors)
-    urdf = _fit_kind(fitter, question, (), estimate, errors)
+        return _fit_kind(fitter, question, motors, estimate)
+    best = _fit_kind(fitter, mjcf_question, motors, estimate)
+    urdf = _fit_kind(fitter, question, (), estimate)
     return replace(best, file=urdf)
 
 
 def _fit_kind(
-    fitter: Fitter,
-    question: Question,
-    motors: tuple[Coupling, ...],
-    estimate: Fit,
-    errors: FitErrors,
+    fitter: Fitter, question: Question, motors: tuple[Coupling, ...], estimate: Fit
 ) -> Answer:
     """Return the best file of the kind ``question.file_kind``, "mjcf" or "urdf".
 
-    A first linearisation selects friction, offsets and whether gravity is turned; a second fit of
-    the selected parameters, its bodies moved towards those of the estimate, is the answer.
+    A first linearisation selects offsets and whether gravity is turned; a second fit of the
+    selected parameters is the answer.
 
     Args:
         fitter: fits the recordings; its cached rows are replaced.
         question: what the file may hold and what stays as it is.
         motors: motors that turn several joints, which the file holds.
-        estimate: a fit of all effects, at which the search starts; rotors and the uncertainty of
-            links are taken from it.
-        errors: errors of the estimate.
+        estimate: a fit of all effects.
     """
     columns = fitter.columns
     rotors = select_rotors(estimate) if _holds_rotors(question) else {}
     friction = _friction_terms(columns.robot, question, rotors)
-    choice = Choice(friction, motors, estimate.choice.link_scales, rotors=rotors)
+    scales = estimate.choice.link_scales
+    choice = Choice(friction, motors, scales, rotors=rotors)
     # Parameters that a file cannot hold go back to the model's values.
     values = estimate.values.copy()
     prefixes = ("scale", "drift", "zero", "load")
@@ -151,53 +136,11 @@ def _fit_kind(
     fit = fitter.fit(final_question, choice, start, rounds)
     # Results list the parts that the caller asked to keep; gravity that is right is not one.
     fit = replace(fit, question=question)
-    fit = move_bodies(fit, estimate, errors)
     judge = held_out(fit, fit.unknowns)
     validation = judge.validation(judge.consistent_squared_errors(fit.unknowns))
     del judge
     file_errors = fit_errors(fit)
     return Answer(fit, file_errors, validation, model_validation=model_validation)
-
-
-def move_bodies(fit: Fit, estimate: Fit, errors: FitErrors) -> Fit:
-    """Return the fit of a file with its bodies moved towards those of the estimate.
-
-    Torques leave combinations of bodies open, for which a file's few terms allow other values than
-    all effects do. Deviations from the estimate count in its standard errors; their weight is the
-    largest one, at most one, with which the predicted torques hardly change (``HARDLY``). All other
-    parameters stay as they are: a file lacks the sensor offsets that would balance a change.
-
-    Args:
-        fit: the fit of a file, whose bodies are among those of the estimate.
-        estimate: the fit of all effects.
-        errors: errors of the estimate.
-    """
-    links = links_problem(fit.unknowns)
-    # Positions of the parameters of bodies among the unknowns of the file, and their indices.
-    in_file = np.concatenate(links.links)
-    parameters = fit.unknowns.estimated[in_file]
-    # The same links, but no other unknowns.
-    own_positions = np.arange(len(in_file)).reshape(-1, N_INERTIAL)
-    problem = LinksProblem(tuple(own_positions), links.prior[in_file])
-    bodies = fit.values[parameters]
-    all_columns, _ = fit.evidence.of(fit.unknowns).equations(fit.weights)
-    matrix = all_columns[:, in_file]
-    in_estimate = np.searchsorted(estimate.unknowns.estimated, parameters)
-    # Infinite errors, of parameters that are not identified, have no weight.
-    precision = 1.0 / errors.total.standard_errors[in_estimate]
-    for weight in PULLS:
-        pull = weight * precision
-        goal = np.append(matrix @ bodies, pull * estimate.values[parameters])
-        stacked = np.vstack((matrix, np.diag(pull)))
-        try:
-            moved = consistent_least_squares(stacked, goal, problem)
-        except SysidError:  # The file is as good with its own bodies.
-            continue
-        if np.sum((matrix @ (moved - bodies)) ** 2) <= HARDLY:
-            change = np.zeros(len(fit.values))
-            change[parameters] = moved - bodies
-            return replace(fit, free=fit.free + change, values=fit.values + change)
-    return fit
 
 
 def _holds_rotors(question: Question) -> bool:
@@ -269,8 +212,6 @@ def _validate_model(
     return judge.validation(judge.squared_errors(offset_unknowns))
 
 
-PULLS = tuple(np.geomspace(1.0, 1e-3, 13).tolist())
-"""Weights of the estimate's bodies that are tried, where torques have a weight of one each."""
 CLEAR_OFFSET = 3.0
 """Least distance of a sensor's offset from zero, and of a rotor from the model's rotor, in standard
 errors, at which it is significant."""

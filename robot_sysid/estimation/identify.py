@@ -170,7 +170,7 @@ def answer_link(
         progress.stage(Detail("Fitting the model file..."))
         # The file's rows, which the report draws, take as much memory.
         fit = replace(fit, samples=(), evidence=fit.evidence.merge_blocks())
-        file = fit_file(fitter, options, unchanged_parts, fit, errors)
+        file = fit_file(fitter, options, unchanged_parts, fit)
     signals = motion_signals(datasets)
     acceleration_errors = [log.acceleration_error for log in signals]
     notes: list[str] = []
@@ -237,9 +237,7 @@ def answer_payload(
     if unchanged_parts is not None and can_have_file:
         progress.stage(Detail("Fitting the model file..."))
         carried, _ = written_payload(weighed)
-        file = fit_file(
-            fitter, options, unchanged_parts, free, weighed.errors, carried=carried
-        )
+        file = fit_file(fitter, options, unchanged_parts, free, carried=carried)
         weighed = replace(weighed, file=file)
     return weighed, weighed
 

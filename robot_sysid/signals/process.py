@@ -194,50 +194,6 @@ class ProcessedSignals:
         """Return the motion (K, n), low-passed once, at the instants of the decimated rows."""
         return self.motion(self.low_pass.centres(len(self)))
 
-    @cached_property
-    def refiltered_motion(self) -> tuple[NDArray[np.int64], Motion]:
-        """Indices (R,) of decimated rows, the ends left out, and a second estimate (R, n) of the
-        motion in these rows.
-
-        Motion that passed a low-pass passes it a second time; motion without noise is
-        differentiated by the next lower order, and the change is low-passed. The difference from
-        ``decimated_motion`` is an estimate of the error that the first pass makes. Computed once
-        and cached: do not change the arrays.
-        """
-        noiseless = self.is_noiseless
-        # Samples that a derivative of the next lower order, fourteen, loses at each end.
-        inset = FINE_REACH - 1 if noiseless else 0
-        low_pass = self.low_pass if noiseless else self.position_filter
-        low_pass = replace(low_pass, step=self.low_pass.step)
-        reach = low_pass.half_width + inset
-        centres = self.low_pass.centres(len(self))
-        rows = np.flatnonzero((centres >= reach) & (centres < len(self) - reach))
-        samples = centres[rows]
-        # The samples under the windows of all these rows.
-        span = slice(0)
-        if len(rows):
-            span = slice(samples[0] - reach, samples[-1] + reach + 1)
-        inner = self.motion(span)
-        if not noiseless:
-            signals = (inner.q, inner.qd, inner.qdd)
-            return rows, Motion(self.time[samples], *map(low_pass.decimate, signals))
-        cut = slice(inset, len(inner.q) - inset)
-        qd_change = first_derivative(inner.q, self.rate, inset) - inner.qd[cut]
-        qdd_change = second_derivative(inner.q, self.rate, inset) - inner.qdd[cut]
-        motion = self.motion(samples)
-        qd = motion.qd + low_pass.decimate(qd_change)
-        qdd = motion.qdd + low_pass.decimate(qdd_change)
-        return rows, Motion(motion.time, motion.q, qd, qdd)
-
-    def refiltered_speeds(self) -> tuple[int, Array]:
-        """Return (number of a decimated row, speeds (M, n) that passed the low-pass a second time).
-
-        The speeds are those of successive samples, from the first one under the window of that row.
-        """
-        row = math.ceil(self.position_filter.half_width / self.low_pass.step)
-        lost = row * self.low_pass.step - self.position_filter.half_width
-        return row, self.position_filter.filter(self.qd)[lost:]
-
     def spread_indices(self, count: int) -> NDArray[np.int64]:
         """Return the ascending indices of at most ``count`` samples, spread evenly over the log."""
         indices = np.linspace(0, len(self) - 1, count)

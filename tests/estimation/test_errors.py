@@ -7,42 +7,26 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.real_arms import ARMS, SENSOR_ARMS, draw_arm
-from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation import errors as errors_module
 from robot_sysid.estimation.algebra.priors import misfits
 from robot_sysid.estimation.choices import choose
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
-from robot_sysid.estimation.errors import FILTERING, filtering_bias, fit_errors
+from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.identify import Piece, low_pass_recordings
 from robot_sysid.estimation.question import EstimationOptions, Question
 from robot_sysid.estimation.unknowns import COMMON, SCALES
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement, Motion
+from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
-from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
-from tests.support.core_fits import (
-    NOISE_ONLY,
-    filter_logs,
-    fit_logs,
-    fit_recordings,
-    fitter_of,
-)
+from tests.support.core_fits import NOISE_ONLY, fit_logs, fit_recordings, fitter_of
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
-from tests.support.measured_logs import (
-    guess_model,
-    log_of,
-    plan_of,
-    seeded_log,
-    true_values,
-)
+from tests.support.measured_logs import log_of, plan_of, seeded_log
 from tests.support.payload_logs import PAYLOAD, RATE, TrueArm, add_torque, wide_motion
 from tests.support.places import DATA, MODELS
 from tests.support.synthetic_data import autocorrelated
@@ -97,90 +81,6 @@ def test_total_errors_cover_everything_that_is_wrong_with_an_arm():
     assert np.mean(np.abs(ratios) < 1.96) > 0.9
 
 
-def fit_low_passed(plant, cutoff, seed, **sensors):
-    """Return (stated errors, true errors) of all parameters behind a low-pass."""
-    log = log_of(plant, plan_of(plant, seed, 25.0), **sensors)
-    fit = fit_logs(guess_model(plant), log, cutoff=cutoff, **NOISE_ONLY)
-    errors = np.abs(fit.values - true_values(plant, fit.columns.names))
-    return fit_errors(fit), errors[fit.unknowns.estimated]
-
-
-@pytest.mark.parametrize("cutoff", [0.9, 1.2])
-def test_a_cutoff_close_to_the_motion_adds_to_the_errors(plant, cutoff):
-    """Motion of up to 0.6 Hz: noise alone, as the residuals show it, does not explain the error."""
-    stated, errors = fit_low_passed(plant, cutoff, 2, encoder_resolution=1e-6)
-    assert np.max(errors / np.sqrt(np.diag(stated.total.noise))) > 4.0
-    assert np.max(errors / stated.total.standard_errors) < WITHIN
-
-
-def test_a_cutoff_far_above_the_motion_adds_nothing(plant):
-    stated, errors = fit_low_passed(plant, 8.0, 1, **NOISY_SENSORS)
-    filtering = np.linalg.norm(stated.causes[FILTERING], axis=0)
-    assert np.all(filtering < 0.05 * np.sqrt(np.diag(stated.total.noise)))
-    assert np.max(errors / stated.total.standard_errors) < WITHIN
-
-
-def hand_motion(rng, joints, rms_speed, rate=100.0, duration=240.0):
-    """Return a random motion of up to 0.7 Hz, with less and less motion above, as of a hand."""
-    white = rng.standard_normal((round(duration * rate), joints))
-    filtered = sosfiltfilt(butter(2, 0.7, fs=rate, output="sos"), white, axis=0)
-    time = np.arange(len(white)) / rate
-    speed = CubicSpline(time, rms_speed * filtered / np.std(filtered, axis=0))
-    position = speed.antiderivative()
-    return Motion(time, position(time), speed(time), speed(time, 1))
-
-
-def stribeck_errors(seed):
-    """Return (errors of three Stribeck amplitudes, stated ones, those without the low-pass)."""
-    rng = np.random.default_rng(seed)
-    arm = TrueArm(SMALL, seed, model_error=0.0)
-    motion = hand_motion(rng, 3, rms_speed=0.2)
-    true = 0.5 * arm.coulomb
-    torque = arm.torque(motion, False) + 0.02 * rng.standard_normal(motion.q.shape)
-    torque += true * np.sign(motion.qd) * np.exp(-((motion.qd / 0.05) ** 2))
-    q = motion.q + 5e-4 * rng.standard_normal(motion.q.shape)
-    log = Measurement(motion.time, q, None, torque)
-    datasets, options = filter_logs(SMALL, log, cutoff=None)
-    fitter = fitter_of(SMALL, datasets)
-    question = Question(options)
-    choice, _, point = choose(fitter, question, None)
-    fit = fitter.fit(question, choice, point)
-    stated = fit_errors(fit)
-    parameters = fit.columns.indices(names_of("stribeck", SMALL.joint_names))
-    indices = np.searchsorted(fit.unknowns.estimated, parameters)
-    filtering = np.linalg.norm(stated.causes[FILTERING], axis=0)[indices]
-    total = stated.total.standard_errors[indices]
-    others = np.sqrt(total**2 - filtering**2)
-    return fit.values[parameters] - true, total, others
-
-
-def test_stribeck_friction_that_the_low_pass_smears_is_within_its_error():
-    """Noise of positions asks for a cut-off at which speeds around each turn are wrong."""
-    errors, total, others = np.hstack(list(map(stribeck_errors, range(4))))
-    assert np.all(errors > 0.0)
-    assert np.sqrt(np.mean((errors / others) ** 2)) > 2.0
-    assert np.sqrt(np.mean((errors / total) ** 2)) < 1.5
-
-
-def test_links_say_nothing_where_the_second_low_pass_reverses_the_motion(monkeypatch):
-    """Reversed motion takes the same torque of the links; only the sign of friction differs."""
-    _, recording = exact_recording(SMALL)
-    fit = fit_recordings(SMALL, [recording], EXACT_MODEL)
-
-    def reversed_motion(signals):
-        """Return indices of all rows and their motion with the speeds reversed."""
-        once = signals.decimated_motion()
-        return np.arange(len(once.time)), replace(once, qd=-once.qd)
-
-    monkeypatch.setattr(
-        ProcessedSignals, "refiltered_motion", property(reversed_motion)
-    )
-    values = fit.values.copy()
-    values[fit.columns.indices(names_of("viscous", SMALL.joint_names))] = 0.0
-    point = replace(fit.point, values=values)
-    assert not np.any(filtering_bias(fit.columns, point, fit.samples))
-
-
 @pytest.mark.parametrize(("seed", "seconds"), [(2, 0.1), (0, 0.3)])
 def test_autocorrelated_noise_contradicts_no_prior(plant, seed, seconds):
     """The model is the plant; by white noise of that size, priors would be contradicted."""
@@ -230,19 +130,6 @@ def test_squares_of_the_causes_and_of_noise_add_up(payload_fit, errors, payload_
     assert COMMON not in budget and len(budget) >= 6
     total = noise**2 + np.sum([part**2 for part in budget.values()], axis=0)
     assert_allclose(np.diag(covariance), total, rtol=1e-6)
-
-
-@pytest.mark.parametrize(("shift", "share"), [(0.3, 1.0), (2e-4, 0.0)])
-def test_a_shift_to_a_possible_body_beyond_chance_is_an_error(
-    payload_fit, errors, shift, share
-):
-    plain_values = payload_fit.free.copy()
-    index = payload_fit.columns.indices(PAYLOAD_NAMES[:1])[0]
-    plain_values[index] = payload_fit.values[index] - shift
-    row = int(np.searchsorted(payload_fit.unknowns.estimated, index))
-    shifted = fit_errors(replace(payload_fit, free=plain_values))
-    expected = np.hypot(share * shift, errors.total.standard_errors[row])
-    assert shifted.total.standard_errors[row] == pytest.approx(expected, rel=0.05)
 
 
 def test_a_scale_of_all_joints_is_an_error_in_proportion(errors, payload_rows):

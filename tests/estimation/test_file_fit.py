@@ -15,17 +15,12 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     with_gravity,
 )
-from robot_sysid.errors import SysidError
-from robot_sysid.estimation import file_fit
 from robot_sysid.estimation.choices import coupling
-from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.file_fit import fit_file
-from robot_sysid.estimation.identify import answer_link
 from robot_sysid.estimation.question import FILE_FRICTION as FRICTION
 from robot_sysid.estimation.question import FILE_GRAVITY as GRAVITY
 from robot_sysid.estimation.question import FILE_LINKS as LINKS
 from robot_sysid.estimation.question import FILE_ROTORS as ROTORS
-from robot_sysid.records.messages import Progress
 from robot_sysid.results.prediction import torque_error
 from tests.support import arms
 from tests.support.core_fits import BASIC, filter_logs, fit_recordings, fitter_of
@@ -52,7 +47,7 @@ def fit_file_of(model, datasets, options, kept=(), couplings=(), friction=BASIC)
     """Return the fit of a model file; ``kept`` are the parts that stay as they are."""
     fit = fit_recordings(model, datasets, options, friction, couplings)
     fitter = fitter_of(model, datasets, couplings=couplings)
-    return fit_file(fitter, options, kept, fit, fit_errors(fit))
+    return fit_file(fitter, options, kept, fit)
 
 
 @pytest.fixture(scope="module")
@@ -107,49 +102,6 @@ def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
     }
     assert terms == {"coulomb", "viscous", "offset"}
     assert np.array_equal(fit.point.gravity, gravity_vector(robot))
-
-
-def test_bodies_are_moved_to_the_estimate_without_a_change_of_torques(
-    plant, robot, monkeypatch
-):
-    """A file has no Stribeck friction, which would go into combinations that torques leave open."""
-
-    def stribeck(motion):
-        return 0.3 * np.sign(motion.qd) * np.exp(-np.abs(motion.qd) / 0.1)
-
-    fits = []
-
-    move_bodies = file_fit.move_bodies
-
-    def record_fit(fit, estimate, errors):
-        fits.append(fit)
-        return move_bodies(fit, estimate, errors)
-
-    monkeypatch.setattr(file_fit, "move_bodies", record_fit)
-    datasets, options = record(plant, robot, extra_torque=stribeck)
-    answer = answer_link(robot, datasets, options, Progress())
-    monkeypatch.undo()
-    (before,) = fits
-    after = answer.file.fit
-    distances = []
-    for fit in (before, after):
-        thetas = fit.columns.thetas(fit.values)
-        bodies = zip(thetas, answer.links())
-        deviations = [
-            (theta - body.inertial.theta) / body.errors for theta, body in bodies
-        ]
-        distances.append(np.linalg.norm(deviations))
-    assert distances[1] < 0.4 * distances[0]
-    matrix, _ = before.evidence.of(before.unknowns).equations(before.weights)
-    change = (after.values - before.values)[before.unknowns.estimated]
-    assert 0.0 < np.sum((matrix @ change) ** 2) < file_fit.HARDLY
-    assert all(spatial.is_consistent(theta) for theta in thetas)
-
-    def fail(*_):
-        raise SysidError("no convergence")
-
-    monkeypatch.setattr(file_fit, "consistent_least_squares", fail)
-    assert file_fit.move_bodies(before, answer.fit, answer.errors) is before
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.5])

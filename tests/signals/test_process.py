@@ -156,38 +156,6 @@ def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corne
     assert np.min(np.abs(used - corner)) > signals.low_pass.half_width / signals.rate
 
 
-def test_refiltering_exact_motion_bounds_its_error():
-    """The bound is at most a hundred times the error; 6 samples per period are few."""
-    time = seconds(20.0, 10.0)
-    omega = 2.0 * np.pi * 1.6
-    q = np.sin(omega * time)[:, None]
-    signals = process(Measurement(time, q, None, q + 1.0), cutoff=3.0)
-    rows, refiltered = signals.refiltered_motion
-    once = signals.decimated_motion()
-    assert signals.is_noiseless and len(rows) > 0.7 * len(once.time)
-    assert_array_equal(refiltered.q, once.q[rows])
-    true = -(omega**2) * np.sin(omega * refiltered.time)[:, None]
-    error = root_mean_square(true - once.qdd[rows])
-    stated_error = root_mean_square(refiltered.qdd - once.qdd[rows])
-    assert 1e-6 < error < stated_error < 100.0 * error
-
-
-def test_a_second_pass_repeats_the_change_of_the_first():
-    """Near the cut-off, where the change is large; at the instants of the decimated rows."""
-    time = seconds(20.0, 100.0)
-    q = np.sin(2.0 * np.pi * 0.7 * time)[:, None]
-    signals = process(Measurement(time, np.round(q, 4), None, q + 1.0), cutoff=1.2)
-    rows, refiltered = signals.refiltered_motion
-    once = signals.decimated_motion()
-    assert len(rows) > 0.5 * len(once.time)
-    assert_array_equal(refiltered.time, once.time[rows])
-    true = np.sin(2.0 * np.pi * 0.7 * refiltered.time)[:, None]
-    first = true - once.q[rows]
-    second = once.q[rows] - refiltered.q
-    assert np.max(np.abs(first)) > 1e-3
-    assert_close(second, first, atol=0.1 * np.max(np.abs(first)))
-
-
 def test_joints_that_move_in_one_direction_are_named():
     """The first joint swings, the second moves forwards only, the third backwards only."""
     time = seconds(10.0, 200.0)
