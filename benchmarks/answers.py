@@ -18,7 +18,6 @@ import mujoco
 import numpy as np
 
 from robot_sysid.cli import main
-from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 
 SHAPES = ("geoms", "meshes", "materials", "textures", "lights", "cameras", "keys")
@@ -55,14 +54,14 @@ def bare_model_text(path: Path) -> str:
     return model_text(path)
 
 
-def write_log(path: Path, model: Path, log: Measurement) -> None:
-    """Write a log as CSV, its columns named after the model's joints."""
+def write_log(path: Path, joint_names: Sequence[str], log: Measurement) -> None:
+    """Write a log as CSV, its columns named after joints."""
     titles = ["time"]
     columns = [log.time[:, None]]
     for quantity in ("q", "qd", "tau"):
         values = getattr(log, quantity)
         if values is not None:
-            titles += [f"{quantity}_{j}" for j in load_robot_model(model).joint_names]
+            titles += [f"{quantity}_{j}" for j in joint_names]
             columns.append(values)
     header = ",".join(titles)
     rows = np.concatenate(columns, axis=1)

@@ -4,58 +4,71 @@
         [--deviations real] [--seeds 3] [--first-seed 0] [--duration 20] [--no-answers]
 
 Arms are drawn as in ``benchmarks.real_arms``, one per model, deviation and seed, the same for all
-causes and durations, so that rows can be compared. The cause "right" leaves a log as it is, and has
-logs of 6, 8, 15 and 60 s. Per cause, logs are counted by the findings of the checks before an
-identification, of any level, and by motors over two joints that the estimate finds:
+causes and durations, so that rows can be compared. Causes without a fault ("right" has logs of 6,
+8, 15 and 60 s) show what right logs are accused of. Log and model are files, and what is judged
+are the answers of the commands ``log`` and ``identify``. Another checkout is judged by
 
-rightly     a finding has the right name
-tie         none has, but one lists several causes that fit equally well
-withheld    the only finding is that a part of the torque is not explained
-wrongly     all findings have other names
-silent      no finding
+    mkdir judge && ln -s $PWD/benchmarks $PWD/tests judge/
+    PYTHONPATH=judge:OTHER_CHECKOUT python -P -m benchmarks.confusion MODELS_FOLDER
 
-A log that no finding refuses or warns of is identified with default options, and its last link's
-mass is compared with the true one:
+Per cause, logs are counted by what is said of them: by findings of ``log`` of any level, motors
+over two joints that the estimate finds, and notes and reasons of the estimate:
+
+rightly     every fault has its right name (and that of the joint or body, where one is wrong)
+doubt       no right name, or not of every fault: a finding lists several causes that fit equally
+            well, or says that a part of the torque is not explained, or the verdict is against it
+misnamed    all findings have other names
+silent      nothing is said
+
+Then they are counted by what they cost:
 
 stopped     refused, or warned of: a user has no answer
 no use      there is an answer, but its verdict is against it
-harmful     a trusted mass that is 10 % and two stated errors off
-off         a trusted mass that is 10 % or two stated errors off (harmful ones included)
+harmful     a trusted mass of the last link that is 20 % and two stated errors off: of the answer,
+            or of the one after following advice: options or columns that a finding states, or
+            accepting its warning
+off         a trusted answer's mass that is two stated errors off (harmful ones included)
 sound       any other trusted mass
 
-Then come the mean time of the checks and each set of names. Where the payload changes within a log,
-the nearest of the true masses counts. Below each cause are its failures: wrong logs that are not
-named rightly, right logs that are named, harmful answers.
+Then come the mean processor time of both commands and each set of names. Where the payload changes
+within a log, the nearest of the true masses counts. Below each cause are its failures: wrong logs
+that are not named rightly, right logs that are named, harmful answers.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import re
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.confusion_causes import CAUSES, RIGHT, Scene, draw_scene
+from benchmarks.answers import (
+    bare_model_text,
+    identify_logs,
+    model_text,
+    number,
+    run_command,
+    write_log,
+)
+from benchmarks.confusion_causes import CAUSES, RIGHT, Cause, Scene, draw_scene
 from benchmarks.real_arms import ARMS, DEVIATIONS, USUAL_ARMS
-from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.log_checks import check_against_model
-from robot_sysid.errors import SysidError
-from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import RobotModel
-from robot_sysid.signals.resampling import split_at_gaps
-from tests.support.core_fits import result_of_logs
+from robot_sysid.records import Measurement
 
 RIGHT_DURATIONS = (6.0, 8.0, 15.0, 60.0)
 """Durations of right logs [s]."""
-NAMINGS = ("rightly", "tie", "withheld", "wrongly", "silent")
+NAMINGS = ("rightly", "doubt", "misnamed", "silent")
 COSTS = ("stopped", "no use", "harmful", "off", "sound")
-FAR = 0.1
+FAR = 0.2
 SURE = 2.0
 """Part of the true mass, and stated errors, by which an answer is off."""
 SHOWN_TEXT = 110
@@ -67,24 +80,69 @@ OTHER_ARM = "the model of another arm"
 
 
 @dataclass(frozen=True)
+class Finding:
+    """A finding of the command ``log``, as its JSON has it."""
+
+    name: str
+    level: str
+    text: str
+    options: tuple[str, ...] = ()
+    correction: dict[str, Any] | None = None
+
+    @classmethod
+    def of_entry(cls, entry: dict[str, Any]) -> Finding:
+        """Return a finding of an entry of the JSON."""
+        options = tuple(entry.get("options") or ())
+        correction = entry.get("correction")
+        return cls(entry["name"], entry["level"], entry["text"], options, correction)
+
+    def corrected(self, log: Measurement) -> Measurement:
+        """Return a log with its columns put right, as the finding says."""
+        if self.correction is None:
+            return log
+        columns = {"q": log.q, "qd": log.qd, "tau": log.tau}
+        attributes = {"position": ("q", "qd"), "torque": ("tau",)}
+        for quantity in self.correction["quantities"]:
+            for name in attributes[quantity]:
+                values = columns[name]
+                if values is not None:
+                    order = list(self.correction["order"])
+                    columns[name] = values[:, order] * self.correction["factors"]
+        return Measurement(log.time, columns["q"], columns["qd"], columns["tau"])
+
+
+@dataclass(frozen=True)
 class Answer:
-    """Result of ``identify``: the last link's mass [kg], and the motors over two joints."""
+    """Result of ``identify``: the last link's mass [kg], and what is said of it.
+
+    Attributes:
+        mass, error, true_mass: NaN where the identification fails.
+        is_trusted: whether the verdict is for it.
+        motors: those over two joints that are found.
+        remarks: notes and reasons.
+    """
 
     mass: float
     error: float
     true_mass: float
     is_trusted: bool
     motors: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def is_far(self) -> bool:
-        """Return whether the mass is off by more than 10 %."""
+        """Return whether the mass is off by more than 20 %."""
         return abs(self.mass - self.true_mass) > FAR * self.true_mass
 
     @property
     def is_beyond_error(self) -> bool:
         """Return whether the mass is off by more than two stated errors."""
         return abs(self.mass - self.true_mass) > SURE * self.error
+
+    @property
+    def is_harmful(self) -> bool:
+        """Return whether it is trusted and clearly wrong."""
+        return self.is_trusted and self.is_far and self.is_beyond_error
 
     def describe(self) -> str:
         """Return it in words."""
@@ -96,88 +154,151 @@ class Answer:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Findings of the checks of one log, their time [s], and the answer.
+    """What the commands say of one log.
 
     Attributes:
+        findings: of the command ``log``, and motors over two joints.
+        seconds: processor time of both commands.
         answer: None where the log is stopped or no answer is asked for.
+        advised: answers after following the advice of findings that stop the log.
+        culprit: name of the joint or body that is wrong; "" where none is alone.
     """
 
     findings: tuple[Finding, ...]
     seconds: float
     answer: Answer | None
+    advised: tuple[Answer, ...] = ()
+    culprit: str = ""
 
     @property
     def is_stopped(self) -> bool:
         """Return whether the log is refused or warned of."""
-        return any(finding.level is not Level.NOTE for finding in self.findings)
+        return any(finding.level != "note" for finding in self.findings)
 
     @property
     def names(self) -> str:
         """Return the names of the findings, with their levels."""
-        named = dict.fromkeys(f"{f.name}:{f.level.value}" for f in self.findings)
+        named = dict.fromkeys(f"{f.name}:{f.level}" for f in self.findings)
         return "+".join(named) or "-"
 
-    def classify_naming(self, right_names: Sequence[str]) -> str:
+    def classify_naming(self, cause: Cause) -> str:
         """Return how the cause is named, see the module."""
-        if not self.findings:
-            return "silent"
+        texts = [f.text for f in self.findings]
+        texts += () if self.answer is None else self.answer.remarks
         ties = [f for f in self.findings if ALTERNATIVES in f.text]
         names = {f.name for f in self.findings if f not in ties}
-        if any(OTHER_ARM in f.text for f in self.findings):
+        if any(OTHER_ARM in text for text in texts):
             names.add("model")
-        if not names.isdisjoint(right_names):
+        named = [not names.isdisjoint(fault) for fault in cause.faults]
+        if cause.words and any(re.search(cause.words, text) for text in texts):
+            named = [True]
+        is_culprit_said = any(self.culprit in text for text in ["", *texts])
+        if cause.faults and all(named) and is_culprit_said:
             return "rightly"
-        if ties:
-            return "tie"
+        is_untrusted = self.answer is not None and not self.answer.is_trusted
+        if not self.findings:
+            return "doubt" if is_untrusted and cause.faults else "silent"
         is_withheld = all(f.name == "unexplained" for f in self.findings)
-        return "withheld" if is_withheld else "wrongly"
+        return "doubt" if any(named) or ties or is_withheld else "misnamed"
 
     def classify_costs(self) -> Iterator[str]:
         """Yield what the log costs its user, see the module."""
         if self.is_stopped:
             yield "stopped"
+        answers = self.advised if self.answer is None else (self.answer, *self.advised)
+        if any(answer.is_harmful for answer in answers):
+            yield "harmful"
         if self.answer is None:
             return
         if not self.answer.is_trusted:
             yield "no use"
-            return
-        if self.answer.is_far and self.answer.is_beyond_error:
-            yield "harmful"
-        yield "off" if self.answer.is_far or self.answer.is_beyond_error else "sound"
+        elif self.answer.is_beyond_error:
+            yield "off"
+        else:
+            yield "sound"
+
+
+class Judge:
+    """Runs the commands on the files of one scene in a folder."""
+
+    def __init__(self, scene: Scene, folder: Path) -> None:
+        self.scene = scene
+        self.folder = folder
+        self.model = scene.other_path or folder / "model.xml"
+        self.joint_names = scene.robot.joint_names
+        if scene.other_path is not None:
+            self.joint_names = load_robot_model(scene.other_path).joint_names
+        if scene.other_path is None:
+            text = bare_model_text(scene.path)
+            text = text if scene.edit is None else model_text(scene.path, scene.edit)
+            self.model.write_text(text)
+
+    def write_logs(self, logs: Sequence[Measurement]) -> list[Path]:
+        """Write logs and return their files."""
+        paths = [self.folder / f"log{k}.csv" for k in range(len(logs))]
+        for path, log in zip(paths, logs):
+            write_log(path, self.joint_names, log)
+        return paths
+
+    def find(self, path: Path) -> Iterator[Finding]:
+        """Yield the findings of the command ``log`` on a log."""
+        code, output, messages = run_command("log", path, self.model, "--json")
+        content = json.loads(output) if output.startswith("{") else {}
+        entries = content.get("findings", ())
+        yield from map(Finding.of_entry, entries)
+        if code and not entries:
+            error = [line for line in messages.splitlines() if "error:" in line]
+            yield Finding("error", "refuse", "".join(error[:1]) or messages)
+
+    def identify(self, paths: Sequence[Path], *options: str) -> Answer:
+        """Return the answer of ``identify``; one that fails is not trusted."""
+        true_masses = self.scene.last_masses
+        content, _ = identify_logs(self.folder, self.model, paths, *options)
+        if content is None or not content["links"]:
+            return Answer(np.nan, np.nan, true_masses[0], False)
+        link = content["links"][-1]
+        mass = float(link["mass"])
+        return Answer(
+            mass,
+            number(link["standard_errors"]["m"]),
+            min(true_masses, key=lambda true: abs(true - mass)),
+            content["valid"]["trustworthy"],
+            tuple(content["couplings"]),
+            (*content["notes"], *content["reasons"], *map(str, content["wrong_links"])),
+        )
+
+    def follow_advice(self, findings: Sequence[Finding]) -> Iterator[Answer]:
+        """Yield the answers after following findings' advice, and after accepting warnings."""
+        for finding in findings:
+            if finding.options or finding.correction:
+                logs = [finding.corrected(log) for log in self.scene.logs]
+                yield self.identify(self.write_logs(logs), *finding.options)
+        paths = self.write_logs(self.scene.logs)
+        warned = dict.fromkeys(f.name for f in findings if f.level == "warn")
+        if warned and all(f.level != "refuse" for f in findings):
+            options = [word for name in warned for word in ("--accept", name)]
+            yield self.identify(paths, *options)
 
 
 def check_scene(scene: Scene, is_answered: bool) -> Outcome:
-    """Return the findings on a scene's log, and the answer where no finding stops it."""
-    start = time.process_time()
-    try:
-        findings = check_against_model(scene.robot, split_at_gaps(scene.log))
-    except SysidError as error:
-        findings = (Finding("error", Level.REFUSE, str(error)),)
-    outcome = Outcome(findings, time.process_time() - start, None)
-    if outcome.is_stopped or not is_answered:
-        return outcome
-    answer = identify_scene(scene)
+    """Return what the commands say of a scene's log, and where no finding stops it, its answer."""
+    with tempfile.TemporaryDirectory() as folder:
+        judge = Judge(scene, Path(folder))
+        paths = judge.write_logs(scene.logs)
+        start = time.process_time()
+        findings = [finding for path in paths for finding in judge.find(path)]
+        seconds = time.process_time() - start
+        if not is_answered:
+            return Outcome(tuple(findings), seconds, None, (), scene.culprit)
+        if any(finding.level != "note" for finding in findings):
+            advised = tuple(judge.follow_advice(findings))
+            return Outcome(tuple(findings), seconds, None, advised, scene.culprit)
+        answer = judge.identify(paths)
+        seconds = time.process_time() - start
     # The estimate names these itself, for it knows on which side of the gears sensors are.
-    motors = [
-        Finding("coupling", Level.NOTE, f"a motor turns with {name}")
-        for name in answer.motors
-    ]
-    return replace(outcome, findings=(*findings, *motors), answer=answer)
-
-
-def identify_scene(scene: Scene) -> Answer:
-    """Return the answer of ``identify`` with default options; one that fails is not trusted."""
-    try:
-        result = result_of_logs(scene.robot, [scene.log], EstimationOptions(), ())
-    except SysidError:
-        return Answer(np.nan, np.nan, scene.last_masses[0], False)
-    link = result.links[-1]
-    mass = link.inertial.mass
-    true_mass = min(scene.last_masses, key=lambda true: abs(true - mass))
-    is_trusted = result.verdict.is_trustworthy
-    return Answer(
-        mass, float(link.errors[0]), true_mass, is_trusted, tuple(result.couplings)
-    )
+    for name in answer.motors:
+        findings.append(Finding("coupling", "note", f"a motor turns with {name}"))
+    return Outcome(tuple(findings), seconds, answer, (), scene.culprit)
 
 
 @dataclass(frozen=True)
@@ -198,26 +319,31 @@ class Case:
             f"{RIGHT} {self.deviation} {self.duration:g} s" if is_right else self.cause
         )
 
-    def run(self, robot: RobotModel, is_answered: bool) -> Outcome:
-        """Return the outcome of the case's log."""
-        scene = draw_scene(
-            robot, self.arm_name, self.deviation, self.duration, self.seed
-        )
-        make_cause, _ = CAUSES[self.cause]
-        return check_scene(make_cause(scene), is_answered)
+    def run(self, path: Path, is_answered: bool) -> Outcome:
+        """Return the outcome of the case's log, of an arm that differs from a model file."""
+        cause = CAUSES[self.cause]
+        duration = cause.duration or self.duration
+        scene = draw_scene(path, self.arm_name, self.deviation, duration, self.seed)
+        return check_scene(cause.spoil(scene), is_answered)
 
     def is_failure(self, outcome: Outcome) -> bool:
         """Return whether the cause is not named as it should be, or the answer is harmful."""
-        expected_naming = "silent" if self.cause == RIGHT else "rightly"
-        naming = outcome.classify_naming(CAUSES[self.cause][1])
+        cause = CAUSES[self.cause]
+        expected_naming = "rightly" if cause.faults else "silent"
+        naming = outcome.classify_naming(cause)
         return naming != expected_naming or "harmful" in outcome.classify_costs()
 
     def describe_failure(self, outcome: Outcome) -> str:
         """Return one line on it."""
         about = f"{self.arm_name} {self.deviation} {self.duration:g} s seed {self.seed}"
-        texts = [finding.line()[:SHOWN_TEXT] for finding in outcome.findings]
+        texts = []
+        for finding in outcome.findings:
+            texts.append(
+                f"{finding.level}: {finding.name}: {finding.text[:SHOWN_TEXT]}"
+            )
         texts = texts or ["nothing is said"]
         answers = [] if outcome.answer is None else [outcome.answer.describe()]
+        answers += [f"after advice: {answer.describe()}" for answer in outcome.advised]
         return "  " + " | ".join([about, *texts, *answers])
 
 
@@ -237,10 +363,17 @@ class Tally:
 
     def add(self, case: Case, outcome: Outcome) -> None:
         """Count one log: how it is named, what its answer costs, names and time."""
-        self.namings[outcome.classify_naming(CAUSES[case.cause][1])] += 1
+        self.namings[outcome.classify_naming(CAUSES[case.cause])] += 1
         self.costs.update(outcome.classify_costs())
         self.names[outcome.names] += 1
         self.seconds.append(outcome.seconds)
+
+    def join(self, other: Tally) -> None:
+        """Add another tally's counts."""
+        self.namings.update(other.namings)
+        self.costs.update(other.costs)
+        self.names.update(other.names)
+        self.seconds.extend(other.seconds)
 
     def line(self, row: str) -> str:
         """Return the row of the table."""
@@ -265,14 +398,14 @@ def cases_of(cause: str, options: argparse.Namespace) -> Iterator[Case]:
 
 
 def print_cause(
-    cause: str, robots: dict[str, RobotModel], options: argparse.Namespace
+    cause: str, paths: dict[str, Path], options: argparse.Namespace
 ) -> Tally:
     """Print the rows of a cause and its failures; return the counts of all its logs."""
     total = Tally.empty()
     rows: dict[str, Tally] = {}
     failures: list[str] = []
     for case in cases_of(cause, options):
-        outcome = case.run(robots[case.arm_name], not options.no_answers)
+        outcome = case.run(paths[case.arm_name], not options.no_answers)
         for tally in (total, rows.setdefault(case.row, Tally.empty())):
             tally.add(case, outcome)
         if case.is_failure(outcome):
@@ -313,29 +446,25 @@ def main() -> int:
         "--no-answers", action="store_true", help="only look at the logs"
     )
     options = parser.parse_args()
-    robots = {
-        arm_name: load_robot_model(options.models / ARMS[arm_name])
-        for arm_name in options.arms
-    }
+    paths = {arm_name: options.models / ARMS[arm_name] for arm_name in options.arms}
     titles = "".join(f"{title:>9}" for title in ("logs", *NAMINGS, *COSTS))
     print(f"{'cause':<31}{titles}{'time':>9}  names", flush=True)
-    tallies = {cause: print_cause(cause, robots, options) for cause in options.causes}
-    right_tally = tallies.pop(RIGHT, Tally.empty())
-    namings = sum((tally.namings for tally in tallies.values()), Counter[str]())
-    costs = sum((tally.costs for tally in tallies.values()), right_tally.costs)
-    wrong_count = sum(namings.values())
-    right_count = len(right_tally.seconds)
+    tallies = {cause: print_cause(cause, paths, options) for cause in options.causes}
+    right_total = Tally.empty()
+    wrong_total = Tally.empty()
+    for cause, tally in tallies.items():
+        (wrong_total if CAUSES[cause].faults else right_total).join(tally)
+    wrong_count = len(wrong_total.seconds)
+    right_count = len(right_total.seconds)
     print()
-    print_share("wrong logs named rightly", namings["rightly"], wrong_count)
-    named_count = namings["rightly"] + namings["tie"]
-    print_share("wrong logs named rightly or as a tie", named_count, wrong_count)
-    print_share(
-        "right logs named", right_count - right_tally.namings["silent"], right_count
-    )
-    print_share("right logs stopped", right_tally.costs["stopped"], right_count)
-    print_share(
-        "harmful answers of all logs", costs["harmful"], wrong_count + right_count
-    )
+    for naming in NAMINGS:
+        print_share(f"wrong logs, {naming}", wrong_total.namings[naming], wrong_count)
+    right_named = right_count - right_total.namings["silent"]
+    print_share("right logs named", right_named, right_count)
+    print_share("right logs stopped", right_total.costs["stopped"], right_count)
+    print_share("right logs of no use", right_total.costs["no use"], right_count)
+    print_share("harmful of wrong logs", wrong_total.costs["harmful"], wrong_count)
+    print_share("harmful of right logs", right_total.costs["harmful"], right_count)
     return 0
 
 

@@ -1,7 +1,8 @@
 """Recorded scenes of arms as people have them, and the causes that spoil a log or a model.
 
-A cause is a function from a right scene to a spoiled one. Many are those of
-``benchmarks.wrong_logs``, which spoil logs of any arm whose truth is known.
+A cause has a function from a right scene to a spoiled one. Many are those of
+``benchmarks.wrong_logs``, which spoil logs of any arm whose truth is known. Others leave the log
+and spoil the model that it is identified with, or spoil several things at once.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +24,9 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     turn_gravity,
 )
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.signals.resampling import slice_samples
 from tests.support.wrong_logs import Truth
 
 RIGHT = "right"
@@ -32,6 +37,9 @@ GRAVITY = 9.81
 """[m/s^2]"""
 _CAUSE_STREAM = 77
 
+Edit = Callable[[Any], None]
+"""Function that changes a model's ``MjSpec``."""
+
 
 @dataclass(frozen=True)
 class Scene(Truth):
@@ -40,10 +48,25 @@ class Scene(Truth):
     Attributes:
         arm: the arm as it was drawn, with its motion and its right log.
         last_masses: of the last link, all that are true at some time of the log [kg].
+        path: the right model's file.
+        edit: changes the right model's ``MjSpec`` into the one that the log is identified with.
+        other_path: a model file that is used in its place; None for none.
+        culprit: name of the joint or body that is wrong; "" where none is alone.
+        pieces: logs that are identified together; () for the log alone.
     """
 
     arm: RealArm
     last_masses: tuple[float, ...]
+    path: Path
+    edit: Edit | None = None
+    other_path: Path | None = None
+    culprit: str = ""
+    pieces: tuple[Measurement, ...] = ()
+
+    @property
+    def logs(self) -> tuple[Measurement, ...]:
+        """Return the logs that are identified together."""
+        return self.pieces or (self.log,)
 
     @property
     def usual_torque(self) -> Array:
@@ -84,9 +107,13 @@ def resting_torque(
 
 
 def draw_scene(
-    robot: RobotModel, arm_name: str, deviation: str, duration: float, seed: int
+    path: Path, arm_name: str, deviation: str, duration: float, seed: int
 ) -> Scene:
-    """Return an arm with a right log of it; every other one has white noise."""
+    """Return an arm that differs from a model file with a right log of it.
+
+    Every other log has white noise.
+    """
+    robot = load_robot_model(path)
     arm = draw_arm(
         robot, deviation, arm_name in SENSOR_ARMS, duration, seed % 2 == 0, seed
     )
@@ -100,6 +127,7 @@ def draw_scene(
         rng=np.random.default_rng([seed, _CAUSE_STREAM]),
         arm=arm,
         last_masses=(float(arm.thetas[-1, 0]),),
+        path=path,
     )
 
 
@@ -213,10 +241,20 @@ def balancer(scene: Scene) -> Scene:
 
 def tilt(scene: Scene) -> Scene:
     """Return a log of an arm whose base is 3.6 degrees off."""
-    angles = np.radians([3.0, -2.0])
-    tilted = turn_gravity(gravity_vector(scene.robot), angles)
+    return tilt_by(np.array([3.0, -2.0]), scene)
+
+
+def tilt_by(degrees: Array, scene: Scene) -> Scene:
+    """Return a log of an arm whose base is turned by two angles (2,) [degrees]."""
+    tilted = turn_gravity(gravity_vector(scene.robot), np.radians(degrees))
     held = resting_torque(scene.robot, scene.arm.motion.q, scene.arm.thetas, tilted)
     return scene.with_more_torque(held - scene.still)
+
+
+def mount(degrees: float, scene: Scene) -> Scene:
+    """Return a log of an arm whose base is mounted at an angle, in any direction."""
+    direction = scene.rng.uniform(0.0, 2.0 * np.pi)
+    return tilt_by(degrees * np.array([np.cos(direction), np.sin(direction)]), scene)
 
 
 # ---- causes of drives
@@ -295,12 +333,187 @@ def stale_samples(scene: Scene) -> Scene:
     )
 
 
+# ---- further causes of drives and of the recording
+
+
+def own_torque(noise: float, scene: Scene) -> Scene:
+    """Return a log of the torques that the model itself takes, with noise [N m]."""
+    tau = scene.arm.motion.tau
+    tau = tau + noise * scene.rng.normal(size=tau.shape)
+    return replace(scene, log=replace(scene.log, tau=tau))
+
+
+def gear_loss(scene: Scene) -> Scene:
+    """Return a log of gears that lose 15 % of what they carry."""
+    motion = scene.arm.motion
+    return scene.with_more_torque(0.15 * np.abs(scene.rigid) * np.sign(motion.qd))
+
+
+def friction_falls(scene: Scene) -> Scene:
+    """Return a log whose friction falls by a third from its beginning to its end."""
+    qd = scene.arm.motion.qd
+    friction = scene.arm.coulomb * np.sign(qd) + scene.arm.viscous * qd
+    share = scene.log.time / scene.log.time[-1] / 3.0
+    return scene.with_more_torque(-share[:, None] * friction)
+
+
+def with_velocities(scene: Scene, factors: Array) -> Scene:
+    """Return the scene with recorded velocities, times factors (n,)."""
+    qd = scene.arm.motion.qd
+    noisy = qd + 1e-3 * scene.rng.normal(size=qd.shape)
+    return replace(scene, log=replace(scene.log, qd=factors * noisy))
+
+
+def velocities(scene: Scene) -> Scene:
+    """Return a right log with velocities."""
+    return with_velocities(scene, np.ones(scene.robot.n_joints))
+
+
+def slow_velocities(scene: Scene) -> Scene:
+    """Return a log whose velocities are 0.8 times the true ones."""
+    return with_velocities(scene, np.full(scene.robot.n_joints, 0.8))
+
+
+def half_slow_velocities(scene: Scene) -> Scene:
+    """Return a log whose velocities are 0.8 times the true ones at every other joint."""
+    factors = np.where(np.arange(scene.robot.n_joints) % 2, 0.8, 1.0)
+    return with_velocities(scene, factors)
+
+
+def six_logs(fault: Callable[[Measurement, int], Measurement], scene: Scene) -> Scene:
+    """Return six logs of one arm, each with a fault of another joint."""
+    rows = np.linspace(0, len(scene.log), 7).astype(int)
+    pieces = []
+    for joint, (start, end) in enumerate(zip(rows, rows[1:])):
+        pieces.append(fault(slice_samples(scene.log, start, end), joint))
+    return replace(scene, pieces=tuple(pieces))
+
+
+def larger_torque(log: Measurement, joint: int) -> Measurement:
+    """Return a log with the torque of one joint times 1.4."""
+    factors = np.where(np.arange(log.tau.shape[1]) == joint, 1.4, 1.0)
+    return replace(log, tau=factors * log.tau)
+
+
+def moved_zero(log: Measurement, joint: int) -> Measurement:
+    """Return a log with the zero of one joint off by 0.15 rad."""
+    return replace(log, q=log.q + 0.15 * (np.arange(log.q.shape[1]) == joint))
+
+
+def in_turn(*faults: Callable[[Scene], Scene]) -> Callable[[Scene], Scene]:
+    """Return a function that spoils a scene by several faults at once."""
+
+    def spoil(scene: Scene) -> Scene:
+        for fault in faults:
+            scene = fault(scene)
+        return scene
+
+    return spoil
+
+
+# ---- causes of the model
+
+
+def edit_bodies(scene: Scene, change: Callable[[Any], None], body: str = "") -> Scene:
+    """Return the scene with a model of which one body, or each with mass, is changed."""
+
+    def edit(spec: Any) -> None:
+        for element in spec.bodies:
+            if element.mass > 0.0 and body in ("", element.name):
+                change(element)
+
+    return replace(scene, edit=edit, culprit=body)
+
+
+def multiply_body(mass_factor: float, inertia_factor: float, body: Any) -> None:
+    """Multiply mass and inertia of a body of an ``MjSpec``."""
+    body.mass = mass_factor * body.mass
+    body.inertia = inertia_factor * body.inertia
+    body.fullinertia = inertia_factor * body.fullinertia
+
+
+def wrong_units(mass_factor: float, inertia_factor: float, scene: Scene) -> Scene:
+    """Return the scene with a model whose masses and inertias have factors."""
+    return edit_bodies(scene, partial(multiply_body, mass_factor, inertia_factor))
+
+
+def placeholder_inertias(value: float, scene: Scene) -> Scene:
+    """Return the scene with a model whose moments of inertia all have one value [kg m^2]."""
+
+    def change(body: Any) -> None:
+        body.fullinertia = np.full(6, np.nan)
+        body.iquat = np.array([1.0, 0.0, 0.0, 0.0])
+        body.inertia = np.full(3, value)
+
+    return edit_bodies(scene, change)
+
+
+def heavy_link(scene: Scene) -> Scene:
+    """Return the scene with a model whose upper arm has twice its mass."""
+    name = scene.robot.links[1].body_name
+    return edit_bodies(scene, partial(multiply_body, 2.0, 2.0), name)
+
+
+SIBLING_LINKS = {
+    # UR5, after the maker's published model; its masses are those of the public UR5e's file.
+    "ur5e": {
+        "shoulder_link": ((0.0, 0.0, 0.0892), 3.7),
+        "upper_arm_link": ((0.0, 0.1359, 0.0), 8.393),
+        "forearm_link": ((0.0, -0.1197, 0.425), 2.275),
+        "wrist_2_link": ((0.0, 0.093, 0.0), 1.219),
+        "wrist_3_link": ((0.0, 0.0, 0.0947), 0.1879),
+    },
+    # iiwa 7, after the maker's published model.
+    "iiwa14": {
+        "link1": ((0.0, 0.0, 0.15), 3.4525),
+        "link2": ((0.0, 0.0, 0.19), 3.4821),
+        "link3": ((0.0, 0.21, 0.0), 4.0562),
+        "link4": ((0.0, 0.0, 0.19), 3.4822),
+        "link5": ((0.0, 0.21, 0.0), 2.1633),
+        "link6": ((0.0, 0.0, 0.19), 2.3466),
+        "link7": ((0.0, 0.081, 0.0), 3.129),
+    },
+}
+"""Name of an arm to its sibling's links: origins in the frames before them [m], and masses [kg]."""
+SIBLING_FILES = {"panda_nohand": "franka_fr3/FrankaFR3_7DoF.urdf"}
+"""Name of an arm's model file to the file of its sibling."""
+
+
+def sibling(scene: Scene) -> Scene:
+    """Return the scene with the model of an arm's sibling, or of one that is 10 % larger."""
+    file = SIBLING_FILES.get(scene.path.stem)
+    if file is not None:
+        return replace(scene, other_path=scene.path.parents[1] / file)
+    links = SIBLING_LINKS.get(scene.path.stem, {})
+
+    def change(body: Any) -> None:
+        pos, mass = links.get(body.name, (1.1 * body.pos, 1.4 * float(body.mass)))
+        body.pos = pos
+        multiply_body(mass / float(body.mass), mass / float(body.mass), body)
+
+    return edit_bodies(scene, change)
+
+
 def leave_right(scene: Scene) -> Scene:
     """Return the scene as it is."""
     return scene
 
 
-Cause = Callable[[Scene], Scene]
+@dataclass(frozen=True)
+class Cause:
+    """What is wrong with a scene, and how it is named rightly.
+
+    Attributes:
+        spoil: makes the scene wrong.
+        faults: for each thing that is wrong, the names of findings that name it rightly.
+        words: regular expression; what is said with such words names it rightly, too; "" for none.
+        duration: length of the log [s]; None for that of all causes.
+    """
+
+    spoil: Callable[[Scene], Scene]
+    faults: tuple[tuple[str, ...], ...]
+    words: str = ""
+    duration: float | None = None
 
 
 def spoil_log(fault: Callable[[Truth], Measurement], scene: Scene) -> Scene:
@@ -308,53 +521,120 @@ def spoil_log(fault: Callable[[Truth], Measurement], scene: Scene) -> Scene:
     return replace(scene, log=fault(scene))
 
 
-def causes_of_logs(
-    names: tuple[str, ...], *faults: str
-) -> dict[str, tuple[Cause, tuple[str, ...]]]:
+def spoiler(name: str) -> Callable[[Scene], Scene]:
+    """Return a function of ``benchmarks.wrong_logs``, by its name, that spoils a scene."""
+    return partial(spoil_log, wrong_logs.FAULTS[name])
+
+
+def causes_of_logs(names: tuple[str, ...], *faults: str) -> dict[str, Cause]:
     """Return faults of ``benchmarks.wrong_logs`` as causes with common names of checks."""
-    causes = {}
-    for fault in faults:
-        causes[fault] = (partial(spoil_log, wrong_logs.FAULTS[fault]), names)
-    return causes
+    return {fault: Cause(spoiler(fault), (names,)) for fault in faults}
 
 
 SCALE = ("torque-scale",)
 # Too long a time makes less of the accelerations, as if gravity were more.
 CLOCK = ("clock", "gravity")
-CAUSES: dict[str, tuple[Cause, tuple[str, ...]]] = {
-    RIGHT: (leave_right, ()),
-    "payload_drops": (payload_drops, ("payload-step",)),
-    "payload_grows": (payload_grows, ("payload-step",)),
-    "glued_states": (glued_states, ("payload-step",)),
-    "hand_carries": (hand_carries, ("force",)),
-    "push": (push, ("contact",)),
+MASSES = r"all masses|all links|masses of (the|all)|model's masses|density"
+INERTIAS = (
+    r"inertias? (of|in) (the|all|model)|model's (moments|inertia)|placeholder|not kg.m"
+)
+"""Words that blame the model's masses or inertias, not the log."""
+MODEL_CAUSES = {
+    "masses_too_light": Cause(
+        partial(wrong_units, 1.0 / 2.7, 1.0 / 2.7), (("model",),), MASSES
+    ),
+    "masses_too_heavy": Cause(partial(wrong_units, 2.9, 2.9), (("model",),), MASSES),
+    "masses_in_grams": Cause(
+        partial(wrong_units, 1e3, 1.0), (("model",),), f"{MASSES}|grams|not kg"
+    ),
+    "masses_in_tonnes": Cause(
+        partial(wrong_units, 1e-3, 1.0), (("model",),), f"{MASSES}|tonnes|not kg"
+    ),
+    "placeholder_inertias": Cause(
+        partial(placeholder_inertias, 1.0), (("model",),), INERTIAS
+    ),
+    "small_placeholders": Cause(
+        partial(placeholder_inertias, 1e-3), (("model",),), INERTIAS
+    ),
+    "inertias_in_kg_cm2": Cause(
+        partial(wrong_units, 1.0, 1e4), (("model",),), INERTIAS
+    ),
+    "inertias_in_kg_mm2": Cause(
+        partial(wrong_units, 1.0, 1e6), (("model",),), INERTIAS
+    ),
+    "heavy_link": Cause(heavy_link, (("model", "link"),), "probably wrong|contradict"),
+    "sibling": Cause(sibling, (("model",),), "another arm"),
+    "mounted_at_10": Cause(partial(mount, 10.0), (("tilt",),), "tilted|mounted"),
+    "mounted_at_45": Cause(partial(mount, 45.0), (("tilt",),), "tilted|mounted"),
+    "mounted_at_90": Cause(partial(mount, 90.0), (("tilt",),), "tilted|mounted"),
+}
+"""Causes of the model, or of how the arm stands; the log is right."""
+COMBINED_CAUSES = {
+    "six_scales": Cause(partial(six_logs, larger_torque), (SCALE,), "", 60.0),
+    "six_zeros": Cause(partial(six_logs, moved_zero), (("zero",),), "", 60.0),
+    "scale_and_zero": Cause(
+        in_turn(joint_scale, spoiler("position_offset")), (SCALE, ("zero",))
+    ),
+    "sign_and_delay": Cause(
+        in_turn(spoiler("torque_sign"), spoiler("late_torque")), (("sign",), ("delay",))
+    ),
+    "exchange_and_contact": Cause(
+        in_turn(spoiler("exchanged_joints"), push), (("order",), ("contact",))
+    ),
+    "tilt_scale_and_push": Cause(
+        in_turn(tilt, joint_scale, push), (("tilt",), SCALE, ("contact",))
+    ),
+    "zero_sign_and_payload": Cause(
+        in_turn(payload_drops, spoiler("torque_sign"), spoiler("position_offset")),
+        (("zero",), ("sign",), ("payload-step",)),
+    ),
+}
+"""Several things wrong at once, or one after another."""
+CAUSES: dict[str, Cause] = {
+    RIGHT: Cause(leave_right, ()),
+    "velocities": Cause(velocities, ()),
+    "payload_drops": Cause(payload_drops, (("payload-step",),)),
+    "payload_grows": Cause(payload_grows, (("payload-step",),)),
+    "glued_states": Cause(glued_states, (("payload-step",),)),
+    "hand_carries": Cause(hand_carries, (("force",),)),
+    "push": Cause(push, (("contact",),)),
     **causes_of_logs(("contact",), "collision", "hum"),
-    "constant_force": (constant_force, ("force",)),
-    "spring": (spring, ("force",)),
-    "balancer": (balancer, ("gravity", "clock")),
-    "tilt": (tilt, ("tilt",)),
-    "ripple": (ripple, ("ripple",)),
-    "crosstalk": (crosstalk, ("crosstalk", "coupling")),
-    "coupling": (coupling, ("coupling",)),
-    "hot_gears": (hot_gears, ("friction",)),
-    "gain_drift": (gain_drift, SCALE),
-    "joint_scale": (joint_scale, SCALE),
-    "uncalibrated": (uncalibrated_currents, SCALE),
+    "constant_force": Cause(constant_force, (("force",),)),
+    "spring": Cause(spring, (("force",),)),
+    "balancer": Cause(balancer, (("gravity", "clock"),)),
+    "tilt": Cause(tilt, (("tilt",),)),
+    "ripple": Cause(ripple, (("ripple",),)),
+    "crosstalk": Cause(crosstalk, (("crosstalk", "coupling"),)),
+    "coupling": Cause(coupling, (("coupling",),)),
+    "hot_gears": Cause(hot_gears, (("friction",),)),
+    "friction_falls": Cause(friction_falls, (("friction",),)),
+    "gear_loss": Cause(gear_loss, (("gear",),), "gears? .*los|los.* of (its|the) load"),
+    "gain_drift": Cause(gain_drift, (SCALE,)),
+    "joint_scale": Cause(joint_scale, (SCALE,)),
+    "uncalibrated": Cause(uncalibrated_currents, (SCALE,)),
     **causes_of_logs(SCALE, "amperes", "motor_side", "millinewtonmetres", "other_unit"),
     **causes_of_logs(SCALE, "per_cent", "one_joint_in_millinewtonmetres"),
     **causes_of_logs(("gravity",), "gravity_compensated", "external"),
     **causes_of_logs(("computed",), "computed_torque"),
+    "own_torque": Cause(partial(own_torque, 0.0), (("computed",),)),
+    "own_noisy_torque": Cause(partial(own_torque, 0.03), (("computed",),)),
     **causes_of_logs(("sign",), "torque_sign", "position_sign"),
     **causes_of_logs(("order",), "exchanged_joints", "reversed_order"),
     **causes_of_logs(("angle-unit",), "degrees_as_radians", "radians_as_degrees"),
     **causes_of_logs(("zero",), "position_offset"),
     **causes_of_logs(("delay",), "late_torque", "late_joint"),
-    "long_time": (long_time, CLOCK),
+    "long_time": Cause(long_time, (CLOCK,)),
     **causes_of_logs(CLOCK, "drifting_clock"),
     **causes_of_logs(("clock",), "dropped_samples", "clock_jump"),
-    "stale_samples": (stale_samples, ("clock",)),
+    "stale_samples": Cause(stale_samples, (("clock",),)),
+    "slow_velocities": Cause(slow_velocities, (("velocity",),), "velocities .*times"),
+    "half_slow_velocities": Cause(
+        half_slow_velocities, (("velocity",),), "velocities .*times"
+    ),
     **causes_of_logs(("saturated",), "saturated_sensor"),
     **causes_of_logs(("held",), "held"),
     **causes_of_logs(("model",), "other_arm"),
+    **MODEL_CAUSES,
+    **COMBINED_CAUSES,
 }
-"""Cause to what makes it, and to the names of the checks that name it rightly."""
+"""Cause by its name; those without a fault are right."""

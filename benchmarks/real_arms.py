@@ -304,7 +304,7 @@ def study(path: Path, arm_name: str, deviation: str, seeds: range) -> Tally:
         model = folder / "model.xml"
         model.write_text(bare_model_text(path))
         for arm in draw_arms(robot, arm_name, deviation, seeds):
-            write_log(folder / "log.csv", model, arm.log)
+            write_log(folder / "log.csv", robot.joint_names, arm.log)
             answer, _ = identify_logs(folder, model, [folder / "log.csv"])
             tally.add(arm, answer)
     return tally
