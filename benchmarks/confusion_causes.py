@@ -620,7 +620,10 @@ CAUSES: dict[str, Cause] = {
     "own_noisy_torque": Cause(partial(own_torque, 0.03), (("computed",),)),
     **causes_of_logs(("sign",), "torque_sign", "position_sign"),
     **causes_of_logs(("order",), "exchanged_joints", "reversed_order"),
-    **causes_of_logs(("angle-unit",), "degrees_as_radians", "radians_as_degrees"),
+    "degrees_as_radians": Cause(
+        spoiler("degrees_as_radians"), (("angle-unit",),), "look like degrees"
+    ),
+    **causes_of_logs(("angle-unit",), "radians_as_degrees"),
     **causes_of_logs(("zero",), "position_offset"),
     **causes_of_logs(("delay",), "late_torque", "late_joint"),
     "long_time": Cause(long_time, (CLOCK,)),
