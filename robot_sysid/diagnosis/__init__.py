@@ -63,6 +63,7 @@ class Finding:
             mass determines each joint's torque scale; () where that is no remedy.
         options: options of every command, with their values, that put the log right; () for none.
         correction: columns that put the log right; None for none.
+        is_left_out: whether the fault lasts a moment, which is left out, so that the rest is right.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Finding:
     payload_options: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
     correction: ColumnCorrection | None = None
+    is_left_out: bool = False
 
     def line(self) -> str:
         """Return the finding as one line of text: "level: text [name]"."""

@@ -73,10 +73,6 @@ SMALL = 0.02
 less."""
 ODD_SCALE = 1.3
 """Ratio of measured torque to the model's, or its inverse, above which torque scales are tried."""
-STRETCHES = 8
-"""Number of stretches of a log whose unexplained torque is compared."""
-CONCENTRATED = 0.4
-"""Share of all unexplained torque in one stretch above which the stretch is named."""
 # Number of families of explanations whose noise is estimated anew in the first round.
 _REFITTED = 8
 # Number of families of explanations whose noise is estimated anew in each later round.
@@ -511,27 +507,10 @@ def unexplained_torque(posterior: Posterior) -> Finding:
     listed = ", ".join(f"{names[k]} {percent(float(by_joint[k]))}" for k in worst)
     text = (
         f"{percent(share)} of the torque is explained by nothing that is looked for ({listed} of "
-        f"its own{stretch_of_misfit(posterior)}): is the model of this arm, with what is "
+        f"its own): is the model of this arm, with what is "
         "fixed to its links, and did it carry the same all the time with nothing touching it?"
     )
     return Finding("model" if share > OTHER_ARM else "unexplained", Level.WARN, text)
-
-
-def stretch_of_misfit(posterior: Posterior) -> str:
-    """Return a phrase that names the stretch of the log with most of the unexplained torque.
-
-    The log is cut into ``STRETCHES`` stretches of equally many rows. The phrase is "" where none
-    has ``CONCENTRATED`` of the squared residual, summed over joints relative to their torque.
-    """
-    model = posterior.model
-    residual = model.inverse_transform(posterior.residual) / model.log.typical_torque
-    squares = np.sum(residual**2, axis=1)
-    sums = [float(np.sum(rows)) for rows in np.array_split(squares, STRETCHES)]
-    worst = int(np.argmax(sums))
-    if sums[worst] < CONCENTRATED * sum(sums):
-        return ""
-    time = np.array_split(model.log.motion.time, STRETCHES)[worst]
-    return f", most of it from {time[0]:.3g} s to {time[-1]:.3g} s"
 
 
 def implausible_links(posterior: Posterior) -> Finding:

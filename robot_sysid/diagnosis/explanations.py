@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import chain, product
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -33,8 +33,6 @@ from robot_sysid.records.messages import percent, with_error
 
 STEPS = 17
 """Number of evenly spaced instants at which a change of payload is tried."""
-PUSHES = (0.5, 1.5, 3.0, 6.0)
-"""Durations of contacts that are tried [s]."""
 RIPPLES = tuple(range(4, 41, 3))
 """Numbers of torque waves per turn of a joint that are tried."""
 GROSS_ZERO = 0.05
@@ -398,67 +396,6 @@ def springs(fit: BaseFit) -> Iterator[Explanation]:
         yield Explanation("force", Level.REFUSE, shapes, spread, describe, joint)
 
 
-def pushes(fit: BaseFit) -> Iterator[Explanation]:
-    """Yield for each duration of ``PUSHES`` a contact at the time of the largest residual torque.
-
-    Durations of a third of the log or more are left out.
-    """
-    step = float(np.median(np.diff(fit.log.motion.time)))
-    relative = fit.residual / np.maximum(rms(fit.residual), 1e-12)
-    power = np.sum(relative**2, axis=1)
-    for length in PUSHES:
-        width = max(3, round(length / step))
-        if 3 * width < len(power):
-            sums = np.convolve(power, np.ones(width), mode="valid")
-            start = int(np.argmax(sums))
-            # Contacts that overlap by half count as different choices.
-            yield _push(fit, start, width, 2 * len(power) // width)
-
-
-def _push(fit: BaseFit, start: int, width: int, choices: int) -> Explanation:
-    """Return the explanation of a contact, half a sine wave of torque at all joints.
-
-    Its coefficients (n,) are the peaks of the torque at each joint [N m].
-
-    Args:
-        fit: the fitted base model.
-        start: index of its first row; may be outside the log.
-        width: number of rows.
-        choices: number of contacts that are tried.
-    """
-    time = fit.log.motion.time
-    rows = np.arange(max(start, 0), min(start + width, len(time)))
-    wave = np.zeros(len(time))
-    wave[rows] = np.sin(np.pi * (rows - start + 0.5) / width)
-    first, last = time[rows[[0, -1]]]
-
-    def nearby() -> list[Explanation]:
-        """Return contacts that begin up to half a width earlier or later, of three widths.
-
-        Their own ``nearby`` returns none, so that the refinement ends after one step.
-        """
-        starts = range(start - width // 2, start + width // 2, math.ceil(width / 6))
-        sizes = (round(0.7 * width), width, round(1.4 * width))
-        contacts = [_push(fit, *span, choices) for span in product(starts, sizes)]
-        return [replace(contact, nearby=list) for contact in contacts]
-
-    def describe(v: Array, e: Array) -> str:
-        """Return the text for coefficients v (e,) with standard errors e (e,)."""
-        joint = int(np.argmax(np.abs(v)))
-        return (
-            f"from {first:.2f} s to {last:.2f} s something else acts on the arm: "
-            f"{abs(float(v[joint])):.3g} N m at joint {fit.robot.joint_names[joint]} that the "
-            "model does not explain; was there contact, or did a gripper move? cut it out, or "
-            "record again"
-        )
-
-    columns = wave[:, None, None] * np.eye(fit.robot.n_joints)
-    spread = fit.log.typical_torque
-    contact = Explanation("contact", Level.WARN, columns, spread, describe)
-    # A contact of any size is harmful.
-    return replace(contact, choices=choices, nearby=nearby, harmful_from=0.0)
-
-
 def hums(fit: BaseFit) -> Iterator[Explanation]:
     """Yield the strongest sine over time in each joint's residual torque.
 
@@ -583,7 +520,6 @@ LINEAR: tuple[Callable[[BaseFit], Iterator[Explanation]], ...] = (
     payload_steps,
     forces,
     springs,
-    pushes,
     hums,
     ripples,
     couplings,

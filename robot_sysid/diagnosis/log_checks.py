@@ -12,13 +12,25 @@ positions ``q`` [rad], velocities ``qd`` [rad/s] or None, and torques ``tau`` [N
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.contest import Contest, findings
+from robot_sysid.diagnosis.limited_in_time import (
+    Stretch,
+    failed_sensors,
+    is_limited,
+    join,
+    leave_out,
+    left_out_note,
+    recurring_finding,
+    unusual_torque,
+)
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.log_rows import WINDOW, rms
 from robot_sysid.diagnosis.plausibility import driving_findings, least_friction_share
@@ -29,6 +41,7 @@ from robot_sysid.logs import CHECKS
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress, percent
+from robot_sysid.signals.frozen import LEAST_RUN
 from robot_sysid.signals.process import (
     LogPiece,
     ProcessedSignals,
@@ -234,26 +247,20 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     return distance / duration[is_clear], duration[is_clear]
 
 
-LONG = 0.3
-"""Time for which a torque is constant above which its channel holds its last value [s]."""
 OFTEN = 0.005
 """Share of samples at the end of the range above which a sensor saturates."""
 # Number of different values below which a channel has coarse steps, which repeat by chance.
 _MANY_VALUES = 100
-# Least mean speed of an arm that moves [rad/s].
-_MOVING = 0.05
-# Least number of equal samples in a row that does not occur by chance.
-_RUN = 4
 # Least number of samples of a log at the end of its range that does not occur by chance.
 _SEEN = 20
 
 
-def sensor_findings(
+def saturation_findings(
     pieces: Sequence[Measurement], joint_names: Sequence[str]
 ) -> Iterator[Finding]:
-    """Yield findings on torque channels that saturate or hold their last value."""
+    """Yield findings on torque channels that saturate, again and again."""
     for joint, name in enumerate(joint_names):
-        tau = np.concatenate([piece.tau[:, joint] for piece in pieces])
+        tau = np.concatenate([_used_torque(piece)[:, joint] for piece in pieces])
         if len(np.unique(tau)) < _MANY_VALUES:
             continue
         share, value = max(_at_end(tau, 1.0), _at_end(tau, -1.0))
@@ -261,11 +268,11 @@ def sensor_findings(
             text = f"the torque of joint {name} is exactly {value:.4g} N m, the end of its range, "
             text += f"in {100.0 * share:.2g} % of the samples: the sensor is at its end; move "
             yield Finding("saturated", Level.WARN, f"{text}slower, or carry less")
-        held = max(_longest_hold(piece, joint) for piece in pieces)
-        if held > LONG:
-            text = f"the torque of joint {name} stands still for {held:.2g} s while the arm moves: "
-            text += "the channel holds its last value; record again"
-            yield Finding("held", Level.WARN, text)
+
+
+def _used_torque(piece: Measurement) -> Array:
+    """Return the torques (K, n) of the samples of a piece that are not left out [N m]."""
+    return piece.tau if piece.left_out is None else piece.tau[~piece.left_out]
 
 
 def _at_end(tau: Array, sign: float) -> tuple[float, float]:
@@ -283,29 +290,9 @@ def _at_end(tau: Array, sign: float) -> tuple[float, float]:
     # Beginnings and ends of runs at the end of the range, alternately.
     edges = np.flatnonzero(np.diff(np.pad(is_at_end.view(np.int8), 1)))
     longest_run = np.max(edges[1::2] - edges[::2], initial=0)
-    is_steady = longest_run >= _RUN and count > 3 * near_count
+    is_steady = longest_run >= LEAST_RUN and count > 3 * near_count
     is_clipped = is_steady or (count >= _SEEN and count > 5 * near_count)
     return float(np.mean(is_at_end)) if is_clipped else 0.0, sign * end
-
-
-def _longest_hold(piece: Measurement, joint: int) -> float:
-    """Return the longest time for which a joint's torque is constant while any joint moves [s].
-
-    It is zero where there is none. ``joint`` is the joint's index.
-    """
-    # First samples of runs of equal torque, and the end of the last run.
-    changes = np.flatnonzero(np.diff(piece.tau[:, joint]))
-    edges = np.concatenate(([0], changes + 1, [len(piece)]))
-    longest = 0.0
-    for run in np.flatnonzero(np.diff(edges) >= _RUN):
-        first = edges[run]
-        last = edges[run + 1] - 1
-        length = float(piece.time[last] - piece.time[first])
-        # The range of positions, not the difference: an arm may return to where it was.
-        moved = np.max(np.ptp(piece.q[first : last + 1], axis=0))
-        if length > longest and moved > _MOVING * min(length, 1.0):
-            longest = length
-    return longest
 
 
 CUTOFF_HZ = 8.0
@@ -370,13 +357,16 @@ def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
     """
     if _length(pieces) <= MOST_WINDOWS * WINDOW:
         return list(pieces)
-    windows = []
-    for piece in pieces:
-        count = max(1, int(_duration(piece) / WINDOW))
-        for rows in np.array_split(np.arange(len(piece)), count):
-            windows.append(slice_samples(piece, int(rows[0]), int(rows[-1]) + 1))
+    windows = [window for piece in pieces for window in _windows(piece)]
     spread = np.linspace(0, len(windows) - 1, MOST_WINDOWS)
     return [windows[k] for k in np.unique(spread.astype(int))]
+
+
+def _windows(piece: Measurement) -> Iterator[Measurement]:
+    """Yield windows of a piece, each of at least ``WINDOW`` seconds unless the piece is shorter."""
+    count = max(1, int(_duration(piece) / WINDOW))
+    for rows in np.array_split(np.arange(len(piece)), count):
+        yield slice_samples(piece, int(rows[0]), int(rows[-1]) + 1)
 
 
 def check_against_model(
@@ -401,15 +391,43 @@ def check_against_model(
     Raises:
         InputError: the log is too short to be looked at.
     """
+    return check_pieces(robot, pieces, options, links_known, divided)[0]
+
+
+def check_pieces(
+    robot: RobotModel,
+    pieces: Sequence[Measurement],
+    options: EstimationOptions | None = None,
+    links_known: bool = True,
+    divided: Sequence[float] | Array | None = None,
+) -> tuple[tuple[Finding, ...], tuple[Measurement, ...]]:
+    """Return the findings of all checks of a log, and its pieces with what is to be used of them.
+
+    Args and exceptions are those of ``check_against_model``.
+    """
     options = options or EstimationOptions()
-    raw = [*clock_findings(pieces), *velocity_findings(pieces)]
-    raw += sensor_findings(pieces, robot.joint_names)
+    joint_names = robot.joint_names
+    raw: list[Finding] = []
+    failures = failed_sensors(pieces)
+    if is_limited(failures, pieces):
+        pieces = leave_out(pieces, failures)
+        raw += map(partial(left_out_note, "held", joint_names), failures)
+    else:
+        raw.append(recurring_finding("held", joint_names, failures))
+    raw += [*clock_findings(pieces), *velocity_findings(pieces)]
+    raw += saturation_findings(pieces, joint_names)
     if any(finding.level is Level.REFUSE for finding in raw):
-        return tuple(raw)
+        return tuple(raw), tuple(pieces)
     signals = low_pass(pieces, options.cutoff)
     foreign_unit = None
     model_findings = [*enough_findings(pieces, signals[0].cutoff)]
     if not model_findings:
+        touched = _touched(robot, pieces, options)
+        is_cut = is_limited([*failures, *touched], pieces)
+        if touched and is_cut:
+            pieces = leave_out(pieces, touched)
+            signals = low_pass(pieces, options.cutoff)
+            raw += map(partial(left_out_note, "contact", joint_names), touched)
         contest = Contest(robot, signals, options)
         scales = (
             np.ones(robot.n_joints) if divided is None else np.array(divided, float)
@@ -420,6 +438,8 @@ def check_against_model(
         model_findings = model_findings or findings(contest, scales)
         model_findings = model_findings or driving_findings(contest.posterior)
         model_findings = model_findings or [*slow_findings(qd)]
+        if not is_cut and not model_findings:
+            model_findings.append(recurring_finding("contact", joint_names, touched))
         foreign_unit = foreign_unit_finding(contest.posterior.model.log, scales)
     of_links = set() if links_known else set(OF_LINKS)
     if foreign_unit:
@@ -435,7 +455,25 @@ def check_against_model(
         for cause in model_findings
     ):
         model_findings = [foreign_unit]
-    return (*raw, *model_findings)
+    return (*raw, *model_findings), tuple(pieces)
+
+
+def _touched(
+    robot: RobotModel, pieces: Sequence[Measurement], options: EstimationOptions
+) -> list[Stretch]:
+    """Return the stretches of a log with torque that is ordinary at no other time.
+
+    A long log is judged part by part, so that memory does not grow with it.
+    """
+    windows = [window for piece in pieces for window in _windows(piece)]
+    count = math.ceil(len(windows) / MOST_WINDOWS)
+    if count == 1:
+        windows = list(pieces)
+    stretches: list[Stretch] = []
+    for part in np.array_split(np.arange(len(windows)), count):
+        signals = low_pass([windows[k] for k in part], options.cutoff)
+        stretches += unusual_torque(robot, signals, options)
+    return join(stretches)
 
 
 def check_log(
@@ -446,10 +484,11 @@ def check_log(
     options: EstimationOptions | None = None,
     links_known: bool = True,
     checks: Collection[str] = CHECKS,
-) -> None:
-    """Check a log, report the findings on it, and raise an error where one forbids an estimate.
+) -> MeasurementLog:
+    """Return a log without what is left out of it; raise an error where a finding forbids its use.
 
-    Notes and accepted warnings go to ``progress``. The error has the texts of the refusals or, if
+    What is left out becomes a note of the log. Other notes and accepted warnings go to
+    ``progress``. The error has the texts of the refusals or, if
     there are none, of the other warnings; the notes of the log's reader are then reported, too.
 
     Args:
@@ -466,11 +505,15 @@ def check_log(
         SysidError: there is a warning that is not accepted.
     """
     with prefix_input_errors(str(log.path)):
-        log_findings = check_against_model(
+        all_findings, pieces = check_pieces(
             robot, log.pieces, options, links_known, log.torque_scale
         )
-    log_findings = tuple(f for f in log_findings if f.name in checks)
+    log_findings = tuple(f for f in all_findings if f.name in checks)
+    notes = list(log.notes)
     for finding in log_findings:
+        if finding.is_left_out:
+            notes.append(finding.text)
+            continue
         is_accepted = finding.level is Level.WARN and finding.name in accepted
         # All other findings forbid an estimate, and become the error below.
         if finding.level is Level.NOTE or is_accepted:
@@ -478,8 +521,9 @@ def check_log(
     try:
         require_acceptable(log, log_findings, accepted)
     except SysidError:
-        progress.note(*log.notes)
+        progress.note(*notes)
         raise
+    return replace(log, pieces=tuple(map(LogPiece.of, pieces)), notes=tuple(notes))
 
 
 def require_acceptable(

@@ -23,7 +23,7 @@ columns of explanations.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -136,21 +136,11 @@ class LogModel:
         return self._cosine_transform(rows * self.log.used[:, joint, None])
 
     def _cosine_transform(self, rows: Array) -> Array:
-        """Return rows (K, m) transformed by frequency (K, m)."""
+        """Return rows (K, m) transformed by frequency (K, m), window by window."""
         from scipy.fft import dct
 
-        return self._by_window(dct, rows)
-
-    def inverse_transform(self, transformed: Array) -> Array:
-        """Return rows over time (K, n) of all joints from their cosine transform (K, n)."""
-        from scipy.fft import idct
-
-        return self._by_window(idct, transformed)
-
-    def _by_window(self, function: Callable[..., Array], rows: Array) -> Array:
-        """Return rows (K, m) with ``function``, scipy's dct or idct, applied window by window."""
         windows = [rows[window] for window in self.log.windows]
-        return np.concatenate([function(w, axis=0, norm="ortho") for w in windows])
+        return np.concatenate([dct(w, axis=0, norm="ortho") for w in windows])
 
     def _transform_right_sides(self, log: LogRows) -> Array:
         """Return ``right_sides`` (K, n) for the torques of a log with the rows of this model."""

@@ -243,7 +243,7 @@ def _read_recordings(
         progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
         log = open_log(robot, path, log_options, progress)
         checks = CHECKS_AT_REST if options.static else CHECKS
-        check_log(
+        log = check_log(
             robot, log, log_options.accept, progress, links_known=False, checks=checks
         )
         recordings.append(

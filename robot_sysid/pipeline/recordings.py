@@ -80,14 +80,22 @@ def identify_logs(
         tests.append(test)
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
-    diagnose_logs(robot, [*logs, *tests], options.accept, config.estimation, progress)
+    checked = diagnose_logs(
+        robot, [*logs, *tests], options.accept, config.estimation, progress
+    )
+    logs, tests = checked[: len(logs)], checked[len(logs) :]
     origin = origin_of(logs)
     notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
     pieces = []
     for log in logs:
         for samples in log.pieces:
             pieces.append(Piece(str(log.path), samples.without_velocities()))
-    del logs, log, samples  # frees the recorded velocities before signals are made
+    del (
+        logs,
+        checked,
+        log,
+        samples,
+    )  # frees the recorded velocities before signals are made
     return _identify_pieces(config, robot, pieces, origin, notes, progress, tests)
 
 
@@ -147,8 +155,8 @@ def diagnose_logs(
     accepted: tuple[str, ...],
     options: EstimationOptions,
     progress: Progress,
-) -> None:
-    """Compare each log with the model; InputError where its numbers must not be used.
+) -> list[MeasurementLog]:
+    """Return the logs without what is left out of each; InputError where one must not be used.
 
     Args:
         robot: the arm as in the model.
@@ -158,10 +166,12 @@ def diagnose_logs(
         progress: receives the findings.
     """
     label = "Looking for what is wrong with the logs"
+    checked = []
     for n_done, log in enumerate(logs):
         progress.advance(label, n_done, len(logs), "")
         release_memory()
-        check_log(robot, log, accepted, progress, options)
+        checked.append(check_log(robot, log, accepted, progress, options))
+    return checked
 
 
 def _identify_pieces(

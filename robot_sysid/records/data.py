@@ -76,6 +76,7 @@ class Measurement:
         qd, qdd: (N, n) velocities, accelerations [rad/s, rad/s^2]; None where the log has none.
         joint_time: (N, n) when each joint was sampled [s]; None where ``time`` holds for all.
         command: (N, n) commanded positions [rad], of a log of servos; else None.
+        left_out: (N,) bool, samples that something is wrong with and no estimate uses; or None.
     """
 
     time: Array
@@ -85,6 +86,7 @@ class Measurement:
     qdd: Array | None = None
     joint_time: Array | None = None
     command: Array | None = None
+    left_out: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         _check_samples(self, "q", "qd", "tau", "qdd", "joint_time", "command")

@@ -344,7 +344,8 @@ def process(
     )
     obstacle = "jumps of the acceleration"
     if np.any(is_hole):
-        obstacle = f"lost samples (gaps of more than {1e3 * longest_hole:.3g} ms)"
+        longest = f"{1e3 * longest_hole:.3g} ms"
+        obstacle = f"lost samples (gaps of more than {longest}) or what is left out"
     row_notes = _notes(signals, joint_names, obstacle)
     notes = (*uniform.notes, Detail(reason), *row_notes)
     return replace(signals, notes=notes)

@@ -40,7 +40,7 @@ class UniformSignals:
         q: (N, n) positions [rad].
         tau: (N, n) torques [N m].
         gap: (N,) length of the hole in the log that a sample bridges [s]; zero where it bridges
-            none.
+            none, infinite where it is left out.
         notes: what a reader should know of the resampling.
     """
 
@@ -70,6 +70,8 @@ def resample_uniformly(measurement: Measurement) -> UniformSignals:
         reason = f"{reason} time stamps, cubic splines"
         return _interpolate(measurement, 1.0 / sampling_period(time), reason)
     gap = np.zeros(len(time))
+    if measurement.left_out is not None:
+        gap[measurement.left_out] = np.inf
     rate = (len(time) - 1) / float(time[-1] - time[0])
     start = float(time[0])
     return UniformSignals(start, rate, measurement.q, measurement.tau, gap, notes=())
@@ -123,7 +125,10 @@ def _interpolate(measurement: Measurement, rate: float, reason: str) -> UniformS
         spline = CubicSpline(stamps[is_new], columns[is_new])
         q[:, joint], tau[:, joint] = spline(grid).T
     note = f"resampled to a uniform {rate:.6g} Hz ({reason})"
-    return UniformSignals(start, rate, q, tau, _bridged_gap(time, grid, rate), (note,))
+    gap = _bridged_gap(time, grid, rate)
+    if measurement.left_out is not None:
+        gap[np.interp(grid, time, measurement.left_out) > 0.0] = np.inf
+    return UniformSignals(start, rate, q, tau, gap, (note,))
 
 
 def _bridged_gap(time: Array, grid: Array, rate: float) -> Array:

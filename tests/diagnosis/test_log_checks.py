@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,17 +21,19 @@ from robot_sysid.diagnosis.log_checks import (
     check_log,
     clock_findings,
     require_acceptable,
-    sensor_findings,
+    saturation_findings,
     velocity_findings,
 )
 from robot_sysid.dynamics.inverse_dynamics import with_gravity
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.logs import CHECKS
+from robot_sysid.logs import CHECKS, LogOptions
+from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.payload import CHECKS_AT_REST
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
+from robot_sysid.signals.process import LogPiece
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.diagnosis.conftest import FOUR_AXES, JOINT
@@ -49,7 +52,7 @@ NOISY = replace(
 
 def test_a_correct_log_has_no_findings():
     assert list(clock_findings([NOISY])) == []
-    assert list(sensor_findings([NOISY], JOINTS)) == []
+    assert list(saturation_findings([NOISY], JOINTS)) == []
 
 
 @given(st.integers(0, 2**32), st.floats(0.04, 0.2))
@@ -113,27 +116,20 @@ def test_a_sensor_at_its_end_is_found(joint, share):
     low = tau[:, joint].min()
     high = tau[:, joint].max()
     tau[:, joint] = np.minimum(tau[:, joint], low + share * (high - low))
-    names = [f.name for f in sensor_findings([replace(NOISY, tau=tau)], JOINTS)]
+    names = [f.name for f in saturation_findings([replace(NOISY, tau=tau)], JOINTS)]
     assert "saturated" in names
 
 
-@pytest.mark.parametrize("joint", range(3))
-def test_a_channel_that_holds_is_found_and_named(joint):
-    tau = NOISY.tau.copy()
-    tau[500:800, joint] = tau[500, joint]
-    (finding,) = sensor_findings([replace(NOISY, tau=tau)], JOINTS)
-    assert (
-        finding.name == "held"
-        and f"joint {JOINTS[joint]} stands still for 1.5 s" in finding.text
-    )
-
-
-def test_a_torque_in_coarse_steps_is_no_fault():
-    steps = replace(NOISY, tau=np.round(NOISY.tau / 0.01) * 0.01)
-    assert list(sensor_findings([steps], JOINTS)) == []
-
-
 # ---- against the model
+
+
+def log_of(truth):
+    """Return a log that was read, of an arm whose truth is known."""
+    pieces = (LogPiece.of(truth.log),)
+    names = truth.robot.joint_names
+    return MeasurementLog(
+        Path("log.csv"), None, truth.log, pieces, (), None, names, LogOptions()
+    )
 
 
 def test_a_note_is_printed_without_a_second_prefix(four_joints, monkeypatch):
@@ -142,20 +138,16 @@ def test_a_note_is_printed_without_a_second_prefix(four_joints, monkeypatch):
     progress = Progress()
     finding = Finding("delay", Level.NOTE, "it lags")
     monkeypatch.setattr(progress, "note", notes.append)
-    log = SimpleNamespace(
-        path="log.csv", pieces=(four_joints.log,), notes=(), torque_scale=None
-    )
+    log = log_of(four_joints)
     monkeypatch.setattr(
-        "robot_sysid.diagnosis.log_checks.check_against_model", lambda *_: (finding,)
+        "robot_sysid.diagnosis.log_checks.check_pieces", lambda *_: ((finding,), ())
     )
     check_log(four_joints.robot, log, (), progress)
     assert notes == ["it lags [delay]"] and finding.line() == "note: it lags [delay]"
 
 
 def test_a_log_that_cannot_be_checked_is_named(four_joints):
-    log = SimpleNamespace(
-        path="log.csv", pieces=(four_joints.log,), notes=(), torque_scale=None
-    )
+    log = log_of(four_joints)
     with pytest.raises(
         InputError,
         match=r"^log\.csv: the log's 12 s are too short for a cut-off of 0.001 Hz",
@@ -173,12 +165,10 @@ def test_of_a_log_that_mostly_rests_only_columns_are_checked(
     four_joints, monkeypatch, name, is_refused
 ):
     """The slow motion between poses shows turned signs and other units, and no contact for sure."""
-    log = SimpleNamespace(
-        path="log.csv", pieces=(four_joints.log,), notes=(), torque_scale=None
-    )
+    log = log_of(four_joints)
     finding = Finding(name, Level.WARN, "wrong")
     monkeypatch.setattr(
-        "robot_sysid.diagnosis.log_checks.check_against_model", lambda *_: (finding,)
+        "robot_sysid.diagnosis.log_checks.check_pieces", lambda *_: ((finding,), ())
     )
     robot = four_joints.robot
     with pytest.raises(SysidError):

@@ -1,0 +1,300 @@
+"""What a fault that lasts a moment costs: is it left out, is the rest used, and is that right?
+
+    python -m benchmarks.limited_in_time MODELS_FOLDER [--arms gen3 ur5e panda] [--seeds 10]
+        [--kinds push ...] [--duration 20] [--no-answers]
+
+Arms are those of ``benchmarks.real_arms``, off as real ones are. A log has one fault, from 0.3 to 3
+s long, at a random time. It is read from a file like a user's. Per kind of fault are counted: logs
+that are used, logs of which every moment of the fault is left out and at most 1.5 s beside it, the
+median of what is left out beside it, and the last link's mass: how many are within two stated
+errors, the largest error in stated ones, and how many may be trusted. "right" are logs without a
+fault: of these no row should be left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.confusion_causes import Scene, draw_scene, resting_torque
+from benchmarks.real_arms import ARMS
+from robot_sysid.errors import SysidError
+from robot_sysid.estimation.build_result import result_of
+from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
+from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.reader import MeasurementLog, open_log
+from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline.recordings import diagnose_logs
+from robot_sysid.records import Array, DataOrigin, RobotModel, Source
+from robot_sysid.records.file_access import temporary_folder
+from robot_sysid.records.messages import Progress
+
+_STREAM = 54
+_BESIDE = 1.5
+"""Time beside a fault that may be left out with it [s]."""
+Span = tuple[float, float]
+
+
+def force_torque(scene: Scene, link: int, force: Array) -> Array:
+    """Return the joints' torque (N, n) that holds a force (3,) at a link's origin [N, N m]."""
+    thetas = np.zeros_like(scene.robot.thetas)
+    thetas[link, 0] = 1.0
+    return resting_torque(scene.robot, scene.arm.motion.q, thetas, force)
+
+
+def draw_span(scene: Scene, shortest: float, longest: float) -> Span:
+    """Return the begin and end of a fault [s]."""
+    length = scene.rng.uniform(shortest, longest)
+    start = scene.rng.uniform(0.5, scene.log.time[-1] - length - 0.5)
+    return start, start + length
+
+
+def draw_force(scene: Scene, share: float) -> Array:
+    """Return a force (3,) in a random direction, as a share of the arm's weight [N]."""
+    direction = scene.rng.normal(size=3)
+    return share * scene.weight * direction / np.linalg.norm(direction)
+
+
+def bump(scene: Scene, span: Span) -> Array:
+    """Return half a sine wave over a span, zero elsewhere (N, 1)."""
+    phase = (scene.log.time - span[0]) / (span[1] - span[0])
+    wave = np.where((phase > 0.0) & (phase < 1.0), np.sin(np.pi * phase), 0.0)
+    return wave[:, None]
+
+
+def touched(scene: Scene, spans: list[Span], link: int, share: float) -> Scene:
+    """Return the scene with pushes on a link, each of a share of the arm's weight."""
+    for span in spans:
+        torque = force_torque(scene, link, draw_force(scene, share))
+        scene = scene.with_more_torque(bump(scene, span) * torque)
+    return scene
+
+
+def contact(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return a log with half a second of contact at the tip."""
+    spans = [draw_span(scene, 0.5, 0.5)]
+    return touched(scene, spans, scene.robot.n_joints - 1, 0.3), spans
+
+
+def pushes(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return a log with two pushes at the tip."""
+    middle = 0.5 * scene.log.time[-1]
+    spans = []
+    for shift in (0.0, middle):
+        start = shift + scene.rng.uniform(0.5, middle - 2.5)
+        spans.append((start, start + scene.rng.uniform(0.5, 2.0)))
+    return touched(scene, spans, scene.robot.n_joints - 1, 0.15), spans
+
+
+def hit_elbow(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return a log in which something hits the elbow."""
+    spans = [draw_span(scene, 0.3, 0.6)]
+    return touched(scene, spans, scene.robot.n_joints // 2, 0.3), spans
+
+
+def resting_hand(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return a log in which a hand rests on the tip and takes a twelfth of the arm's weight."""
+    span = draw_span(scene, 2.0, 3.0)
+    time = scene.log.time
+    fade = np.clip(np.minimum(time - span[0], span[1] - time) / 0.2, 0.0, 1.0)
+    force = np.array([0.0, 0.0, -0.08 * scene.weight])
+    torque = force_torque(scene, scene.robot.n_joints - 1, force)
+    return scene.with_more_torque(fade[:, None] * torque), [span]
+
+
+def with_torque_in(scene: Scene, span: Span, joint: int | None, value: float) -> Scene:
+    """Return the scene with one torque in a span, of one joint or all; NaN repeats the first."""
+    rows = rows_of(scene, span)
+    tau = scene.log.tau.copy()
+    block = tau[rows] if joint is None else tau[rows, joint : joint + 1]
+    block[:] = block[0] if np.isnan(value) else value
+    return replace(scene, log=replace(scene.log, tau=tau))
+
+
+def rows_of(scene: Scene, span: Span) -> slice:
+    """Return the rows of a span."""
+    first, last = np.searchsorted(scene.log.time, span)
+    return slice(int(first), int(last))
+
+
+def loaded_joint(scene: Scene) -> int:
+    """Return one of the joints with a fair share of the torque."""
+    load = scene.usual_torque
+    return int(scene.rng.choice(np.flatnonzero(load >= 0.1 * np.max(load))))
+
+
+def torque_zero(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return a log in which the torque of one joint, or of all, is zero for a while."""
+    span = draw_span(scene, 0.3, 3.0)
+    joint = None if scene.rng.random() < 0.5 else loaded_joint(scene)
+    return with_torque_in(scene, span, joint, 0.0), [span]
+
+
+def torque_stuck(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return a log in which the torque of one joint keeps its value for a while."""
+    span = draw_span(scene, 0.3, 3.0)
+    return with_torque_in(scene, span, loaded_joint(scene), np.nan), [span]
+
+
+def torque_saturated(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return a log in which the torque of one joint is at the end of its range for a while."""
+    span = draw_span(scene, 0.3, 3.0)
+    joint = loaded_joint(scene)
+    end = 1.2 * float(np.max(np.abs(scene.log.tau[:, joint])))
+    return with_torque_in(scene, span, joint, end), [span]
+
+
+def frozen_positions(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return a log in which the position of one joint, or of all, stands for a while."""
+    span = draw_span(scene, 0.3, 2.0)
+    rows = rows_of(scene, span)
+    q = scene.log.q.copy()
+    if scene.rng.random() < 0.5:
+        q[rows] = q[rows.start]
+    else:
+        joint = loaded_joint(scene)
+        q[rows, joint] = q[rows.start, joint]
+    return replace(scene, log=replace(scene.log, q=q)), [span]
+
+
+def gap(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return a log that lacks a stretch."""
+    span = draw_span(scene, 0.3, 3.0)
+    rows = rows_of(scene, span)
+    kept = {}
+    for name, values in vars(scene.log).items():
+        kept[name] = values if values is None else np.delete(values, rows, axis=0)
+    return replace(scene, log=type(scene.log)(**kept)), [span]
+
+
+def right(scene: Scene) -> tuple[Scene, list[Span]]:
+    """Return the scene as it is."""
+    return scene, []
+
+
+Kind = Callable[[Scene], "tuple[Scene, list[Span]]"]
+KINDS: dict[str, Kind] = {
+    kind.__name__: kind
+    for kind in (
+        right,
+        contact,
+        pushes,
+        hit_elbow,
+        resting_hand,
+        torque_zero,
+        torque_stuck,
+        torque_saturated,
+        frozen_positions,
+        gap,
+    )
+}
+
+
+def used_log(robot: RobotModel, scene: Scene) -> MeasurementLog | None:
+    """Return a scene's log as an identification uses it; None where it is refused."""
+    with temporary_folder() as folder:
+        path = folder / "log.csv"
+        write_measurement_csv(path, robot.joint_names, [scene.log])
+        try:
+            logs = [open_log(robot, path, LogOptions())]
+            logs = (
+                diagnose_logs(robot, logs, (), EstimationOptions(), Progress()) or logs
+            )
+        except SysidError as error:
+            print(f"    {error}"[:240].replace("\n", " "), flush=True)
+            return None
+    return logs[0]
+
+
+def beside(scene: Scene, spans: list[Span], log: MeasurementLog) -> float:
+    """Return the time that is left out beside a fault [s]; NaN where a part of it is used."""
+    times = []
+    for piece in log.pieces:
+        left_out = getattr(piece, "left_out", None)
+        times.append(piece.time if left_out is None else piece.time[~left_out])
+    used = np.concatenate(times)
+    step = float(np.median(np.diff(scene.log.time)))
+    missing = float(scene.arm.log.time[-1]) - step * (len(used) - 1)
+    for start, end in spans:
+        if np.any((used > start + 2.0 * step) & (used < end - 2.0 * step)):
+            return np.nan
+        missing -= end - start
+    return max(missing, 0.0)
+
+
+def mass_of(robot: RobotModel, log: MeasurementLog) -> tuple[float, float, bool]:
+    """Return the last link's mass, its error [kg], and whether the answer may be trusted."""
+    options = EstimationOptions()
+    pieces = [Piece("log", piece) for piece in log.pieces]
+    datasets, _ = low_pass_recordings(robot, pieces, options)
+    answer = answer_link(robot, datasets, options, Progress(), None)
+    origin = DataOrigin(Source.LOG, "log", log.duration, 250.0)
+    result = result_of(answer, origin)
+    link = result.links[-1]
+    return link.inertial.mass, float(link.errors[0]), result.verdict.is_trustworthy
+
+
+def line_of(kind: str, besides: list[float], count: int, answers: Array) -> str:
+    """Return the words of one kind: numbers of logs, and answers (m, 2)."""
+    beside_time = np.array(besides)
+    covered = int(np.sum(beside_time <= _BESIDE))
+    exposed = int(np.sum(np.isnan(beside_time)))
+    median = float(np.nanmedian(beside_time)) if np.any(beside_time >= 0.0) else np.nan
+    worst = float(np.nanmax(beside_time)) if np.any(beside_time >= 0.0) else np.nan
+    text = (
+        f"{kind:<18}{len(besides):4d} of {count:3d} used, {covered:3d} left out well, "
+    )
+    text += f"{exposed:3d} in part; beside {median:5.2f} s (at most {worst:5.2f})"
+    if len(answers):
+        z = np.abs(answers[:, 0])
+        text += f"; mass: {np.sum(z < 2.0):3d} of {len(z):3d} within two errors, "
+        text += f"largest {np.max(z):.2f}, trusted {int(np.sum(answers[:, 1]))}"
+    return text
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("models", type=Path)
+    parser.add_argument("--arms", nargs="+", default=["gen3", "ur5e", "panda"])
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
+    parser.add_argument("--duration", type=float, default=20.0)
+    parser.add_argument("--no-answers", action="store_true")
+    options = parser.parse_args()
+    robots = {arm: load_robot_model(options.models / ARMS[arm]) for arm in options.arms}
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    for kind in options.kinds:
+        besides = []
+        answers = []
+        for arm, robot in robots.items():
+            for seed in seeds:
+                path = options.models / ARMS[arm]
+                scene = draw_scene(path, arm, "real", options.duration, seed)
+                number = list(KINDS).index(kind)
+                rng = np.random.default_rng([seed, number, _STREAM])
+                scene, spans = KINDS[kind](replace(scene, rng=rng))
+                log = used_log(robot, scene)
+                if log is None:
+                    continue
+                besides.append(beside(scene, spans, log))
+                if np.isnan(besides[-1]) or besides[-1] > _BESIDE:
+                    print(f"    {arm} {seed} {spans}: {besides[-1]:.2f} s beside")
+                if not options.no_answers:
+                    mass, error, trusted = mass_of(robot, log)
+                    answers.append(((mass - scene.theta[0]) / error, trusted))
+        count = len(robots) * len(seeds)
+        print(line_of(kind, besides, count, np.array(answers)), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

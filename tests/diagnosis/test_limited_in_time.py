@@ -1,0 +1,201 @@
+"""Faults that last a moment: their stretch is left out, and the rest of the log is used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import robot_sysid
+from robot_sysid.diagnosis import Level
+from robot_sysid.diagnosis.limited_in_time import (
+    Stretch,
+    failed_sensors,
+    join,
+    leave_out,
+)
+from robot_sysid.diagnosis.log_checks import check_pieces
+from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.signals.frozen import equal_runs, frozen_positions
+from robot_sysid.signals.process import process
+from tests.diagnosis.conftest import FOUR_AXES, JOINT
+from tests.support import arms
+from tests.support.log_files import motion
+
+BEGIN, END = 4.0, 5.2
+"""When a fault acts [s]."""
+BESIDE = 1.5
+"""Longest time beside a fault that is left out with it [s]."""
+SAMPLES = motion(2000)
+NOISY = replace(
+    SAMPLES,
+    tau=SAMPLES.tau + 0.01 * np.random.default_rng(1).normal(size=SAMPLES.tau.shape),
+)
+
+
+def rows_between(log, begin=BEGIN, end=END):
+    """Return the rows (N,) of a stretch of a log."""
+    return (log.time >= begin) & (log.time <= end)
+
+
+def with_torque(log, torque):
+    """Return a log with more torque (N, n) while the fault acts."""
+    return replace(log, tau=log.tau + torque * rows_between(log)[:, None])
+
+
+def push(log):
+    """Return a log with half a sine wave of torque at all joints."""
+    wave = np.sin(np.pi * (log.time - BEGIN) / (END - BEGIN))
+    return with_torque(log, np.outer(wave, np.std(log.tau, axis=0)))
+
+
+def rest_hand(log):
+    """Return a log with a constant torque at two joints."""
+    return with_torque(log, 0.7 * np.std(log.tau, axis=0) * [0.0, 1.0, 1.0, 0.0])
+
+
+def hold_torque(log, joint, value=None):
+    """Return a log in which the torque of a joint has one value."""
+    tau = log.tau.copy()
+    rows = rows_between(log)
+    tau[rows, joint] = tau[rows, joint][0] if value is None else value
+    return replace(log, tau=tau)
+
+
+def freeze(log, joints):
+    """Return a log in which the positions of joints stand."""
+    q = log.q.copy()
+    rows = np.flatnonzero(rows_between(log))
+    q[np.ix_(rows, joints)] = q[rows[0], joints]
+    return replace(log, q=q, qd=None)
+
+
+FAULTS = {
+    "push": push,
+    "hand": rest_hand,
+    "no torque": lambda log: hold_torque(log, 1, 0.0),
+    "held torque": lambda log: hold_torque(log, 2),
+    "torque at its end": lambda log: hold_torque(log, 1, 1.3 * np.max(log.tau[:, 1])),
+    "one frozen position": lambda log: freeze(log, [2]),
+    "all positions frozen": lambda log: freeze(log, [0, 1, 2, 3]),
+}
+"""Name of a fault that lasts a moment to the function that puts it into a log of four joints."""
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_that_lasts_a_moment_is_left_out_and_said(four_joints, fault):
+    log = FAULTS[fault](four_joints.log)
+    findings, (piece,) = check_pieces(four_joints.robot, [log])
+    assert findings and all(finding.is_left_out for finding in findings), findings
+    assert all("left out" in finding.text for finding in findings)
+    within = rows_between(log, BEGIN + 0.02, END - 0.02)
+    assert np.all(piece.left_out[within])
+    beside = np.sum(piece.left_out & ~rows_between(log)) * np.median(np.diff(log.time))
+    assert beside <= BESIDE
+    used = process(piece).is_complete()
+    assert 0.5 < np.mean(used) < 1.0
+
+
+@pytest.mark.parametrize(
+    "spans",
+    [[(0.5 + k, 0.9 + k) for k in range(8)], [(1.0, 9.0)]],
+    ids=["often", "most of the log"],
+)
+def test_a_fault_that_comes_back_or_lasts_stops_the_identification(four_joints, spans):
+    tau = four_joints.log.tau.copy()
+    for span in spans:
+        tau[rows_between(four_joints.log, *span), 1] = 0.0
+    log = replace(four_joints.log, tau=tau)
+    findings, (piece,) = check_pieces(four_joints.robot, [log])
+    assert any(f.name == "held" and f.level is Level.WARN for f in findings)
+    assert piece.left_out is None
+
+
+def test_pushes_that_come_back_stop_the_identification(four_joints):
+    log = four_joints.log
+    waves = np.maximum(np.sin(2.0 * np.pi * log.time), 0.0) * (np.sin(log.time) > 0.0)
+    tau = log.tau + np.outer(waves, 0.5 * np.std(log.tau, axis=0))
+    findings, _ = check_pieces(four_joints.robot, [replace(log, tau=tau)])
+    assert any(finding.level is not Level.NOTE for finding in findings)
+
+
+def test_nothing_of_a_right_log_is_left_out(four_joints, truth):
+    for right in (four_joints, truth):
+        findings, (piece,) = check_pieces(right.robot, [right.log])
+        assert findings == () and piece.left_out is None
+
+
+SPANS = st.lists(
+    st.builds(
+        lambda start, length: Stretch(start, start + length, frozenset([1])),
+        st.floats(-1.0, 11.0),
+        st.floats(0.0, 3.0),
+    ),
+    max_size=4,
+)
+
+
+@given(SPANS, SPANS)
+def test_leaving_out_more_never_uses_more_rows(first, second):
+    """Nothing but what is left out changes, and the order of stretches does not matter."""
+    once = leave_out([SAMPLES], first)
+    (twice,) = leave_out(once, second)
+    (together,) = leave_out([SAMPLES], join([*second, *first]))
+    left_out = np.zeros(len(SAMPLES), dtype=bool)
+    for stretch in (*first, *second):
+        left_out |= rows_between(SAMPLES, stretch.start, stretch.stop)
+    for piece in (twice, together):
+        found = np.zeros_like(left_out) if piece.left_out is None else piece.left_out
+        np.testing.assert_array_equal(found, left_out)
+        np.testing.assert_array_equal(piece.q, SAMPLES.q)
+
+
+@given(st.permutations(range(3)), st.integers(0, 2), st.integers(300, 1500))
+def test_what_is_left_out_does_not_depend_on_the_order_of_joints(order, joint, start):
+    log = NOISY
+    tau = log.tau.copy()
+    q = log.q.copy()
+    tau[start : start + 200, joint] = tau[start, joint]
+    q[start + 100 : start + 260, (joint + 1) % 3] = q[start + 100, (joint + 1) % 3]
+    log = replace(log, q=q, tau=tau)
+    order = list(order)
+    turned = replace(log, q=q[:, order], tau=tau[:, order])
+    stretches = failed_sensors([log])
+    assert stretches
+    for stretch, other in zip(stretches, failed_sensors([turned])):
+        assert (stretch.start, stretch.stop) == (other.start, other.stop)
+        assert stretch.joints == {order[joint] for joint in other.joints}
+
+
+def test_coarse_steps_and_joints_at_rest_are_no_failed_sensors():
+    coarse = replace(
+        NOISY, q=np.round(NOISY.q / 0.01) * 0.01, tau=np.round(NOISY.tau / 0.05) * 0.05
+    )
+    assert failed_sensors([NOISY]) == failed_sensors([coarse]) == []
+    resting = NOISY.q.copy()
+    resting[:600, 1] = resting[600, 1]
+    assert failed_sensors([replace(NOISY, q=resting)]) == []
+
+
+def test_a_zero_that_shifts_is_no_frozen_position():
+    """The joint stands, and then its reading jumps farther than it could have moved."""
+    time = SAMPLES.time
+    q = SAMPLES.q[:, 0].copy()
+    q[400:500] = q[400]
+    assert list(equal_runs(time, q)) == [slice(400, 500)]
+    q[500:] += 20.0
+    assert list(frozen_positions(time, q)) == []
+
+
+def test_an_identification_uses_the_rest_and_carries_the_note(four_joints, tmp_path):
+    path = tmp_path / "log.csv"
+    names = four_joints.robot.joint_names
+    write_measurement_csv(path, names, [push(four_joints.log)])
+    (tmp_path / "arm.xml").write_text(arms.serial_arm(FOUR_AXES, joint=JOINT))
+    result = robot_sysid.identify(tmp_path / "arm.xml", path)
+    assert any("something touched the arm" in note for note in result.notes)
+    error = result.theta[0] - four_joints.theta[0]
+    assert abs(error) < 2.0 * result.standard_errors["m"]
