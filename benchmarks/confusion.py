@@ -188,7 +188,7 @@ class Outcome:
         ties = [f for f in self.findings if ALTERNATIVES in f.text]
         names = {f.name for f in self.findings if f not in ties}
         if any(OTHER_ARM in text for text in texts):
-            names.add("model")
+            names.add("other arm")
         named = [not names.isdisjoint(fault) for fault in cause.faults]
         if cause.words and any(re.search(cause.words, text) for text in texts):
             named = [True]

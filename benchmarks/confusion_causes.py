@@ -563,7 +563,7 @@ MODEL_CAUSES = {
         partial(wrong_units, 1.0, 1e6), (("model",),), INERTIAS
     ),
     "heavy_link": Cause(heavy_link, (("model", "link"),), "probably wrong|contradict"),
-    "sibling": Cause(sibling, (("model",),), "another arm"),
+    "sibling": Cause(sibling, (("model", "other arm"),)),
     "mounted_at_10": Cause(partial(mount, 10.0), (("tilt",),), "tilted|mounted"),
     "mounted_at_45": Cause(partial(mount, 45.0), (("tilt",),), "tilted|mounted"),
     "mounted_at_90": Cause(partial(mount, 90.0), (("tilt",),), "tilted|mounted"),
@@ -636,7 +636,7 @@ CAUSES: dict[str, Cause] = {
     ),
     **causes_of_logs(("saturated",), "saturated_sensor"),
     **causes_of_logs(("held",), "held"),
-    **causes_of_logs(("model",), "other_arm"),
+    **causes_of_logs(("model", "other arm"), "other_arm"),
     **MODEL_CAUSES,
     **COMBINED_CAUSES,
 }
