@@ -1,0 +1,313 @@
+"""What the data decides about a question: motors that turn several joints, and links' priors.
+
+Both are decided by the marginal likelihood: held-out torques show neither confounded links nor, in
+a short log, a coupled motor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from robot_sysid.dynamics.equations import names_of
+from robot_sysid.dynamics.friction import Coupling
+from robot_sysid.dynamics.spatial import N_INERTIAL
+from robot_sysid.estimate.fit import Fit, correlation_times, fit
+from robot_sysid.estimate.links import (
+    LinkEvidence,
+    LinkScales,
+    average_scales,
+    link_directions,
+    link_lengths,
+)
+from robot_sysid.estimate.questions import (
+    LEAST_DRY,
+    PER_CENT,
+    Question,
+    arm_question,
+    friction_columns,
+    is_stated,
+)
+from robot_sysid.estimate.rows import Recording, Sums
+from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent
+from robot_sysid.model.chain import shared_motors
+from robot_sysid.records import Array, RobotModel
+
+CLEAR = 15.0
+"""Least gain in the log marginal likelihood at which something is named: a motor that turns two
+joints, or a fault. A Staubli TX40's wrist gives 114 to 148, 38 right logs at most 10 for any fault."""
+_ROUNDS = 3
+"""Linearisations of a question with a payload, whose torque scales multiply it."""
+_SAME = 1.0 - 1e-9
+"""Cosine between the ratios of two motors above which they are one."""
+
+
+def solved(
+    robot: RobotModel,
+    recordings: Sequence[Recording],
+    question: Question,
+    progress: object = None,
+) -> Fit:
+    """Return the fit of a question with all that the data decides about it.
+
+    Raises:
+        InputError: no joint moves fast enough for its equations to be used.
+    """
+    options = question.options
+    stated, offered = motors_of(robot, options.torques)
+    if question.resting:
+        offered = ()
+    friction = friction_columns(options)
+
+    def arm_of(motors: Sequence[Coupling]) -> ArmTerms:
+        """Return all terms of the arm with some motors."""
+        return ArmTerms(
+            robot, options.torques, motors, friction, question.loaded, question.drifts
+        )
+
+    arm = arm_of((*stated, *offered))
+    question = replace(question, motors=tuple(motor.name for motor in stated))
+    point = arm.start()
+    sums = arm.sums(recordings, point)
+    torque = rms_torque(sums)
+    noise = correlation = None
+
+    def fitted(possible: bool = False) -> Fit:
+        """Return the fit of the question as it is now."""
+        terms = arm_question(arm, question, torque)
+        return fit(
+            arm,
+            recordings,
+            point,
+            sums,
+            terms,
+            noise=noise,
+            correlation=correlation,
+            possible=possible,
+            question=question,
+        )
+
+    current = fitted()
+    for _ in range(_ROUNDS if question.loaded else 2):
+        question = replace(question, dry=dry_friction(current))
+        noise = current.noise
+        correlation = correlation_times(current.residuals())
+        current = fitted()
+        if offered:
+            motors = choose_motors(current, offered, question)
+            question = replace(question, motors=tuple(motor.name for motor in motors))
+            arm = arm_of(motors)
+            offered = ()
+        point = current.next_point()
+        sums = arm.sums(recordings, point)
+        current = fitted()
+    evidence = link_evidence(current)
+    if evidence is not None:
+        question = replace(question, link_scales=average_scales(evidence))
+    noise = current.noise
+    return fitted(possible=True)
+
+
+def rms_torque(sums: Sums) -> Array:
+    """Return the root mean square (J,) of each joint's torque [N m]."""
+    counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
+    return np.asarray(np.sqrt(np.sum(sums.squared_torque, axis=0) / counts))
+
+
+def dry_friction(fitted: Fit) -> tuple[float, ...]:
+    """Return the dry friction (J,) of a fit [N m]: Coulomb and sigmoid terms added up."""
+    sizes = np.zeros(len(fitted.arm.joints))
+    for term in ("coulomb", "sigmoid"):
+        names = names_of(term, fitted.arm.joints)
+        sizes += np.abs([fitted.by_name.get(name, 0.0) for name in names])
+    return tuple(sizes.tolist())
+
+
+def choose_motors(
+    fitted: Fit, offered: Sequence[Coupling], question: Question
+) -> tuple[Coupling, ...]:
+    """Return the motors of a question and those of the offered ones that torques clearly show."""
+    arm = fitted.arm
+    present = [motor for motor in arm.motors if motor.name in question.motors]
+    current = fitted
+    while True:
+        best, gain = None, CLEAR
+        names = [motor.name for motor in present]
+        trials = []
+        for motor in offered:
+            if motor.name not in names:
+                prior = _motor_prior(current, motor)
+                term = replace(arm.terms[motor.name], prior=prior)
+                trials.append((current.gain(term), len(trials), motor, term))
+        for first, _, motor, term in sorted(trials)[-2:]:
+            if first < 0.5 * CLEAR:
+                continue
+            wider = fit(
+                arm,
+                current.recordings,
+                current.point,
+                current.sums,
+                [*current.equations.terms, term],
+                noise=current.noise,
+                correlation=current.correlation,
+                possible=False,
+                question=question,
+            )
+            if wider.log_evidence - current.log_evidence > gain:
+                gain = wider.log_evidence - current.log_evidence
+                best = motor, wider
+        if best is None:
+            return tuple(present)
+        present.append(best[0])
+        current = best[1]
+
+
+def _motor_prior(fitted: Fit, motor: Coupling) -> object:
+    """Return the prior of a motor's parameters: as large as those of the joints that it turns.
+
+    They make at least a share ``LEAST_DRY`` of a joint's root mean square torque.
+    """
+    arm = fitted.arm
+    torque = rms_torque(fitted.sums)
+    sizes = []
+    for name in arm.terms[motor.name].names:
+        term = name.partition("[")[0]
+        index = fitted.sums.names.index(name)
+        size = 1e-9
+        for joint in np.flatnonzero(motor.ratios):
+            own = f"{term}[{arm.robot.joint_names[joint]}]"
+            size = max(size, abs(fitted.by_name.get(own, 0.0)))
+            columns = fitted.sums.columns[joint]
+            at = np.flatnonzero(columns == index)
+            square = fitted.sums.totals[joint][at, at].sum()
+            count = max(float(np.sum(fitted.sums.counts[:, joint])), 1.0)
+            if square > 0.0:
+                size = max(size, LEAST_DRY * torque[joint] / np.sqrt(square / count))
+        sizes.append(size)
+    return independent(sizes)
+
+
+def link_evidence(fitted: Fit) -> LinkEvidence | None:
+    """Return the evidence of a fit on how far the links before the last are off the model.
+
+    Only links count that the model states, not placeholders; None where there is none.
+    """
+    arm = fitted.arm
+    equations = fitted.equations
+    found = [k for k, term in enumerate(equations.terms) if term.cause == LINKS]
+    stated = is_stated(arm)
+    if not found or not np.any(stated):
+        return None
+    span = equations.spans[found[0]]
+    prior = equations.terms[found[0]].prior
+    assert prior is not None
+    normal = equations.data(fitted.weights) + equations.prior
+    # The links' own prior does not count; that of placeholders does.
+    rows = prior.rows.copy()
+    own = np.repeat(stated, N_INERTIAL)
+    rows = rows[own]
+    at = np.append(np.arange(span.start, span.stop), len(normal) - 1)
+    normal[np.ix_(at, at)] -= rows.T @ rows
+    keep = np.arange(span.start, span.stop)[own]
+    curvature, pull = eliminate(normal, keep)
+    mean = prior.mean[own]
+    links = [arm.others[k] for k in np.flatnonzero(stated)]
+    thetas = tuple(tuple(body) for body in mean.reshape(-1, N_INERTIAL))
+    lengths = tuple(link_lengths(arm.robot, links))
+    assert fitted.question is not None
+    share = PER_CENT * fitted.question.options.priors.link
+    directions = share * link_directions(thetas, lengths)
+    return LinkEvidence(
+        len(links),
+        directions.T @ curvature @ directions,
+        directions.T @ (pull - curvature @ mean),
+    )
+
+
+def eliminate(normal: Array, keep: Array) -> tuple[Array, Array]:
+    """Return (matrix (k, k), right-hand side (k,)) of some parameters, all others eliminated.
+
+    The Schur complement in products [A b]' [A b] (p + 1, p + 1); ``keep`` (k,) are indices.
+    """
+    others = np.setdiff1d(np.arange(len(normal) - 1), keep)
+    at = np.append(keep, len(normal) - 1)
+    diagonal = np.diag(normal)[others]
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    scaled = scale[:, None] * normal[np.ix_(others, others)] * scale
+    scaled[np.diag_indices_from(scaled)] += 1e-12
+    crossed = scale[:, None] * normal[np.ix_(others, at)]
+    rest = normal[np.ix_(at, at)] - crossed.T @ np.linalg.solve(scaled, crossed)
+    return 0.5 * (rest + rest.T)[:-1, :-1], rest[:-1, -1]
+
+
+def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Coupling:
+    """Return the motor that turns several joints, named after them ("joint_5+joint_6").
+
+    Args:
+        ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
+        tendon: MuJoCo id of the model's fixed tendon that is this motor; or None.
+    """
+    text = ""
+    for joint, ratio in zip(robot.joint_names, ratios):
+        if ratio < 0.0:
+            text += "-"
+        elif ratio > 0.0 and text:
+            text += "+"
+        if ratio != 0.0:
+            text += joint if abs(ratio) == 1.0 else f"{abs(ratio):g}*{joint}"
+    motor = Coupling(np.asarray(ratios, dtype=float), text)
+    if tendon is None:
+        return motor
+    model = robot.mj_model
+    of_tendon = {
+        "coulomb": model.tendon_frictionloss[tendon],
+        "viscous": np.ravel(model.tendon_damping[tendon])[0],
+    }
+    if hasattr(model, "tendon_armature"):  # since MuJoCo 3.2.7
+        of_tendon["armature"] = model.tendon_armature[tendon]
+    values = [float(of_tendon.get(term, 0.0)) for term in motor.terms]
+    return replace(motor, model=np.array(values), tendon=tendon)
+
+
+def motors_of(
+    robot: RobotModel, torques: str
+) -> tuple[tuple[Coupling, ...], tuple[Coupling, ...]]:
+    """Return (motors of the model that turn several joints, those that an arm may have beside).
+
+    The model's are fixed tendons with friction or rotor inertia. Others are those of each joint
+    with the next one; torques of the last joint alone show none.
+    """
+    if torques != "chain":
+        return (), ()
+    stated = []
+    for tendon, ratios in shared_motors(robot.mj_model, robot.dof_index).items():
+        motor = coupling(robot, ratios, tendon)
+        if np.any(motor.model):
+            stated.append(motor)
+    return tuple(stated), tuple(_missing(neighbours(robot), stated))
+
+
+def neighbours(robot: RobotModel) -> Iterator[Coupling]:
+    """Yield the motors that turn each joint with the next one, with ratios (1, 1) and (1, -1)."""
+    for joint in range(robot.n_joints - 1):
+        for sign in (1.0, -1.0):
+            ratios = np.zeros(robot.n_joints)
+            ratios[joint : joint + 2] = 1.0, sign
+            yield coupling(robot, ratios)
+
+
+def _missing(
+    motors: Iterator[Coupling], present: Sequence[Coupling]
+) -> Iterator[Coupling]:
+    """Yield the motors whose ratios are not parallel to those of any present one."""
+    for motor in motors:
+        direction = motor.ratios / np.linalg.norm(motor.ratios)
+        cosines = [0.0]
+        for other in present:
+            cosines.append(
+                abs(float(direction @ other.ratios / np.linalg.norm(other.ratios)))
+            )
+        if max(cosines) <= _SAME:
+            yield motor

@@ -1,0 +1,575 @@
+"""The fit: all terms of a question solved at once, with noise, bounds, bodies and errors.
+
+Each joint's rows are weighted by 1 / (noise sqrt(correlation time)): rows that are not independent
+count less. Noise and estimate are found from each other (iterated feasible generalised least
+squares; Oberhofer, Kmenta 1974). Parameters that cross a bound are held at it, and bodies are made
+possible ones where they are not.
+
+Errors are the larger one of two: the covariance C = (Y' W Y + P)^-1 that noise and priors imply,
+and the jackknife over blocks of time, (B - 1)/B sum_b (x_b - mean)^2 with x_b the estimate without
+block b, which also sees what no prior names (Quenouille 1956; Wu, "Jackknife, bootstrap and other
+resampling methods in regression analysis", Annals of Statistics 14(4), 1986).
+
+Shapes: p parameters in the sums, k of them estimated, J joints with equations, B blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import link_names
+from robot_sysid.dynamics.spatial import N_INERTIAL
+from robot_sysid.estimate.bodies import LinksProblem, consistent_least_squares
+from robot_sysid.estimate.rows import Recording, Sums
+from robot_sysid.estimate.terms import (
+    FRICTION,
+    FURTHER_FRICTION,
+    PAYLOAD,
+    SCALES,
+    ArmTerms,
+    Point,
+    Term,
+)
+from robot_sysid.records import Array
+
+# Rounds in which noise and estimate are found from each other.
+_NOISE_ROUNDS = 12
+# Relative change of the noise below which it has converged.
+_SETTLED = 1e-3
+# Rounds that hold further parameters at their bounds.
+_BOUND_ROUNDS = 6
+# Least noise of a joint, as a share of the root mean square torque of all: the error of filtering.
+_LEAST_NOISE = 1e-4
+# Added to the diagonal of scaled equations: parameters that nothing shows stay at the model's.
+_RIDGE = 1e-12
+# Variance of a parameter, over that of its column alone, above which nothing shows it.
+_HIDDEN = 1e9
+# Largest lag of a residual's autocorrelation, as a share of the rows.
+_LONGEST_LAG = 0.1
+
+
+class Equations:
+    """Normal equations of a question's k parameters: data and priors, all others held.
+
+    Args:
+        sums: of all rows, in p parameters.
+        terms: the question.
+        held: (p,) values of the parameters that are not estimated.
+
+    Attributes:
+        index: (k,) of the estimated parameters in ``sums.names``.
+        names: (k,) their names.
+        usual: (k,) values that stay where nothing shows them.
+        prior: (k + 1, k + 1) products of the priors' equations.
+    """
+
+    def __init__(self, sums: Sums, terms: Sequence[Term], held: Array) -> None:
+        self.sums = sums
+        self.held = held
+        self.terms = tuple(terms)
+        self.names = tuple(name for term in terms for name in term.names)
+        places = {name: index for index, name in enumerate(sums.names)}
+        self.index = np.array([places[name] for name in self.names], dtype=np.int64)
+        self.others = np.setdiff1d(np.flatnonzero(held), self.index)
+        size = len(self.names)
+        self.prior = np.zeros((size + 1, size + 1))
+        self.usual = np.zeros(size)
+        self.spans: list[slice] = []
+        self.log_prior = 0.0
+        start = 0
+        for term in terms:
+            span = slice(start, start + len(term.names))
+            start = span.stop
+            self.spans.append(span)
+            if term.usual is not None:
+                self.usual[span] = term.usual
+            if term.prior is not None:
+                at = np.append(np.arange(span.start, span.stop), size)
+                self.prior[np.ix_(at, at)] += term.prior.rows.T @ term.prior.rows
+                self.log_prior += np.linalg.slogdet(term.prior.factor)[1]
+                self.usual[span] = term.prior.mean
+
+    def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
+        """Return the products (k + 1, k + 1) of weighted rows, the held torque subtracted."""
+        normal = self.sums.normal(weights, blocks)
+        at = np.append(self.index, -1)
+        reduced = normal[np.ix_(at, at)]
+        if len(self.others):
+            held = self.held[self.others]
+            moved = normal[np.ix_(at, self.others)] @ held
+            reduced[:, -1] -= moved
+            reduced[-1] -= moved
+            reduced[-1, -1] += held @ normal[np.ix_(self.others, self.others)] @ held
+        return reduced
+
+    def full(self, values: Array) -> Array:
+        """Return all parameters (p,) from the estimated ones (k,)."""
+        full = self.held.copy()
+        full[self.index] = values
+        return full
+
+
+def solve(
+    normal: Array, usual: Array, kept: NDArray[np.bool_] | None = None
+) -> tuple[Array, Array]:
+    """Return (solution (k,), inverse (k, k)) of products [A b]'[A b] (k + 1, k + 1).
+
+    Directions that nothing shows stay at ``usual`` (k,). Parameters that are not ``kept`` (k,) stay
+    there, too; their rows of the inverse are zero.
+    """
+    size = len(usual)
+    at = np.arange(size) if kept is None else np.flatnonzero(kept)
+    matrix = normal[np.ix_(at, at)]
+    gradient = normal[at, -1] - normal[np.ix_(at, range(size))] @ usual
+    unit = _inverse(matrix)
+    inverse = np.zeros((size, size))
+    inverse[np.ix_(at, at)] = unit
+    values = usual.copy()
+    values[at] += unit @ gradient
+    # One step of refinement: the inverse of nearly singular equations has lost digits.
+    values[at] += unit @ (normal[at, -1] - normal[np.ix_(at, range(size))] @ values)
+    return values, inverse
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a normal matrix (k, k), regular but for rounding."""
+    length = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale = 1.0 / np.where(length > 0.0, length, 1.0)
+    scaled = scale[:, None] * matrix * scale
+    scaled[np.diag_indices_from(scaled)] += _RIDGE
+    try:
+        np.linalg.cholesky(scaled)
+    except np.linalg.LinAlgError:
+        # Rounding has made it indefinite: its positive part.
+        values, vectors = np.linalg.eigh(scaled)
+        half = vectors / np.sqrt(np.maximum(values, _RIDGE))
+        return scale[:, None] * (half @ half.T) * scale
+    inverse = np.linalg.inv(scaled)
+    return np.asarray(scale[:, None] * (0.5 * (inverse + inverse.T)) * scale)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The answer to a question: values, errors, noise.
+
+    Attributes:
+        arm: all terms of the arm.
+        recordings: that were fitted.
+        point: around which terms were linearised.
+        equations: the question's equations.
+        noise: (J,) standard deviation of each joint's torque [N m].
+        correlation: (J,) rows that count as one independent row.
+        free: (k,) estimate in which bodies may be impossible.
+        values: (k,) the estimate.
+        inverse: (k, k) covariance that noise and priors imply.
+        alone: (B, k) estimate without each block in turn.
+    """
+
+    arm: ArmTerms
+    recordings: tuple[Recording, ...]
+    point: Point
+    equations: Equations
+    noise: Array
+    correlation: Array
+    free: Array
+    values: Array
+    inverse: Array
+    alone: Array
+    at_bound: tuple[str, ...] = ()
+    question: Any = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names (k,) of the estimated parameters."""
+        return self.equations.names
+
+    @property
+    def sums(self) -> Sums:
+        """Sums of all rows."""
+        return self.equations.sums
+
+    @property
+    def weights(self) -> Array:
+        """Weights (J,) of each joint's rows [1/(N m)]."""
+        return 1.0 / (self.noise * np.sqrt(self.correlation))
+
+    @cached_property
+    def full(self) -> Array:
+        """All parameters (p,), those that are held included."""
+        return self.equations.full(self.values)
+
+    @cached_property
+    def by_name(self) -> dict[str, float]:
+        """Name of each parameter, estimated or held, to its value."""
+        return dict(zip(self.sums.names, self.full.tolist()))
+
+    @cached_property
+    def is_hidden(self) -> NDArray[np.bool_]:
+        """Which estimated parameters (k,) nothing shows."""
+        normal = self.equations.data(self.weights) + self.equations.prior
+        return np.diag(self.inverse) * np.diag(normal)[:-1] > _HIDDEN
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (k, k) of the errors: the larger one of formal errors and jackknife.
+
+        A parameter's formal error is raised to that of the jackknife where that is larger.
+        """
+        formal = np.diag(self.inverse)
+        raised = np.sqrt(np.maximum(self.jackknife / np.maximum(formal, 1e-300), 1.0))
+        raised = np.where(self.is_hidden, 1.0, raised)
+        return raised[:, None] * (self.inverse + self.scale_errors) * raised
+
+    @cached_property
+    def jackknife(self) -> Array:
+        """Variance (k,) of each parameter by the jackknife over blocks."""
+        count = len(self.alone)
+        if count < 2:
+            return np.zeros(len(self.names))
+        return (count - 1.0) * np.var(self.alone, axis=0)
+
+    @cached_property
+    def scale_errors(self) -> Array:
+        """Covariance (k, k) of what torque scales do beyond their columns.
+
+        Friction and rotors are in units of the sensor: their relative error is that of their
+        joint's scale. A payload has that of an error which all scales share.
+        """
+        spread = np.zeros((len(self.names), len(self.names)))
+        scales = [
+            t for t in self.equations.terms if t.cause == SCALES and t.prior is not None
+        ]
+        if not scales:
+            return spread
+        deviations = np.sqrt(scales[0].prior.variances)  # type: ignore[union-attr]
+        owners = dict(zip(self.arm.joints, deviations))
+        for joint, deviation in owners.items():
+            effect = np.zeros(len(self.names))
+            for term, span in zip(self.equations.terms, self.equations.spans):
+                if term.cause in (FRICTION, FURTHER_FRICTION):
+                    for k, name in enumerate(term.names, span.start):
+                        if name.endswith(f"[{joint}]") and not name.startswith("load["):
+                            effect[k] = deviation * self.values[k]
+            spread += np.outer(effect, effect)
+        for term, span in zip(self.equations.terms, self.equations.spans):
+            if term.cause == PAYLOAD:
+                shared = float(np.sqrt(np.mean(deviations**2) / len(deviations)))
+                effect = np.zeros(len(self.names))
+                effect[span] = shared * self.values[span]
+                spread += np.outer(effect, effect)
+        return spread
+
+    @property
+    def errors(self) -> Array:
+        """Standard errors (k,), infinite where nothing shows a parameter."""
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.where(self.is_hidden, np.inf, errors)
+
+    def budget(self, combinations: Array) -> dict[str, Array]:
+        """Return cause to the standard errors (m,) that it alone makes in combinations (m, k)."""
+        budget: dict[str, Array] = {}
+        moved = combinations @ self.inverse
+        rest = np.sum(moved * combinations, axis=1)
+        for term, span in zip(self.equations.terms, self.equations.spans):
+            if term.prior is not None:
+                part = np.sum((moved[:, span] @ term.prior.rows[:, :-1].T) ** 2, axis=1)
+                rest = rest - part
+                budget[term.cause] = budget.get(term.cause, 0.0) + part
+        scales = np.sum((combinations @ self.scale_errors) * combinations, axis=1)
+        budget[SCALES] = budget.get(SCALES, 0.0) + scales
+        causes = {"noise": np.maximum(rest, 0.0), **budget}
+        return {cause: np.sqrt(variances) for cause, variances in causes.items()}
+
+    def share(self) -> Array:
+        """Return the share (k,), 0 to 1, of each value that comes from the data, not the prior."""
+        share = np.where(self.is_hidden, 0.0, 1.0)
+        for term, span in zip(self.equations.terms, self.equations.spans):
+            if term.prior is not None:
+                left = np.diag(self.inverse)[span] / term.prior.variances
+                share[span] = np.minimum(share[span], np.clip(1.0 - left, 0.0, 1.0))
+        return share
+
+    def at(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Return the indices of named parameters among the estimated ones."""
+        return np.array([self.names.index(name) for name in names], dtype=np.int64)
+
+    @cached_property
+    def held_out(self) -> Array:
+        """Squared errors (B, J) of blocks predicted from the others [N^2 m^2]."""
+        squares = []
+        for block, values in enumerate(self.alone):
+            full = self.equations.full(values)
+            squares.append(self.sums.squared_residuals(full, block))
+        return np.array(squares)
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log marginal likelihood of the data under the question, up to a constant (MacKay 1992).
+
+        Noise is that of this fit: its size counts, by the number of independent rows.
+        """
+        normal = self.equations.data(self.weights) + self.equations.prior
+        values, inverse = solve(normal, self.equations.usual)
+        change = np.append(-values, 1.0)
+        misfit = float(change @ normal @ change)
+        independent = np.sum(self.sums.counts, axis=0) / self.correlation
+        size = float(independent @ np.log(self.noise))
+        log_inverse = np.linalg.slogdet(inverse)[1]
+        return 0.5 * (log_inverse - misfit) - size - self.equations.log_prior
+
+    def gain(self, term: Term) -> float:
+        """Return the gain in the log marginal likelihood by one more term, the noise as it is."""
+        index = np.array([self.sums.names.index(name) for name in term.names])
+        assert term.prior is not None
+        normal = self.sums.normal(self.weights)
+        own = self.equations.index
+        full = self.full
+        pull = normal[index, -1] - normal[np.ix_(index, range(len(full)))] @ full
+        crossed = normal[np.ix_(index, own)]
+        left = normal[np.ix_(index, index)] - crossed @ self.inverse @ crossed.T
+        factor = term.prior.factor
+        inner = np.eye(len(index)) + factor.T @ left @ factor
+        moved = factor.T @ pull
+        return float(
+            0.5 * moved @ np.linalg.solve(inner, moved)
+            - 0.5 * np.linalg.slogdet(inner)[1]
+        )
+
+    def next_point(self) -> Point:
+        """Return the point for the next linearisation, at this estimate."""
+        robot = self.arm.robot
+        thetas = self.point.thetas.copy()
+        values = self.by_name
+        free = dict(zip(self.names, self.free.tolist()))
+        last = [values[name] for name in spatial.PARAMETER_NAMES]
+        thetas[-1] = last
+        payload = self.point.payload
+        if "m(payload)" in free:
+            names = [f"{name}(payload)" for name in spatial.PARAMETER_NAMES]
+            payload = np.array([free[name] for name in names])
+        if "m(payload)" in free:
+            for link in self.arm.others:
+                thetas[link] = [values[name] for name in link_names(robot, link)]
+        else:
+            thetas[:-1] = robot.thetas[:-1]
+        friction = {name: values[name] for name in values if "[" in name}
+        return replace(self.point, thetas=thetas, payload=payload, friction=friction)
+
+    def residuals(self) -> Array:
+        """Return the residual torque (K of all recordings, J) [N m]; NaN where not used."""
+        residuals = []
+        for recording in self.recordings:
+            for part in recording.parts(36 * self.arm.robot.n_joints):
+                measured = recording.torque[part.rows][:, self.arm.indices]
+                predicted = self.arm.torque(part, self.point, self.by_name)
+                used = recording.used[part.rows][:, self.arm.indices]
+                residuals.append(np.where(used, measured - predicted, np.nan))
+        return np.concatenate(residuals)
+
+
+def fit(
+    arm: ArmTerms,
+    recordings: Sequence[Recording],
+    point: Point,
+    sums: Sums,
+    terms: Sequence[Term],
+    held: Mapping[str, float] | None = None,
+    noise: Array | None = None,
+    correlation: Array | None = None,
+    possible: bool = True,
+    question: Any = None,
+) -> Fit:
+    """Return the fit of a question.
+
+    Args:
+        arm: all terms of the arm.
+        recordings: the recordings, to draw them and to take residuals.
+        point: around which the sums were made.
+        sums: of all rows.
+        terms: the question: its parameters, with priors and bounds.
+        held: name to value of parameters that are not estimated; the model's values, else zero.
+        noise: (J,) to begin with [N m].
+        correlation: (J,) rows that count as one independent row; one by default.
+        possible: whether bodies have to be possible ones.
+    """
+    values_held = {**arm.model, **(held or {})}
+    all_held = np.array([values_held.get(name, 0.0) for name in sums.names])
+    terms = [_shown(term, sums) for term in terms]
+    terms = [term for term in terms if term.names]
+    equations = Equations(sums, terms, all_held)
+    correlation = np.ones(len(sums.joints)) if correlation is None else correlation
+    counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
+    torque = np.sqrt(np.sum(sums.squared_torque, axis=0) / counts)
+    least = max(_LEAST_NOISE * float(np.sqrt(np.mean(torque**2))), 1e-12)
+    noise = np.maximum(0.05 * torque, least) if noise is None else noise
+    for _ in range(_NOISE_ROUNDS):
+        weights = 1.0 / (noise * np.sqrt(correlation))
+        normal = equations.data(weights) + equations.prior
+        values, inverse = solve(normal, equations.usual)
+        previous = noise
+        noise = np.maximum(_noise(equations, values, inverse, weights), least)
+        if np.max(np.abs(noise / previous - 1.0)) < _SETTLED:
+            break
+    weights = 1.0 / (noise * np.sqrt(correlation))
+    data = equations.data(weights)
+    normal = data + equations.prior
+    _, inverse = solve(normal, equations.usual)
+    free, kept, start = _within_bounds(equations, normal)
+    values = free
+    if possible and not _are_possible(equations, free):
+        hidden = np.diag(inverse) * np.diag(normal)[:-1] > _HIDDEN
+        values = _possible(equations, normal, kept, start, bool(np.any(hidden)))
+    alone = []
+    for block in range(len(sums.logs)) if possible else ():
+        smaller = normal - equations.data(weights, [block])
+        alone.append(solve(smaller, start, kept)[0])
+    at_bound = tuple(
+        name for name, is_kept in zip(equations.names, kept) if not is_kept
+    )
+    return Fit(
+        arm,
+        tuple(recordings),
+        point,
+        equations,
+        noise,
+        correlation,
+        free,
+        values,
+        inverse,
+        np.array(alone),
+        at_bound,
+        question,
+    )
+
+
+def _shown(term: Term, sums: Sums) -> Term:
+    """Return a term without the parameters that have neither data nor prior."""
+    if term.prior is not None or term.bodies:
+        return term
+    places = {name: index for index, name in enumerate(sums.names)}
+    return term.only([name for name in term.names if sums.nonzero[places[name]]])
+
+
+def _noise(
+    equations: Equations, values: Array, inverse: Array, weights: Array
+) -> Array:
+    """Return the noise (J,) of each joint's residuals at values (k,) [N m].
+
+    sigma_j^2 = |r_j|^2 / (n_j - l_j), l_j the number of parameters that the joint's rows determine.
+    """
+    sums = equations.sums
+    squares = sums.squared_residuals(equations.full(values))
+    spread = np.zeros((len(sums.names), len(sums.names)))
+    spread[np.ix_(equations.index, equations.index)] = inverse
+    noise = []
+    for joint, columns in enumerate(sums.columns):
+        gram = sums.totals[joint][:-1, :-1]
+        leverage = weights[joint] ** 2 * np.vdot(gram, spread[np.ix_(columns, columns)])
+        freedom = max(np.sum(sums.counts[:, joint]) - leverage, 1.0)
+        noise.append(np.sqrt(squares[joint] / freedom))
+    return np.array(noise)
+
+
+def _within_bounds(
+    equations: Equations, normal: Array
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return (values (k,), which are not held at a bound (k,), values (k,) to start from)."""
+    lower = np.full(len(equations.names), -np.inf)
+    upper = np.full(len(equations.names), np.inf)
+    for term, span in zip(equations.terms, equations.spans):
+        lower[span] = term.lower
+        upper[span] = term.upper
+    kept = np.ones(len(lower), dtype=bool)
+    start = equations.usual.copy()
+    values, _ = solve(normal, start)
+    for _ in range(_BOUND_ROUNDS):
+        inside = np.clip(values, lower, upper)
+        crosses = np.abs(values - inside) > 1e-9 * (1.0 + np.abs(inside))
+        if not np.any(crosses & kept):
+            break
+        kept &= ~crosses
+        start = np.where(kept, start, inside)
+        values, _ = solve(normal, start, kept)
+    return np.clip(values, lower, upper), kept, start
+
+
+def _bodies(equations: Equations) -> list[NDArray[np.int64]]:
+    """Return the indices (10,) of each body among the estimated parameters."""
+    bodies = []
+    for term, span in zip(equations.terms, equations.spans):
+        if term.bodies:
+            bodies += list(np.arange(span.start, span.stop).reshape(-1, N_INERTIAL))
+    return bodies
+
+
+def _are_possible(equations: Equations, values: Array) -> bool:
+    """Tell whether all estimated bodies are possible at values (k,)."""
+    return all(spatial.is_consistent(values[body]) for body in _bodies(equations))
+
+
+def _possible(
+    equations: Equations,
+    normal: Array,
+    kept: NDArray[np.bool_],
+    start: Array,
+    has_hidden: bool,
+) -> Array:
+    """Return the best values (k,) with which all bodies are possible."""
+    at = np.flatnonzero(kept)
+    matrix = normal[np.ix_(at, at)]
+    fixed = np.flatnonzero(~kept)
+    right_side = normal[at, -1] - normal[np.ix_(at, fixed)] @ start[fixed]
+    length = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = matrix / np.outer(length, length)
+    scaled[np.diag_indices_from(scaled)] += _RIDGE
+    root = np.linalg.cholesky(scaled)
+    rows = root.T * length
+    target = np.linalg.solve(root, right_side / length)
+    usual = np.zeros(len(at))
+    links = []
+    for body in _bodies(equations):
+        link = np.searchsorted(at, body)
+        links.append(link)
+        usual[link] = equations.usual[body]
+    values = start.copy()
+    values[at] = consistent_least_squares(
+        rows, target, LinksProblem(tuple(links), usual), has_hidden
+    )
+    return values
+
+
+def correlation_times(residuals: Array) -> Array:
+    """Return the rows (J,) of residuals (K, J) that count as one independent row.
+
+    The integrated autocorrelation time 1 + 2 sum_l rho_l, up to the first lag at which rho is no
+    longer significant (Bartlett 1946).
+    """
+    times = []
+    for residual in residuals.T:
+        is_used = np.isfinite(residual)
+        signal = np.where(is_used, residual, 0.0)
+        lags = max(int(_LONGEST_LAG * len(signal)), 1)
+        products = lagged_sums(signal, lags)
+        pairs = np.maximum(lagged_sums(is_used.astype(float), lags), 1.0)
+        covariance = products / pairs
+        if not covariance[0] > 0.0:
+            times.append(1.0)
+            continue
+        rho = np.append(covariance, 0.0) / covariance[0]
+        last = int(np.argmax(rho <= 2.0 / np.sqrt(pairs[0])))
+        times.append(1.0 + 2.0 * float(np.sum(rho[1:last])))
+    return np.array(times)
+
+
+def lagged_sums(signal: Array, lags: int) -> Array:
+    """Return sums (lags + 1,) over t of s_t s_(t+l), l = 0 ... lags, of a signal (N,)."""
+    size = 1 << int(np.ceil(np.log2(max(len(signal) + lags + 1, 2))))
+    power = np.abs(np.fft.rfft(signal, size)) ** 2
+    return np.fft.irfft(power, size)[: lags + 1]

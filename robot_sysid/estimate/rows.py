@@ -1,0 +1,316 @@
+"""Recordings as rows: motion and torque at the instants of equations, and sums over them.
+
+Shapes: a recording has K rows (instants) and n joints; "joints" counts those with equations, J; p
+parameters have columns. An equation reads row (k,) x = torque [N m]. Rows are made and squared a
+few at a time, so that memory does not grow with a log: of a log only its signals and its sums stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, Measurement, Motion, RobotModel
+from robot_sysid.signals.process import ProcessedSignals
+
+Mask = NDArray[np.bool_]
+"""Boolean mask, True where a row is used."""
+BLOCKS = 10
+"""Number of blocks that held-out validation and the jackknife leave out in turn."""
+LEAST_BLOCKS = 3
+"""Least number of blocks of one log, of several."""
+_NUMBERS = 4_000_000
+"""Numbers in the columns of one chunk of rows: bounds memory, changes no result."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """K poses at which the arm rests: one row each, without speed or acceleration.
+
+    Attributes:
+        samples: positions (K, n) and torques (K, n), averaged over both directions of approach.
+        used: (K, n) whether a joint's torque may be used, because its friction was averaged out.
+    """
+
+    samples: Measurement
+    used: Mask
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One log, or a stretch of it without long holes, as K rows.
+
+    Attributes:
+        name: of the log, in messages.
+        source: the low-passed signals of a motion, or poses at rest.
+        is_loaded: whether the arm carries the payload.
+        order: position among all recordings in time, from -1 for the first to 1 for the last; 0
+            where the order is not known.
+    """
+
+    name: str
+    source: ProcessedSignals | Poses
+    is_loaded: bool = False
+    order: float = 0.0
+    _columns: dict[object, Array] = field(default_factory=dict, compare=False)
+
+    def __len__(self) -> int:
+        """Return the number K of rows."""
+        return len(self.motion.time)
+
+    @property
+    def signals(self) -> ProcessedSignals | None:
+        """The filtered signals of a motion; None for poses at rest."""
+        return self.source if isinstance(self.source, ProcessedSignals) else None
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Positions, speeds, accelerations (K, n) at the instants of rows; no speed at rest."""
+        if isinstance(self.source, Poses):
+            q = self.source.samples.q
+            return Motion(self.source.samples.time, q, 0.0 * q, 0.0 * q)
+        return self.source.decimated_motion()
+
+    @cached_property
+    def torque(self) -> Array:
+        """The measured torque (K, n), low-passed like the columns [N m]."""
+        if isinstance(self.source, Poses):
+            return self.source.samples.tau
+        return self.source.low_pass.decimate(self.source.tau)
+
+    @cached_property
+    def used(self) -> Mask:
+        """Which rows (K, n) may be used: those in which friction has a direction."""
+        if isinstance(self.source, Poses):
+            return self.source.used
+        return self.source.usable()
+
+    def low_passed(self, key: object, make: Callable[[Motion], Array]) -> Array:
+        """Return columns (K, ...) made from the motion at all samples, and low-passed.
+
+        What has the sign of a speed has to pass the filter that the torque has passed. Results are
+        kept by their ``key``: do not change them.
+        """
+        if key not in self._columns:
+            signals = self.signals
+            if signals is None:
+                self._columns[key] = make(self.motion)
+            else:
+                (columns,) = signals.filter_columns(lambda motion: (make(motion),))
+                self._columns[key] = columns
+        return self._columns[key]
+
+    def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
+        """Return the torque (K, n) of links with parameters ``thetas`` (n, 10) [N m]."""
+        key = "links", gravity.tobytes(), thetas.tobytes()
+        if self._columns.get("links of") is None or self._columns["links of"] != key:
+            dynamics = LinkDynamics(robot, gravity)
+            parts = []
+            for part in self.parts(36 * robot.n_joints):
+                motion = part.motion
+                moves = dynamics.motion(motion.q, motion.qd, motion.qdd)
+                parts.append(moves.torque(thetas))
+            self._columns["links of"] = key
+            self._columns["links"] = np.concatenate(parts)
+        return self._columns["links"]
+
+    def parts(self, width: int) -> Iterator[Part]:
+        """Yield the rows in chunks, of which columns ``width`` numbers wide fit in memory."""
+        size = max(1, _NUMBERS // max(width, 1))
+        for start in range(0, len(self), size):
+            yield Part(self, slice(start, min(start + size, len(self))))
+
+
+@dataclass(frozen=True)
+class Part:
+    """Successive rows of a recording: the columns of terms are made of one part at a time."""
+
+    recording: Recording
+    rows: slice
+
+    @property
+    def motion(self) -> Motion:
+        """The motion (m, n) at these rows."""
+        fields = vars(self.recording.motion)
+        return Motion(*(fields[name][self.rows] for name in ("time", "q", "qd", "qdd")))
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether the arm carries the payload."""
+        return self.recording.is_loaded
+
+    @property
+    def order(self) -> float:
+        """Position of the recording among all, from -1 to 1."""
+        return self.recording.order
+
+    def low_passed(self, key: object, make: Callable[[Motion], Array]) -> Array:
+        """Return ``Recording.low_passed`` at these rows."""
+        return self.recording.low_passed(key, make)[self.rows]
+
+    def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
+        """Return ``Recording.links_torque`` at these rows."""
+        return self.recording.links_torque(robot, gravity, thetas)[self.rows]
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Squares of all rows, block by block: all that a fit needs of recordings.
+
+    Attributes:
+        names: (p,) of the parameters.
+        joints: names of the J joints with equations.
+        columns: per joint (k,) indices of the parameters in its equations.
+        grams: per joint (B, k + 1, k + 1) the products [A b]' [A b] of each block's rows.
+        counts: (B, J) number of rows.
+        logs: (B,) the log that a block belongs to.
+    """
+
+    names: tuple[str, ...]
+    joints: tuple[str, ...]
+    columns: tuple[NDArray[np.int64], ...]
+    grams: tuple[Array, ...]
+    counts: Array
+    logs: tuple[str, ...]
+
+    @cached_property
+    def totals(self) -> tuple[Array, ...]:
+        """Per joint (k + 1, k + 1) the products of all blocks."""
+        return tuple(gram.sum(axis=0) for gram in self.grams)
+
+    @cached_property
+    def squared_torque(self) -> Array:
+        """Sum of squares (B, J) of the right-hand sides [N^2 m^2]."""
+        return np.stack([gram[:, -1, -1] for gram in self.grams], axis=1)
+
+    @cached_property
+    def nonzero(self) -> Mask:
+        """Which parameters (p,) act in some row."""
+        nonzero = np.zeros(len(self.names), dtype=bool)
+        for columns, total in zip(self.columns, self.totals):
+            nonzero[columns] |= np.diag(total)[:-1] > 0.0
+        return nonzero
+
+    def normal(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
+        """Return the normal matrix (p + 1, p + 1) of weighted rows.
+
+        Args:
+            weights: (J,) of each joint's rows [1/(N m)].
+            blocks: those that count; None for all.
+        """
+        size = len(self.names)
+        normal = np.zeros((size + 1, size + 1))
+        for joint, weight in enumerate(weights):
+            gram = self.totals[joint]
+            if blocks is not None:
+                gram = self.grams[joint][list(blocks)].sum(axis=0)
+            at = np.append(self.columns[joint], size)
+            normal[np.ix_(at, at)] += weight**2 * gram
+        return normal
+
+    def squared_residuals(self, values: Array, block: int | None = None) -> Array:
+        """Return each joint's sum of squared residuals (J,) at values (p,) [N^2 m^2]."""
+        sums = []
+        for joint, columns in enumerate(self.columns):
+            gram = self.totals[joint] if block is None else self.grams[joint][block]
+            change = np.append(-values[columns], 1.0)
+            sums.append(max(float(change @ gram @ change), 0.0))
+        return np.array(sums)
+
+
+def block_numbers(
+    recordings: Sequence[Recording],
+) -> tuple[list[NDArray[np.int64]], list[str]]:
+    """Return per recording the block (K,) of each row, and the log of each block.
+
+    Blocks are stretches of time of one log; stretches of one name are one log.
+    """
+    names = list(dict.fromkeys(recording.name for recording in recordings))
+    per_log = (
+        max(LEAST_BLOCKS, round(BLOCKS / len(names))) if len(names) > 1 else BLOCKS
+    )
+    numbers: list[NDArray[np.int64]] = []
+    totals = dict.fromkeys(names, 0)
+    for recording in recordings:
+        totals[recording.name] += int(np.sum(np.any(recording.used, axis=1)))
+    done = dict.fromkeys(names, 0)
+    for recording in recordings:
+        name = recording.name
+        in_use = np.any(recording.used, axis=1)
+        position = done[name] + np.cumsum(in_use) - in_use
+        done[name] += int(np.sum(in_use))
+        block = position * per_log // max(totals[name], 1)
+        numbers.append(names.index(name) * per_log + np.minimum(block, per_log - 1))
+    return numbers, [name for name in names for _ in range(per_log)]
+
+
+def add_up(
+    recordings: Sequence[Recording],
+    names: Sequence[str],
+    joints: Sequence[str],
+    make: Callable[[Part], tuple[Array, Array, Mask]],
+) -> Sums:
+    """Return the sums of all rows.
+
+    Args:
+        recordings: one at least.
+        names: (p,) of the parameters.
+        joints: names of the J joints with equations.
+        make: returns (columns (m, J, p), right-hand sides (m, J), used (m, J)) of a part.
+
+    Raises:
+        InputError: no row can be used.
+    """
+    numbers, logs = block_numbers(recordings)
+    size = len(names)
+    columns = [np.zeros(0, dtype=np.int64) for _ in joints]
+    grams = [np.zeros((len(logs), 1, 1)) for _ in joints]
+    counts = np.zeros((len(logs), len(joints)))
+    for recording, blocks in zip(recordings, numbers):
+        for part in recording.parts(size * len(joints)):
+            rows, tau, used = make(part)
+            at_block = blocks[part.rows]
+            for joint in range(len(joints)):
+                present = np.flatnonzero(np.any(rows[:, joint] != 0.0, axis=0))
+                union = np.union1d(columns[joint], present)
+                if len(union) > len(columns[joint]):
+                    grams[joint] = _spread(grams[joint], columns[joint], union)
+                    columns[joint] = union
+                full = np.column_stack((rows[:, joint][:, union], tau[:, joint]))
+                for block in np.unique(at_block):
+                    mine = full[used[:, joint] & (at_block == block)]
+                    grams[joint][block] += mine.T @ mine
+                    counts[block, joint] += len(mine)
+    if not np.any(counts):
+        raise InputError(
+            f"none of the joints {', '.join(joints)} moves faster than its velocity deadband for "
+            "long enough; move faster, and turn round less often"
+        )
+    return Sums(
+        tuple(names), tuple(joints), tuple(columns), tuple(grams), counts, tuple(logs)
+    )
+
+
+def _spread(gram: Array, old: Array, new: Array) -> Array:
+    """Return products (B, k + 1, k + 1) with zeros for the columns ``new`` that ``old`` lacks."""
+    wider = np.zeros((len(gram), len(new) + 1, len(new) + 1))
+    at = np.append(np.searchsorted(new, old), len(new))
+    wider[np.ix_(range(len(gram)), at, at)] = gram
+    return wider
+
+
+def without(recording: Recording, spans: Sequence[tuple[float, float]]) -> Recording:
+    """Return a recording whose rows within spans of time [s] are not used."""
+    used = recording.used.copy()
+    for start, end in spans:
+        time = recording.motion.time
+        used[(time >= start) & (time <= end)] = False
+    smaller = replace(recording)
+    smaller.__dict__["used"] = used
+    return smaller

@@ -1,0 +1,459 @@
+"""A torque is a sum of terms: each a cause with its parameters, columns and prior.
+
+With bodies theta, torque scales s_j, friction F_j phi that drifts by d_j from the first recording
+(t = -1) to the last (t = 1), encoder zeros z and a delay, the torque read at joint j is
+
+    tau_j = (1 + s_j) [inverse dynamics at q - z, gravity tilted]_j(t - delay) + (1 + d_j t) F_j phi
+            + rotor_j qdd_j + motors that turn several joints + what springs and tendons make.
+
+Each term is the derivative of this by its parameters at a ``Point``: bodies, friction, rotors and
+motors are linear; scales, zeros, tilt, delay, drift and the loss of a gear that grows with its load
+are linearised around the last estimate.
+
+A torque scale multiplies the last estimate of the last link and, without a payload, the model's
+values of the others: with all links' estimates in their place, scales would come out too large by
+as much as links are off.
+
+Shapes: part of m rows, n joints of the chain, J joints with equations; a body has ten inertial
+parameters (``PARAMETER_NAMES``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from robot_sysid.dynamics.equations import link_names, names_of, other_links
+from robot_sysid.dynamics.friction import DRY_TERMS, FADING_SPEEDS, TERMS, Coupling
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    BeyondRigidBodies,
+    LinkDynamics,
+    gravity_vector,
+    tilt_axes,
+)
+from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
+from robot_sysid.estimate.rows import Mask, Part, Recording, Sums, add_up
+from robot_sysid.model.bodies import usual_bodies
+from robot_sysid.records import DELAY_NAME, Array, RobotModel
+
+# Causes, as they are called in results.
+LINKS = "links"
+LAST_LINK = "last link"
+PAYLOAD = "payload"
+FRICTION = "friction"
+FURTHER_FRICTION = "friction model"
+SCALES = "torque scale"
+ZEROS = "joint offsets"
+TILT = "gravity"
+DELAY = "delay"
+DRIFT = "drift of friction"
+MOTORS = "couplings"
+PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
+"""Names of the ten inertial parameters of the payload."""
+USUAL_FRICTION = ("coulomb", "viscous", "offset", "armature")
+"""Friction terms of every joint that are estimated where no option names others."""
+UNKNOWN_FRICTION = ("sqrt", *FADING_SPEEDS, "load")
+"""Friction terms that the usual ones lack: a prior allows for them."""
+ALL_FRICTION = (*USUAL_FRICTION, *UNKNOWN_FRICTION)
+"""Friction terms that have columns where no option names others."""
+MOTOR_TERMS = ("coulomb", "viscous", "armature")
+"""Friction terms of a motor that turns several joints."""
+BOTH = frozenset(("mjcf", "urdf"))
+"""Kinds of model files."""
+# Friction that drifts from the first recording to the last.
+_DRIFTING = (*DRY_TERMS, "viscous", "load")
+# Terms whose torque is smooth, so that its time derivative identifies a delay. Dry friction does
+# not: a reversal that is a little early or late looks like a delay.
+_SMOOTH = ("viscous", "armature")
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of k parameters before the data: N(mean, factor factor').
+
+    Attributes:
+        mean: (k,) [SI].
+        factor: (k, k).
+    """
+
+    mean: Array
+    factor: Array
+
+    @cached_property
+    def rows(self) -> Array:
+        """The prior as equations [A b] (k, k + 1) of unit variance."""
+        inverse = np.linalg.inv(self.factor)
+        return np.column_stack((inverse, inverse @ self.mean))
+
+    @property
+    def variances(self) -> Array:
+        """Variance (k,) of each parameter."""
+        return np.sum(self.factor**2, axis=1)
+
+
+def independent(
+    deviations: Sequence[float] | Array, mean: Array | None = None
+) -> Prior:
+    """Return the prior of k parameters with independent errors [SI], around zero by default."""
+    size = np.asarray(deviations, dtype=float)
+    return Prior(np.zeros(len(size)) if mean is None else mean, np.diag(size))
+
+
+@dataclass(frozen=True)
+class Point:
+    """The estimate around which terms are linearised.
+
+    Attributes:
+        thetas: (n, 10) links that scales, zeros, tilt, delay and load multiply.
+        payload: (10,) what the last link carries in loaded recordings.
+        gravity: (3,) in the world frame [m/s^2].
+        friction: name of a friction parameter to its value; a missing one is zero.
+    """
+
+    thetas: Array
+    payload: Array
+    gravity: Array
+    friction: Mapping[str, float] = field(default_factory=dict)
+
+    def carried(self, is_loaded: bool) -> Array:
+        """Return the links (n, 10), the last one with the payload if ``is_loaded``."""
+        if not is_loaded:
+            return self.thetas
+        thetas = self.thetas.copy()
+        thetas[-1] += self.payload
+        return thetas
+
+
+Columns = Callable[[Part, Point], Array]
+"""Function that returns the columns (m, J, k) of a term's k parameters: torque per unit of each."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One cause of torque.
+
+    Attributes:
+        cause: in words, as results have it.
+        names: (k,) of its parameters.
+        columns: their columns around a point.
+        prior: what is known of them; None where nothing is.
+        lower, upper: bounds of all of them, infinite where there is none.
+        held_by: kinds of model files that can hold the parameters.
+        bodies: whether each ten parameters have to be a possible body.
+        usual: (k,) values that parameters keep which nothing shows; the model's.
+        text: for an explanation, the sentence with its value.
+    """
+
+    cause: str
+    names: tuple[str, ...]
+    columns: Columns
+    prior: Prior | None = None
+    lower: float = -np.inf
+    upper: float = np.inf
+    held_by: frozenset[str] = frozenset()
+    bodies: bool = False
+    usual: Array | None = None
+    text: str = ""
+
+    def only(self, names: Sequence[str]) -> Term:
+        """Return the term with some of its parameters, whose errors have to be independent."""
+        at = [self.names.index(name) for name in names]
+        prior = self.prior
+        if prior is not None:
+            prior = Prior(prior.mean[at], prior.factor[np.ix_(at, at)])
+        usual = None if self.usual is None else self.usual[at]
+        return replace(self, names=tuple(names), prior=prior, usual=usual)
+
+
+class ArmTerms:
+    """All terms of an arm's torque, without priors, and what the model says of their parameters.
+
+    Args:
+        robot: the arm with its model.
+        torques: "chain" for the equations of all joints, "terminal" for the last one's only.
+        motors: motors that turn several joints, or candidates for such motors.
+        friction: names of the friction terms that have columns.
+        loaded: whether some recordings carry a payload.
+        drifts: whether friction may drift from recording to recording.
+
+    Attributes:
+        joints: names of the J joints with equations.
+        indices: (J,) their numbers among the joints of the chain.
+        terms: cause, or name of a friction term or motor, to the term.
+        model: name of a parameter to the model's value; a missing one is zero.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        torques: str = "chain",
+        motors: Sequence[Coupling] = (),
+        friction: Sequence[str] = ALL_FRICTION,
+        loaded: bool = False,
+        drifts: bool = False,
+    ) -> None:
+        self.robot = robot
+        self.motors = tuple(motors)
+        self.friction = tuple(friction)
+        n = robot.n_joints
+        self.indices = np.arange(0 if torques == "chain" else n - 1, n)
+        self.joints = tuple(robot.joint_names[j] for j in self.indices)
+        self.others = other_links(robot) if torques == "chain" else ()
+        self.has_gravity = bool(np.any(gravity_vector(robot)))
+        self._beyond = BeyondRigidBodies(robot)
+        self.model = self._model_values()
+        self.terms = {term_key(term): term for term in self._terms(loaded, drifts)}
+        self.names = tuple(n for term in self.terms.values() for n in term.names)
+
+    def _model_values(self) -> dict[str, float]:
+        """Return the model's value of each parameter that the model has."""
+        robot = self.robot
+        values = dict(zip(PARAMETER_NAMES, robot.prior.theta.tolist()))
+        for link in self.others:
+            theta = robot.links[link].theta
+            values.update(zip(link_names(robot, link), theta.tolist()))
+        for term, numbers in (
+            ("coulomb", robot.friction.coulomb),
+            ("viscous", robot.friction.viscous),
+            ("armature", robot.armature),
+        ):
+            values.update(
+                zip(names_of(term, robot.joint_names), np.array(numbers).tolist())
+            )
+        for motor in self.motors:
+            values.update(zip(motor_names(motor), motor.model.tolist()))
+        return values
+
+    def start(self) -> Point:
+        """Return the point at the model's own values."""
+        return Point(
+            self.robot.thetas, np.zeros(N_INERTIAL), gravity_vector(self.robot)
+        )
+
+    def _terms(self, loaded: bool, drifts: bool) -> Iterator[Term]:
+        """Yield all terms, those of bodies first."""
+        robot = self.robot
+        usual = usual_bodies(robot)
+        yield Term(
+            LAST_LINK,
+            PARAMETER_NAMES,
+            partial(self._links, [robot.n_joints - 1]),
+            bodies=True,
+            held_by=BOTH,
+            usual=usual[robot.body_name],
+        )
+        if self.others:
+            names = [name for link in self.others for name in link_names(robot, link)]
+            bodies = [usual[robot.links[link].body_name] for link in self.others]
+            yield Term(
+                LINKS,
+                tuple(names),
+                partial(self._links, list(self.others)),
+                bodies=True,
+                held_by=BOTH,
+                usual=np.concatenate(bodies),
+            )
+        if loaded:
+            yield Term(
+                PAYLOAD,
+                PAYLOAD_NAMES,
+                self._payload,
+                bodies=True,
+                usual=usual[robot.body_name],
+            )
+        for name in self.friction:
+            held_by = {
+                "armature": frozenset(("mjcf",)),
+                "coulomb": BOTH,
+                "viscous": BOTH,
+            }
+            yield Term(
+                FRICTION,
+                names_of(name, self.joints),
+                partial(self._friction, name),
+                lower=-np.inf if name in ("offset", "sqrt") else 0.0,
+                held_by=held_by.get(name, frozenset()),
+                usual=self._values(names_of(name, self.joints)),
+            )
+        for motor in self.motors:
+            yield Term(
+                MOTORS,
+                motor_names(motor),
+                partial(self._motor, motor),
+                lower=0.0,
+                held_by=frozenset(("mjcf",)),
+                usual=motor.model[:3],
+            )
+        yield Term(SCALES, names_of("scale", self.joints), self._scales)
+        yield Term(ZEROS, names_of("zero", robot.joint_names), self._zeros)
+        if drifts:
+            yield Term(DRIFT, names_of("drift", self.joints), self._drift)
+        if self.has_gravity:
+            yield Term(TILT, TILT_NAMES, self._tilt, held_by=BOTH)
+        yield Term(DELAY, (DELAY_NAME,), self._delay)
+
+    def _values(self, names: Sequence[str]) -> Array:
+        """Return the model's values (k,) of named parameters."""
+        return np.array([self.model.get(name, 0.0) for name in names])
+
+    def sums(self, recordings: Sequence[Recording], point: Point) -> Sums:
+        """Return the sums of all rows, linearised around a point."""
+        terms = [*self.terms.values()]
+
+        def make(part: Part) -> tuple[Array, Array, Mask]:
+            """Return the columns, right-hand sides and mask of used rows of a part."""
+            columns = np.concatenate(
+                [term.columns(part, point) for term in terms], axis=2
+            )
+            tau = part.recording.torque[part.rows][:, self.indices] - self.known(part)
+            return columns, tau, part.recording.used[part.rows][:, self.indices]
+
+        return add_up(recordings, self.names, self.joints, make)
+
+    def torque(self, part: Part, point: Point, values: Mapping[str, float]) -> Array:
+        """Return the torque (m, J) of named parameters, the known torque added [N m]."""
+        torque = self.known(part)
+        for term in self.terms.values():
+            coefficients = np.array([values.get(name, 0.0) for name in term.names])
+            if np.any(coefficients):
+                torque = torque + term.columns(part, point) @ coefficients
+        return torque
+
+    def known(self, part: Part) -> Array:
+        """Return the torque (m, J) of springs, tendons and actuators, which no term has [N m]."""
+        motion = part.motion
+        torque = self._beyond.torque(motion.q, motion.qd, motion.qdd)
+        torque = torque - self.robot.armature * motion.qdd
+        for motor in self.motors:
+            if motor.tendon is not None:
+                _, viscous, armature = motor.model[:3]
+                speed = viscous * (motion.qd @ motor.ratios)
+                torque -= np.outer(
+                    speed + armature * (motion.qdd @ motor.ratios), motor.ratios
+                )
+        return torque[:, self.indices]
+
+    def _links(self, links: Sequence[int], part: Part, point: Point) -> Array:
+        """Return the columns (m, J, 10 links) of links by their numbers in the chain."""
+        motion = part.motion
+        moves = LinkDynamics(self.robot, point.gravity).motion(
+            motion.q, motion.qd, motion.qdd
+        )
+        return moves.columns(links)[:, self.indices]
+
+    def _payload(self, part: Part, point: Point) -> Array:
+        """Return the columns (m, J, 10) of the payload, zero where it is not on the arm."""
+        if not part.is_loaded:
+            return np.zeros((len(part.motion.q), len(self.joints), N_INERTIAL))
+        return self._links([self.robot.n_joints - 1], part, point)
+
+    def _per_joint(self, columns: Array) -> Array:
+        """Return columns (m, J) of one parameter per joint as columns (m, J, J)."""
+        return columns[:, :, None] * np.eye(len(self.joints))
+
+    def friction_column(self, name: str, part: Part, point: Point) -> Array:
+        """Return the column (m, J) of a friction term at each joint."""
+        if name in DRY_TERMS:
+            dry = part.low_passed(name, lambda m: TERMS[name](m.qd, m.qdd, m.q))
+        elif name == "load":
+            dry = part.low_passed(
+                "coulomb", lambda m: TERMS["coulomb"](m.qd, m.qdd, m.q)
+            )
+            dry = dry * np.abs(self._links_torque(part, point))
+        else:
+            motion = part.motion
+            dry = TERMS[name](motion.qd, motion.qdd, motion.q)
+        return dry[:, self.indices]
+
+    def _friction(self, name: str, part: Part, point: Point) -> Array:
+        """Return the columns (m, J, J) of a friction term."""
+        return self._per_joint(self.friction_column(name, part, point))
+
+    def _motor(self, motor: Coupling, part: Part, point: Point) -> Array:
+        """Return the columns (m, J, 3) of a motor that turns several joints.
+
+        One that turns at s = sum_j r_j qd_j puts its torque on each of these joints r_j times,
+        because power is the same on both sides.
+        """
+        motion = part.motion
+        dry = part.low_passed(motor.name, lambda m: np.sign(m.qd @ motor.ratios))
+        own = np.stack(
+            (dry, motion.qd @ motor.ratios, motion.qdd @ motor.ratios), axis=-1
+        )
+        return own[:, None, :] * motor.ratios[self.indices][:, None]
+
+    def _links_torque(self, part: Part, point: Point) -> Array:
+        """Return the torque (m, n) of the point's links [N m]."""
+        thetas = point.carried(part.is_loaded)
+        return part.links_torque(self.robot, point.gravity, thetas)
+
+    def _scales(self, part: Part, point: Point) -> Array:
+        """Return the columns (m, J, J) of torque scales."""
+        return self._per_joint(self._links_torque(part, point)[:, self.indices])
+
+    def _zeros(self, part: Part, point: Point) -> Array:
+        """Return the columns (m, J, n) of encoders that read too much [N m/rad]."""
+        motion = part.motion
+        moves = LinkDynamics(self.robot, point.gravity).motion(
+            motion.q, motion.qd, motion.qdd
+        )
+        slopes = moves.slopes(point.carried(part.is_loaded), motion.qd)
+        return -slopes[:, self.indices]
+
+    def _tilt(self, part: Part, point: Point) -> Array:
+        """Return the columns (m, J, 2) of gravity turned about two horizontal axes [N m/rad]."""
+        motion = part.motion
+        still = np.zeros_like(motion.q)
+        columns = []
+        for axis in tilt_axes(gravity_vector(self.robot), point.gravity):
+            dynamics = LinkDynamics(self.robot, np.cross(axis, point.gravity))
+            moves = dynamics.motion(motion.q, still, still)
+            columns.append(moves.torque(point.carried(part.is_loaded)))
+        return np.stack(columns, axis=-1)[:, self.indices]
+
+    def _delay(self, part: Part, point: Point) -> Array:
+        """Return the column (m, J, 1) of a torque that lags, -d tau / dt [N m/s]."""
+        recording = part.recording
+        if recording.signals is None:
+            return np.zeros((len(part.motion.q), len(self.joints), 1))
+        thetas = point.carried(part.is_loaded)
+        torque = recording.links_torque(self.robot, point.gravity, thetas)[
+            :, self.indices
+        ]
+        for name in _SMOOTH:
+            rates = recording.motion.qd if name == "viscous" else recording.motion.qdd
+            sizes = [
+                point.friction.get(f"{name}[{joint}]", 0.0) for joint in self.joints
+            ]
+            torque = torque + rates[:, self.indices] * sizes
+        late = -np.gradient(torque, recording.motion.time, axis=0)
+        return late[part.rows][:, :, None]
+
+    def _drift(self, part: Part, point: Point) -> Array:
+        """Return the columns (m, J, J) of friction's drift from recording to recording."""
+        friction = np.zeros((len(part.motion.q), len(self.joints)))
+        for name in _DRIFTING:
+            sizes = [
+                point.friction.get(f"{name}[{joint}]", 0.0) for joint in self.joints
+            ]
+            if np.any(sizes):
+                friction += self.friction_column(name, part, point) * sizes
+        return self._per_joint(part.order * friction)
+
+
+def term_key(term: Term) -> str:
+    """Return the key of a term among all: its cause, or the name of a friction term or motor."""
+    if term.cause == FRICTION:
+        return term.names[0].partition("[")[0]
+    if term.cause == MOTORS:
+        return term.names[0].partition("[")[2][:-1]
+    return term.cause
+
+
+def motor_names(motor: Coupling) -> tuple[str, ...]:
+    """Return the names of a motor's parameters, such as ``coulomb[joint_5+joint_6]``."""
+    return tuple(f"{term}[{motor.name}]" for term in MOTOR_TERMS)
