@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_type_hints
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.question import EstimationOptions, Priors
+from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.logs import FittedLogOptions, LogOptions
 from robot_sysid.model import ModelOptions, PosedModelOptions
 from robot_sysid.motion import (

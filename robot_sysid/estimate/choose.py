@@ -17,7 +17,6 @@ from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.fit import Fit, correlation_times, fit
 from robot_sysid.estimate.links import (
     LinkEvidence,
-    LinkScales,
     average_scales,
     link_directions,
     link_lengths,
@@ -31,13 +30,13 @@ from robot_sysid.estimate.questions import (
     is_stated,
 )
 from robot_sysid.estimate.rows import Recording, Sums
-from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent
+from robot_sysid.estimate.terms import LINKS, ArmTerms, Prior, Term, independent
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
 
 CLEAR = 15.0
 """Least gain in the log marginal likelihood at which something is named: a motor that turns two
-joints, or a fault. A Staubli TX40's wrist gives 114 to 148, 38 right logs at most 10 for any fault."""
+joints, or a fault. A Staubli TX40's wrist gives 114 to 148, 38 right logs 10 at most."""
 _ROUNDS = 3
 """Linearisations of a question with a payload, whose torque scales multiply it."""
 _SAME = 1.0 - 1e-9
@@ -135,7 +134,7 @@ def choose_motors(
     while True:
         best, gain = None, CLEAR
         names = [motor.name for motor in present]
-        trials = []
+        trials: list[tuple[float, int, Coupling, Term]] = []
         for motor in offered:
             if motor.name not in names:
                 prior = _motor_prior(current, motor)
@@ -164,7 +163,7 @@ def choose_motors(
         current = best[1]
 
 
-def _motor_prior(fitted: Fit, motor: Coupling) -> object:
+def _motor_prior(fitted: Fit, motor: Coupling) -> Prior:
     """Return the prior of a motor's parameters: as large as those of the joints that it turns.
 
     They make at least a share ``LEAST_DRY`` of a joint's root mean square torque.

@@ -81,6 +81,8 @@ class Equations:
         size = len(self.names)
         self.prior = np.zeros((size + 1, size + 1))
         self.usual = np.zeros(size)
+        self.lower = np.full(size, -np.inf)
+        self.upper = np.full(size, np.inf)
         self.spans: list[slice] = []
         self.log_prior = 0.0
         start = 0
@@ -88,6 +90,8 @@ class Equations:
             span = slice(start, start + len(term.names))
             start = span.stop
             self.spans.append(span)
+            self.lower[span] = term.lower
+            self.upper[span] = term.upper
             if term.usual is not None:
                 self.usual[span] = term.usual
             if term.prior is not None:
@@ -109,6 +113,15 @@ class Equations:
             reduced[-1, -1] += held @ normal[np.ix_(self.others, self.others)] @ held
         return reduced
 
+    def inside(self, values: Array) -> Array:
+        """Return values (k,) with those that cross a bound moved to it."""
+        return np.clip(values, self.lower, self.upper)
+
+    def crossing(self, values: Array) -> NDArray[np.bool_]:
+        """Return which of values (k,) cross a bound by more than rounding."""
+        inside = self.inside(values)
+        return np.asarray(np.abs(values - inside) > 1e-9 * (1.0 + np.abs(inside)))
+
     def full(self, values: Array) -> Array:
         """Return all parameters (p,) from the estimated ones (k,)."""
         full = self.held.copy()
@@ -127,14 +140,14 @@ def solve(
     size = len(usual)
     at = np.arange(size) if kept is None else np.flatnonzero(kept)
     matrix = normal[np.ix_(at, at)]
-    gradient = normal[at, -1] - normal[np.ix_(at, range(size))] @ usual
+    gradient = normal[at, -1] - normal[at, :size] @ usual
     unit = _inverse(matrix)
     inverse = np.zeros((size, size))
     inverse[np.ix_(at, at)] = unit
     values = usual.copy()
     values[at] += unit @ gradient
     # One step of refinement: the inverse of nearly singular equations has lost digits.
-    values[at] += unit @ (normal[at, -1] - normal[np.ix_(at, range(size))] @ values)
+    values[at] += unit @ (normal[at, -1] - normal[at, :size] @ values)
     return values, inverse
 
 
@@ -170,6 +183,10 @@ class Fit:
         values: (k,) the estimate.
         inverse: (k, k) covariance that noise and priors imply.
         alone: (B, k) estimate without each block in turn.
+        start: (k,) values of parameters that are held at a bound, usual values of the others.
+        kept: (k,) which parameters are not held at a bound.
+        at_bound: names of those that are.
+        question: that was asked.
     """
 
     arm: ArmTerms
@@ -182,6 +199,8 @@ class Fit:
     values: Array
     inverse: Array
     alone: Array
+    start: Array
+    kept: NDArray[np.bool_]
     at_bound: tuple[str, ...] = ()
     question: Any = None
 
@@ -309,6 +328,65 @@ class Fit:
             squares.append(self.sums.squared_residuals(full, block))
         return np.array(squares)
 
+    def expected(self, inverse: Array, block: int) -> Array:
+        """Return the squared errors (J,) to expect in a block from noise and an estimate's errors.
+
+        ``inverse`` (k, k) is the covariance of the estimate [N^2 m^2].
+        """
+        sums = self.sums
+        spread = np.zeros((len(sums.names), len(sums.names)))
+        spread[np.ix_(self.equations.index, self.equations.index)] = inverse
+        expected = sums.counts[block] * self.noise**2
+        for joint, columns in enumerate(sums.columns):
+            gram = sums.grams[joint][block][:-1, :-1]
+            expected[joint] += np.vdot(gram, spread[np.ix_(columns, columns)])
+        return expected
+
+    @cached_property
+    def expected_held_out(self) -> Array:
+        """Squared errors (B, J) to expect of ``held_out`` if the model is right [N^2 m^2]."""
+        rows = []
+        for block in range(len(self.sums.logs)):
+            rows.append(self.expected(self.without([block])[1], block))
+        return np.array(rows)
+
+    def without(self, blocks: Sequence[int]) -> tuple[Array, Array]:
+        """Return (estimate (k,), inverse (k, k)) without some blocks."""
+        equations = self.equations
+        normal = equations.data(self.weights) + equations.prior
+        normal -= equations.data(self.weights, blocks)
+        return solve(normal, self.start, self.kept)
+
+    def of(self, sums: Sums) -> Fit:
+        """Return this estimate with the sums of other recordings, to judge it on them."""
+        return replace(
+            self, equations=Equations(sums, self.equations.terms, self.equations.held)
+        )
+
+    @property
+    def squared_torque(self) -> Array:
+        """Sum of squares (B, J) of the measured torque [N^2 m^2]."""
+        return self.sums.squared_torque
+
+    @cached_property
+    def noise_per_joint(self) -> dict[str, float]:
+        """Joint with data to the noise of its torque [N m]."""
+        counts = np.sum(self.sums.counts, axis=0)
+        pairs = zip(self.sums.joints, self.noise.tolist(), counts)
+        return {joint: noise for joint, noise, count in pairs if count}
+
+    @cached_property
+    def torque(self) -> dict[str, float]:
+        """Joint to its root mean square torque [N m]."""
+        counts = np.maximum(np.sum(self.sums.counts, axis=0), 1.0)
+        rms = np.sqrt(np.sum(self.squared_torque, axis=0) / counts)
+        return dict(zip(self.sums.joints, rms.tolist()))
+
+    @cached_property
+    def independent_share(self) -> dict[str, float]:
+        """Joint to the share of its rows that are independent."""
+        return dict(zip(self.sums.joints, (1.0 / self.correlation).tolist()))
+
     @cached_property
     def log_evidence(self) -> float:
         """Log marginal likelihood of the data under the question, up to a constant (MacKay 1992).
@@ -331,7 +409,7 @@ class Fit:
         normal = self.sums.normal(self.weights)
         own = self.equations.index
         full = self.full
-        pull = normal[index, -1] - normal[np.ix_(index, range(len(full)))] @ full
+        pull = normal[index, -1] - normal[index, :-1] @ full
         crossed = normal[np.ix_(index, own)]
         left = normal[np.ix_(index, index)] - crossed @ self.inverse @ crossed.T
         factor = term.prior.factor
@@ -421,11 +499,21 @@ def fit(
     data = equations.data(weights)
     normal = data + equations.prior
     _, inverse = solve(normal, equations.usual)
-    free, kept, start = _within_bounds(equations, normal)
+    kept = np.ones(len(equations.names), dtype=bool)
+    free, kept, start = _within_bounds(equations, normal, kept, equations.usual)
     values = free
     if possible and not _are_possible(equations, free):
         hidden = np.diag(inverse) * np.diag(normal)[:-1] > _HIDDEN
-        values = _possible(equations, normal, kept, start, bool(np.any(hidden)))
+        has_hidden = bool(np.any(hidden))
+        for _ in range(_BOUND_ROUNDS):
+            values = _possible(equations, normal, kept, start, has_hidden)
+            # Bodies that are made possible push other parameters across their bounds.
+            crosses = equations.crossing(values) & kept
+            if not np.any(crosses):
+                break
+            kept = kept & ~crosses
+            start = np.where(crosses, equations.inside(values), start)
+        values = equations.inside(values)
     alone = []
     for block in range(len(sums.logs)) if possible else ():
         smaller = normal - equations.data(weights, [block])
@@ -444,6 +532,8 @@ def fit(
         values,
         inverse,
         np.array(alone),
+        start,
+        kept,
         at_bound,
         question,
     )
@@ -478,26 +568,18 @@ def _noise(
 
 
 def _within_bounds(
-    equations: Equations, normal: Array
+    equations: Equations, normal: Array, kept: NDArray[np.bool_], start: Array
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Return (values (k,), which are not held at a bound (k,), values (k,) to start from)."""
-    lower = np.full(len(equations.names), -np.inf)
-    upper = np.full(len(equations.names), np.inf)
-    for term, span in zip(equations.terms, equations.spans):
-        lower[span] = term.lower
-        upper[span] = term.upper
-    kept = np.ones(len(lower), dtype=bool)
-    start = equations.usual.copy()
-    values, _ = solve(normal, start)
+    values, _ = solve(normal, start, kept)
     for _ in range(_BOUND_ROUNDS):
-        inside = np.clip(values, lower, upper)
-        crosses = np.abs(values - inside) > 1e-9 * (1.0 + np.abs(inside))
-        if not np.any(crosses & kept):
+        crosses = equations.crossing(values) & kept
+        if not np.any(crosses):
             break
-        kept &= ~crosses
-        start = np.where(kept, start, inside)
+        kept = kept & ~crosses
+        start = np.where(crosses, equations.inside(values), start)
         values, _ = solve(normal, start, kept)
-    return np.clip(values, lower, upper), kept, start
+    return equations.inside(values), kept, start
 
 
 def _bodies(equations: Equations) -> list[NDArray[np.int64]]:

@@ -10,19 +10,6 @@ rounding noise is set to zero.
 A null space has many bases. The reported basis is sparse: first directions within the first moment
 or within the inertia alone, then mixed ones, each group in reduced row echelon form. A single
 parameter that cannot be identified therefore always is a direction of its own.
-
-Base parameters are the combinations that joint torques do identify. Of the ten parameters of a
-link, many change no torque by themselves, but only in combination with those of links closer to the
-base. A QR factorisation with column pivoting finds them (Gautier, "Numerical calculation of the
-base inertial parameters of robots", ICRA 1990): with W P = Q [R1 R2; 0 0], R1 of full rank r, the
-first r columns of W P span all columns, and
-
-    x_base = x_1 + R1^-1 R2 x_2.
-
-Which base parameters a log needs (the essential ones) follows from backward elimination: the one
-with the largest relative standard deviation is removed and the others are fitted again, until the
-largest is no more than 30 times the smallest (Pham, Gautier, "Essential parameters of robots",
-CDC 1991) or is below 10 %. Essential parameters are reported only; the estimate does not use them.
 """
 
 from __future__ import annotations
@@ -35,14 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.records import Array, Identifiability, SquareRootInformation
+from robot_sysid.records import Array, Identifiability
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
-# Frobenius norm of a triangle's inverse below which no singular value counts as zero: the least one
-# is above 1e-8 then, and the cut is at 1e-10 of the largest, which is at most the root of the
-# number of unit columns.
-_WELL_SEEN = 1e8
 # Components of unit vectors below this count as zero; a choice, far above their rounding (1e-13).
 _TOLERANCE = 1e-6
 # Indices of the first moments among the parameters.
@@ -57,8 +40,6 @@ class VisibleSpace:
 
     A singular value decomposition without the singular values that count as zero. Visible are
     combinations of parameters that change A x, invisible those of its null space.
-    ``triangle_space`` fills ``left``, ``singular`` and ``right`` differently, with an equal
-    pseudo-inverse right diag(1 / singular) left^T.
 
     Attributes:
         scale: (p,) x = scale * y turns scaled coordinates y into parameters x.
@@ -125,24 +106,6 @@ def _count_visible(singular: NDArray[Any], largest: float) -> int:
     return int(np.count_nonzero(singular > RELATIVE_CUT * largest))
 
 
-def triangle_space(triangle: Array) -> VisibleSpace:
-    """Return the visible space and null space of an upper triangular matrix (M, p).
-
-    It is faster than ``visible_space`` where the matrix is well-conditioned: the null space is
-    empty then, ``right`` is the inverse of the scaled triangle, and ``left`` and ``singular`` are
-    unit matrices.
-    """
-    size = triangle.shape[1]
-    scale, zero = column_scale(triangle)
-    if len(triangle) >= size and not np.any(zero | (np.diag(triangle)[:size] == 0.0)):
-        inverse = np.asarray(np.linalg.inv(triangle[:size] * scale))
-        if np.linalg.norm(inverse) < _WELL_SEEN:
-            left = np.eye(len(triangle), size)
-            null = np.zeros((size, 0))
-            return VisibleSpace(scale, left, np.ones(size), inverse, null, zero)
-    return visible_space(triangle)
-
-
 def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
     """Return (scale (p,), zero (p,)): the inverse length of each column of a matrix (M, p), and
     whether the column is rounding noise, below ``RELATIVE_CUT`` of the longest one.
@@ -157,20 +120,25 @@ def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
     return 1.0 / np.where(zero, 1.0, length), zero
 
 
-def analyse_identifiability(information: SquareRootInformation) -> Identifiability:
+def analyse_identifiability(
+    matrix: Array, names: Sequence[str], joint: str
+) -> Identifiability:
     """Return the identifiability of the terminal link and of its joint's friction.
 
-    The last joint is the terminal one. The parameters of interest are the link's ten inertial
-    parameters and this joint's Coulomb and viscous friction, all others are nuisances. The rank is
-    that which remains after nuisances are eliminated: rank [Y_interest Y_nuisance] - rank
-    Y_nuisance. The condition numbers are those of Y_interest alone, so that they are comparable
-    between a plan, a simulation and a log, which have different nuisances. All joints' rows weigh
-    alike, without the prior. ``identified`` and ``unidentifiable`` cover nuisances, too.
+    The parameters of interest are the link's ten inertial parameters and this joint's Coulomb and
+    viscous friction, all others are nuisances. The rank is that which remains after nuisances are
+    eliminated: rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition numbers are those of
+    Y_interest alone, so that they are comparable between a plan, a simulation and a log, which have
+    different nuisances. All joints' rows weigh alike. ``identified`` and ``unidentifiable`` cover
+    nuisances, too.
+
+    Args:
+        matrix: (M, p) rows of all joints.
+        names: (p,) of the parameters, the ten inertial ones first.
+        joint: name of the terminal joint.
     """
-    matrix, _ = information.equations()
     space = visible_space(matrix)
-    joint = information.joints[-1].joint
-    interest = np.isin(information.names, [f"coulomb[{joint}]", f"viscous[{joint}]"])
+    interest = np.isin(names, [f"coulomb[{joint}]", f"viscous[{joint}]"])
     interest[: spatial.N_INERTIAL] = True
     visible = np.where(space.zero, 0.0, matrix)
     length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
@@ -183,7 +151,7 @@ def analyse_identifiability(information: SquareRootInformation) -> Identifiabili
         condition_number=_condition(visible[:, interest]),
         scaled_condition_number=_condition((visible / length)[:, interest]),
         identified=space.is_identified,
-        unidentifiable=describe(space.null, space.scale, information.names),
+        unidentifiable=describe(space.null, space.scale, names),
     )
 
 
@@ -312,100 +280,3 @@ def _single(name: str) -> str:
     phrase = f"inertia {name}" if name in spatial.PARAMETER_NAMES else term
     phrase = _SINGLE.get(term, phrase)
     return f"{phrase} of {joint.removesuffix(']')}" if joint else phrase
-
-
-BASE_CUT = 1e-8
-"""Diagonal entries of R below this share of the largest count as zero."""
-ESSENTIAL_RATIO = 30.0
-"""How many times the smallest relative standard deviation an essential parameter may have."""
-WELL_KNOWN = 0.1
-"""Relative standard deviation below which a parameter is essential in any case."""
-# Weights of parameters in a base parameter below this count as zero.
-_ROUNDING = 1e-5
-# Relative decrease of the scale from one column to the next, which decides between columns that
-# are equal but for rounding.
-_ALIKE = 1e-6
-
-
-@dataclass(frozen=True)
-class BaseCombinations:
-    """The r combinations of p parameters that a regressor identifies, x_base = matrix x.
-
-    Attributes:
-        matrix: (r, p) weights of the parameters in each combination.
-        leading: (r,) index of one parameter per combination, ascending, whose weight is one there
-            and zero in all other combinations; the combination's name begins with it.
-    """
-
-    matrix: Array
-    leading: NDArray[np.int64]
-
-    @property
-    def rank(self) -> int:
-        """Number of combinations r."""
-        return len(self.leading)
-
-    def names(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return each combination as text, such as "hx + 0.5*m", from parameter names (p,)."""
-        pairs = zip(self.matrix, self.leading.tolist())
-        return tuple(in_words(row, first, names) for row, first in pairs)
-
-
-def base_combinations(regressor: Array, scale: Array) -> BaseCombinations:
-    """Return the combinations of parameters that a regressor identifies: its base parameters.
-
-    Args:
-        regressor: (M, p).
-        scale: (p,) typical sizes of the parameters, which weight the columns when pivots are
-            chosen.
-    """
-    from scipy.linalg import qr, solve_triangular
-
-    # Of columns that are equal but for rounding, the first one leads.
-    scale = scale * (1.0 - _ALIKE * np.arange(len(scale)))
-    triangle, order = qr(regressor * scale, mode="r", pivoting=True)
-    diagonal = np.abs(np.diag(triangle))
-    rank = int(np.count_nonzero(diagonal > BASE_CUT * np.max(diagonal, initial=0.0)))
-    weights = solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
-    weights[np.abs(weights) < _ROUNDING] = 0.0
-    matrix = np.zeros((rank, len(order)))
-    first = order[:rank]
-    others = order[rank:]
-    matrix[np.arange(rank), first] = 1.0
-    matrix[:, others] = scale[first][:, None] * weights / scale[others]
-    sorting = np.argsort(first)
-    return BaseCombinations(matrix[sorting], first[sorting])
-
-
-def essential(base: Array, nuisance: Array, right_side: Array) -> NDArray[np.bool_]:
-    """Return a mask (r,) of the base parameters that backward elimination keeps as essential.
-
-    The parameter with the largest relative standard deviation is removed, and the others are fitted
-    again, until the largest is at most ``ESSENTIAL_RATIO`` times the smallest, or at most
-    ``WELL_KNOWN``. One parameter always stays.
-
-    Args:
-        base: (M, r) whitened columns of the base parameters.
-        nuisance: (M, k) whitened columns of all other parameters, which are always fitted.
-        right_side: (M,) whitened right-hand sides.
-    """
-    from scipy.linalg import qr
-
-    span, triangle, _ = qr(nuisance, mode="economic", pivoting=True)
-    size = np.abs(np.diag(triangle))
-    span = span[:, size > BASE_CUT * np.max(size, initial=0.0)]
-    # What the other parameters cannot explain of columns and right-hand sides.
-    columns = base - span @ (span.T @ base)
-    target = right_side - span @ (span.T @ right_side)
-    is_essential = np.ones(base.shape[1], dtype=bool)
-    while np.count_nonzero(is_essential) > 1:
-        length = np.linalg.norm(columns[:, is_essential], axis=0)
-        scaled = columns[:, is_essential] / np.where(length > 0.0, length, 1.0)
-        inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-        values = inverse @ (scaled.T @ target)
-        errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-        relative = errors / np.maximum(np.abs(values), 1e-300)  # no division by zero
-        if np.max(relative) <= max(ESSENTIAL_RATIO * np.min(relative), WELL_KNOWN):
-            break
-        is_essential[np.flatnonzero(is_essential)[int(np.argmax(relative))]] = False
-    return is_essential

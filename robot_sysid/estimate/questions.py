@@ -5,29 +5,22 @@ Shapes: n joints of the chain, J joints with equations; a body has ten inertial 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import FADING_SPEEDS
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.links import AS_STATED, LinkScales, link_factor, link_lengths
-from robot_sysid.estimate.options import (
-    FILE_FRICTION,
-    FILE_GRAVITY,
-    FILE_LINKS,
-    EstimationOptions,
-)
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import (
     DELAY,
     DRIFT,
-    FRICTION,
     FURTHER_FRICTION,
     LAST_LINK,
     LINKS,
-    MOTOR_TERMS,
-    MOTORS,
     PAYLOAD,
     SCALES,
     TILT,
@@ -58,7 +51,7 @@ LEAST_FITTED_DRY = 1e-3
 LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
 DRIFTS = 0.2
-"""Prior standard deviation of friction's relative drift from the middle of the logs to their ends."""
+"""Prior standard deviation of friction's relative drift, from the middle of the logs to an end."""
 LOADED_LOSS = 0.1
 """Prior standard deviation of the share of its load that a gear loses, in weighing a payload."""
 FILE_TILT = float(np.radians(2.0))
@@ -153,10 +146,9 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
         DELAY: np.full(1, 0.0 if question.resting else MILLI * priors.delay),
     }
     for cause, deviations in sizes.items():
-        term = arm.terms.get(cause)
-        if term is not None and np.any(deviations > 0.0):
-            deviations = np.maximum(deviations, 1e-9)
-            terms.append(replace(term, prior=independent(deviations)))
+        if cause in arm.terms and np.any(deviations > 0.0):
+            prior = independent(np.maximum(deviations, 1e-9))
+            terms.append(replace(arm.terms[cause], prior=prior))
     return terms
 
 
@@ -198,7 +190,7 @@ def links_term(arm: ArmTerms, question: Question) -> Term:
     return replace(arm.terms[LINKS], prior=Prior(thetas.ravel(), factor))
 
 
-def is_stated(arm: ArmTerms) -> Array:
+def is_stated(arm: ArmTerms) -> NDArray[np.bool_]:
     """Return which of the links before the last the model states, not with a placeholder."""
     robot = arm.robot
     usual = usual_bodies(robot)

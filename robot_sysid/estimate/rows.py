@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,7 @@ class Recording:
     source: ProcessedSignals | Poses
     is_loaded: bool = False
     order: float = 0.0
-    _columns: dict[object, Array] = field(default_factory=dict, compare=False)
+    _kept: dict[object, Any] = field(default_factory=dict, compare=False)
 
     def __len__(self) -> int:
         """Return the number K of rows."""
@@ -97,28 +98,28 @@ class Recording:
         What has the sign of a speed has to pass the filter that the torque has passed. Results are
         kept by their ``key``: do not change them.
         """
-        if key not in self._columns:
+        if key not in self._kept:
             signals = self.signals
             if signals is None:
-                self._columns[key] = make(self.motion)
+                self._kept[key] = make(self.motion)
             else:
                 (columns,) = signals.filter_columns(lambda motion: (make(motion),))
-                self._columns[key] = columns
-        return self._columns[key]
+                self._kept[key] = columns
+        return np.asarray(self._kept[key])
 
     def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
         """Return the torque (K, n) of links with parameters ``thetas`` (n, 10) [N m]."""
         key = "links", gravity.tobytes(), thetas.tobytes()
-        if self._columns.get("links of") is None or self._columns["links of"] != key:
+        if self._kept.get("links of") != key:
             dynamics = LinkDynamics(robot, gravity)
             parts = []
             for part in self.parts(36 * robot.n_joints):
                 motion = part.motion
                 moves = dynamics.motion(motion.q, motion.qd, motion.qdd)
                 parts.append(moves.torque(thetas))
-            self._columns["links of"] = key
-            self._columns["links"] = np.concatenate(parts)
-        return self._columns["links"]
+            self._kept["links of"] = key
+            self._kept["links"] = np.concatenate(parts)
+        return np.asarray(self._kept["links"])
 
     def parts(self, width: int) -> Iterator[Part]:
         """Yield the rows in chunks, of which columns ``width`` numbers wide fit in memory."""
@@ -214,6 +215,16 @@ class Sums:
             normal[np.ix_(at, at)] += weight**2 * gram
         return normal
 
+    def only(self, blocks: Sequence[int]) -> Sums:
+        """Return the sums of some blocks."""
+        kept = list(blocks)
+        return replace(
+            self,
+            grams=tuple(gram[kept] for gram in self.grams),
+            counts=self.counts[kept],
+            logs=tuple(self.logs[k] for k in kept),
+        )
+
     def squared_residuals(self, values: Array, block: int | None = None) -> Array:
         """Return each joint's sum of squared residuals (J,) at values (p,) [N^2 m^2]."""
         sums = []
@@ -297,11 +308,11 @@ def add_up(
     )
 
 
-def _spread(gram: Array, old: Array, new: Array) -> Array:
+def _spread(gram: Array, old: Any, new: Any) -> Array:
     """Return products (B, k + 1, k + 1) with zeros for the columns ``new`` that ``old`` lacks."""
     wider = np.zeros((len(gram), len(new) + 1, len(new) + 1))
     at = np.append(np.searchsorted(new, old), len(new))
-    wider[np.ix_(range(len(gram)), at, at)] = gram
+    wider[:, at[:, None], at] = gram
     return wider
 
 

@@ -6,220 +6,28 @@ from the recordings themselves, such as friction terms.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from robot_sysid.errors import InputError
-from robot_sysid.records.file_access import read_json, read_toml
-from robot_sysid.records.option_fields import (
-    OptionRecord,
-    PerJoint,
-    option,
-    options_of,
-    record_from,
+from robot_sysid.estimate.options import (  # noqa: F401
+    CHOSEN,
+    DEFAULT_TERMINAL,
+    FILE_FRICTION,
+    FILE_GRAVITY,
+    FILE_LINKS,
+    FILE_ROTORS,
+    TORQUE_CHOICES,
+    EstimationOptions,
+    Priors,
+    priors_of,
+    read_priors,
 )
 
 if TYPE_CHECKING:
     from robot_sysid.dynamics.friction import Coupling, FrictionModel
     from robot_sysid.estimation.algebra.priors import LinkScales
     from robot_sysid.records import Array
-
-
-TORQUE_CHOICES = ("chain", "terminal")
-"""Values of the option ``torques``: equations of all joints that carry the terminal link, or of
-the last joint only."""
-DEFAULT_TERMINAL = "coulomb-viscous-offset"
-"""Default friction model with ``torques="terminal"``; it has no rotor inertia, which one joint's
-torque does not tell from the inertia of the link."""
-CHOSEN = "auto"
-"""Value of the option ``friction_model`` that selects each joint's friction terms from the data."""
-
-
-# Names of the parts of a model file that may stay as they are (``Question.unchanged_parts``).
-# Friction of joints and motors.
-FILE_FRICTION = "friction"
-# Rotor inertia.
-FILE_ROTORS = "rotors"
-# Direction of gravity.
-FILE_GRAVITY = "gravity"
-# All links but the terminal one.
-FILE_LINKS = "links"
-
-
-@dataclass(frozen=True)
-class Priors(OptionRecord):
-    """How wrong arms, models and sensors usually are: standard deviations of priors.
-
-    A file of ``--priors`` has these names as keys. docs/options.md says where each was seen.
-    """
-
-    link: float = option(
-        5.0,
-        "how well the model knows the other links: their mass, their centre of mass as part of "
-        "their size, half of what their inertia is off by",
-        "P [%] >= 0",
-    )
-    scale: PerJoint | None = option(
-        None,
-        "how far each joint's torque scale may be off, one number or one per joint",
-        "P [%] >= 0",
-        default_text="2; 3 of payloads; what a file of torque scales says of itself",
-    )
-    zero: float = option(
-        2.0, "how far each joint's zero position may be off", "P [mrad] >= 0"
-    )
-    gravity: float = option(
-        0.3, "how far the base may be tilted against gravity", "P [deg] >= 0"
-    )
-    delay: float = option(
-        5.0, "how late or early the torque may be beside the position", "P [ms] >= 0"
-    )
-    friction: float = option(
-        2.0,
-        "how much friction may grow with the torque of the gear where the friction model has no "
-        "term for it; it may also be curved by five times that part of its Coulomb friction",
-        "P [%] >= 0",
-    )
-    noise: PerJoint | None = option(
-        None,
-        "of a plan: noise of the torques to expect, one number or one per joint",
-        "P [N·m] > 0",
-        default_text="0.3",
-    )
-    file: Path | None = None
-
-    def __str__(self) -> str:
-        """Return the file that the priors were read from, as it is typed."""
-        return str(self.file or "")
-
-
-def read_priors(path: str | os.PathLike[str]) -> Priors:
-    """Return the priors in a TOML or JSON file; those that it does not name have their defaults.
-
-    InputError where the file cannot be read, or has a key or value that is no prior's.
-    """
-    path = Path(path)
-    if path.suffix == ".json":
-        content = read_json(path, "a file of priors is JSON or TOML")
-    else:
-        content = read_toml(path)
-    try:
-        return replace(priors_of(content), file=path)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def priors_of(content: object) -> Priors:
-    """Return the priors in a table of numbers by name; InputError where it is no such table."""
-    names = options_of(Priors)
-    form = f"priors are numbers by these names: {', '.join(names)}"
-    if not isinstance(content, Mapping):
-        raise InputError(f"there is no table; {form}")
-    for key in content:
-        if key not in names:
-            raise InputError(f"there is no prior {key!r}; {form}")
-    try:
-        return record_from(Priors, content)
-    except InputError as error:
-        raise InputError(f"{str(error).lstrip('-')}; {form}") from None
-
-
-@dataclass(frozen=True)
-class EstimationOptions(OptionRecord):
-    """Options of the user: how parameters are estimated from torques.
-
-    Each field's text says what it means. ``cutoff`` of the low-pass that all signals go through
-    [Hz] is no option; None chooses it from the data.
-    """
-
-    torques: str = option(
-        "chain",
-        "use the torques of all joints that carry the link, or of the last joint only",
-        choices=TORQUE_CHOICES,
-    )
-    no_friction: bool = option(
-        False, "leave friction out and identify the 10 inertial parameters only"
-    )
-    friction_model: str | None = option(
-        None,
-        "friction terms of every joint, such as coulomb-viscous-offset, or auto",
-        "TERMS",
-        default_text="auto: each joint's by held-out torques; of the last joint's torque alone "
-        f"{DEFAULT_TERMINAL}",
-    )
-    priors: Priors = option(
-        Priors(),
-        "file that says how wrong model and sensors may be",
-        "FILE",
-        parse=read_priors,
-        default_text="as usual arms are",
-    )
-    keep: tuple[str, ...] = option(
-        (),
-        "leave this of the model as it is: friction or rotor inertia of its joints, gravity, or "
-        "all links but the terminal one; may be repeated",
-        choices=(FILE_FRICTION, FILE_ROTORS, FILE_GRAVITY, FILE_LINKS),
-        repeats=True,
-    )
-    cutoff: float | None = None
-
-    def __post_init__(self) -> None:
-        """Check each value, that the friction model exists, and that options do not conflict.
-
-        Raises:
-            InputError: a check failed.
-        """
-        super().__post_init__()
-        # A program may give a file's path or a table.
-        if not isinstance(self.priors, Priors):
-            is_file = isinstance(self.priors, os.PathLike)
-            priors = (read_priors if is_file else priors_of)(self.priors)
-            object.__setattr__(self, "priors", priors)
-        if self.no_friction:
-            for flag, is_given in (
-                ("--friction-model", self.friction_model is not None),
-                (f"--keep {FILE_FRICTION}", FILE_FRICTION in self.keep),
-            ):
-                if is_given:
-                    raise InputError(f"{flag} and --no-friction exclude each other")
-        if self.friction_model not in (None, CHOSEN):
-            from robot_sysid.dynamics.friction import friction_model
-
-            friction_model(str(self.friction_model))
-
-    @property
-    def friction(self) -> FrictionModel | None:
-        """Friction terms of every joint; None where each joint's terms are selected from data.
-
-        With the option ``no_friction`` it is a model without terms.
-        """
-        from robot_sysid.dynamics.friction import FrictionModel, friction_model
-
-        if self.no_friction:
-            return FrictionModel(())
-        if self.friction_model not in (None, CHOSEN):
-            return friction_model(str(self.friction_model))
-        if self.torques == "terminal":
-            return friction_model(DEFAULT_TERMINAL)
-        return None
-
-    @property
-    def left_out_terms(self) -> tuple[str, ...]:
-        """Terms of the default friction model that the user's own friction model lacks.
-
-        A sigmoid is no lack of Coulomb friction.
-        """
-        from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
-
-        default = DEFAULT_TERMINAL if self.torques == "terminal" else DEFAULT_MEASURED
-        if self.friction is None:
-            return ()
-        terms = self.friction.terms
-        given = {*terms, "coulomb"} if "sigmoid" in terms else {*terms}
-        return tuple(t for t in friction_model(default).terms if t not in given)
 
 
 @dataclass(frozen=True)

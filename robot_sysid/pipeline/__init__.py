@@ -14,7 +14,7 @@ from robot_sysid.records import Motion, MotionPlan, Traces
 from robot_sysid.results.record import Result
 
 if TYPE_CHECKING:
-    from robot_sysid.estimation.dataset import Dataset
+    from robot_sysid.estimate.rows import Recording
 
 
 @dataclass(frozen=True)
@@ -34,5 +34,5 @@ class Identification:
     result: Result
     checkpoints: Motion
     traces: Callable[[], Traces]
-    tests: tuple[Dataset, ...] = ()
+    tests: tuple[Recording, ...] = ()
     plan: MotionPlan | None = None

@@ -11,16 +11,13 @@ import numpy as np
 from robot_sysid.config import PayloadConfig, PayloadOptions
 from robot_sysid.diagnosis.log_checks import check_log
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.build_result import payload_of, traces_of
-from robot_sysid.estimation.dataset import Dataset, RestingPoses
-from robot_sysid.estimation.identify import (
-    Piece,
-    answer_payload,
-    low_pass_recordings,
-    shared_notes,
-)
-from robot_sysid.estimation.question import EstimationOptions, Question
-from robot_sysid.estimation.unknowns import SCALES, Unknowns
+from robot_sysid.estimate import identify
+from robot_sysid.estimate.identify import Piece, low_pass_recordings, shared_notes
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.payload import payload_result
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.result import traces_of
+from robot_sysid.estimate.rows import Poses, Recording
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.logs.reader import open_log, refuse_repeated_logs
 from robot_sysid.model.bodies import find_flange
@@ -102,20 +99,18 @@ def identify_payload(
         known_mass=options.known_mass,
         resting=options.static,
     )
-    answer, free = answer_payload(
+    fitted, weighed, file = identify.identify_payload(
         robot, datasets, question, progress, config.estimation.keep
     )
-    result = payload_of(answer, free, flange, _origin(recordings))
+    result = payload_result(fitted, weighed, file, flange, _origin(recordings))
     if config.log.torque_scale is not None and result.payload is not None:
         factors = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)[0]
         applied_scales = dict(zip(robot.joint_names, factors.tolist()))
-        payload = _with_applied_scales(
-            result.payload, applied_scales, answer.fit.unknowns
-        )
+        payload = _with_applied_scales(result.payload, applied_scales)
         result = replace(result, payload=payload)
     progress.note(*result.notes[len(robot.notes) :])
-    checkpoints = answer.fit.columns.datasets[-1].motion
-    traces = partial(traces_of, answer)
+    checkpoints = fitted.recordings[-1].motion
+    traces = partial(traces_of, fitted, None)
     return Identification(config, result, checkpoints, traces)
 
 
@@ -131,26 +126,18 @@ def _origin(recordings: Sequence[RawRecording]) -> DataOrigin:
 
 
 def _with_applied_scales(
-    payload: Payload, applied_scales: Mapping[str, float], unknowns: Unknowns
+    payload: Payload, applied_scales: Mapping[str, float]
 ) -> Payload:
     """Return a payload whose torque scales are those of the log before scales were applied.
 
     Args:
         payload: as estimated from torques that were divided by the applied scales.
         applied_scales: joint to the scale that the log's torques were divided by.
-        unknowns: of the estimate; they hold how far the prior of the scales had to be widened.
     """
-    # Where the estimate contradicts the applied scales, errors are as many times as large as the
-    # prior had to be widened (the Birge ratio of means that do not agree).
-    birge_ratio = 1.0
-    for group in unknowns.groups:
-        if group.cause == SCALES:
-            birge_ratio = max(birge_ratio, group.widened)
     scales = {}
     for joint, figure in payload.torque_scale.items():
         applied = applied_scales[joint]
-        error = applied * birge_ratio * figure.error
-        scales[joint] = Quantity(applied * figure.value, error)
+        scales[joint] = Quantity(applied * figure.value, applied * figure.error)
     return replace(payload, torque_scale=scales)
 
 
@@ -159,7 +146,7 @@ def _moving_datasets(
     recordings: Sequence[RawRecording],
     positions: Array,
     options: EstimationOptions,
-) -> tuple[list[Dataset], tuple[str, ...]]:
+) -> tuple[list[Recording], tuple[str, ...]]:
     """Return recordings as low-passed signals, and notes on them.
 
     Args:
@@ -172,18 +159,16 @@ def _moving_datasets(
     notes = {}
     for recording, position in zip(recordings, positions.tolist()):
         notes[recording.name] = recording.notes
-        for number, samples in enumerate(recording.pieces, start=1):
+        for samples in recording.pieces:
             name = recording.name
-            if len(recording.pieces) > 1:
-                name = f"{name} (part {number})"
             pieces.append(Piece(name, samples, recording.is_loaded, position))
-    datasets, filter_notes = low_pass_recordings(robot, pieces, options)
+    datasets, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
     return datasets, (*shared_notes(notes), *filter_notes)
 
 
 def _resting_datasets(
     recordings: Sequence[RawRecording], positions: Array
-) -> tuple[list[Dataset], tuple[str, ...]]:
+) -> tuple[list[Recording], tuple[str, ...]]:
     """Return recordings as poses at rest, and notes on them, one sentence each.
 
     Args:
@@ -201,8 +186,8 @@ def _resting_datasets(
             poses, used = resting_poses(recording.samples)
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
-        resting = RestingPoses(poses, used)
-        datasets.append(Dataset(name, resting, recording.is_loaded, position))
+        resting = Poses(poses, used)
+        datasets.append(Recording(name, resting, recording.is_loaded, position))
         pose_note = f"{len(poses)} poses, each approached from both sides"
         notes[name] = (*recording.notes, pose_note)
     return datasets, tuple(shared_notes(notes))

@@ -13,20 +13,17 @@ import numpy as np
 
 from robot_sysid.config import IdentifyConfig, SelfTestConfig
 from robot_sysid.diagnosis.log_checks import check_log
-from robot_sysid.estimation.build_result import result_of, traces_of
-from robot_sysid.estimation.dataset import Dataset, release_memory
-from robot_sysid.estimation.identify import (
+from robot_sysid.estimate.held_out import predicted
+from robot_sysid.estimate.identify import (
     Piece,
-    answer_link,
+    identify_link,
     low_pass_recordings,
     shared_notes,
 )
-from robot_sysid.estimation.question import (
-    FILE_FRICTION,
-    FILE_ROTORS,
-    EstimationOptions,
-)
-from robot_sysid.estimation.trust import judge_file
+from robot_sysid.estimate.options import FILE_FRICTION, FILE_ROTORS, EstimationOptions
+from robot_sysid.estimate.result import link_result, traces_of
+from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.trust import judge_file
 from robot_sysid.logs.reader import (
     MeasurementLog,
     open_log,
@@ -169,7 +166,6 @@ def diagnose_logs(
     checked = []
     for n_done, log in enumerate(logs):
         progress.advance(label, n_done, len(logs), "")
-        release_memory()
         checked.append(check_log(robot, log, accepted, progress, options))
     return checked
 
@@ -196,35 +192,39 @@ def _identify_pieces(
         tests: logs that only test the result; they get the cut-off of the others.
     """
     options = config.estimation
-    datasets, filter_notes = low_pass_recordings(robot, pieces, options)
+    recordings, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
     pieces.clear()
-    signals = datasets[0].signals
+    signals = recordings[0].signals
     assert signals is not None
-    test_options = replace(options, cutoff=signals.cutoff)
-    test_datasets: dict[str, Sequence[Dataset]] = {}
+    test_recordings: dict[str, list[Recording]] = {}
     for log in tests:
         name = str(log.path)
         test_pieces = [Piece(name, samples) for samples in log.pieces]
-        test_datasets[name] = low_pass_recordings(robot, test_pieces, test_options)[0]
+        test_recordings[name], _ = low_pass_recordings(
+            robot, test_pieces, signals.cutoff
+        )
     notes = (*notes, *filter_notes)
     progress.note(*notes)
     keep = options.keep
     if options.no_friction:
         keep += (FILE_FRICTION, FILE_ROTORS)
-    answer = answer_link(robot, datasets, options, progress, keep, test_datasets)
-    answer = replace(answer, notes=(*notes, *answer.notes))
-    result = result_of(answer, origin)
+    fitted, file = identify_link(robot, recordings, options, progress, keep)
+    errors = [predicted(fitted, log, name) for name, log in test_recordings.items()]
+    result = link_result(fitted, file, errors, origin, notes)
     printed = {*robot.notes, *notes}
     progress.note(*(note for note in result.notes if note not in printed))
     checkpoints = signals.motion(signals.spread_indices(CHECKPOINTS))
-    all_tests = tuple(itertools.chain.from_iterable(test_datasets.values()))
+    all_tests = tuple(itertools.chain.from_iterable(test_recordings.values()))
     result = _with_file_tests(result, all_tests, checkpoints, config.model.mesh_dir)
-    traces = partial(traces_of, answer)
+    traces = partial(traces_of, fitted, file)
     return Identification(config, result, checkpoints, traces, all_tests)
 
 
 def _with_file_tests(
-    result: Result, tests: Sequence[Dataset], checkpoints: Motion, mesh_dir: Path | None
+    result: Result,
+    tests: Sequence[Recording],
+    checkpoints: Motion,
+    mesh_dir: Path | None,
 ) -> Result:
     """Return the result with the written file's own error on other logs, by inverse dynamics.
 

@@ -44,7 +44,15 @@ from robot_sysid.pipeline.planning import (
     write_plan,
 )
 from robot_sysid.pipeline.run_words import step_after_run
-from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel, Source
+from robot_sysid.records import (
+    Array,
+    DataOrigin,
+    Estimate,
+    JointLimits,
+    MotionPlan,
+    RobotModel,
+    Source,
+)
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import atomic_files
@@ -287,16 +295,36 @@ def _traces(
         model: friction of the terminal joint.
         estimate: the identified parameters, by whose values the torque is predicted.
     """
-    from robot_sysid.estimation.build_result import make_traces
-    from robot_sysid.estimation.dataset import equations_at
-
     equations = Equations(robot, torques, friction_per_joint(robot, "terminal", model))
     motion = spread_motion(plan, _DRAWN_SAMPLES)
     (measurement,) = simulate_inverse(robot, [motion])
-    samples = equations_at(equations, measurement)
-    values = dict(zip(equations.names, estimate.values))
-    prior = dict(zip(equations.names, equations.prior))
-    return make_traces(robot, [samples], [motion], values, prior)
+    at = list(equations.joint_indices)
+    measured = measurement.tau[:, at]
+    is_friction = np.arange(len(equations.names)) >= N_INERTIAL
+    torques_of: dict[str, list[Array]] = {"estimate": [], "model": [], "friction": []}
+    for columns, (rows, right_side), tau in zip(
+        equations.columns, equations.rows(measurement), measured.T
+    ):
+        known = tau - right_side
+        values = estimate.values[columns]
+        torques_of["estimate"].append(known + rows @ values)
+        torques_of["model"].append(known + rows @ equations.prior[columns])
+        torques_of["friction"].append(rows @ (values * is_friction[columns]))
+    limits = robot.limits
+    return Traces(
+        joints=equations.joints,
+        is_slide=tuple(robot.is_slide[at].tolist()),
+        time=motion.time,
+        q=motion.q[:, at],
+        qd=motion.qd[:, at],
+        measured=measured,
+        predicted=np.stack(torques_of["estimate"], axis=1),
+        prior_prediction=np.stack(torques_of["model"], axis=1),
+        friction=np.stack(torques_of["friction"], axis=1),
+        limits=JointLimits(
+            limits.lower[at], limits.upper[at], limits.velocity[at], limits.torque[at]
+        ),
+    )
 
 
 def self_test_verdict(estimate: Estimate) -> Verdict:

@@ -1,0 +1,234 @@
+"""The model file: the fit of those terms that a file can hold, judged as a file.
+
+Effects that a file cannot hold (torque scales, encoder zeros, a delay, friction that grows with the
+load) are left out; the offsets of torque sensors stay, which the judge of a file removes, too.
+
+Shapes: n joints of the chain, J joints with equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_sysid.dynamics.equations import link_names
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    gravity_vector,
+    tilt_axes,
+    turn_gravity,
+)
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimate.choose import CLEAR
+from robot_sysid.estimate.fit import Fit, fit
+from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.options import (
+    FILE_FRICTION,
+    FILE_GRAVITY,
+    FILE_LINKS,
+    FILE_ROTORS,
+)
+from robot_sysid.estimate.questions import FILE_TILT, links_term
+from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, TILT, Term, independent
+from robot_sysid.records import Array, Validation
+
+CLEAR_ROTOR = 3.0
+"""Least distance of a rotor from the model's, and of a sensor's offset from zero, in standard
+errors, at which it is significant."""
+OFFSET = 0.01
+"""Prior standard deviation of offsets that are not significant, as a share of the joint's torque:
+offsets of a KUKA LWR4+ are not known better."""
+
+
+@dataclass(frozen=True)
+class FileFit:
+    """The fit of a model file.
+
+    Attributes:
+        fit: of the terms that the file holds, and of sensors' offsets.
+        kind: "mjcf" or "urdf".
+        unchanged: names of the parts of the file that stay as they are.
+        before: held-out error of the given model, each joint's sensor offset fitted.
+        after: held-out error of the file, likewise.
+        rotors: joint or motor to its rotor inertia in the file [kg m^2], where it is held.
+        gravity: (3,) in the file [m/s^2]; None where it stays.
+        urdf: fit of the URDF that is written beside this MJCF; or None.
+    """
+
+    fit: Fit
+    kind: str
+    unchanged: tuple[str, ...]
+    before: Validation
+    after: Validation
+    rotors: Mapping[str, float]
+    gravity: Array | None = None
+    urdf: FileFit | None = None
+
+    @property
+    def thetas(self) -> Array:
+        """The links (n, 10) of the file; zero for one without mass."""
+        robot = self.fit.arm.robot
+        values = self.fit.by_name
+        thetas = robot.thetas
+        for link in self.fit.arm.others:
+            thetas[link] = [values[name] for name in link_names(robot, link)]
+        thetas[-1] = [values[name] for name in PARAMETER_NAMES]
+        return thetas
+
+
+def fit_file(
+    estimate: Fit, unchanged: Sequence[str], carried: Array | None = None
+) -> FileFit:
+    """Return the fit of the model file.
+
+    A URDF can hold neither rotor inertia nor motors that turn several joints. For a URDF of an arm
+    that has either, the answer is an MJCF, with the URDF beside it.
+
+    Args:
+        estimate: the fit of all terms, from which rotors are taken.
+        unchanged: names of the parts of the file that stay as they are.
+        carried: (10,) payload of loaded recordings; None without one.
+    """
+    kind = estimate.arm.robot.kind
+    own = _fit_kind(estimate, tuple(unchanged), "mjcf", carried)
+    if kind == "mjcf":
+        return own
+    urdf = _fit_kind(estimate, tuple(unchanged), "urdf", carried)
+    has_motors = bool(estimate.question.motors)
+    if has_motors or any(own.rotors.values()):
+        return replace(own, urdf=urdf)
+    return urdf
+
+
+def _fit_kind(
+    estimate: Fit, unchanged: tuple[str, ...], kind: str, carried: Array | None
+) -> FileFit:
+    """Return the fit of a file of one kind."""
+    arm = estimate.arm
+    rotors = select_rotors(estimate, unchanged, kind)
+    held = {f"armature[{owner}]": rotor for owner, rotor in rotors.items()}
+    if carried is not None:
+        held.update(zip(PAYLOAD_NAMES, carried.tolist()))
+    terms = _terms(estimate, unchanged, kind)
+    offsets = [arm.terms["offset"]]
+    before = _solved(estimate, offsets, held if carried is not None else {})
+    # Gravity is turned only where the torques clearly show it.
+    level = [term for term in terms if term.cause != TILT]
+    fitted = _solved(estimate, level, held)
+    known = _known_offsets(fitted)
+    terms = [known if term is offsets[0] else term for term in terms]
+    level = [term for term in terms if term.cause != TILT]
+    fitted = _solved(estimate, level, held)
+    gravity = None
+    if len(level) < len(terms) and fitted.gain(terms[-1]) > CLEAR:
+        fitted = _solved(estimate, terms, held)
+        angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
+        axes = tilt_axes(gravity_vector(arm.robot), fitted.point.gravity)
+        gravity = turn_gravity(fitted.point.gravity, angles, axes)
+    return FileFit(
+        fitted,
+        kind,
+        tuple(sorted(unchanged)),
+        validation(before),
+        validation(fitted),
+        rotors,
+        gravity,
+    )
+
+
+def _known_offsets(fitted: Fit) -> Term:
+    """Return the term of sensors' offsets with a prior of those that are not significant.
+
+    In a small motion an offset and the weight of links make the same torque, so that noise alone
+    would move weight into offsets. Sensors of an arm are alike: where none is significant, all are
+    held at zero; where one is, the others are known to ``OFFSET``.
+    """
+    term = fitted.arm.terms["offset"]
+    torque = np.array([fitted.torque[joint] for joint in fitted.arm.joints])
+    is_clear = np.zeros(len(term.names), dtype=bool)
+    for k, name in enumerate(term.names):
+        if name in fitted.names:
+            index = fitted.names.index(name)
+            error = fitted.errors[index]
+            is_clear[k] = abs(fitted.values[index]) > CLEAR_ROTOR * error
+    known = OFFSET * torque if np.any(is_clear) else np.full(len(torque), 1e-9)
+    return replace(term, prior=independent(np.where(is_clear, 1e3 * torque, known)))
+
+
+def _solved(estimate: Fit, terms: Sequence[Term], held: Mapping[str, float]) -> Fit:
+    """Return the fit of a file's terms around the estimate."""
+    return fit(
+        estimate.arm,
+        estimate.recordings,
+        estimate.point,
+        estimate.sums,
+        terms,
+        held=held,
+        correlation=estimate.correlation,
+        question=estimate.question,
+    )
+
+
+def _terms(estimate: Fit, unchanged: Sequence[str], kind: str) -> list[Term]:
+    """Return the terms that a file holds, and offsets of torque sensors; gravity's tilt last."""
+    arm = estimate.arm
+    terms = []
+    for key, term in arm.terms.items():
+        if kind not in term.held_by and key != "offset":
+            continue
+        if key in ("coulomb", "viscous") and FILE_FRICTION in unchanged:
+            continue
+        if key in ("armature",) or (key == LINKS and FILE_LINKS in unchanged):
+            continue
+        if key in estimate.question.motors:
+            term = term.only(term.names[:2])
+            if FILE_FRICTION in unchanged:
+                continue
+        elif term.cause == "couplings":
+            continue
+        if key == LINKS:
+            if estimate.question.options.priors.link <= 0.0:
+                continue
+            term = links_term(arm, estimate.question)
+        if key != TILT:
+            terms.append(term)
+    if TILT in arm.terms and FILE_GRAVITY not in unchanged:
+        prior = independent(np.full(2, FILE_TILT))
+        terms.append(replace(arm.terms[TILT], prior=prior))
+    return terms
+
+
+def select_rotors(
+    estimate: Fit, unchanged: Sequence[str], kind: str
+) -> dict[str, float]:
+    """Return joint, or motor that turns several joints, to its rotor inertia in a file [kg m^2].
+
+    It is the estimate of all terms where that differs significantly from the model's rotor: a rotor
+    that is fitted beside a file's few terms would take up the torque of friction that a file lacks.
+
+    Tendons have rotor inertia since MuJoCo 3.2.7 only. So that of a motor goes to the joints which
+    it turns, unless the model's tendon has some.
+    """
+    arm = estimate.arm
+    robot = arm.robot
+    is_kept = FILE_ROTORS in unchanged or len(arm.joints) < robot.n_joints
+    if is_kept or kind == "urdf":
+        return {}
+    errors = dict(zip(estimate.names, estimate.errors))
+    rotors = {}
+    for owner in (*robot.joint_names, *estimate.question.motors):
+        name = f"armature[{owner}]"
+        of_model = arm.model.get(name, 0.0)
+        value = estimate.by_name.get(name, of_model)
+        is_clear = abs(value - of_model) > CLEAR_ROTOR * errors.get(name, np.inf)
+        rotors[owner] = value if is_clear else of_model
+    for motor in arm.motors:
+        if arm.model.get(f"armature[{motor.name}]", 0.0) > 0.0:
+            continue
+        rotor = rotors.pop(motor.name, 0.0)
+        rotors[motor.name] = 0.0
+        for index in np.flatnonzero(motor.ratios):
+            rotors[robot.joint_names[index]] += motor.ratios[index] ** 2 * rotor
+    return rotors

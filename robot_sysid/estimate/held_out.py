@@ -1,0 +1,141 @@
+"""Errors of predicted torques on rows that were not fitted: held-out blocks, logs, other logs.
+
+In-sample errors fall with every parameter. So each block of time is predicted from the others.
+
+Shapes: B blocks, J joints with equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.rows import Recording
+from robot_sysid.records import Array, Validation
+from robot_sysid.records.data import validation_of
+
+OWN_SOURCE = "the logs, each tenth predicted from the others"
+"""Source of a validation on the fitted recordings, in words for the user."""
+CLEAR_SHARE = 0.1
+"""Least relative decrease of the held-out squared error that counts as clear."""
+CLEARLY = 2.0
+"""Least mean decrease of the logarithm of the held-out squared error that counts as clear, in
+standard errors of the mean over the blocks."""
+NOISE_EXPLAINS = 3.0
+"""Ratio of held-out error to noise up to which noise, and not a wrong model, may be the cause."""
+# Less than every squared error [N^2 m^2]; avoids the logarithm of zero.
+_TINY = 1e-30
+
+
+def validation(fitted: Fit) -> Validation:
+    """Return the held-out error of the recordings that were fitted."""
+    return _validation(fitted, range(len(fitted.sums.logs)), OWN_SOURCE)
+
+
+def held_out_logs(fitted: Fit) -> list[Validation]:
+    """Return the error of each log predicted from the others; none where there is a single log.
+
+    A log whose error does not test the fit is left out, as one with joints that the other logs do
+    not identify.
+    """
+    names = list(dict.fromkeys(fitted.sums.logs))
+    if len(names) < 2:
+        return []
+    tests = []
+    for name in names:
+        blocks = [k for k, log in enumerate(fitted.sums.logs) if log == name]
+        source = f"{name}, predicted from the other logs"
+        values, inverse = fitted.without(blocks)
+        squares = np.zeros(len(fitted.sums.joints))
+        expected = np.zeros(len(fitted.sums.joints))
+        for block in blocks:
+            full = fitted.equations.full(values)
+            squares += fitted.sums.squared_residuals(full, block)
+            expected += fitted.expected(inverse, block)
+        test = _record(fitted, squares, blocks, source)
+        if _is_informative(fitted, squares, expected, blocks):
+            tests.append(test)
+    return tests
+
+
+def predicted(fitted: Fit, recordings: Sequence[Recording], source: str) -> Validation:
+    """Return the error with which a fit predicts the torques of other recordings.
+
+    Raises:
+        InputError: the recordings hold no usable samples.
+    """
+    sums = fitted.arm.sums(recordings, fitted.next_point())
+    other = fitted.of(sums)
+    blocks = range(len(sums.logs))
+    squares = sums.squared_residuals(other.full)
+    expected = np.sum([other.expected(fitted.covariance, k) for k in blocks], axis=0)
+    test = _record(other, squares, blocks, source)
+    return replace(
+        test, is_informative=_is_informative(other, squares, expected, blocks)
+    )
+
+
+def _validation(fitted: Fit, blocks: Sequence[int], source: str) -> Validation:
+    """Return the held-out error of some blocks, each predicted from all others."""
+    squares = np.sum(fitted.held_out[list(blocks)], axis=0)
+    expected = np.sum(fitted.expected_held_out[list(blocks)], axis=0)
+    record = _record(fitted, squares, blocks, source)
+    informative = _is_informative(fitted, squares, expected, blocks)
+    return replace(record, is_informative=informative)
+
+
+def _record(
+    fitted: Fit, squares: Array, blocks: Sequence[int], source: str
+) -> Validation:
+    """Return sums of squared errors (J,) over some blocks as a record."""
+    sums = fitted.sums
+    torque = np.sum(fitted.squared_torque[list(blocks)], axis=0)
+    counts = np.sum(sums.counts[list(blocks)], axis=0)
+    return validation_of(sums.joints, squares, torque, counts, source)
+
+
+def _is_informative(
+    fitted: Fit, squares: Array, expected: Array, blocks: Sequence[int]
+) -> bool:
+    """Tell whether held-out errors test a fit.
+
+    They do if they are as small as noise, or if they exceed the variance of the prediction. Large
+    errors that this variance explains only mean that the fitted rows do not identify the torque.
+
+    Args:
+        squares: (J,) squared errors [N^2 m^2].
+        expected: (J,) squared errors to expect if the model is right [N^2 m^2].
+        blocks: that were predicted.
+    """
+    noise = np.sum(fitted.sums.counts[list(blocks)], axis=0) * fitted.noise**2
+    used = noise > 0.0
+    if not np.any(used):
+        return False
+    if np.sqrt(np.mean(squares[used] / noise[used])) <= NOISE_EXPLAINS:
+        return True
+    return bool(np.sqrt(np.mean(squares[used] / expected[used])) > NOISE_EXPLAINS)
+
+
+def is_clearly_lower(errors: Array, reference: Array) -> bool:
+    """Tell whether squared errors are clearly lower than those of a reference, over all blocks.
+
+    The sum over blocks, and the geometric mean of the ratios of the blocks' errors, have to be
+    lower by more than ``CLEAR_SHARE``; the mean logarithm of these ratios has to be negative by
+    more than ``CLEARLY`` standard errors.
+
+    Args:
+        errors: (B,) squared held-out errors, in any unit.
+        reference: (B,) in the unit of ``errors``.
+    """
+    ratio = np.log((errors + _TINY) / (reference + _TINY))
+    mean = float(np.mean(ratio))
+    standard_error = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio))
+    is_lower = np.sum(errors) < (1.0 - CLEAR_SHARE) * np.sum(reference)
+    return bool(
+        is_lower
+        and mean < np.log(1.0 - CLEAR_SHARE)
+        and mean + CLEARLY * standard_error < 0.0
+    )

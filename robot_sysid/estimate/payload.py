@@ -1,0 +1,302 @@
+"""A payload: its result, what each recording weighs, and whether recordings agree.
+
+Shapes: k estimated parameters; a body has ten inertial parameters (``PARAMETER_NAMES``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimate.choose import CLEAR
+from robot_sysid.estimate.file_fit import FileFit
+from robot_sysid.estimate.fit import Fit, fit
+from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.result import (
+    body_estimate,
+    common_result,
+    file_verdict,
+    link_estimates,
+    model_file,
+    quantity,
+    result_notes,
+)
+from robot_sysid.estimate.terms import PAYLOAD_NAMES
+from robot_sysid.estimate.trust import (
+    first,
+    judge_known_mass,
+    judge_payload,
+    missed_friction,
+)
+from robot_sysid.records import Array, DataOrigin, Flange
+from robot_sysid.records.messages import Detail, with_error
+from robot_sysid.results.body_errors import is_inertia_known, principal_moments
+from robot_sysid.results.record import (
+    PAYLOAD,
+    BodyEstimate,
+    ModelFile,
+    Payload,
+    Quantity,
+    RecordingPayload,
+    Result,
+    Verdict,
+)
+
+LEAST_MASS = 0.03
+"""Difference in mass below which recordings agree, as a share of the payload's mass."""
+LEAST_PLACE = 0.01
+"""Difference in the payload's centre of mass below which recordings agree [m]."""
+
+
+def written_payload(fitted: Fit) -> tuple[Array, str]:
+    """Return the payload (10,) to write into a model, and why its inertia is not identified.
+
+    The reason is "" where the inertia is identified. Otherwise the payload is replaced by a ball of
+    aluminium of the estimated mass at the estimated centre of mass. The parameters are in the frame
+    of the terminal body.
+    """
+    theta = fitted.values[fitted.at(PAYLOAD_NAMES)]
+    mass, com, _ = spatial.com_from_theta(theta)
+    body = _body(fitted, PAYLOAD_NAMES, theta)
+    if mass <= 0.0 or is_inertia_known(body):
+        return theta, ""
+    moments, errors = principal_moments(body)
+    listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
+    reason = (
+        f"the payload's principal moments of inertia, {listed} kg·m², do not differ significantly "
+        "from zero"
+    )
+    if not np.all(np.isfinite(errors)):
+        reason = "the payload's inertia is not identifiable from these torques"
+    return spatial.aluminium_ball(mass, com), reason
+
+
+def _body(fitted: Fit, names: Sequence[str], theta: Array) -> BodyEstimate:
+    """Return a body with named parameters, in the frame of the terminal body."""
+    selection = np.eye(len(fitted.names))[fitted.at(names)]
+    return body_estimate(fitted, "payload", selection, theta, None)
+
+
+def payload_result(
+    fitted: Fit, weighed: Fit, file: FileFit | None, flange: Flange, origin: DataOrigin
+) -> Result:
+    """Return the result for a payload.
+
+    Args:
+        fitted: the fit whose scales and payload are reported, with the known mass if there is one.
+        weighed: the fit without the known mass; ``fitted`` itself where there is none.
+        file: the fit of the arm's model file; None where none is written.
+        flange: the frame in which the payload is stated.
+        origin: where the recordings come from.
+    """
+    robot = fitted.arm.robot
+    known_mass = fitted.question.known_mass
+    # Judged is the payload before bodies were made possible: that step hides a negative mass.
+    free = _in_flange(weighed, flange, weighed.free)
+    test = validation(weighed)
+    findings = list(judge_payload(robot, free, contradiction(weighed, flange), test))
+    if known_mass is not None:
+        findings = list(judge_known_mass(findings, free.inertial.mass, known_mass))
+    status, reasons = first(findings, Verdict.OK)
+    values = fitted.free.copy()
+    unknown_inertia = ""
+    if status.is_trustworthy:
+        values = fitted.values.copy()
+        theta, unknown_inertia = written_payload(fitted)
+        values[fitted.at(PAYLOAD_NAMES)] = theta
+    scatter = (
+        tuple(payloads_by_recording(weighed, flange)) if known_mass is None else ()
+    )
+    payload = _payload_record(fitted, flange, values, scatter)
+    missed = "" if fitted.question.resting else missed_friction(fitted)
+    notes = [*robot.notes]
+    if unknown_inertia:
+        payload = _without_inertia(payload)
+        status = Verdict.INERTIA_NOT_KNOWN if known_mass is None else status
+        notes.append(Detail(unknown_inertia))
+    written: ModelFile | None = None
+    if file is not None:
+        verdict, reason = file_verdict(fitted, file)
+        if verdict.is_trustworthy:
+            written, file_notes = model_file(fitted, file)
+            notes += file_notes
+        else:
+            notes.append(
+                f"the written model is the arm's own with the payload on it: {reason}"
+            )
+    notes += result_notes(fitted, written, missed)
+    return replace(
+        common_result(fitted, origin, PAYLOAD),
+        verdict=status,
+        reasons=reasons,
+        links=tuple(link_estimates(fitted)),
+        payload=payload,
+        file=written,
+        validation=(validation(fitted),),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimate:
+    """Return the payload at parameters (k,), in the flange frame."""
+    # The change of frame is linear: its matrix has the images of the ten unit bodies as columns.
+    to_flange = np.stack(list(map(flange.to_flange, np.eye(10))), axis=1)
+    at = fitted.at(PAYLOAD_NAMES)
+    combinations = to_flange @ np.eye(len(fitted.names))[at]
+    return body_estimate(fitted, "payload", combinations, to_flange @ values[at], None)
+
+
+def _link(fitted: Fit, values: Array, loaded: bool) -> BodyEstimate:
+    """Return the terminal link at parameters (k,), with or without the payload."""
+    arm = fitted.arm
+    at = fitted.at(PARAMETER_NAMES)
+    combinations = np.eye(len(fitted.names))[at]
+    theta = values[at]
+    if loaded:
+        of_payload = fitted.at(PAYLOAD_NAMES)
+        combinations = combinations + np.eye(len(fitted.names))[of_payload]
+        theta = theta + values[of_payload]
+    model_theta = None if loaded else arm.robot.prior.theta
+    return body_estimate(fitted, arm.robot.body_name, combinations, theta, model_theta)
+
+
+def _payload_record(
+    fitted: Fit, flange: Flange, values: Array, scatter: tuple[RecordingPayload, ...]
+) -> Payload:
+    """Return the record of the payload, and of the terminal link without and with it."""
+    known_mass = fitted.question.known_mass
+    torque_scale = {}
+    if known_mass:
+        for joint in fitted.arm.joints:
+            scale = quantity(fitted, f"scale[{joint}]")
+            torque_scale[joint] = Quantity(1.0 + scale.value, scale.error)
+    recordings: dict[str, tuple[str, ...]] = {"empty": (), "loaded": ()}
+    for name, is_loaded in _kinds(fitted).items():
+        recordings["loaded" if is_loaded else "empty"] += (name,)
+    return Payload(
+        flange,
+        _in_flange(fitted, flange, values),
+        _link(fitted, values, loaded=False),
+        _link(fitted, values, loaded=True),
+        recordings,
+        scatter,
+        torque_scale,
+        known_mass,
+    )
+
+
+def _without_inertia(payload: Payload) -> Payload:
+    """Return the payload, and the link with it, with all moments marked as not identified."""
+    is_first = np.arange(10) < 4  # mass and first moments
+    body = replace(
+        payload.body,
+        is_determined=payload.body.is_determined & is_first,
+        data_share=payload.body.data_share * is_first,
+    )
+    is_determined = payload.total.is_determined & is_first
+    return replace(
+        payload, body=body, total=replace(payload.total, is_determined=is_determined)
+    )
+
+
+def _kinds(fitted: Fit) -> dict[str, bool]:
+    """Return each log to whether the arm carries the payload in it, empty ones first."""
+    kinds = {log.name: log.is_loaded for log in fitted.recordings}
+    return dict(sorted(kinds.items(), key=lambda pair: pair[1]))
+
+
+def _blocks(fitted: Fit, names: Sequence[str]) -> list[int]:
+    """Return the blocks of named logs."""
+    return [k for k, log in enumerate(fitted.sums.logs) if log in names]
+
+
+def payloads_by_recording(fitted: Fit, flange: Flange) -> Iterator[RecordingPayload]:
+    """Yield the payload according to each recording, compared with those of the other kind.
+
+    The kinds are recordings without and with the payload. A recording that is the only one of its
+    kind gives no entry.
+    """
+    kinds = _kinds(fitted)
+    for name, is_loaded in kinds.items():
+        if list(kinds.values()).count(is_loaded) < 2:
+            continue
+        logs = [name, *(other for other in kinds if kinds[other] != is_loaded)]
+        alone = fit(
+            fitted.arm,
+            fitted.recordings,
+            fitted.point,
+            fitted.sums.only(_blocks(fitted, logs)),
+            fitted.equations.terms,
+            noise=fitted.noise,
+            correlation=fitted.correlation,
+            possible=False,
+        )
+        body = _in_flange(alone, flange, alone.values)
+        mass = body.inertial.mass
+        theta = body.inertial.theta
+        com = theta[1:4] / mass if mass else np.full(3, np.nan)
+        noise = float(body.noise_errors[0])
+        error = float(body.errors[0])
+        yield RecordingPayload(name, is_loaded, mass, com, noise, error)
+
+
+def contradiction(fitted: Fit, flange: Flange) -> str:
+    """Return a sentence on recordings of one kind that contradict each other; "" where they agree.
+
+    Each recording that is not the only one of its kind is offered a body of its own beside the
+    payload: the gain in the log marginal likelihood says whether it has one.
+    """
+    kinds = _kinds(fitted)
+    mass = abs(fitted.by_name[PAYLOAD_NAMES[0]])
+    phrases = []
+    for name, is_loaded in kinds.items():
+        same = [other for other in kinds if kinds[other] == is_loaded and other != name]
+        if not same:
+            continue
+        gain, theta = other_body(fitted, _blocks(fitted, [name]), max(mass, 0.1))
+        expected = fitted.free[fitted.at(PAYLOAD_NAMES)] * is_loaded
+        total = expected + theta
+        moved = 0.0
+        if is_loaded and total[0] > 0.0 and expected[0] > 0.0:
+            moved = float(
+                np.linalg.norm(total[1:4] / total[0] - expected[1:4] / expected[0])
+            )
+        is_large = abs(theta[0]) > LEAST_MASS * mass or moved > LEAST_PLACE
+        if gain > CLEAR and is_large:
+            body = _describe(flange.to_flange(total), LEAST_MASS * mass)
+            others = ", ".join(same)
+            phrases.append((gain, f"{name} differs from {others}: it carries {body}"))
+    return max(phrases)[1] if phrases else ""
+
+
+def other_body(fitted: Fit, blocks: Sequence[int], mass: float) -> tuple[float, Array]:
+    """Return the gain by a further body on the last link in some blocks, and the body (10,).
+
+    Args:
+        blocks: those in which it may be there.
+        mass: its prior standard deviation [kg].
+    """
+    places = np.array([fitted.sums.names.index(name) for name in PARAMETER_NAMES])
+    own = fitted.equations.index
+    normal = fitted.sums.normal(fitted.weights, blocks)
+    full = fitted.equations.full(fitted.free)
+    pull = normal[places, -1] - normal[places, :-1] @ full
+    crossed = normal[np.ix_(places, own)]
+    left = normal[np.ix_(places, places)] - crossed @ fitted.inverse @ crossed.T
+    factor = np.diag(spatial.parameter_scale(mass, 0.1))
+    inner = np.eye(len(places)) + factor.T @ left @ factor
+    moved = np.linalg.solve(inner, factor.T @ pull)
+    gain = 0.5 * (factor.T @ pull) @ moved - 0.5 * np.linalg.slogdet(inner)[1]
+    return float(gain), factor @ moved
+
+
+def _describe(theta: Array, least: float) -> str:
+    """Return a phrase with mass and centre of mass of a body, "nothing" up to a least mass [kg]."""
+    if theta[0] <= least:
+        return "nothing"
+    position = ", ".join(f"{1e3 * x:.0f}" for x in theta[1:4] / theta[0])
+    return f"{theta[0]:.3g} kg at ({position}) mm"

@@ -1,0 +1,503 @@
+"""Whether a result is trustworthy: reasons against a fit, a link, a file or a payload.
+
+A large standard error alone is no reason. Refused are bodies that this arm cannot carry, torques
+that do not follow from the motion, and files that predict no better than the given model.
+
+A body has ten inertial parameters (``PARAMETER_NAMES``); the chain has n joints. "Independent
+samples" are those that count after the autocorrelation of residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimate.fit import Fit, fit
+from robot_sysid.estimate.held_out import NOISE_EXPLAINS, is_clearly_lower, validation
+from robot_sysid.model.bodies import PLACEHOLDER, link_reach, usual_bodies
+from robot_sysid.records import (
+    Array,
+    InertialParameters,
+    RobotModel,
+    Validation,
+    WrongLink,
+)
+from robot_sysid.records.messages import percent, with_error
+from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
+
+HARMLESS = 0.02
+"""Held-out error, as a share of the torque, up to which the noise of the fit does not matter."""
+UNUSUAL = 0.035
+"""Share of all torque that neither model nor noise explains, above which a note is added."""
+UNEXPLAINED = 0.05
+"""Share of all torque that neither model nor noise explains, above which a result is not
+trustworthy: logs of right models have 0.4 to 3 %."""
+ODD_JOINT = 10.0
+"""Ratio of noise to torque of a joint, over the median ratio of the other joints, above which the
+joint is a misfit."""
+ODD_NOISE = 0.3
+"""Ratio of noise to torque of a joint up to which the other joints' ratios do not matter."""
+MEMORY = 0.5
+"""Share of independent samples above which residuals are noise and no misfit: white noise has 0.6
+to 1, torque with another cause 0.1."""
+DRY_FRICTION = 3.0
+"""Ratio of a joint's dry friction to the root mean square torque of the strongest other joint,
+above which the friction is implausible."""
+COM_BEYOND = 0.3
+"""Distance of the centre of mass beyond the model's link that is accepted, as a share of the arm's
+reach: a tool that the model does not have may be bolted to it."""
+GYRATION_BEYOND = 0.1
+"""Excess of the radius of gyration over the model's link that is accepted, as a share of the
+arm's reach."""
+MOVED_UNSEEN = 2.0
+"""Largest factor, up or down, between the model's mass and a mass that the data does not identify
+but that follows from consistent bodies."""
+COARSE = 0.2
+"""Expected relative error of the acceleration above which a log is refused."""
+LEAST_WRONG = 0.1
+"""Relative error of a link's first moment above which the link is named as wrong."""
+LARGEST_RATIO = 20.0
+"""Largest factor, up or down, between the mass of any link but the last one and the model's."""
+FARTHEST_LINK = 1.5
+"""Largest distance between estimated and modelled centre of mass, and largest radius of gyration,
+of any link but the last one, in sizes of the link."""
+WORST = 0.5
+"""Held-out error of a file, as a share of the torque, above which no file is written."""
+WORST_OF_PAYLOAD = 0.25
+"""Held-out error, as a share of the torque, above which neither a payload nor torque scales from a
+known mass are believed: logs of real arms have 0.4 to 5 %."""
+CLEARLY_LOWER = 0.9
+"""Ratio of the written file's held-out error to the given model's below which it is better."""
+WORSE = 1.1
+"""Ratio of the written file's held-out error to the given model's above which it is worse."""
+MUCH_WORSE = 1.5
+"""Ratio of one joint's held-out error, file to given model, above which the file is worse there."""
+NEGLIGIBLE = 1e-3
+"""Held-out error, as a share of the torque, up to which a model counts as exact."""
+FARTHEST_PAYLOAD = 0.5
+"""Largest distance of a payload's centre of mass from the flange, as a share of the arm's reach."""
+LEAST_REACH = 0.6
+"""Reach that arms with a smaller one are given in the bound by ``FARTHEST_PAYLOAD`` [m]."""
+MOST_FACTOR = 2.0
+"""Largest factor, up or down, between a payload's known mass and its estimate: gears lose a third
+of the torque at most."""
+# Standard errors from which a distance of a mass from zero, or of a size from its bound, is
+# significant (95 %).
+_SURE = 2.0
+# Size that smaller links are given in the bounds by ``FARTHEST_LINK`` [m].
+_LEAST_SIZE = 0.02
+Judgement = tuple[Verdict, str]
+"""A verdict and the reason for it, one sentence without a full stop."""
+
+
+def first(
+    findings: Iterable[Judgement], otherwise: Verdict
+) -> tuple[Verdict, tuple[str, ...]]:
+    """Return (verdict of the first of (verdict, reason) pairs, reasons of all pairs).
+
+    Without pairs, the verdict is ``otherwise``.
+    """
+    judged = list(findings)
+    verdict = judged[0][0] if judged else otherwise
+    return verdict, tuple(reason for _, reason in judged)
+
+
+def find_misfits(
+    fitted: Fit, tests: Sequence[Validation], acceleration_error: float
+) -> Iterator[Judgement]:
+    """Yield reasons why the torques do not follow from the motion within their noise.
+
+    A joint without data has no noise, a joint without torque no ratio of noise to torque; both are
+    left out.
+
+    Args:
+        fitted: the fit with its noise.
+        tests: held-out errors and errors on other logs; only informative ones count.
+        acceleration_error: expected relative error of the acceleration; 0 where unknown.
+    """
+    noise = fitted.noise_per_joint
+    if acceleration_error > COARSE:
+        yield (
+            Verdict.UNEXPLAINED,
+            "the positions are too coarse or too seldom to have accelerations: expected error "
+            f"{percent(acceleration_error)}",
+        )
+    for test in tests:
+        if not test.is_informative or (test.relative_error or 0.0) <= HARMLESS:
+            continue
+        squared_ratios = []
+        for joint, error in test.rmse_per_joint.items():
+            if joint in noise:
+                squared_ratios.append((error / noise[joint]) ** 2)
+        ratio = float(np.sqrt(np.mean(squared_ratios or [0.0])))
+        if ratio > NOISE_EXPLAINS:
+            yield (
+                Verdict.UNEXPLAINED,
+                f"torques of {test.source} are predicted {ratio:.1f} times worse than the noise "
+                "of the fit allows",
+            )
+    torque = fitted.torque
+    shares = {}
+    for joint in noise:
+        if torque[joint]:
+            shares[joint] = noise[joint] / torque[joint]
+    for joint, share in shares.items():
+        others = [shares[other] for other in shares if other != joint]
+        if not others or fitted.independent_share[joint] >= MEMORY:
+            continue
+        median = float(np.median(others))
+        if share > max(ODD_NOISE, ODD_JOINT * median):
+            yield (
+                Verdict.UNEXPLAINED,
+                f"{percent(share)} of the torque of {joint} is unexplained, of the other "
+                f"joints' {percent(median)}",
+            )
+
+
+def unexplained_share(fitted: Fit) -> tuple[float, str]:
+    """Return the share of all torque that neither model nor noise explains, and a sentence on it.
+
+    Residuals that are independent from row to row are noise.
+    """
+    torque = fitted.torque
+    # Joint to root mean square of the residuals that are correlated in time [N m].
+    slow = {}
+    torques = []
+    for joint, noise in fitted.noise_per_joint.items():
+        if torque[joint]:
+            slow_share = max(1.0 - fitted.independent_share[joint], 0.0)
+            slow[joint] = noise * np.sqrt(slow_share)
+            torques.append(torque[joint])
+    share = 0.0
+    if slow:
+        share = float(np.linalg.norm([*slow.values()]) / np.linalg.norm(torques))
+    largest = sorted(slow, key=lambda joint: -slow[joint])[:3]
+    phrases = [
+        f"{percent(slow[joint] / torque[joint])} of {joint}" for joint in largest
+    ]
+    return share, (
+        f"{percent(share)} of the torque is explained by neither the model nor noise "
+        f"({', '.join(phrases)})"
+    )
+
+
+def missed_friction(fitted: Fit) -> str:
+    """Return a sentence on friction terms that the user left out but the torques clearly show.
+
+    Links and other terms take up the torque of such terms, which no standard error allows for. It
+    is "" where no joint's held-out error is clearly lower with the terms.
+    """
+    options = fitted.question.options
+    missed = options.left_out_terms
+    if not missed:
+        return ""
+    added = [fitted.arm.terms[name] for name in missed]
+    kept = []
+    for term in fitted.equations.terms:
+        names = [name for name in term.names if name.partition("[")[0] not in missed]
+        kept.append(term.only(names))
+    complete = fit(
+        fitted.arm,
+        fitted.recordings,
+        fitted.point,
+        fitted.sums,
+        [*(term for term in kept if term.names), *added],
+        correlation=fitted.correlation,
+    )
+    joints = []
+    for row, joint in enumerate(fitted.arm.joints):
+        given = fitted.held_out[:, row]
+        least = NEGLIGIBLE**2 * np.sum(fitted.squared_torque[:, row])
+        if np.sum(given) > least and is_clearly_lower(complete.held_out[:, row], given):
+            joints.append(joint)
+    if not joints:
+        return ""
+    errors = []
+    for each in (fitted, complete):
+        errors.append(percent(validation(each).relative_error or 0.0))
+    remedy = f"leave --friction-model away, or add {'-'.join(missed)} to it"
+    return (
+        f"the torques of {', '.join(joints)} clearly show friction terms that were left out "
+        f"({', '.join(missed)}), and that links and other terms take up: the torque error on "
+        f"held-out data is {errors[0]}, with them {errors[1]}; "
+        f"{'identify friction, too' if options.no_friction else remedy}"
+    )
+
+
+def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgement]:
+    """Yield reasons why this arm cannot have the estimated terminal link.
+
+    Bounds on its centre of mass and radius of gyration follow from the extent of the link's
+    geometry in the model and from the reach of the arm. A link without a positive mass has neither,
+    so nothing is yielded. A mass that the data does not identify is compared with the model's.
+    """
+    body = link.inertial
+    errors = link.errors
+    if not body.mass > 0.0:
+        return
+    # Largest distances from the link's origin and from the arm's first joint [m].
+    reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
+    arm = reach + _distance_of_ends(robot)
+    slack = _SURE * float(np.linalg.norm(errors[1:4])) / body.mass
+    distance = float(np.linalg.norm(body.com))
+    where = f"on a link that reaches {reach:.2g} m"
+    if distance - slack > reach + COM_BEYOND * arm:
+        yield (
+            Verdict.IMPLAUSIBLE,
+            f"the centre of mass is {distance:.2g} m away {where}",
+        )
+    moment = float(body.principal_moments[-1])
+    slack = _SURE * float(np.max(errors[4:10]))
+    if moment - slack > body.mass * (reach + GYRATION_BEYOND * arm) ** 2:
+        radius = np.sqrt(moment / body.mass)
+        yield Verdict.IMPLAUSIBLE, f"the radius of gyration is {radius:.2g} m {where}"
+    ratio = body.mass / robot.prior.mass
+    if not np.isfinite(errors[0]) and not 1.0 / MOVED_UNSEEN <= ratio <= MOVED_UNSEEN:
+        yield (
+            Verdict.IMPLAUSIBLE,
+            f"these torques do not show the mass, yet the rest is only possible with "
+            f"{body.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg",
+        )
+
+
+def _distance_of_ends(robot: RobotModel) -> float:
+    """Return the sum of the distances from each joint to the next, first to last [m]."""
+    return sum(float(np.linalg.norm(link.translation)) for link in robot.links[1:])
+
+
+def implausible_joints(
+    robot: RobotModel, joints: Mapping[str, JointEstimate], torque: Mapping[str, float]
+) -> Iterator[Judgement]:
+    """Yield reasons why this arm cannot have the estimated friction and rotor inertia.
+
+    Dry friction is compared with the joint's torque limit and with the torques of the other joints
+    of its type (hinge or slide), a rotor with the inertia of the outstretched arm, as if all mass
+    were at its end.
+
+    Args:
+        robot: the arm with its model.
+        joints: name of each chain joint to its estimate.
+        torque: joint to the root mean square of its measured torque [N m].
+    """
+    inertia = robot.mass * robot.length**2
+    for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
+        # Least values that the errors allow. A term at its bound has the error NaN, and no
+        # comparison with NaN is true.
+        terms = {}
+        for term, figure in joints[name].terms.items():
+            terms[term] = figure.value - _SURE * figure.error
+        dry = terms.get("coulomb", terms.get("sigmoid", 0.0))
+        rotor = terms.get("armature", 0.0)
+        others = [0.0]
+        for other, is_slide in zip(robot.joint_names, robot.is_slide):
+            if other != name and is_slide == slide:
+                others.append(torque.get(other, 0.0))
+        strongest = DRY_FRICTION * max(others) or np.inf
+        # A limit of zero means that the model states none.
+        if dry > min(robot.limits.torque[index] or np.inf, strongest):
+            yield (
+                Verdict.IMPLAUSIBLE,
+                f"{name} would have {dry:.3g} N m of dry friction or more",
+            )
+        if not slide and rotor > inertia > 0.0:
+            yield (
+                Verdict.IMPLAUSIBLE,
+                f"{name} would have a rotor of {rotor:.3g} kg m^2 or more",
+            )
+
+
+def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
+    """Yield the links whose first moment in the model the recordings contradict.
+
+    Mass and centre of mass of a link are confounded with each other and with those of neighbouring
+    links; the first moment along the model's centre of mass, which makes the torque of the link's
+    weight, is identified better.
+
+    Args:
+        links: estimates, with the model's bodies as their ``prior``.
+    """
+    for link in links:
+        if link.prior is None or not np.any(link.prior.theta[1:4]):
+            continue
+        expected = float(np.linalg.norm(link.prior.theta[1:4]))
+        direction = link.prior.theta[1:4] / expected
+        moment = float(direction @ link.inertial.theta[1:4])
+        error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
+        deviation = abs(moment - expected)
+        least = max(_SURE * error, LEAST_WRONG * expected)
+        if np.all(link.is_determined[1:4]) and deviation > least:
+            yield WrongLink(link.name, expected, moment, error)
+
+
+def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judgement]:
+    """Yield reasons why this arm cannot have one of its estimated links other than the last.
+
+    Links without mass, and links whose mass in the model is a placeholder, are not judged.
+
+    Args:
+        robot: the arm with its model.
+        thetas: (n, 10) estimated parameters of all links; the last one is not judged here.
+    """
+    bodies = np.array(list(usual_bodies(robot).values()))
+    typical_mass = float(np.median(bodies[:, 0]))
+    for index, (link, theta) in enumerate(zip(robot.links[:-1], thetas)):
+        # A much lighter link of the model is a placeholder, which says nothing of the arm.
+        if link.has_mass and link.theta[0] >= PLACEHOLDER * typical_mass:
+            # Length of the uniform rod from the link's origin that has its inertia.
+            model_size = np.sqrt(3.0) * spatial.characteristic_length(link.theta)
+            reach = float(np.linalg.norm(robot.links[index + 1].translation))
+            size = max(float(model_size), reach, _LEAST_SIZE)
+            reason = _strangeness(link.body_name, link.theta, theta, size)
+            if reason:
+                yield Verdict.IMPLAUSIBLE, reason
+
+
+def _strangeness(name: str, model_theta: Array, theta: Array, size: float) -> str:
+    """Return why an estimated link is implausible, as a sentence; "" where it is plausible.
+
+    Args:
+        name: name of the link in the sentence.
+        model_theta: (10,) the link's inertial parameters in the model.
+        theta: (10,) the estimated inertial parameters.
+        size: size of the link [m].
+    """
+    if not spatial.is_consistent(theta):
+        return f"{name} is no possible rigid body"
+    mass, com, inertia = spatial.com_from_theta(theta)
+    model_mass, centre, _ = spatial.com_from_theta(model_theta)
+    moved = float(np.linalg.norm(com - centre))
+    radius = float(np.sqrt(0.5 * np.trace(inertia) / mass))
+    if not 1.0 / LARGEST_RATIO <= mass / model_mass <= LARGEST_RATIO:
+        return f"{name} would weigh {mass:.3g} kg (model: {model_mass:.3g})"
+    if moved > FARTHEST_LINK * size:
+        return f"the centre of mass of {name} would be {moved:.2g} m from the model's"
+    if radius > FARTHEST_LINK * size:
+        return f"{name} would have a radius of gyration of {radius:.2g} m"
+    return ""
+
+
+def noise_share(fitted: Fit) -> float:
+    """Return the ratio of torque noise to measured torque in a fit, both root mean squares."""
+    squares = float(np.sum(fitted.noise**2 * np.sum(fitted.sums.counts, axis=0)))
+    torque = float(np.sum(fitted.squared_torque))
+    return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
+
+
+def judge_file(
+    model: Validation,
+    written: Validation,
+    noise: float = 0.0,
+    data: str = "held-out data",
+) -> Judgement:
+    """Return the verdict on a written file from its held-out error and that of the given model.
+
+    A model whose error is no larger than the noise is right: a file that is worse than such a model
+    still counts as good.
+
+    Args:
+        model: held-out error of the given model.
+        written: held-out error of the written file.
+        noise: ratio of torque noise to torque.
+        data: what the errors are of, in words.
+    """
+    old = model.relative_error
+    new = written.relative_error
+    if old is None or new is None:
+        return Verdict.NO_BETTER, "the measured torque is zero"
+    sentence = f"torque error of the model on {data}: {percent(old)} -> {percent(new)}"
+    was_right = old <= WORSE * max(noise, NEGLIGIBLE)
+    if new > WORST or (new > WORSE * old + 1e-9 and not was_right):
+        return Verdict.NO_BETTER, sentence
+    worse = worse_joints(model, written)
+    if worse and not was_right:
+        return Verdict.NO_BETTER, f"{sentence}, but worse at {', '.join(worse)}"
+    return (Verdict.BETTER if new < CLEARLY_LOWER * old else Verdict.AS_GOOD), sentence
+
+
+def worse_joints(model: Validation, written: Validation) -> list[str]:
+    """Return the joints whose torque a file predicts clearly worse than the given model, in words.
+
+    An error that is small beside the joint's torque does not count.
+    """
+    worse = []
+    for joint, new in written.relative_error_per_joint.items():
+        old = model.relative_error_per_joint.get(joint)
+        if (
+            new is not None
+            and old is not None
+            and new > max(MUCH_WORSE * old, HARMLESS)
+        ):
+            worse.append(f"{joint} ({percent(old)} -> {percent(new)})")
+    return worse
+
+
+def judge_payload(
+    robot: RobotModel, payload: BodyEstimate, contradicting: str, validation: Validation
+) -> Iterator[Judgement]:
+    """Yield reasons why a payload is not trustworthy.
+
+    Args:
+        robot: the arm with its model.
+        payload: in the flange frame, from the estimate with bodies that may be inconsistent.
+        contradicting: sentence on a contradiction between recordings; "" where there is none.
+        validation: held-out error of the fit.
+    """
+    mass = payload.inertial.mass
+    error = float(payload.errors[0])
+    sentence = f"the payload comes out as {with_error(mass, error, 'kg')}"
+    if contradicting:
+        yield Verdict.DISAGREE, contradicting
+    if mass < -_SURE * error:
+        yield Verdict.SWAPPED, sentence
+    elif not np.isfinite(error) or mass <= _SURE * error:
+        yield Verdict.NOT_SEEN, sentence
+    elif (validation.relative_error or 0.0) > WORST_OF_PAYLOAD:
+        share = percent(validation.relative_error or 0.0)
+        yield (
+            Verdict.UNEXPLAINED,
+            f"held-out torques are predicted with an error of {share}",
+        )
+    else:
+        yield from _far_payload(robot, payload.inertial)
+
+
+def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Judgement]:
+    """Yield a reason for each size of a payload that is too large for the reach of the arm.
+
+    Sizes are the distance of the centre of mass from the flange, and the radius of gyration.
+    """
+    farthest = FARTHEST_PAYLOAD * max(_distance_of_ends(robot), LEAST_REACH)
+    distance = float(np.linalg.norm(payload.com))
+    trace = max(np.trace(payload.inertia_com), 0.0)
+    gyration = float(np.sqrt(trace / (2.0 * payload.mass)))
+    for quantity, size in (
+        ("centre of mass is", distance),
+        ("radius of gyration is", gyration),
+    ):
+        if size > farthest:
+            yield (
+                Verdict.IMPLAUSIBLE,
+                f"its {quantity} {size:.3g} m (from the flange); more than {farthest:.3g} m, "
+                "half the arm's reach, is not believed",
+            )
+
+
+def judge_known_mass(
+    findings: Sequence[Judgement], weighed: float, mass: float
+) -> Iterator[Judgement]:
+    """Yield reasons why torque scales may not be taken from a known mass [kg].
+
+    Args:
+        findings: reasons against the payload that was estimated without the known mass.
+        weighed: the payload's mass in that estimate [kg].
+        mass: the known mass [kg].
+    """
+    # An implausible size may come from the torque scales, which a known mass corrects.
+    for finding in findings:
+        if finding[0] is not Verdict.IMPLAUSIBLE:
+            yield finding
+    if not mass / MOST_FACTOR < weighed < mass * MOST_FACTOR:
+        reason = f"weighed with torques as they are, {mass:g} kg come out as {weighed:.4g} kg"
+        yield Verdict.WRONG_WEIGHT, reason
