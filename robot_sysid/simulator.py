@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SimulationError
-from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
+from robot_sysid.estimate.triangles import InformationAccumulator
 from robot_sysid.records import (
     Array,
     Measurement,

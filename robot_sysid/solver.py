@@ -6,18 +6,12 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import N_INERTIAL
-from robot_sysid.estimation.algebra.consistent_bodies import (
-    LinksProblem,
-    consistent_least_squares,
-)
-from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
-from robot_sysid.estimation.algebra.least_squares import (
-    ordinary_noise,
-    residual_errors,
-    solver,
-)
-from robot_sysid.estimation.algebra.uncertainty import uncertainty
+from robot_sysid.estimate.bodies import LinksProblem, consistent_least_squares
+from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
 from robot_sysid.records import Array, Estimate, SquareRootInformation
+
+_LEAST_NOISE = 1e-9
+"""Smallest noise, as a share of the root mean square torque: rounding."""
 
 
 def identify_parameters(
@@ -34,33 +28,36 @@ def identify_parameters(
         possible: whether a terminal link that is no possible rigid body is estimated again, with
             the constraint to be one.
     """
-    solve = solver(information, prior)
-    # The standard deviation of each joint's torque [N m]; rows are weighted by its inverse.
-    noise = ordinary_noise(information, solve)
-    free, _ = solve(1.0 / noise)
+    matrix, right_side = information.equations()
+    space = visible_space(matrix)
+    free = prior + space.solve(right_side - matrix @ prior)
+    freedom = max(information.n_samples - space.rank, 1)
+    torque = float(np.linalg.norm(right_side)) / np.sqrt(max(information.n_samples, 1))
+    rms = float(np.sqrt(np.sum(information.squared_residuals(free)) / freedom))
+    noise = max(rms, _LEAST_NOISE * torque) or 1.0
     values = free
     if possible and not spatial.is_consistent(free[:N_INERTIAL]):
         # Near this body the solver looks for possible ones; other parameters are zero in it.
         link_only = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
         problem = LinksProblem((np.arange(N_INERTIAL),), link_only)
-        equations = information.equations(1.0 / noise)
-        values = consistent_least_squares(*equations, problem)
-    errors = uncertainty(information, 1.0 / noise, noise)
-    n_samples = {}
-    noise_per_joint = {}
-    for joint, joint_noise in zip(information.joints, noise.tolist()):
-        n_samples[joint.joint] = float(joint.n_samples)
-        if joint.n_samples:
-            noise_per_joint[joint.joint] = joint_noise
+        values = consistent_least_squares(matrix / noise, right_side / noise, problem)
+    covariance = noise**2 * space.inverse()
+    errors = np.where(space.is_identified, np.sqrt(np.diag(covariance)), np.inf)
+    joints = [joint.joint for joint in information.joints]
+    counts = np.array([joint.n_samples for joint in information.joints])
+    squares = information.squared_residuals(values)
+    rms_per_joint = np.sqrt(squares / np.maximum(counts, 1)).tolist()
     return Estimate(
         names=information.names,
         values=values,
-        identifiability=analyse_identifiability(information),
-        **residual_errors(information, values),
+        identifiability=analyse_identifiability(matrix, information.names, joints[-1]),
+        rmse=float(np.sqrt(np.sum(squares) / max(information.n_samples, 1))),
+        rmse_per_joint=dict(zip(joints, rms_per_joint)),
         method="ols",
-        covariance=errors.covariance,
-        standard_errors=errors.standard_errors,
-        noise_per_joint=noise_per_joint,
-        effective_samples=n_samples,
+        covariance=covariance,
+        standard_errors=errors,
+        noise_per_joint={j: noise for j, count in zip(joints, counts) if count},
+        samples=dict(zip(joints, counts.tolist())),
+        effective_samples=dict(zip(joints, counts.astype(float).tolist())),
         constrained=bool(np.any(values != free)),
     )

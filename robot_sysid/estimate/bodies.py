@@ -28,10 +28,13 @@ from robot_sysid.estimate.identifiability import visible_space
 from robot_sysid.records import Array
 
 LEAST_SHARE = 1e-6
-"""Least eigenvalue of a body's pseudo-inertia, relative to that of its usual body."""
+"""Least eigenvalue of a body's pseudo-inertia, relative to that of its usual body; more for bodies
+that are expected to be larger than ``SPREADS``, as rounding is relative to their size."""
 SPREADS = (1.0, 10.0, 100.0)
 """Standard deviations of a body from its usual body that are tried, as shares of it: the smallest
 one is used that fits hardly worse, so that what data hardly shows stays near the usual body."""
+WIDEST = 1e5
+"""Largest spread, for a usual body that is far too small."""
 TOLERANCES = (1e-8, 1e-6)
 """Relative errors of the solution that are tried: where rounding ends a search for the first one,
 the second one is reached before."""
@@ -90,7 +93,7 @@ def consistent_least_squares(
 
     The squared residuals are at most ``HARDLY`` above the least. Within this limit, directions that
     A does not show are held at the usual bodies if that is possible, and bodies have the smallest
-    of ``SPREADS``.
+    of ``SPREADS``, or a larger spread where they lie beyond all of these.
 
     Args:
         matrix: A (M, p), whitened, so that residuals have unit variance.
@@ -119,7 +122,13 @@ def consistent_least_squares(
 
     # Equations of exact data weigh as much as rounding allows.
     equations = triangle / max(1.0, np.linalg.norm(triangle) / _HEAVIEST)
-    best = _solve(equations, problem, SPREADS[-1])
+    spreads = list(SPREADS)
+    best = _solve(equations, problem, spreads[-1])
+    bodies = np.concatenate(problem.links)
+    while spreads[-1] < WIDEST and np.linalg.norm(best[bodies]) > spreads[-1]:
+        # The pull to the usual bodies keeps the larger ones away that the data shows.
+        spreads.append(10.0 * spreads[-1])
+        best = _solve(equations, problem, spreads[-1])
     limit = cost(best) + HARDLY
     pins = np.zeros((0, size + 1))
     if has_hidden:
@@ -129,7 +138,7 @@ def consistent_least_squares(
         pins = np.column_stack((hidden, np.zeros(len(hidden))))
     # With all hidden directions held, then with none of them.
     choices = (pins, pins[:0]) if len(pins) else (pins,)
-    for held, spread in product(choices, SPREADS):
+    for held, spread in product(choices, spreads):
         # Where a narrow search fails, a wider one may not.
         with suppress(SysidError):
             y = _solve(np.vstack((equations, held)), problem, spread)
@@ -161,7 +170,8 @@ def _solve(rows: Array, problem: LinksProblem, deviation: float) -> Array:
     cone_rows = np.zeros((len(bodies), size + count))
     cone_rows[range(len(bodies)), bodies] = -1.0
     constraints = np.vstack((np.hstack((rows[:, :-1], -np.eye(count))), cone_rows))
-    least = (1.0 - LEAST_SHARE) * np.trace(_BASIS, axis1=1, axis2=2)
+    least_share = LEAST_SHARE * max(1.0, deviation / SPREADS[-1])
+    least = (1.0 - least_share) * np.trace(_BASIS, axis1=1, axis2=2)
     limits = np.append(rows[:, -1], np.tile(least, len(problem.links)))
     cones = [
         clarabel.ZeroConeT(count),

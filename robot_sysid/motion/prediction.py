@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.algebra.identifiability import describe
+from robot_sysid.estimate.identifiability import describe
 from robot_sysid.motion.information import Criterion, mass_and_centre_errors
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import LIMIT_NAMES, RESERVE_WORDS, ExcitationProblem

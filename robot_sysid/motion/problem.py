@@ -13,7 +13,7 @@ from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, split_motion, subtree
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.priors import model_link_factor
+from robot_sysid.estimate.links import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.clearance import Clearance

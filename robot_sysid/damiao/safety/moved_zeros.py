@@ -43,7 +43,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     LinksMotion,
 )
-from robot_sysid.estimation.algebra.priors import model_link_factor
+from robot_sysid.estimate.links import model_link_factor
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
 
