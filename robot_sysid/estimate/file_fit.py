@@ -153,7 +153,7 @@ def _known_offsets(fitted: Fit) -> Term:
             index = fitted.names.index(name)
             error = fitted.errors[index]
             is_clear[k] = abs(fitted.values[index]) > CLEAR_ROTOR * error
-    known = OFFSET * torque if np.any(is_clear) else np.full(len(torque), 1e-9)
+    known = OFFSET * torque * bool(np.any(is_clear))
     return replace(term, prior=independent(np.where(is_clear, 1e3 * torque, known)))
 
 

@@ -147,7 +147,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     }
     for cause, deviations in sizes.items():
         if cause in arm.terms and np.any(deviations > 0.0):
-            prior = independent(np.maximum(deviations, 1e-9))
+            prior = independent(deviations)
             terms.append(replace(arm.terms[cause], prior=prior))
     return terms
 
@@ -227,7 +227,7 @@ def _unknown_friction(
     for name, deviations in sizes.items():
         if name not in friction:
             term = replace(arm.terms[name], cause=FURTHER_FRICTION, lower=-np.inf)
-            prior = independent(np.maximum(deviations, 1e-9))
+            prior = independent(deviations)
             yield replace(term, prior=prior, usual=None)
 
 

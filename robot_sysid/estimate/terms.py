@@ -60,6 +60,8 @@ UNKNOWN_FRICTION = ("sqrt", *FADING_SPEEDS, "load")
 """Friction terms that the usual ones lack: a prior allows for them."""
 ALL_FRICTION = (*USUAL_FRICTION, *UNKNOWN_FRICTION)
 """Friction terms that have columns where no option names others."""
+LEAST_DEVIATION = 1e-9
+"""Least standard deviation of a prior [SI]: that of a number that is known exactly."""
 MOTOR_TERMS = ("coulomb", "viscous", "armature")
 """Friction terms of a motor that turns several joints."""
 BOTH = frozenset(("mjcf", "urdf"))
@@ -99,7 +101,7 @@ def independent(
     deviations: Sequence[float] | Array, mean: Array | None = None
 ) -> Prior:
     """Return the prior of k parameters with independent errors [SI], around zero by default."""
-    size = np.asarray(deviations, dtype=float)
+    size = np.maximum(deviations, LEAST_DEVIATION)
     return Prior(np.zeros(len(size)) if mean is None else mean, np.diag(size))
 
 
