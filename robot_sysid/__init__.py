@@ -58,7 +58,6 @@ _NAMES = {
         "WrongLink",
     ),
     "results.record": (
-        "BaseParameters",
         "BodyEstimate",
         "JointEstimate",
         "ModelFile",

@@ -44,7 +44,6 @@ from robot_sysid.records.data import Traces as Traces
 from robot_sysid.records.data import Validation as Validation
 from robot_sysid.records.data import WrongLink as WrongLink
 from robot_sysid.results.parameter_table import BeforeAfter as BeforeAfter
-from robot_sysid.results.record import BaseParameters as BaseParameters
 from robot_sysid.results.record import BodyEstimate as BodyEstimate
 from robot_sysid.results.record import JointEstimate as JointEstimate
 from robot_sysid.results.record import ModelFile as ModelFile

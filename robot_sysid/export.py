@@ -454,7 +454,6 @@ def _joint_entry(
         "terms": joint.terms,
         "model": joint.model_terms,
         "in_the_file": written_terms,
-        "held_out_rmse_by_friction_model": joint.candidates,
         "two_ways": directional and dict(zip(("forward", "backward"), directional)),
         "torque_noise": joint.noise,
     }
@@ -489,20 +488,10 @@ def _fit_entries(result: Result) -> dict[str, Any]:
 
 
 def _run_entries(result: Result, notes: Sequence[str]) -> dict[str, Any]:
-    """Return the entries on base parameters, validation and notes, and on data, model, versions."""
-    base = result.base
+    """Return the entries on validation and notes, and on data, model, versions."""
     data = result.data
     robot = result.robot
-    combinations = None
-    structural_rank = None
-    if base is not None:
-        structural_rank = base.structural_rank
-        keys = ("combination", "value", "standard_error", "essential")
-        columns = (base.combinations, base.values, base.standard_errors, base.essential)
-        combinations = [dict(zip(keys, row)) for row in zip(*columns)]
     return {
-        "base_parameters": combinations,
-        "structural_rank": structural_rank,
         "validation": result.validation,
         "cutoff": result.cutoff,
         "friction_model": result.friction_model,

@@ -367,9 +367,7 @@ def test_links_joints_and_the_file_stand_beside_the_models():
         "couplings/j5+j6/terms/viscous/value": 0.05,
     }
     assert_holds(content, expected)
-    base_parameter = list(content["base_parameters"][1].values())
     assert len(content["links"]) == 2
-    assert base_parameter == ["hx(link6)", 0.02, 0.03, False]
     thetas = np.array([np.zeros(10), made.THETA])
     massless = made.model_file(thetas=thetas, validation_after=None)
     content = content_of(made.whole(file=massless))

@@ -18,31 +18,20 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import split_name
-from robot_sysid.dynamics.inverse_dynamics import (
-    TILT_NAMES,
-    LinkDynamics,
-    gravity_vector,
-)
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.identifiability import (
-    BaseCombinations,
-    analyse_identifiability,
-    base_combinations,
-    essential,
-)
+from robot_sysid.estimation.algebra.identifiability import analyse_identifiability
 from robot_sysid.estimation.algebra.least_squares import (
     residual_errors,
     restrict,
     sample_counts,
 )
-from robot_sysid.estimation.algebra.uncertainty import triangle_of
 from robot_sysid.estimation.choices import Errors
 from robot_sysid.estimation.columns import PAYLOAD_NAMES
 from robot_sysid.estimation.errors import FitErrors
 from robot_sysid.estimation.fit import Fit
 from robot_sysid.estimation.question import FILE_FRICTION
 from robot_sysid.estimation.trust import HARMLESS
-from robot_sysid.estimation.unknowns import LINKS
 from robot_sysid.records import (
     DELAY_NAME,
     Array,
@@ -54,13 +43,7 @@ from robot_sysid.records import (
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.messages import percent, with_error
 from robot_sysid.results.body_errors import is_inertia_known, principal_moments
-from robot_sysid.results.record import (
-    BaseParameters,
-    BodyEstimate,
-    JointEstimate,
-    ModelFile,
-    Quantity,
-)
+from robot_sysid.results.record import BodyEstimate, JointEstimate, ModelFile, Quantity
 
 # Rows that combine (Coulomb friction, offset) to the friction forward and backward.
 _SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -194,7 +177,6 @@ class Answer:
                 friction_model=choice.friction[index].name if terms else "none",
                 terms=terms,
                 model_terms=model_terms,
-                candidates=self.candidates.get(joint, {}) if terms else {},
                 noise=self.fit.noise_per_joint.get(joint, np.nan),
                 directional_coulomb=self._directional_coulomb(joint, terms),
             )
@@ -447,82 +429,4 @@ def estimate_of(answer: Answer) -> Estimate:
         noise_per_joint=fit.noise_per_joint,
         effective_samples=dict(zip(residuals["samples"], errors.total.effective)),
         constrained=fit.is_constrained,
-    )
-
-
-# Number of random poses from which the structural base parameters are computed.
-_RANDOM_POSES = 60
-# Length of a typical link, from which the typical sizes of its parameters follow [m].
-_UNIT_LENGTH = 0.3
-
-
-def base_parameters(fit: Fit, errors: FitErrors) -> BaseParameters:
-    """Return the base parameters of all links that the data identifies, with standard errors.
-
-    Links that are held, not estimated, add nothing to these errors.
-
-    Args:
-        fit: the fit.
-        errors: errors of the k estimated parameters of the fit.
-    """
-    indices_by_body = fit.columns.bodies()
-    del indices_by_body["payload"]
-    # Indices of the links' parameters among all p: the columns that are combined.
-    order = np.sort(np.concatenate(list(indices_by_body.values())))
-    unknowns = fit.unknowns
-    # Rows [A b] (m, p + 1) of each joint, of unit variance.
-    blocks = list(fit.evidence.total.equation_blocks(fit.weights))
-    rows = triangle_of(block[:, order] for block in blocks)
-    combinations = base_combinations(rows, parameter_scale(len(indices_by_body)))
-    others = np.setdiff1d(unknowns.estimated, order)
-    is_estimated = np.isin(order, unknowns.estimated)
-    weights = combinations.matrix[:, is_estimated]
-    positions = np.searchsorted(unknowns.estimated, order[is_estimated])
-    covariance = errors.total.covariance[np.ix_(positions, positions)]
-    spread = weights @ covariance @ weights.T
-    # Priors of sensors are needed: free torque scales would explain all torques by themselves.
-    for group in unknowns.groups:
-        if group.cause != LINKS:
-            blocks.append(group.prior_rows(fit.columns.names))
-    # Columns: all other unknowns, the right-hand side (the last of a block), one per combination.
-    selected = np.concatenate((others, [-1], order[combinations.leading]))
-    rows = triangle_of(block[:, selected] for block in blocks)
-    nuisance_columns, right_side, base_columns = np.split(
-        rows, (len(others), len(others) + 1), axis=1
-    )
-    is_essential = essential(base_columns, nuisance_columns, right_side[:, 0])
-    return BaseParameters(
-        combinations=combinations.names([fit.columns.names[index] for index in order]),
-        values=combinations.matrix @ fit.values[order],
-        standard_errors=np.sqrt(np.maximum(np.diag(spread), 0.0)),
-        structural_rank=structural_base(fit.columns.robot).rank,
-        essential=tuple(is_essential.tolist()),
-    )
-
-
-def parameter_scale(links: int) -> Array:
-    """Return (10 links,) typical sizes of the parameters of links of 1 kg and 0.3 m [SI].
-
-    Args:
-        links: number of links.
-    """
-    return np.tile(spatial.parameter_scale(1.0, _UNIT_LENGTH), links)
-
-
-def structural_base(robot: RobotModel) -> BaseCombinations:
-    """Return the base parameters that torques of all joints can identify with the best motion.
-
-    They are computed from the regressor of random poses, speeds and accelerations with a fixed
-    seed. The parameters are the ten of each link with mass, base to terminal.
-    """
-    rng = np.random.default_rng(0)
-    shape = (_RANDOM_POSES, robot.n_joints)
-    q = robot.reference + rng.uniform(-np.pi, np.pi, shape)
-    moves = LinkDynamics(robot).motion(
-        q, rng.normal(0.0, 3.0, shape), rng.normal(0.0, 3.0, shape)
-    )
-    links = [k for k, link in enumerate(robot.links) if link.has_mass]
-    columns = moves.columns(links)
-    return base_combinations(
-        columns.reshape(-1, columns.shape[-1]), parameter_scale(len(links))
     )

@@ -19,7 +19,6 @@ from robot_sysid.estimation.algebra.common_scale import LEAST_SCALE
 from robot_sysid.estimation.algebra.priors import LINK_KINDS
 from robot_sysid.estimation.answer import (
     Answer,
-    base_parameters,
     estimate_of,
     model_file,
     written_payload,
@@ -130,9 +129,6 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
     contradicted = () if answer.missed_friction else tuple(wrong_links(links[:-1]))
     notes += tuple(map(_wrong_link_line, contradicted))
     all_notes = (*robot.notes, *notes, *_result_notes(answer, file))
-    base = None
-    if fit.columns.torques != "terminal":
-        base = base_parameters(fit, answer.errors)
     return replace(
         common,
         verdict=status,
@@ -142,7 +138,6 @@ def result_of(answer: Answer, data: DataOrigin) -> Result:
         file=file,
         validation=tests,
         notes=tuple(dict.fromkeys(all_notes)),
-        base=base,
     )
 
 

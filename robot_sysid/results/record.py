@@ -185,8 +185,6 @@ class JointEstimate:
             value.
         model_terms: terms that a model file holds, as in ``ModelFile.joints``, to their values in
             the model.
-        candidates: friction model to its held-out root mean square error [N m]; empty where the
-            user chose the model.
         noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.
         directional_coulomb: Coulomb friction forward and backward, which differ by twice the
             offset; None where no offset is estimated.
@@ -195,28 +193,8 @@ class JointEstimate:
     friction_model: str
     terms: Mapping[str, Quantity]
     model_terms: Mapping[str, float] = field(default_factory=dict)
-    candidates: Mapping[str, float] = field(default_factory=dict)
     noise: float = float("nan")
     directional_coulomb: tuple[Quantity, Quantity] | None = None
-
-
-@dataclass(frozen=True)
-class BaseParameters:
-    """Base parameters: the r combinations of the links' parameters that the torques determine.
-
-    Attributes:
-        combinations: (r,) as text, such as ``Izz(link_1) + 0.25*m(link_2)``.
-        values: (r,) estimated combinations, in their SI units.
-        standard_errors: (r,) of the values.
-        structural_rank: number of combinations that the best motion of this arm determines.
-        essential: (r,) whether backward elimination keeps a combination.
-    """
-
-    combinations: tuple[str, ...]
-    values: Array
-    standard_errors: Array
-    structural_rank: int
-    essential: tuple[bool, ...]
 
 
 @dataclass(frozen=True)
@@ -383,7 +361,6 @@ class Result:
             it.
         sensors: nuisance parameter to its value: torque scales ("scale[joint]"), zeros, drifts,
             tilt, delay.
-        base: base parameters of all links; None of the model's own simulation.
         file: the numbers of the written model; None where only the terminal link or the payload is
             written into the original.
         payload: None of the question ``LINK``.
@@ -409,7 +386,6 @@ class Result:
     joints: Mapping[str, JointEstimate] = field(default_factory=dict)
     couplings: Mapping[str, JointEstimate] = field(default_factory=dict)
     sensors: Mapping[str, Quantity] = field(default_factory=dict)
-    base: BaseParameters | None = None
     file: ModelFile | None = None
     payload: Payload | None = None
     validation: tuple[Validation, ...] = ()

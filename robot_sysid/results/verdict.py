@@ -234,7 +234,6 @@ def _prior_conflicts(result: Result) -> Iterator[str]:
 def _negative_friction(result: Result) -> Iterator[str]:
     """Yield a sentence where friction terms that must not be negative certainly are."""
     findings = []
-    was_model_given = False
     for name, joint in result.joints.items():
         model = friction_model(joint.friction_model)
         # Term to whether it must not be negative.
@@ -242,12 +241,10 @@ def _negative_friction(result: Result) -> Iterator[str]:
         for term, (value, error) in joint.terms.items():
             if is_bounded.get(term) and value < -SURE * error:
                 findings.append(f"{term} {value:.2g} of {name}")
-                was_model_given |= not joint.candidates
     if findings:
-        remedy = ", or let --friction-model auto choose other terms"
         yield (
             f"friction that drives instead of brakes ({', '.join(findings)}): check the sign and "
-            f"the scale of these torques{remedy if was_model_given else ''}"
+            "the scale of these torques"
         )
 
 

@@ -103,7 +103,6 @@ def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
     assert set(content["joints"]) == set(plant.joint_names)
     coulomb = content["joints"]["joint2"]["terms"]["coulomb"]
     assert coulomb["value"] == pytest.approx(0.3, abs=5.0 * coulomb["standard_error"])
-    assert len(content["base_parameters"]) == content["structural_rank"] == 15
     written = load_robot_model(folder / "updated_model.xml")
     for mine, link in zip(written.links, content["links"]):
         assert mine.theta[0] == pytest.approx(link["in_the_file"]["mass"], rel=1e-6)

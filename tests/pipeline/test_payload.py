@@ -55,7 +55,7 @@ def test_a_drift_needs_recordings_of_a_kind_at_several_times(order, is_identifia
     assert is_drift_identifiable(recordings, positions) == is_identifiable
 
 
-def test_parts_of_a_log_with_a_long_hole_are_numbered_and_others_are_not():
+def test_parts_of_a_log_with_a_long_hole_are_one_log():
     arm = true_arm()
     log = log_of(arm, noise_torque=0.1)
     _, options = filter_logs(arm, log)
@@ -65,4 +65,4 @@ def test_parts_of_a_log_with_a_long_hole_are_numbered_and_others_are_not():
     ]
     datasets, _ = _moving_datasets(arm, recordings, np.array([-1.0, 1.0]), options)
     names = [dataset.name for dataset in datasets]
-    assert names == ["cut (part 1)", "cut (part 2)", "complete"]
+    assert names == ["cut", "cut", "complete"]

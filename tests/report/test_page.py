@@ -159,7 +159,7 @@ def test_of_several_models_in_the_folder_the_runs_own_is_to_be_loaded(
 
 
 def test_a_model_of_its_own_simulation_has_one_body_without_errors(link_run, tmp_path):
-    absent = dict.fromkeys(("file", "standard_errors", "base_parameters"))
+    absent = dict.fromkeys(("file", "standard_errors"))
     absent |= {"links": [], "joints": {}, "couplings": {}, "validation": []}
     text = page_with(
         link_run, tmp_path, source="simulation of the model itself", **absent

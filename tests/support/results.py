@@ -27,7 +27,6 @@ from robot_sysid.records import (
 from robot_sysid.results.record import (
     LINK,
     PAYLOAD,
-    BaseParameters,
     BodyEstimate,
     JointEstimate,
     ModelFile,
@@ -231,7 +230,6 @@ def whole(**changes) -> Result:
     first = replace(terminal(estimate()), name="link5", joint="j5")
     elbow = replace(
         joint_of(estimate(), "j5"),
-        candidates={"coulomb-viscous": 0.03, "none": 0.4},
         directional_coulomb=(Quantity(0.6, 0.01), Quantity(0.4, 0.02)),
     )
     bodies = (SubtreeBody(6, "link6", THETA, True),)
@@ -249,13 +247,6 @@ def whole(**changes) -> Result:
             "tilt_1": Quantity(0.0, np.radians(0.03)),
             "tilt_2": Quantity(0.0, np.radians(0.04)),
         },
-        base=BaseParameters(
-            ("Izz(link5) + 0.25*m(link6)", "hx(link6)"),
-            np.array([0.5, 0.02]),
-            np.array([0.01, 0.03]),
-            9,
-            (True, False),
-        ),
         file=model_file(),
         validation=(
             validation_of(0.02, "fifths of arm.csv", 0.0022),
