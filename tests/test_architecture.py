@@ -50,12 +50,8 @@ LAYERS = (
     ("mjcf",),
     ("solver",),
     ("estimation.algebra",),
-    (
-        "estimate.bodies",
-        "estimate.identifiability",
-        "estimate.links",
-        "estimate.triangles",
-    ),
+    ("estimate.bodies", "estimate.links", "estimate.triangles"),
+    ("estimate.identifiability",),
     ("dynamics",),
     ("regressor",),
     ("records",),
@@ -83,7 +79,7 @@ LIBRARIES = {
     "rosbags": {"logs"},
     "pyarrow": {"logs"},
     "h5py": {"logs"},
-    "clarabel": {"estimation.algebra"},
+    "clarabel": {"estimation.algebra", "estimate.bodies"},
 }
 SLOW_TO_IMPORT = {"scipy", "sympy", *LIBRARIES} - {"mujoco"}
 MOST_FILES = 16

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import link_names
+from robot_sysid.dynamics.equations import link_names, split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.bodies import LinksProblem, consistent_least_squares
 from robot_sysid.estimate.rows import Recording, Sums
@@ -261,29 +261,32 @@ class Fit:
         Friction and rotors are in units of the sensor: their relative error is that of their
         joint's scale. A payload has that of an error which all scales share.
         """
-        spread = np.zeros((len(self.names), len(self.names)))
-        scales = [
-            t for t in self.equations.terms if t.cause == SCALES and t.prior is not None
-        ]
-        if not scales:
-            return spread
-        deviations = np.sqrt(scales[0].prior.variances)  # type: ignore[union-attr]
-        owners = dict(zip(self.arm.joints, deviations))
-        for joint, deviation in owners.items():
-            effect = np.zeros(len(self.names))
-            for term, span in zip(self.equations.terms, self.equations.spans):
-                if term.cause in (FRICTION, FURTHER_FRICTION):
-                    for k, name in enumerate(term.names, span.start):
-                        if name.endswith(f"[{joint}]") and not name.startswith("load["):
-                            effect[k] = deviation * self.values[k]
-            spread += np.outer(effect, effect)
+        deviations = self._scale_deviations
+        owners = [*deviations]
+        effects = np.zeros((len(owners) + 1, len(self.names)))
         for term, span in zip(self.equations.terms, self.equations.spans):
-            if term.cause == PAYLOAD:
-                shared = float(np.sqrt(np.mean(deviations**2) / len(deviations)))
-                effect = np.zeros(len(self.names))
-                effect[span] = shared * self.values[span]
-                spread += np.outer(effect, effect)
-        return spread
+            if term.cause == PAYLOAD and deviations:
+                shared = float(np.linalg.norm([*deviations.values()])) / len(owners)
+                effects[-1, span] = shared * self.values[span]
+            if term.cause not in (FRICTION, FURTHER_FRICTION):
+                continue
+            for k, name in enumerate(term.names, span.start):
+                kind, owner = split_name(name)
+                # The loss of a gear is a share, and has no unit.
+                scale = deviations.get(owner, 0.0) * (kind != "load")
+                effects[owners.index(owner) if scale else -1, k] += (
+                    scale * self.values[k]
+                )
+        return effects.T @ effects
+
+    @cached_property
+    def _scale_deviations(self) -> dict[str, float]:
+        """Joint to the prior standard deviation of its torque scale; empty where it has none."""
+        for term in self.equations.terms:
+            if term.cause == SCALES and term.prior is not None:
+                deviations = np.sqrt(term.prior.variances).tolist()
+                return dict(zip(self.arm.joints, deviations))
+        return {}
 
     @property
     def errors(self) -> Array:

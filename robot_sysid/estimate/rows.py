@@ -279,41 +279,59 @@ def add_up(
         InputError: no row can be used.
     """
     numbers, logs = block_numbers(recordings)
-    size = len(names)
-    columns = [np.zeros(0, dtype=np.int64) for _ in joints]
-    grams = [np.zeros((len(logs), 1, 1)) for _ in joints]
-    counts = np.zeros((len(logs), len(joints)))
+    width = len(names) * len(joints)
+    joint_sums = [_JointSums(len(logs)) for _ in joints]
     for recording, blocks in zip(recordings, numbers):
-        for part in recording.parts(size * len(joints)):
+        for part in recording.parts(width):
             rows, tau, used = make(part)
-            at_block = blocks[part.rows]
-            for joint in range(len(joints)):
-                present = np.flatnonzero(np.any(rows[:, joint] != 0.0, axis=0))
-                union = np.union1d(columns[joint], present)
-                if len(union) > len(columns[joint]):
-                    grams[joint] = _spread(grams[joint], columns[joint], union)
-                    columns[joint] = union
-                full = np.column_stack((rows[:, joint][:, union], tau[:, joint]))
-                for block in np.unique(at_block):
-                    mine = full[used[:, joint] & (at_block == block)]
-                    grams[joint][block] += mine.T @ mine
-                    counts[block, joint] += len(mine)
+            for joint, sums in enumerate(joint_sums):
+                block = np.where(used[:, joint], blocks[part.rows], -1)
+                sums.add(rows[:, joint], tau[:, joint], block)
+    counts = np.stack([sums.counts for sums in joint_sums], axis=1)
     if not np.any(counts):
         raise InputError(
             f"none of the joints {', '.join(joints)} moves faster than its velocity deadband for "
             "long enough; move faster, and turn round less often"
         )
     return Sums(
-        tuple(names), tuple(joints), tuple(columns), tuple(grams), counts, tuple(logs)
+        tuple(names),
+        tuple(joints),
+        tuple(sums.columns for sums in joint_sums),
+        tuple(sums.grams for sums in joint_sums),
+        counts,
+        tuple(logs),
     )
 
 
-def _spread(gram: Array, old: Any, new: Any) -> Array:
-    """Return products (B, k + 1, k + 1) with zeros for the columns ``new`` that ``old`` lacks."""
-    wider = np.zeros((len(gram), len(new) + 1, len(new) + 1))
-    at = np.append(np.searchsorted(new, old), len(new))
-    wider[:, at[:, None], at] = gram
-    return wider
+class _JointSums:
+    """Products of one joint's rows, of the columns that have not been zero so far.
+
+    Attributes:
+        columns: (k,) indices of these columns.
+        grams: (B, k + 1, k + 1) products of each block.
+        counts: (B,) number of rows.
+    """
+
+    def __init__(self, blocks: int) -> None:
+        self.columns = np.zeros(0, dtype=np.int64)
+        self.grams = np.zeros((blocks, 1, 1))
+        self.counts = np.zeros(blocks)
+
+    def add(self, rows: Array, tau: Array, block: NDArray[np.int64]) -> None:
+        """Add rows (m, p) with right-hand sides (m,); ``block`` (m,) is -1 of an unused one."""
+        present = np.flatnonzero(np.any(rows != 0.0, axis=0))
+        columns = np.union1d(self.columns, present)
+        if len(columns) > len(self.columns):
+            size = len(columns) + 1
+            wider = np.zeros((len(self.grams), size, size))
+            at = np.append(np.searchsorted(columns, self.columns), size - 1)
+            wider[:, at[:, None], at] = self.grams
+            self.columns, self.grams = columns, wider
+        full = np.column_stack((rows[:, columns], tau))
+        for number in np.unique(block[block >= 0]).tolist():
+            own = full[block == number]
+            self.grams[number] += own.T @ own
+            self.counts[number] += len(own)
 
 
 def without(recording: Recording, spans: Sequence[tuple[float, float]]) -> Recording:
