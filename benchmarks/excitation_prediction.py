@@ -7,13 +7,8 @@ and friction are drawn from the priors of the estimate, and identifies it with d
 ``--exact`` the arm is the model itself, and the prediction is that of torque noise alone.
 
 Lines per arm: root mean square errors of the mass, the centre of mass and the ten parameters
-(median), over the predicted standard errors:
-
-- of all results;
-- of results without a common torque scale, with their number;
-- of the plain estimates, before bodies were made possible;
-- of results with a common torque scale, over the standard errors that they state;
-- the standard errors that the runs state over the predicted ones (median).
+(median), over the predicted standard errors, of the results and of the estimates before bodies were
+made possible; then the standard errors that the runs state over the predicted ones (median).
 
 With N runs the spread of a normal error is known to 1 / sqrt(2 N), 5 % for 240. Errors of possible
 bodies have long tails and need more runs.
@@ -27,30 +22,27 @@ import time
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import other_links
+from robot_sysid.dynamics.equations import link_names, other_links
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     LinkDynamics,
     gravity_vector,
     turn_gravity,
 )
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.algebra.priors import own_errors
-from robot_sysid.estimation.answer import estimate_of
-from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.question import EstimationOptions, Question
-from robot_sysid.estimation.unknowns import LINKS, build_unknowns
+from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
+from robot_sysid.estimate.links import own_errors
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.terms import LINKS
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.expected_errors import (
     RecordingPlan,
-    _initial_choice,
-    predict_posterior,
+    centre_slopes,
+    expected_fit,
     prior_knowledge,
 )
-from robot_sysid.motion.information import mass_and_centre_errors
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DELAY_NAME, Measurement
@@ -68,22 +60,6 @@ RATE = 200.0
 SIGMA = 0.3 / np.sqrt(5.0)
 """Torque noise with the information of 0.3 N m at 1 kHz, at a fifth of the rate [N m]."""
 OPTIONS = EstimationOptions()
-
-
-def beliefs(problem, motion):
-    """Return the robot, the columns, and the groups of unknowns with their priors."""
-    robot = problem.robot
-    columns = Columns(problem.robot, (), OPTIONS.torques)
-    torque = np.sqrt(np.mean(problem.arm_torque(motion) ** 2, axis=0))
-    is_visible = np.ones(len(columns.names), dtype=bool)
-    unknowns = build_unknowns(
-        columns,
-        Question(OPTIONS),
-        _initial_choice(problem, OPTIONS),
-        torque,
-        is_visible,
-    )
-    return robot, columns, unknowns.groups
 
 
 def drawn_links(robot, rng):
@@ -113,71 +89,73 @@ def is_body(inertia):
     return spatial.is_consistent(spatial.theta_from_com(1.0, np.zeros(3), inertia))
 
 
-def simulate_log(robot, columns, values, motion):
-    """Return (torque, positions), each (N, n), that sensors of an arm with these values report."""
-    at = {name: float(value) for name, value in zip(columns.names, values)}
+def simulate_log(robot, values, motion):
+    """Return (torque, positions), each (N, n), that sensors of an arm with these values report.
+
+    ``values`` maps names of parameters to values; a missing one is zero.
+    """
 
     def of(term):
         """Return the value of a term for each joint (n,)."""
-        return np.array([at[f"{term}[{joint}]"] for joint in robot.joint_names])
+        names = (f"{term}[{joint}]" for joint in robot.joint_names)
+        return np.array([values.get(name, 0.0) for name in names])
 
-    tilt = np.array([at[name] for name in TILT_NAMES])
+    thetas = robot.thetas
+    for number in other_links(robot):
+        thetas[number] = [values[name] for name in link_names(robot, number)]
+    tilt = np.array([values.get(name, 0.0) for name in TILT_NAMES])
     down = turn_gravity(gravity_vector(robot), tilt)
     links = LinkDynamics(robot, down).motion(motion.q, motion.qd, motion.qdd)
-    gear = links.torque(columns.thetas(values))
-    sign = np.sign(motion.qd)
-    root = sign * np.sqrt(np.abs(motion.qd))
-    friction = sign * (of("coulomb") + of("load") * np.abs(gear))
-    friction += of("viscous") * motion.qd + of("sqrt") * root
-    torque = (1.0 + of("scale")) * gear + friction + of("armature") * motion.qdd
-    late = motion.time - at[DELAY_NAME]
+    gear = links.torque(thetas)
+    torque = (1.0 + of("scale")) * gear
+    torque += np.sign(motion.qd) * of("load") * np.abs(gear)
+    for term, column in TERMS.items():
+        if np.any(of(term)):
+            torque += of(term) * column(motion.qd, motion.qdd, motion.q)
+    late = motion.time - values.get(DELAY_NAME, 0.0)
     delayed = [np.interp(late, motion.time, column) for column in torque.T]
     return np.column_stack(delayed), motion.q + of("zero")
 
 
-def identification_errors(problem, motion, rng, exact):
-    """Return the errors of one simulated identification.
+def identification_errors(predicted, motion, rng, exact):
+    """Return the errors of one simulated identification: errors (10,) of the result and of the
+    plain estimate, and stated standard errors (10,).
 
-    Returns:
-        errors (10,) of the result and of the plain estimate, stated standard errors (10,), and
-        whether a common torque scale was allowed for
+    ``predicted`` is the expected fit, which has the arm and all priors.
     """
-    robot, columns, groups = beliefs(problem, motion)
-    values = columns.model_values.copy()
-    for group in () if exact else groups:
-        if group.cause == LINKS:
+    robot = predicted.arm.robot
+    values = dict(predicted.arm.model)
+    for term in () if exact else predicted.equations.terms:
+        if term.prior is None:
+            continue
+        if term.cause == LINKS:
             drawn = drawn_links(robot, rng)
         else:
-            drawn = group.mean + group.factor @ rng.normal(size=len(group.mean))
-        values[columns.indices(group.names)] = drawn
-    tau, q = simulate_log(robot, columns, values, motion)
+            drawn = term.prior.mean + term.prior.factor @ rng.normal(
+                size=len(term.names)
+            )
+        values.update(zip(term.names, drawn))
+    tau, q = simulate_log(robot, values, motion)
     tau = tau + SIGMA * rng.normal(size=tau.shape)
     recording = Measurement(motion.time, q, None, tau, None)
-    datasets, _ = low_pass_recordings(robot, [Piece("log", recording)], OPTIONS)
-    answer = answer_link(robot, datasets, OPTIONS, Progress(), None)
-    fit = answer.fit
-    theta = values[:10]
-    stated = estimate_of(answer).standard_errors[:10]
-    return (
-        fit.values[:10] - theta,
-        fit.free[:10] - theta,
-        stated,
-        fit.choice.common_scale > 0.0,
-    )
+    recordings, _ = low_pass_recordings(robot, [Piece("log", recording)])
+    fitted, _ = identify_link(robot, recordings, OPTIONS, Progress(), None)
+    theta = robot.prior.theta
+    return fitted.values[:10] - theta, fitted.free[:10] - theta, fitted.errors[:10]
 
 
 def error_line(theta, squares, covariance, title):
     """Return a line with rms errors over predicted ones; ``squares`` are mean products (10, 10)."""
     ratio = np.sqrt(np.diag(squares) / np.diag(covariance))
-    centre = (
-        mass_and_centre_errors(theta, squares)[1]
-        / mass_and_centre_errors(theta, covariance)[1]
+    slopes = centre_slopes(theta)
+    centre = np.sqrt(
+        np.trace(slopes @ squares @ slopes.T) / np.trace(slopes @ covariance @ slopes.T)
     )
     ten = np.array2string(ratio, precision=2)
     figures = (
         f"mass {ratio[0]:.2f}  centre {centre:.2f}  ten {np.median(ratio):.2f}  {ten}"
     )
-    return f"  {title:32s} {figures}"
+    return f"  {title:16s} {figures}"
 
 
 def lines(path, runs, exact):
@@ -188,33 +166,23 @@ def lines(path, runs, exact):
     options = ExcitationOptions()
     design = Design(problem, options, motion, prior_knowledge(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1)).trajectory
-    posterior = predict_posterior(problem, plan, RecordingPlan(RATE, OPTIONS))
-    names = posterior.unknowns.estimated_names
-    indices = [names.index(name) for name in PARAMETER_NAMES]
-    terminal = np.ix_(indices, indices)
-    errors = posterior.errors
-    covariance = (errors.noise if exact else errors.covariance)[terminal]
+    predicted = expected_fit(problem, plan, RecordingPlan(RATE, OPTIONS))
+    covariance = predicted.covariance[:10, :10]
+    if exact:
+        moved = predicted.inverse[:10]
+        weighted = predicted.equations.data(predicted.weights)[:-1, :-1]
+        covariance = moved @ weighted @ moved.T
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began = time.process_time()
     errors = []
     for seed in range(runs):
         rng = np.random.default_rng([seed, ARMS.index(path)])
-        errors.append(identification_errors(problem, moves, rng, exact))
-    off, free, stated, common = map(np.array, zip(*errors))
+        errors.append(identification_errors(predicted, moves, rng, exact))
+    off, free, stated = map(np.array, zip(*errors))
     yield f"{path.parent.name}/{path.stem}: {runs} runs ({time.process_time() - began:.0f} s)"
-    selections = {
-        "result": off,
-        "result, no common torque scale": off[~common],
-        "plain estimate": free,
-    }
-    for title, is_selected in selections.items():
-        squares = is_selected.T @ is_selected / max(len(is_selected), 1)
-        yield error_line(
-            robot.prior.theta, squares, covariance, f"{title} ({len(is_selected)})"
-        )
-    if np.any(common):
-        ratio = np.sqrt(np.mean((off / stated)[common] ** 2, axis=0))
-        yield f"  common torque scale, over stated: {np.array2string(ratio, precision=2)}"
+    for title, missed in (("result", off), ("plain estimate", free)):
+        squares = missed.T @ missed / len(missed)
+        yield error_line(robot.prior.theta, squares, covariance, title)
     share = np.median(stated, axis=0) / np.sqrt(np.diag(covariance))
     yield f"  stated: {np.array2string(share, precision=2)}"
 

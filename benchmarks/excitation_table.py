@@ -21,13 +21,13 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
-from robot_sysid.motion.expected_errors import prior_knowledge
-from robot_sysid.motion.information import mass_and_centre_errors, random_information
+from robot_sysid.motion.expected_errors import centre_slopes, prior_knowledge
+from robot_sysid.motion.information import random_information
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
@@ -78,7 +78,8 @@ def figures(design, information):
     covariance = design.criterion.covariance(information)
     standard_errors = np.sqrt(np.diag(covariance))
     scale = design.problem.scale
-    centre = mass_and_centre_errors(design.problem.robot.prior.theta, covariance)[1]
+    slopes = centre_slopes(design.problem.robot.prior.theta)
+    centre = np.sqrt(np.trace(slopes @ covariance @ slopes.T))
     mean = np.exp(design.criterion.evaluate(information)[0])
     median = np.median(standard_errors / scale)
     return np.array([standard_errors[0], centre, standard_errors[9], median, mean])

@@ -21,7 +21,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation

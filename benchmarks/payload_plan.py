@@ -65,7 +65,7 @@ def line_of_arm(path, runs, budget, folder):
     plan = planned.checked.plan
     recording = RecordingPlan(RATE, planned.config.estimation, target="payload")
     prediction = predict(problem, plan, recording)
-    predicted = np.array(prediction.errors_of(prediction.covariance))
+    predicted = np.array([prediction.errors[0], prediction.centre_error])
     load_mass = float(typical_load(problem)[0])
     stated = []
     misses = []

@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation

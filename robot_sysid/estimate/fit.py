@@ -480,11 +480,7 @@ def fit(
         correlation: (J,) rows that count as one independent row; one by default.
         possible: whether bodies have to be possible ones.
     """
-    values_held = {**arm.model, **(held or {})}
-    all_held = np.array([values_held.get(name, 0.0) for name in sums.names])
-    terms = [_shown(term, sums) for term in terms]
-    terms = [term for term in terms if term.names]
-    equations = Equations(sums, terms, all_held)
+    equations = _equations(arm, sums, terms, held or {})
     correlation = np.ones(len(sums.joints)) if correlation is None else correlation
     counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
     torque = np.sqrt(np.sum(sums.squared_torque, axis=0) / counts)
@@ -539,6 +535,58 @@ def fit(
         kept,
         at_bound,
         question,
+    )
+
+
+def expected(
+    arm: ArmTerms,
+    recordings: Sequence[Recording],
+    point: Point,
+    sums: Sums,
+    terms: Sequence[Term],
+    values: Mapping[str, float],
+    noise: Array,
+) -> Fit:
+    """Return the fit to expect of a question before there is data: its errors and their causes.
+
+    Arguments are as in ``fit``, but for these:
+
+    Args:
+        values: name to value of parameters that differ from the model's; no torque is read.
+        noise: (J,) of an independent row [N m].
+    """
+    equations = _equations(arm, sums, terms, values)
+    _, inverse = solve(equations.data(1.0 / noise) + equations.prior, equations.usual)
+    given = equations.held[equations.index]
+    return Fit(
+        arm,
+        tuple(recordings),
+        point,
+        equations,
+        noise,
+        np.ones_like(noise),
+        given,
+        given,
+        inverse,
+        np.zeros((0, len(given))),
+        given,
+        np.ones(len(given), dtype=bool),
+    )
+
+
+def _equations(
+    arm: ArmTerms, sums: Sums, terms: Sequence[Term], held: Mapping[str, float]
+) -> Equations:
+    """Return the equations of a question, without parameters that have neither data nor prior.
+
+    All others are held at ``held``, else at the model's values, else at zero.
+    """
+    values = {**arm.model, **held}
+    shown = [_shown(term, sums) for term in terms]
+    return Equations(
+        sums,
+        [term for term in shown if term.names],
+        np.array([values.get(name, 0.0) for name in sums.names]),
     )
 
 

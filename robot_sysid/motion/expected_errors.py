@@ -1,50 +1,42 @@
 """Standard errors to expect of an identification from a recording of a planned motion.
 
 The motion is simulated and processed like a log: its ends are cut off, all columns pass the
-low-pass, and rows in which a joint is too slow are left out. The covariance of the estimate is then
-computed for the remaining rows with the unknowns and priors of the identification, cause by cause.
+low-pass, and rows in which a joint is too slow are left out. The errors are then those that the
+fit of these rows has with the terms and priors of the identification, without any torque measured.
 ``prior_knowledge`` returns these priors for the search of a motion too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.dynamics.equations import split_name
+from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.common_scale import common_error
-from robot_sysid.estimation.algebra.identifiability import triangle_space
-from robot_sysid.estimation.algebra.priors import EXPECTED, NuisanceGroup, with_prior
-from robot_sysid.estimation.algebra.uncertainty import (
-    Uncertainty,
-    triangle_of,
-    uncertainty,
-    whole_triangle,
-)
-from robot_sysid.estimation.choices import CANDIDATES, couplings_of
-from robot_sysid.estimation.columns import PAYLOAD_NAMES, Columns
-from robot_sysid.estimation.dataset import Dataset, rms_torque
-from robot_sysid.estimation.fit import evidence_of
-from robot_sysid.estimation.identify import Piece, low_pass_recordings
-from robot_sysid.estimation.question import Choice, EstimationOptions, Question
-from robot_sysid.estimation.unknowns import (
+from robot_sysid.estimate.choose import motors_of, rms_torque
+from robot_sysid.estimate.fit import Fit, expected, shared_scale
+from robot_sysid.estimate.identify import Piece, low_pass_recordings
+from robot_sysid.estimate.links import EXPECTED
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import (
     DRIFTS,
-    LINKS,
-    SCALES,
-    Unknowns,
-    build_unknowns,
-    expected_dry_friction,
+    LEAST_DRY,
+    Question,
+    arm_question,
+    friction_columns,
     scale_spread,
 )
+from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms, Term
 from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD
 from robot_sysid.motion.information import JOINT_TERMS, PriorKnowledge, design_criterion
 from robot_sysid.motion.prediction import Prediction, invisible_combinations
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, MotionPlan, SquareRootInformation
+from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import percent
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
@@ -56,8 +48,6 @@ a sample is scaled to the lower rate."""
 MOST_SAMPLES = 200_000
 """Largest number of samples that are simulated and processed; of a longer motion the first ones.
 The errors are then those of a recording of that part."""
-NOISE = "torque noise"
-"""Name of the cause of errors that is in every recording."""
 TYPICAL_LOAD = 0.025
 """Mass of a payload before it is known, as a share of the arm's moving mass: about a tenth of what
 arms of this mass are rated for."""
@@ -87,10 +77,34 @@ class RecordingPlan:
         """Whether a payload is identified, by the difference of recordings without and with it."""
         return self.target == "payload"
 
-    @property
-    def simulated_rate(self) -> float:
-        """Rate at which the motion is simulated and processed [Hz]."""
-        return min(self.sample_rate, HIGHEST_RATE_HZ)
+
+def _arm_terms(
+    problem: ExcitationProblem, options: EstimationOptions, loaded: bool = False
+) -> ArmTerms:
+    """Return all terms of an arm; its motors are those that the model states."""
+    motors, _ = motors_of(problem.robot, options.torques)
+    friction = friction_columns(options)
+    return ArmTerms(problem.robot, options.torques, motors, friction, loaded, loaded)
+
+
+def _question_terms(
+    arm: ArmTerms, options: EstimationOptions, torque: Array, loaded: bool = False
+) -> list[Term]:
+    """Return the terms of an identification before there is a recording, with their priors.
+
+    ``torque`` (J,) is the root mean square of each joint's torque [N m].
+    """
+    dry = np.maximum(arm.robot.friction.coulomb[arm.indices], LEAST_DRY * torque)
+    motors = tuple(motor.name for motor in arm.motors)
+    question = Question(
+        options,
+        loaded,
+        loaded,
+        link_scales=EXPECTED,
+        dry=tuple(dry.tolist()),
+        motors=motors,
+    )
+    return arm_question(arm, question, torque)
 
 
 def prior_knowledge(
@@ -105,55 +119,32 @@ def prior_knowledge(
     """
     robot = problem.robot
     deviations = np.zeros((len(JOINT_TERMS), len(problem.rows)))
+    link_factor = np.zeros((0, 0))
     if target == "payload":
         # In the difference of two recordings only the drift of friction between them remains.
         joints = list(problem.rows)
         deviations[0] = DRIFTS * robot.friction.coulomb[joints]
         deviations[1] = DRIFTS * robot.friction.viscous[joints]
-        return PriorKnowledge(np.zeros((0, 0)), deviations, target)
-    choice = _initial_choice(problem, options)
-    columns = Columns(
-        robot, datasets=(), torques=options.torques, couplings=choice.couplings
-    )
+        return PriorKnowledge(link_factor, deviations, target)
+    arm = _arm_terms(problem, options)
     # Dry friction is guessed from the mean torque (n,) of each joint at rest in random poses.
     rng = np.random.default_rng(0)
     limits = problem.limits
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
-    torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))
-    choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
-    is_visible = np.ones(len(columns.names), dtype=bool)
-    unknowns = build_unknowns(columns, Question(options), choice, torque, is_visible)
-    link_factor = np.zeros((0, 0))
-    prior_deviations = dict[str, float]()
-    for group in unknowns.groups:
-        errors = np.sqrt(np.sum(group.factor**2, axis=1)).tolist()
-        prior_deviations.update(zip(group.names, errors))
-        if group.cause == LINKS:
+    torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))[arm.indices]
+    for term in _question_terms(arm, options, torque):
+        if term.cause == LINKS and term.prior is not None:
             # Ten rows per link: from the order base to tool to the order tool to base.
-            n = len(group.mean)
-            factor_by_link = group.factor.reshape(-1, 10, n)
-            link_factor = factor_by_link[::-1].reshape(-1, n)
-    for row, joint in enumerate(columns.joints):
-        friction = choice.friction[columns.joint_indices[row]]
-        for index, term in enumerate(JOINT_TERMS):
-            without_prior = np.inf if term in friction.terms else 0.0
-            name = f"{term}[{joint}]"
-            deviations[index, row] = prior_deviations.get(name, without_prior)
+            size = len(term.names)
+            factor_by_link = term.prior.factor.reshape(-1, N_INERTIAL, size)
+            link_factor = factor_by_link[::-1].reshape(-1, size)
+        kind, owner = split_name(term.names[0])
+        if kind in JOINT_TERMS and owner in arm.joints:
+            row = JOINT_TERMS.index(kind)
+            deviations[row] = np.inf
+            if term.prior is not None:
+                deviations[row] = np.sqrt(term.prior.variances)
     return PriorKnowledge(link_factor, deviations, target)
-
-
-def _initial_choice(problem: ExcitationProblem, options: EstimationOptions) -> Choice:
-    """Return the choice of friction terms and known couplings of motors with which an
-    identification begins.
-    """
-    if not options.friction:
-        options = replace(options, friction_model=CANDIDATES[0])
-    assert options.friction is not None
-    motors, candidates = couplings_of(problem.robot, options)
-    friction = (options.friction,) * problem.robot.n_joints
-    # The candidates, which only a recording can confirm, are the last ones.
-    known_motors = motors[: len(motors) - len(candidates)]
-    return Choice(friction, known_motors, link_scales=EXPECTED)
 
 
 def typical_load(problem: ExcitationProblem) -> Array:
@@ -175,20 +166,13 @@ def load_text(problem: ExcitationProblem) -> str:
     return f"{typical_load(problem)[0]:.2g} kg"
 
 
-def _load_reason(problem: ExcitationProblem) -> str:
-    """Return, in words, why ``typical_load`` has its mass."""
-    if problem.reserve:
-        return "of --payload-reserve"
-    share = percent(TYPICAL_LOAD)
-    return f"{share} of the arm's moving mass; --payload-reserve states another one"
-
-
 def common_scale_error(problem: ExcitationProblem, options: EstimationOptions) -> float:
     """Return the standard error that all torque scales share where a payload is weighed, as a share
     of the torque.
     """
-    columns = Columns(problem.robot, datasets=(), torques=options.torques)
-    return common_error(scale_spread(columns, options, loaded=True))
+    return shared_scale(
+        scale_spread(_arm_terms(problem, options), options, loaded=True)
+    )
 
 
 def predict(
@@ -211,61 +195,49 @@ def predict(
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD
         theta = typical_load(problem)
-        subject = f"a load of {load_text(problem)} ({_load_reason(problem)})"
+        reason = "of --payload-reserve"
+        if not problem.reserve:
+            share = percent(TYPICAL_LOAD)
+            reason = f"{share} of the arm's moving mass; --payload-reserve states another one"
+        subject = f"a load of {load_text(problem)} ({reason})"
         size = theta[0] / robot.prior.mass * size
-    posterior = predict_posterior(problem, plan, recording)
-    covariance, by_cause = posterior.errors_of(names)
+    fitted = expected_fit(problem, plan, recording)
+    at = fitted.at(names)
+    selection = np.eye(len(fitted.names))[at]
+    by_cause = {}
+    for cause, errors in fitted.budget(centre_slopes(theta) @ selection).items():
+        mass_error = fitted.budget(selection[:1])[cause]
+        by_cause[cause] = float(mass_error[0]), float(np.linalg.norm(errors))
     link_errors = dict[str, float]()
     if recording.target == "arm":
-        link_errors = _link_mass_errors(problem, posterior)
+        masses = {f"m({link.body_name})": link for link in robot.links}
+        for name, error in zip(fitted.names, fitted.errors):
+            if name in masses:
+                link = masses[name]
+                link_errors[link.body_name] = float(error / link.theta[0])
     return Prediction(
         recordings=recordings,
         subject=subject,
-        theta=theta,
         size=size,
-        covariance=covariance,
-        covariance_by_cause=by_cause,
+        errors=fitted.errors[at],
+        by_cause=by_cause,
         link_mass_errors=link_errors,
         invisible=invisible_combinations(problem, criterion),
     )
 
 
-@dataclass(frozen=True)
-class ExpectedPosterior:
-    """Errors that an estimate from a recording of a planned motion will have.
-
-    Attributes:
-        unknowns: the k parameters of the estimate.
-        errors: covariance of these parameters.
-        causes: cause of errors to rows R (m, k); the cause adds R^T R to the covariance by noise.
-    """
-
-    unknowns: Unknowns
-    errors: Uncertainty
-    causes: Mapping[str, Array]
-
-    def errors_of(self, names: Sequence[str]) -> tuple[Array, dict[str, Array]]:
-        """Return the covariance (10, 10) of ten named parameters, and its parts (10, 10) by cause;
-        a variance is infinite where the parameter is not identifiable.
-        """
-        indices = self._indices(names)
-        block = np.ix_(indices, indices)
-        by_cause = {NOISE: self.errors.noise[block]}
-        for cause, rows in self.causes.items():
-            by_cause[cause] = rows[:, indices].T @ rows[:, indices]
-        covariance = self.errors.covariance[block]
-        np.fill_diagonal(covariance, self.errors.standard_errors[indices] ** 2)
-        return covariance, by_cause
-
-    def _indices(self, names: Sequence[str]) -> list[int]:
-        """Return the indices of the named parameters among the estimated ones."""
-        return [self.unknowns.estimated_names.index(name) for name in names]
+def centre_slopes(theta: Array) -> Array:
+    """Return the derivative (3, 10) of a body's centre of mass h / m by its parameters (10,)."""
+    slopes = np.zeros((3, N_INERTIAL))
+    slopes[:, 0] = -theta[1:4] / theta[0] ** 2
+    slopes[:, 1:4] = np.eye(3) / theta[0]
+    return slopes
 
 
-def predict_posterior(
+def expected_fit(
     problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
-) -> ExpectedPosterior:
-    """Return the errors that an estimate from recordings of a motion will have.
+) -> Fit:
+    """Return the fit to expect of recordings of a motion: errors without an estimate.
 
     Args:
         problem: the arm and its torque noise.
@@ -276,122 +248,56 @@ def predict_posterior(
         InputError: the motion cannot be processed as a log.
     """
     options = recording.options
-    is_loaded = recording.is_payload
-    robot = problem.robot
-    choice = _initial_choice(problem, options)
-    dataset = _processed_motion(problem, plan, recording)
-    datasets = _payload_recordings(dataset) if is_loaded else (dataset,)
-    # Columns of all parameters that a question may free, linearised at the model's values.
-    columns = Columns(robot, datasets, options.torques, choice.couplings)
-    torque = rms_torque(datasets)
-    point = columns.start()
-    load = typical_load(problem)
-    if is_loaded:
-        values = point.values.copy()
-        values[columns.indices(PAYLOAD_NAMES)] = load
-        point = replace(point, values=values)
-    # The filtered equations in all parameters; ``data.of`` selects the columns of the unknowns.
-    data = evidence_of([columns.samples(point)], torque)
-    choice = replace(choice, dry_friction=expected_dry_friction(columns, torque))
-    question = Question(options, loaded=is_loaded, drifts=is_loaded)
-    unknowns = build_unknowns(columns, question, choice, torque, data.nonzero)
-    information = data.of(unknowns)
-    noise = _row_noise(problem, dataset, recording, torque[list(columns.joint_indices)])
-    triangle = whole_triangle(information, noise[0])
-    errors = _errors_with_priors(information, noise, triangle, unknowns.groups)
-    causes = {}
-    for group in unknowns.groups:
-        causes[group.cause] = group.covariance_rows(information.names, errors.inverse)
-    if is_loaded:
-        # An error of all torque scales together changes every parameter of the payload alike.
-        common = common_scale_error(problem, options)
-        row = np.zeros(len(information.names))
-        row[[information.names.index(name) for name in PAYLOAD_NAMES]] = common * load
-        causes[SCALES] = np.vstack((causes.get(SCALES, row[None][:0]), row))
-        errors = errors.with_cause(np.outer(row, row))
-    return ExpectedPosterior(unknowns, errors, causes)
+    loaded = recording.is_payload
+    arm = _arm_terms(problem, options, loaded)
+    processed = _processed_motion(problem, plan, recording)
+    recordings = _payload_recordings(processed) if loaded else (processed,)
+    point = replace(arm.start(), friction=arm.model)
+    values = {}
+    if loaded:
+        point = replace(point, payload=typical_load(problem))
+        values = dict(zip(PAYLOAD_NAMES, point.payload.tolist()))
+    sums = arm.sums(recordings, point)
+    torque = rms_torque(sums)
+    # Columns vary slowly along the rows, so that what counts is the density of the noise at low
+    # frequencies, which the low-pass does not change: sigma^2 over the samples per row.
+    assert processed.signals is not None
+    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
+    per_row = recording.sample_rate / rate * processed.signals.low_pass.step
+    noise = problem.sigma / np.sqrt(per_row)
+    if loaded:
+        noise = np.hypot(noise, UNMODELLED_TORQUE * torque)
+    terms = _question_terms(arm, options, torque, loaded)
+    return expected(arm, recordings, point, sums, terms, values, noise)
 
 
 def _processed_motion(
     problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
-) -> Dataset:
+) -> Recording:
     """Return a recording of a motion without noise, processed like a log.
 
     Raises:
         InputError: the motion cannot be processed as a log.
     """
-    rate = recording.simulated_rate
+    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
     times = sample_times(plan.duration, rate, end=MOST_SAMPLES / rate)
     chunks = simulate_inverse(problem.robot, map(plan.evaluate, times))
     samples = replace(join_measurements(chunks), qd=None, qdd=None)
     pieces = [Piece("", samples)]
-    (dataset,), _ = low_pass_recordings(problem.robot, pieces, recording.options)
-    return dataset
+    (processed,), _ = low_pass_recordings(
+        problem.robot, pieces, recording.options.cutoff
+    )
+    return processed
 
 
-def _payload_recordings(dataset: Dataset) -> tuple[Dataset, ...]:
+def _payload_recordings(processed: Recording) -> tuple[Recording, ...]:
     """Return the recordings of one motion without and with a payload, in ``PAYLOAD_ORDER``."""
     positions = np.linspace(-1.0, 1.0, len(PAYLOAD_ORDER)).tolist()
     recordings = []
     for letter, position in zip(PAYLOAD_ORDER, positions):
         is_loaded = letter == LOADED
-        recordings.append(replace(dataset, is_loaded=is_loaded, order=position))
+        recordings.append(replace(processed, is_loaded=is_loaded, order=position))
     return tuple(recordings)
-
-
-def _row_noise(
-    problem: ExcitationProblem,
-    dataset: Dataset,
-    recording: RecordingPlan,
-    torque: Array,
-) -> tuple[Array, Array]:
-    """Return weights of the filtered rows and the density of their noise, (joints,) each.
-
-    Rows are weighted by the standard deviation of their filtered noise. The regressor's columns
-    vary slowly along the rows, so the variance of an estimate depends on the density of the noise
-    at low frequencies, which the filter does not change: sigma^2 over the samples per row.
-
-    Args:
-        problem: has the torque noise of one sample.
-        dataset: the processed recording.
-        recording: how the motion is recorded.
-        torque: (joints,) root mean square torque [N m].
-
-    Returns:
-        (1 / standard deviation [1/(N m)], standard deviation of the density [N m]).
-    """
-    assert dataset.signals is not None
-    low_pass = dataset.signals.low_pass
-    rate_ratio = recording.simulated_rate / recording.sample_rate
-    sigma = problem.sigma * np.sqrt(rate_ratio)
-    filtered_sigma = sigma * np.sqrt(np.sum(low_pass.kernel**2))
-    density = sigma / np.sqrt(low_pass.step)
-    unmodelled = UNMODELLED_TORQUE * torque if recording.is_payload else 0.0
-    total = np.hypot(density, unmodelled)
-    return density / (total * filtered_sigma), total
-
-
-def _errors_with_priors(
-    information: SquareRootInformation,
-    noise: tuple[Array, Array],
-    triangle: Array,
-    groups: Sequence[NuisanceGroup],
-) -> Uncertainty:
-    """Return the errors of an estimate from data and priors.
-
-    Args:
-        information: of the data.
-        noise: (joints,) weights of the rows [1/(N m)], and (joints,) density of their noise [N m].
-        triangle: (p + 1, p + 1) QR triangle of the weighted equations [A b] of the data, p
-            parameters.
-        groups: the priors.
-    """
-    with_priors = with_prior(information, groups)
-    if with_priors.prior is not None:
-        triangle = triangle_of((triangle, with_priors.prior))
-    # The right-hand side b has no part in the errors.
-    space = triangle_space(triangle[:, :-1])
-    return uncertainty(with_priors, *noise, space=space)
 
 
 def friction_lines(
@@ -404,11 +310,10 @@ def friction_lines(
     identification from one recording at a rate [Hz]; nothing where the motion cannot be processed.
     """
     try:
-        posterior = predict_posterior(problem, plan, RecordingPlan(rate, options))
+        fitted = expected_fit(problem, plan, RecordingPlan(rate, options))
     except InputError:
         return
-    names = posterior.unknowns.estimated_names
-    errors = dict(zip(names, posterior.errors.standard_errors))
+    errors = dict(zip(fitted.names, fitted.errors))
     for term, unit in (("coulomb", "N·m"), ("viscous", "N·m·s/rad")):
         listed = []
         for joint in problem.joint_names:
@@ -417,19 +322,3 @@ def friction_lines(
                 listed.append(f"{joint} {errors[name]:.2g}")
         title = f"{term.capitalize()} friction will be known to ±"
         yield f"{title} {', '.join(listed)} {unit}"
-
-
-def _link_mass_errors(
-    problem: ExcitationProblem, posterior: ExpectedPosterior
-) -> dict[str, float]:
-    """Return the mass error over the mass of each link but the terminal one, by its name."""
-    masses = {link.body_name: float(link.theta[0]) for link in problem.robot.links}
-    unknowns = posterior.unknowns
-    mass_errors = {}
-    for name, (indices, _) in unknowns.bodies.items():
-        if name != problem.robot.body_name:
-            # The mass is the first of a body's ten parameters.
-            index = int(np.searchsorted(unknowns.estimated, indices[0]))
-            error = float(posterior.errors.standard_errors[index])
-            mass_errors[name] = error / masses[name]
-    return mass_errors

@@ -385,25 +385,6 @@ class Criterion:
         return change[:10] @ np.linalg.solve(precision, change[:10].T)
 
 
-def mass_and_centre_errors(theta: Array, covariance: Array) -> tuple[float, float]:
-    """Return the standard errors of a body's mass [kg] and of its centre of mass [m].
-
-    The error of the centre of mass c = h / m, to first order, is the root of the sum of the squares
-    of the errors of its three coordinates.
-
-    Args:
-        theta: (10,) inertial parameters of the body [m, h, ...], with first moments h = m c.
-        covariance: (10, 10) of theta.
-    """
-    # The derivative (3, 4) of c by [m, h].
-    slope = np.hstack((-theta[1:4, None] / theta[0], np.eye(3))) / theta[0]
-    centre = slope @ covariance[:4, :4] @ slope.T
-    # By rounding, a variance that is zero may be slightly negative.
-    variances = np.maximum((covariance[0, 0], np.trace(centre)), 0.0)
-    mass_error, centre_error = np.sqrt(variances).tolist()
-    return mass_error, centre_error
-
-
 def design_criterion(
     problem: ExcitationProblem, knowledge: PriorKnowledge
 ) -> Criterion:

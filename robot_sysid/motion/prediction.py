@@ -6,6 +6,7 @@ The standard errors that are expected of the estimate are numbers (``Prediction`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimate.identifiability import describe
-from robot_sysid.motion.information import Criterion, mass_and_centre_errors
+from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import LIMIT_NAMES, RESERVE_WORDS, ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
@@ -34,56 +35,34 @@ class Prediction:
     Attributes:
         recordings: how the motion is recorded, in words that begin a sentence.
         subject: which body is identified, in words.
-        theta: (10,) of that body.
         size: (10,) magnitude that each error is compared with: m, m L and m L^2 with a length L
             of the body.
-        covariance: (10, 10) of theta; infinite on the diagonal where the model's value stays.
-        covariance_by_cause: cause of errors to its part (10, 10) of the covariance.
+        errors: (10,) of its parameters; infinite where the model's value stays.
+        by_cause: cause of errors to the errors that it alone makes of the mass [kg] and of the
+            centre of mass [m].
         link_mass_errors: name of every other link to the standard error of its mass over its mass.
         invisible: combinations of parameters that no motion of these joints shows, in words.
     """
 
     recordings: str
     subject: str
-    theta: Array
     size: Array
-    covariance: Array
-    covariance_by_cause: Mapping[str, Array]
+    errors: Array
+    by_cause: Mapping[str, tuple[float, float]]
     link_mass_errors: Mapping[str, float]
     invisible: tuple[str, ...]
 
     @property
-    def standard_errors(self) -> Array:
-        """Predicted standard error of each parameter (10,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def relative_errors(self) -> Array:
-        """Predicted standard error of each parameter over its size (10,)."""
-        return self.standard_errors / self.size
-
-    @property
     def relative_mass_error(self) -> float:
         """Predicted standard error of the mass over the mass; infinite if not identified."""
-        return self.errors_of(self.covariance)[0] / float(self.size[0])
+        return float(self.errors[0] / self.size[0])
 
-    def errors_by_cause(self) -> list[tuple[str, float, float]]:
-        """Return (cause, its error of the mass [kg], its error of the centre of mass [m]) of all
-        causes, the one with the largest error of the mass first.
-        """
-        errors = []
-        for cause, covariance in self.covariance_by_cause.items():
-            errors.append((cause, *self.errors_of(covariance)))
-        return sorted(errors, key=lambda error: -error[1])
-
-    def errors_of(self, covariance: Array) -> tuple[float, float]:
-        """Return the standard errors of mass [kg] and centre of mass [m] for a covariance (10, 10)
-        of theta; the error of the centre of mass is infinite where the covariance of mass and first
-        moments is not finite.
-        """
-        if not np.all(np.isfinite(covariance[:4, :4])):
-            return float(np.sqrt(covariance[0, 0])), np.inf
-        return mass_and_centre_errors(self.theta, covariance)
+    @property
+    def centre_error(self) -> float:
+        """Predicted standard error of the centre of mass [m]; infinite if not identified."""
+        if not np.all(np.isfinite(self.errors[:4])):
+            return np.inf
+        return math.hypot(*(centre for _, centre in self.by_cause.values()))
 
 
 def invisible_combinations(
@@ -133,13 +112,14 @@ def limit_lines(
 def error_lines(prediction: Prediction) -> Iterator[str]:
     """Yield the errors that an identification will state, and their largest causes."""
     yield f"{prediction.recordings}, it determines {prediction.subject} with these errors:"
-    mass, centre = prediction.errors_of(prediction.covariance)
-    causes = prediction.errors_by_cause()
+    mass, centre = float(prediction.errors[0]), prediction.centre_error
+    # The causes, the one with the largest error of the mass first.
+    causes = sorted(prediction.by_cause.items(), key=lambda cause: -cause[1][0])
     if np.isfinite(mass):
-        share = percent(mass / prediction.size[0])
+        share = percent(prediction.relative_mass_error)
         yield f"  mass ± {mass:.2g} kg ({share}), limited by {causes[0][0]}"
     if np.isfinite(centre):
-        cause = max(causes, key=lambda cause: cause[2])[0]
+        cause = max(causes, key=lambda cause: cause[1][1])[0]
         yield f"  centre of mass ± {1e3 * centre:.2g} mm, limited by {cause}"
     if prediction.link_mass_errors:
         masses = prediction.link_mass_errors.items()
@@ -147,7 +127,8 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
         yield f"  mass of the other links: {listed}"
     uncertain = []
     unidentified = []
-    for name, error in zip(spatial.PARAMETER_NAMES[1:], prediction.relative_errors[1:]):
+    relative_errors = prediction.errors / prediction.size
+    for name, error in zip(spatial.PARAMETER_NAMES[1:], relative_errors[1:]):
         if np.isinf(error):
             unidentified.append(name)
         elif error > LARGE_SHARE:
@@ -163,12 +144,12 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
             f"No motion of these joints identifies {combination}: use --torques chain if only the "
             "last joint is used now, or mount the base at another angle"
         )
-    for cause, mass_error, centre_error in causes:
+    for cause, (mass_error, centre_error) in causes:
         figures = (
             f"mass {mass_error:.2g} kg, centre of mass {1e3 * centre_error:.2g} mm"
         )
         yield Detail(f"  by {cause}: {figures}")
-    errors = zip(spatial.PARAMETER_NAMES, prediction.standard_errors, PARAMETER_UNITS)
+    errors = zip(spatial.PARAMETER_NAMES, prediction.errors, PARAMETER_UNITS)
     for name, error, unit in errors:
         if np.isfinite(error):
             yield Detail(f"  {name:3s} ± {error:9.2e} {unit}")

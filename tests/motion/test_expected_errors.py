@@ -9,14 +9,12 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.answer import estimate_of
-from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.estimation.unknowns import LINKS, SCALES
+from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
+from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.terms import LINKS, SCALES
 from robot_sysid.motion.expected_errors import (
     TYPICAL_LOAD,
     RecordingPlan,
@@ -34,7 +32,6 @@ from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from tests.motion.test_prediction import best_plan
 from tests.support import arms
-from tests.support.core_fits import NOISE_ONLY
 from tests.support.excitation_arms import make_problem, robot
 
 RATE = 250.0
@@ -46,7 +43,9 @@ ARM = arms.serial_arm(
 )
 PLAN = best_plan(ARM, duration=10.0)
 USUAL = EstimationOptions()
-KNOWN_ARM = EstimationOptions(**NOISE_ONLY)
+KNOWN_ARM = EstimationOptions(
+    priors=Priors(link=0.0, scale=0.0, zero=0.0, gravity=0.0, friction=0.0)
+)
 PROBLEM = make_problem(ARM, noise_torque=SIGMA)
 
 
@@ -58,56 +57,53 @@ def predict_errors(options=USUAL, target="link"):
 
 @cache
 def identify_recording(options, seed):
-    """Return the answer of identifying one noisy recording of PLAN with measured friction."""
+    """Return the fit of one noisy recording of PLAN with measured friction."""
     exact = join_measurements(simulate_inverse(robot(ARM), motion_chunks(PLAN, RATE)))
     noise = SIGMA * default_rng([seed, 1]).normal(size=exact.tau.shape)
     recording = replace(exact, tau=exact.tau + noise, qd=None, qdd=None)
     measured_options = replace(options, friction_model=DEFAULT_MEASURED)
-    pieces = [Piece("log", recording)]
-    datasets, _ = low_pass_recordings(robot(ARM), pieces, measured_options)
-    return answer_link(robot(ARM), datasets, measured_options, Progress(), None)
-
-
-def estimate_errors(options, seed):
-    """Return the estimate, with standard errors, from one noisy recording of PLAN."""
-    return estimate_of(identify_recording(options, seed))
+    recordings, _ = low_pass_recordings(robot(ARM), [Piece("log", recording)])
+    fitted, _ = identify_link(
+        robot(ARM), recordings, measured_options, Progress(), None
+    )
+    return fitted
 
 
 def test_predicted_errors_of_an_exact_arm_equal_reported_errors():
     # One short recording knows its own noise, and how white it is, to a tenth or so.
-    estimates = [estimate_errors(KNOWN_ARM, seed) for seed in range(4)]
-    stated = np.mean([estimate.standard_errors[:10] for estimate in estimates], axis=0)
-    ratio = stated / predict_errors(KNOWN_ARM).standard_errors
+    fits = [identify_recording(KNOWN_ARM, seed) for seed in range(4)]
+    stated = np.mean([np.sqrt(np.diag(fit.inverse))[:10] for fit in fits], axis=0)
+    ratio = stated / predict_errors(KNOWN_ARM).errors
     assert abs(np.median(ratio) - 1.0) < 0.2 and np.all(np.abs(ratio - 1.0) < 0.3)
 
 
 @pytest.mark.slow
 def test_predicted_errors_of_an_exact_arm_equal_the_spread_of_estimates():
     """Sixty runs determine a spread to 9 %; ten parameters stay within three times that."""
-    estimates = [estimate_errors(KNOWN_ARM, seed).values[:10] for seed in range(60)]
+    estimates = [identify_recording(KNOWN_ARM, seed).values[:10] for seed in range(60)]
     spread = np.std(estimates, axis=0, ddof=1)
-    ratio = spread / predict_errors(KNOWN_ARM).standard_errors
+    ratio = spread / predict_errors(KNOWN_ARM).errors
     assert np.all(np.abs(ratio - 1.0) < 0.27)
     assert abs(np.median(ratio) - 1.0) < 0.1
 
 
 def test_predicted_errors_of_an_uncertain_arm_include_its_model_errors():
     expected = predict_errors()
-    (*_, stated) = identify_recording(USUAL, 0).links()
+    fitted = identify_recording(USUAL, 0)
     # This model is right, which a recording finds out and a plan cannot know.
-    ratio = stated.errors / expected.standard_errors
+    ratio = np.sqrt(np.diag(fitted.inverse))[:10] / expected.errors
     assert np.all((ratio > 0.25) & (ratio < 1.3))
-    assert np.all(expected.standard_errors > predict_errors(KNOWN_ARM).standard_errors)
+    assert np.all(expected.errors > predict_errors(KNOWN_ARM).errors)
+    stated = fitted.budget(np.eye(len(fitted.names))[:1])
     for cause in (LINKS, SCALES):
-        standard_errors = np.sqrt(np.diag(expected.covariance_by_cause[cause]))
-        assert 0.6 < np.median(standard_errors / stated.budget[cause]) < 3.0
+        assert 0.6 < expected.by_cause[cause][0] / stated[cause][0] < 3.0
 
 
 @pytest.mark.parametrize("target", ["link", "payload"])
-def test_covariances_by_cause_add_up_to_the_covariance(target):
+def test_errors_by_cause_add_up_to_the_error(target):
     expected = predict_errors(target=target)
-    total = np.sum(list(expected.covariance_by_cause.values()), axis=0)
-    assert_allclose(total, expected.covariance, atol=1e-9 * np.max(total))
+    masses = [mass for mass, _ in expected.by_cause.values()]
+    assert np.linalg.norm(masses) == pytest.approx(expected.errors[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("options", [USUAL, KNOWN_ARM], ids=["usual", "known"])
@@ -119,13 +115,13 @@ def test_the_search_minimises_the_predicted_errors(options):
     model = InformationModel(PROBLEM, sigma, prior)
     information = model.evaluate(motion.q, motion.qd, motion.qdd).information
     covariance = design_criterion(PROBLEM, prior).covariance(information)
-    ratio = predict_errors(options).standard_errors / np.sqrt(np.diag(covariance))
+    ratio = predict_errors(options).errors / np.sqrt(np.diag(covariance))
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
 
 
 def test_predicted_friction_errors_equal_reported_errors():
-    estimate = estimate_errors(USUAL, 0)
-    errors = dict(zip(estimate.names, estimate.standard_errors))
+    fitted = identify_recording(USUAL, 0)
+    errors = dict(zip(fitted.names, np.sqrt(np.diag(fitted.inverse))))
     lines = friction_lines(PROBLEM, PLAN, RATE, USUAL)
     for term, line in zip(("coulomb", "viscous"), lines):
         predictions = re.findall(r"(joint\d) ([\d.e-]+)", line)
@@ -137,12 +133,12 @@ def test_predicted_friction_errors_equal_reported_errors():
 def test_payload_errors_come_from_the_difference_of_recordings():
     """Errors of the links cancel; noise and the error that all torque scales share count."""
     expected = predict_errors(target="payload")
-    link_error = predict_errors().standard_errors[0]
-    assert 0.0 < expected.standard_errors[0] < 0.3 * link_error
-    common = common_scale_error(PROBLEM, USUAL) * expected.theta[0]
-    scales = np.sqrt(expected.covariance_by_cause[SCALES][0, 0])
-    assert 0.01 < common / expected.theta[0] < 0.03
-    assert common <= scales < expected.standard_errors[0]
+    link_error = predict_errors().errors[0]
+    assert 0.0 < expected.errors[0] < 0.3 * link_error
+    share = common_scale_error(PROBLEM, USUAL)
+    scales, _ = expected.by_cause[SCALES]
+    assert 0.01 < share < 0.03
+    assert share * expected.size[0] <= scales < expected.errors[0]
 
 
 def test_the_load_is_the_one_that_torque_is_reserved_for():
@@ -164,7 +160,7 @@ def test_a_recording_that_cannot_be_processed_has_no_predicted_errors():
 
 
 def test_the_first_part_of_a_long_motion_is_processed(monkeypatch):
-    whole = predict_errors().standard_errors
+    whole = predict_errors().errors
     monkeypatch.setattr("robot_sysid.motion.expected_errors.MOST_SAMPLES", 1000)
-    part = predict(PROBLEM, PLAN, RecordingPlan(RATE, USUAL)).standard_errors
+    part = predict(PROBLEM, PLAN, RecordingPlan(RATE, USUAL)).errors
     assert np.all(part > whole)

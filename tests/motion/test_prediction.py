@@ -9,7 +9,7 @@ import pytest
 from numpy.random import default_rng
 
 from robot_sysid.motion.design_search import draw_trajectory
-from robot_sysid.motion.information import mass_and_centre_errors
+from robot_sysid.motion.expected_errors import centre_slopes
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.trajectory import generate_excitation_trajectory
@@ -40,7 +40,7 @@ def test_the_error_of_the_centre_of_mass_equals_monte_carlo():
     drawn = rng.multivariate_normal(theta, root @ root.T, size=4000)
     centres = drawn[:, 1:4] / drawn[:, :1]
     spread = np.sqrt(np.sum(np.var(centres, axis=0)))
-    _, centre_error = mass_and_centre_errors(theta, root @ root.T)
+    centre_error = np.linalg.norm(centre_slopes(theta) @ root)
     assert centre_error == pytest.approx(spread, rel=0.05)
 
 

@@ -59,10 +59,9 @@ def test_no_motor_file_is_written_that_no_option_asks_for(robot):
 
 def predicted(mass_error):
     """A made-up prediction for a mass of 1 kg."""
-    covariance = np.eye(10) * mass_error**2
-    theta = np.eye(10)[0]
-    causes = {"links": covariance}
-    return Prediction("Once", "link1", theta, np.ones(10), covariance, causes, {}, ())
+    errors = np.full(10, mass_error)
+    causes = {"links": (mass_error, 0.1)}
+    return Prediction("Once", "link1", np.ones(10), errors, causes, {}, ())
 
 
 @pytest.mark.parametrize(
