@@ -6,6 +6,7 @@ from functools import cache
 
 import pytest
 
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import (
     Design,
@@ -14,6 +15,7 @@ from robot_sysid.motion.design import (
     penalised_objective,
 )
 from robot_sysid.motion.design_search import draw_trajectories
+from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
@@ -25,7 +27,8 @@ from tests.support.places import GUESS
 def kinova():
     """Return the design of the Kinova example and its best of 20 random trajectories."""
     problem = build_problem(load_robot_model(GUESS), LimitOptions())
-    design = Design(problem, ExcitationOptions(), TrajectoryOptions())
+    knowledge = prior_knowledge(problem, EstimationOptions(), "link")
+    design = Design(problem, ExcitationOptions(), TrajectoryOptions(), knowledge)
     return design, min(draw_trajectories(design, 0, range(20)), key=lambda d: d.score).x
 
 

@@ -22,11 +22,12 @@ from robot_sysid.dynamics.equations import (
 )
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.model.bodies import body_theta, composite_theta
 from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
 from robot_sysid.motion.design import Design
 from robot_sysid.motion.design_search import design_excitation
+from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
@@ -193,7 +194,8 @@ def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
     robot = load_robot_model(MODELS / model, joint=joint)
     options = ExcitationOptions(**FEW_DRAWS)
     problem = build_problem(robot, LimitOptions(), top_frequency_hz=TOP_FREQUENCY_HZ)
-    design = Design(problem, options, TrajectoryOptions())
+    knowledge = prior_knowledge(problem, EstimationOptions(), "link")
+    design = Design(problem, options, TrajectoryOptions(), knowledge)
     result = design_excitation(design, np.random.default_rng(1))
     assert result.limit_check.holds
     assert list(violations(robot, result.trajectory)) == []

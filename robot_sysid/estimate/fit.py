@@ -233,7 +233,7 @@ class Fit:
     def is_hidden(self) -> NDArray[np.bool_]:
         """Which estimated parameters (k,) nothing shows."""
         normal = self.equations.data(self.weights) + self.equations.prior
-        return np.diag(self.inverse) * np.diag(normal)[:-1] > _HIDDEN
+        return _hidden(self.inverse, normal)
 
     @cached_property
     def covariance(self) -> Array:
@@ -455,6 +455,12 @@ class Fit:
         return np.concatenate(residuals)
 
 
+def _hidden(inverse: Array, normal: Array) -> NDArray[np.bool_]:
+    """Return which parameters (k,) nothing shows: neither data nor prior."""
+    own = np.diag(normal)[:-1]
+    return np.asarray((own == 0.0) | (np.diag(inverse) * own > _HIDDEN))
+
+
 def fit(
     arm: ArmTerms,
     recordings: Sequence[Recording],
@@ -502,8 +508,7 @@ def fit(
     free, kept, start = _within_bounds(equations, normal, kept, equations.usual)
     values = free
     if possible and not _are_possible(equations, free):
-        hidden = np.diag(inverse) * np.diag(normal)[:-1] > _HIDDEN
-        has_hidden = bool(np.any(hidden))
+        has_hidden = bool(np.any(_hidden(inverse, normal)))
         for _ in range(_BOUND_ROUNDS):
             values = _possible(equations, normal, kept, start, has_hidden)
             # Bodies that are made possible push other parameters across their bounds.

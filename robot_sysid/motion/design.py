@@ -29,7 +29,6 @@ from robot_sysid.motion.information import (
     InformationModel,
     PriorKnowledge,
     design_criterion,
-    known_arm,
 )
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ExcitationProblem
@@ -219,8 +218,7 @@ class Design:
         problem: the arm and its limits.
         options: of the search.
         motion: duration and sample rate.
-        knowledge: of the parameters before the recording; None where only the terminal link and
-            friction are unknown.
+        knowledge: of the parameters before the recording.
 
     Attributes:
         problem: the arm and its limits.
@@ -242,7 +240,7 @@ class Design:
         problem: ExcitationProblem,
         options: ExcitationOptions,
         motion: TrajectoryOptions,
-        knowledge: PriorKnowledge | None = None,
+        knowledge: PriorKnowledge,
     ) -> None:
         self.problem = problem
         self.sample_rate = motion.sample_rate
@@ -268,7 +266,6 @@ class Design:
         self.harmonic = np.tile(np.arange(1.0, self.basis.harmonics + 1.0), 2)
         self.unit = np.concatenate(([1.0], 1.0 / self.harmonic))
         self.grid = (np.arange(points) + 0.5) * self.basis.duration / points
-        knowledge = knowledge or known_arm(problem)
         # Each point of the coarse grid stands for several samples of the recording: it has as much
         # information as all of them.
         n_samples = motion.duration * motion.sample_rate

@@ -17,7 +17,7 @@ from robot_sysid.dynamics.equations import split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import motors_of, rms_torque
-from robot_sysid.estimate.fit import Fit, expected, shared_scale
+from robot_sysid.estimate.fit import Fit, expected
 from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.options import EstimationOptions
@@ -27,16 +27,16 @@ from robot_sysid.estimate.questions import (
     Question,
     arm_question,
     friction_columns,
-    scale_spread,
 )
-from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.rows import Poses, Recording
 from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms, Term
 from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD
 from robot_sysid.motion.information import JOINT_TERMS, PriorKnowledge, design_criterion
 from robot_sysid.motion.prediction import Prediction, invisible_combinations
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.motion.trajectories import LineTrajectory
+from robot_sysid.records import Array, Measurement, Motion, MotionPlan
 from robot_sysid.records.messages import percent
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
@@ -66,11 +66,13 @@ class RecordingPlan:
         options: of the identification.
         target: what is to be identified, see ``PriorKnowledge``. A motion for a payload is recorded
             in the order ``PAYLOAD_ORDER``.
+        resting: whether the motion goes through resting poses, whose mean torques are used.
     """
 
     sample_rate: float
     options: EstimationOptions
     target: str = "link"
+    resting: bool = False
 
     @property
     def is_payload(self) -> bool:
@@ -88,7 +90,11 @@ def _arm_terms(
 
 
 def _question_terms(
-    arm: ArmTerms, options: EstimationOptions, torque: Array, loaded: bool = False
+    arm: ArmTerms,
+    options: EstimationOptions,
+    torque: Array,
+    loaded: bool = False,
+    resting: bool = False,
 ) -> list[Term]:
     """Return the terms of an identification before there is a recording, with their priors.
 
@@ -99,7 +105,8 @@ def _question_terms(
     question = Question(
         options,
         loaded,
-        loaded,
+        drifts=loaded and not resting,
+        resting=resting,
         link_scales=EXPECTED,
         dry=tuple(dry.tolist()),
         motors=motors,
@@ -159,22 +166,6 @@ def typical_load(problem: ExcitationProblem) -> Array:
     return mass / body[0] * body
 
 
-def load_text(problem: ExcitationProblem) -> str:
-    """Return the mass of ``typical_load`` with its unit; with the digits of the option if given."""
-    if problem.reserve:
-        return f"{problem.reserve:.12g} kg"
-    return f"{typical_load(problem)[0]:.2g} kg"
-
-
-def common_scale_error(problem: ExcitationProblem, options: EstimationOptions) -> float:
-    """Return the standard error that all torque scales share where a payload is weighed, as a share
-    of the torque.
-    """
-    return shared_scale(
-        scale_spread(_arm_terms(problem, options), options, loaded=True)
-    )
-
-
 def predict(
     problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
 ) -> Prediction:
@@ -195,11 +186,13 @@ def predict(
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD
         theta = typical_load(problem)
-        reason = "of --payload-reserve"
+        load = f"{problem.reserve:.12g} kg (of --payload-reserve)"
         if not problem.reserve:
-            share = percent(TYPICAL_LOAD)
-            reason = f"{share} of the arm's moving mass; --payload-reserve states another one"
-        subject = f"a load of {load_text(problem)} ({reason})"
+            load = (
+                f"{theta[0]:.2g} kg ({percent(TYPICAL_LOAD)} of the arm's moving mass; "
+                "--payload-reserve states another one)"
+            )
+        subject = f"a load of {load}"
         size = theta[0] / robot.prior.mass * size
     fitted = expected_fit(problem, plan, recording)
     at = fitted.at(names)
@@ -259,15 +252,17 @@ def expected_fit(
         values = dict(zip(PAYLOAD_NAMES, point.payload.tolist()))
     sums = arm.sums(recordings, point)
     torque = rms_torque(sums)
-    # Columns vary slowly along the rows, so that what counts is the density of the noise at low
-    # frequencies, which the low-pass does not change: sigma^2 over the samples per row.
-    assert processed.signals is not None
-    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
-    per_row = recording.sample_rate / rate * processed.signals.low_pass.step
-    noise = problem.sigma / np.sqrt(per_row)
+    samples_per_row = 2.0  # a pose rests twice
+    if processed.signals is not None:
+        # Columns vary slowly along the rows, so that what counts is the density of the noise at low
+        # frequencies, which the low-pass does not change: sigma^2 over the samples per row.
+        rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
+        step = processed.signals.low_pass.step
+        samples_per_row = recording.sample_rate / rate * step
+    noise = problem.sigma / np.sqrt(samples_per_row)
     if loaded:
         noise = np.hypot(noise, UNMODELLED_TORQUE * torque)
-    terms = _question_terms(arm, options, torque, loaded)
+    terms = _question_terms(arm, options, torque, loaded, recording.resting)
     return expected(arm, recordings, point, sums, terms, values, noise)
 
 
@@ -279,6 +274,15 @@ def _processed_motion(
     Raises:
         InputError: the motion cannot be processed as a log.
     """
+    if recording.resting:
+        assert isinstance(plan, LineTrajectory)
+        poses = plan.rests
+        still = np.zeros_like(poses)
+        motion = Motion(np.arange(float(len(poses))), poses, still, still)
+        rests = Measurement(
+            motion.time, poses, still, problem.arm_torque(motion), still
+        )
+        return Recording("", Poses(rests, np.ones(poses.shape, dtype=bool)))
     rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
     times = sample_times(plan.duration, rate, end=MOST_SAMPLES / rate)
     chunks = simulate_inverse(problem.robot, map(plan.evaluate, times))

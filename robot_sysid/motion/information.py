@@ -67,18 +67,6 @@ class PriorKnowledge:
     target: str = "link"
 
 
-def known_arm(problem: ExcitationProblem) -> PriorKnowledge:
-    """Return the priors of an arm of which only the terminal link, friction and, where several
-    joints' torques are used, rotor inertias are unknown.
-    """
-    deviations = np.zeros((_N_TERMS, len(problem.rows)))
-    # The first of ``JOINT_TERMS``, up to "armature" or "offset". From one torque alone rotor
-    # inertias are not estimated: they look like the link's.
-    n_free = 4 if len(problem.rows) > 1 else 3
-    deviations[:n_free] = np.inf
-    return PriorKnowledge(np.zeros((0, 0)), deviations)
-
-
 class Information(NamedTuple):
     """Information of a motion about the parameters of all L links with mass.
 

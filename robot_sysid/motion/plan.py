@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -10,11 +9,11 @@ import numpy as np
 
 from robot_sysid import trajectory
 from robot_sysid.errors import InputError
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import WEIGHT, ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import (
-    PerJoint,
     TrajectoryOptions,
     given_options,
     require_countable,
@@ -23,7 +22,6 @@ from robot_sysid.simulator import ArmTorque
 
 # A random motion that nothing plays imports nothing that checks and designs.
 if TYPE_CHECKING:
-    from robot_sysid.motion.information import PriorKnowledge
     from robot_sysid.motion.limit_check import LimitCheck
     from robot_sysid.motion.problem import ExcitationProblem
 
@@ -39,25 +37,18 @@ class MotionRequest:
         trajectory: duration, sample rate, speed and files.
         excitation: how the trajectory is made.
         limits: that it has to keep beside the model's own.
-        torques: "chain" or "terminal": which joint torques will be used.
-        noise_torque: standard deviation of the torque noise, one number or one per joint [N m];
-            zero for ``DEFAULT_NOISE_TORQUE``.
+        estimation: of the identification: whose torques are used, their noise, and how far the
+            links may be off, for which torque is reserved.
         played: whether the motion will be played on an arm.
         poses: purpose of the motion, and its resting poses if it has some.
-        prior_knowledge: returns the priors of the estimate for an arm; None where all but the
-            terminal link and friction is known.
-        link_uncertainty: how far the links may be off [%]; torque is reserved for that.
     """
 
     trajectory: TrajectoryOptions
     excitation: ExcitationOptions
     limits: LimitOptions
-    torques: str = "chain"
-    noise_torque: PerJoint = 0.0
+    estimation: EstimationOptions = EstimationOptions()
     played: bool = False
     poses: PoseOptions = PoseOptions()
-    prior_knowledge: Callable[[ExcitationProblem], PriorKnowledge] | None = None
-    link_uncertainty: float = 0.0
 
     @property
     def is_checked(self) -> bool:
@@ -253,11 +244,10 @@ def _designed_plan(
     """
     from robot_sysid.motion.design import Design
     from robot_sysid.motion.design_search import design_excitation
+    from robot_sysid.motion.expected_errors import prior_knowledge
 
     problem = _problem(request, robot)
-    knowledge = None
-    if request.prior_knowledge is not None:
-        knowledge = request.prior_knowledge(problem)
+    knowledge = prior_knowledge(problem, request.estimation, request.poses.target)
     design = Design(problem, request.excitation, request.trajectory, knowledge)
     result = design_excitation(design, rng, progress)
     progress.note(*result.notes)
@@ -289,15 +279,14 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     if is_new:
         basis = request.excitation.basis(request.trajectory.duration)
         top_frequency_hz = basis.top_frequency_hz
-    # Zero stands for the default.
-    noise = request.noise_torque
+    estimation = request.estimation
     problem = build_problem(
         robot,
         request.limits,
-        torques=request.torques,
-        noise_torque=noise if np.all(noise) else DEFAULT_NOISE_TORQUE,
+        torques=estimation.torques,
+        noise_torque=estimation.priors.noise or DEFAULT_NOISE_TORQUE,
         top_frequency_hz=top_frequency_hz,
-        link_uncertainty=request.link_uncertainty,
+        link_uncertainty=estimation.priors.link,
     )
     if request.poses.purpose == WEIGHT:
         problem = gentle_problem(problem)

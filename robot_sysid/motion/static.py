@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import RECORDED_FOR_PAYLOAD, PoseOptions
+from robot_sysid.motion import PoseOptions
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.problem import RESERVE_WORDS, ExcitationProblem
 from robot_sysid.motion.trajectories import (
@@ -34,7 +34,7 @@ from robot_sysid.motion.trajectories import (
     straight_way,
 )
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.messages import count_text, percent
+from robot_sysid.records.messages import count_text
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 N_POSES = 1000
@@ -356,36 +356,14 @@ def _motion_through(
     return LineTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
 
 
-def pose_lines(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    mass: float,
-    load: str,
-    scale_error: float,
-) -> list[str]:
-    """Return lines on the poses of a plan, and on the standard error of a payload's mass.
-
-    Args:
-        problem: the arm, with the noise of the mean torque of a rest.
-        plan: the motion through the poses.
-        mass: of the payload [kg].
-        load: this mass in words.
-        scale_error: standard error that all torque scales share, as a share of the torque.
-    """
+def pose_line(plan: MotionPlan) -> str:
+    """Return a line on the poses of a plan."""
     assert isinstance(plan, LineTrajectory)
-    # The arm rests in each pose twice, one rest after the other.
-    rests = plan.points[plan.dwells > 0.0][::2]
-    rows = _gravity_rows(problem, rests).reshape(-1, 4)
-    # The payload is a difference of two means, each of two recordings with two rests per pose.
-    covariance = 0.5 * np.linalg.pinv(rows.T @ rows)
-    error = float(np.hypot(np.sqrt(covariance[0, 0]), scale_error * mass))
-    noise = float(np.mean(problem.sigma))
-    return [
-        f"{len(rests)} poses, each approached from both sides, {plan.duration:.0f} s",
-        f"{RECORDED_FOR_PAYLOAD}, they determine a load of {load} with this error:",
-        f"  mass ± {error:.2g} kg ({percent(error / mass)}), if the mean torque of a rest is known "
-        f"to {noise:.2g} N·m",
-    ]
+    count = len(plan.rests)
+    return (
+        f"{count} poses, each approached from both sides, {plan.duration:.0f} s; mean torques of "
+        "their rests are used"
+    )
 
 
 def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:

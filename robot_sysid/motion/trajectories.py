@@ -190,6 +190,11 @@ class LineTrajectory:
         return np.concatenate(([0.0], np.cumsum(self.dwells[:-1] + self.moves)))
 
     @property
+    def rests(self) -> Array:
+        """Poses in which the arm rests (K, n); it does twice in each, one rest after the other."""
+        return self.points[self.dwells > 0.0][::2]
+
+    @property
     def speeds(self) -> Array:
         """Constant velocity of each joint (P - 1, n) between the ramps of each line [rad/s]; only
         defined for a trajectory with ramps.

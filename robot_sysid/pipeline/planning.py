@@ -68,25 +68,14 @@ def design_motion(
             motor_limits = (spec.peak_torque, spec.limits[2])
             max_torque[joint] = min(*motor_limits, max_torque[joint])
         limits = replace(limits, max_torque=tuple(max_torque.tolist()))
-    estimation = config.estimation
     request = MotionRequest(
         config.trajectory,
         replace(config.excitation, kind="optimal" if config.is_designed else "sines"),
         limits,
-        torques=estimation.torques,
-        noise_torque=estimation.priors.noise or 0.0,
+        config.estimation,
         played=motors.export_damiao,
         poses=config.poses,
-        link_uncertainty=estimation.priors.link,
     )
-    if config.is_designed:
-        from robot_sysid.motion.expected_errors import prior_knowledge
-
-        target = config.poses.target
-        request = replace(
-            request,
-            prior_knowledge=partial(prior_knowledge, options=estimation, target=target),
-        )
     return make_plan(request, robot, seed, progress), seed
 
 
@@ -95,8 +84,7 @@ def predict_plan(
 ) -> tuple[Prediction | None, list[str]]:
     """Return the errors to expect of an identification from a checked motion, and printed lines.
 
-    There is no prediction of friction sweeps and resting poses. The lines state limits and expected
-    errors.
+    There is no prediction of friction sweeps. The lines state limits and expected errors.
     """
     from robot_sysid.motion import expected_errors, static
     from robot_sysid.motion.prediction import error_lines, limit_lines, motion_lines
@@ -109,16 +97,15 @@ def predict_plan(
     assert problem is not None and check is not None
     prediction = None
     lines = [*limit_lines(problem, plan, check)]
-    if poses.static:
-        mass = float(expected_errors.typical_load(problem)[0])
-        scale_error = expected_errors.common_scale_error(problem, config.estimation)
-        load = expected_errors.load_text(problem)
-        lines += static.pose_lines(problem, plan, mass, load, scale_error)
-    elif poses.sets_its_time:
+    if poses.purpose == "friction":
         lines += static.sweep_lines(problem, plan)
         lines += expected_errors.friction_lines(problem, plan, rate, config.estimation)
     else:
-        recording = expected_errors.RecordingPlan(rate, config.estimation, poses.target)
+        if poses.static:
+            lines.append(static.pose_line(plan))
+        recording = expected_errors.RecordingPlan(
+            rate, config.estimation, poses.target, poses.static
+        )
         try:
             prediction = expected_errors.predict(problem, plan, recording)
             lines += error_lines(prediction)
@@ -202,7 +189,7 @@ def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
     """
     from robot_sysid.motion.prediction import LARGE_SHARE
 
-    if config.poses.sets_its_time or config.poses.purpose == WEIGHT:
+    if config.poses.purpose in ("friction", WEIGHT):
         return ""
     if prediction is None:
         return "the errors that it will leave cannot be predicted"

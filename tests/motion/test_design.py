@@ -15,7 +15,7 @@ from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion.design import GRID_PER_CYCLE, INFORMATION_POINTS
 from robot_sysid.motion.design_search import draw_trajectory
-from robot_sysid.motion.information import InformationModel, known_arm
+from robot_sysid.motion.information import InformationModel
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms
@@ -23,6 +23,7 @@ from tests.support.arms import SEEDS
 from tests.support.excitation_arms import (
     TUBES_AND_POST,
     Design,
+    known_arm,
     make_design,
     make_problem,
     random_x,
@@ -116,7 +117,8 @@ def test_unidentifiable_directions_have_no_information_on_any_motion(seed):
 def test_impossible_searches_are_refused(changes, message):
     motion = TrajectoryOptions(**{"duration": 15.0, **changes})
     with pytest.raises(InputError, match=message):
-        Design(make_problem(arms.THREE), ExcitationOptions(), motion)
+        problem = make_problem(arms.THREE)
+        Design(problem, ExcitationOptions(), motion, known_arm(problem))
 
 
 STRONG_MOTORS = arms.DRY_FRICTION.replace(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import design as design_module
 from robot_sysid.motion import design_search as search
 from robot_sysid.motion.design import Design, constraints_of
@@ -27,6 +27,7 @@ from tests.support.excitation_arms import (
     TOUCHING_AT_REST,
     TUBES_AND_POST,
     TUBES_ON_FLOOR,
+    known_arm,
     make_design,
     make_problem,
     options,
@@ -51,7 +52,8 @@ def run_search(design, seed, progress=None, clock=design_module.clock):
 
 def search_problem(problem, **changes):
     """Return the result of a search with limits that are set on the problem itself."""
-    design = Design(problem, options(**changes), TrajectoryOptions(duration=DURATION))
+    motion = TrajectoryOptions(duration=DURATION)
+    design = Design(problem, options(**changes), motion, known_arm(problem))
     return design_excitation(design, default_rng(0))
 
 

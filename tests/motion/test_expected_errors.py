@@ -15,17 +15,17 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.terms import LINKS, SCALES
+from robot_sysid.motion import PoseOptions
 from robot_sysid.motion.expected_errors import (
     TYPICAL_LOAD,
     RecordingPlan,
-    common_scale_error,
     friction_lines,
-    load_text,
     predict,
     prior_knowledge,
     typical_load,
 )
 from robot_sysid.motion.information import InformationModel, design_criterion
+from robot_sysid.motion.static import design_poses
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
@@ -135,10 +135,8 @@ def test_payload_errors_come_from_the_difference_of_recordings():
     expected = predict_errors(target="payload")
     link_error = predict_errors().errors[0]
     assert 0.0 < expected.errors[0] < 0.3 * link_error
-    share = common_scale_error(PROBLEM, USUAL)
     scales, _ = expected.by_cause[SCALES]
-    assert 0.01 < share < 0.03
-    assert share * expected.size[0] <= scales < expected.errors[0]
+    assert 0.01 * expected.size[0] < scales < expected.errors[0]
 
 
 def test_the_load_is_the_one_that_torque_is_reserved_for():
@@ -146,7 +144,18 @@ def test_the_load_is_the_one_that_torque_is_reserved_for():
     assert typical_load(PROBLEM)[0] == pytest.approx(TYPICAL_LOAD * moving_mass)
     reserved = make_problem(ARM, payload_reserve=1.05)
     assert typical_load(reserved)[0] == pytest.approx(1.05)
-    assert load_text(reserved) == "1.05 kg"
+    subject = predict(reserved, PLAN, RecordingPlan(RATE, USUAL, "payload")).subject
+    assert subject.startswith("a load of 1.05 kg (of --payload-reserve)")
+
+
+def test_resting_poses_determine_mass_and_centre_of_a_payload_alone():
+    poses = PoseOptions("payload", True, poses=6, dwell=1.0)
+    plan = design_poses(PROBLEM, poses, default_rng(0))
+    recording = RecordingPlan(RATE, USUAL, "payload", resting=True)
+    errors = predict(PROBLEM, plan, recording).errors
+    assert np.all(np.isfinite(errors[:4])) and np.all(np.isinf(errors[4:]))
+    moving = predict_errors(target="payload").errors
+    assert moving[0] < errors[0] < 3.0 * moving[0]
 
 
 def test_a_recording_that_cannot_be_processed_has_no_predicted_errors():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
+from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import save_trajectory
@@ -18,6 +19,7 @@ from tests.support import arms, witness
 from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
 
 DURATION = 4.0
+EXACT_LINKS = EstimationOptions(priors=Priors(link=0.0))
 
 
 class Listener(Progress):
@@ -37,6 +39,7 @@ def make_request(trajectory=None, limits=None, excitation=None, played=False):
         TrajectoryOptions(**settings),
         excitation or ExcitationOptions(),
         LimitOptions(**(limits or {})),
+        EXACT_LINKS,
         played=played,
     )
 
@@ -92,7 +95,8 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
         options(kind=excitation),
     )
     poses = PoseOptions(purpose=purpose)
-    request = replace(request, poses=poses, link_uncertainty=10.0)
+    uncertain = EstimationOptions(priors=Priors(link=10.0))
+    request = replace(request, poses=poses, estimation=uncertain)
     checked = make_plan(request, robot(arms.THREE), 1, Listener())
     assert checked.check.holds
     problem = checked.problem
