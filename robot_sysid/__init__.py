@@ -37,7 +37,7 @@ _NAMES = {
     "estimation.question": ("Priors",),
     "logs.column_map": ("ColumnMap",),
     "logs.reader": ("MeasurementLog",),
-    "motion.plan": ("CheckedPlan",),
+    "motion.checked": ("CheckedPlan",),
     "parser": ("load_robot_model",),
     "records.arm": (
         "ArmLink",

@@ -53,7 +53,7 @@ from robot_sysid.results.written_model import versions, write_model
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
-    from robot_sysid.motion.plan import CheckedPlan
+    from robot_sysid.motion.checked import CheckedPlan
 
 _LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
 """Files that a command writes after the results."""

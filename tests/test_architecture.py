@@ -23,6 +23,7 @@ LAYERS = (
     ("api",),
     ("pipeline",),
     ("config",),
+    ("motion.plan",),
     ("motion.expected_errors",),
     ("servo",),
     ("diagnosis",),

@@ -21,13 +21,13 @@ BUDGETS = {
     "robot_sysid/damiao": 43858,
     "robot_sysid/diagnosis": 20682,
     "robot_sysid/dynamics": 8386,
-    "robot_sysid/estimate": 29738,
+    "robot_sysid/estimate": 29948,
     "robot_sysid/estimation": 45753,
     "robot_sysid/logs": 21969,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 10146,
-    "robot_sysid/motion": 28568,
-    "robot_sysid/pipeline": 7022,
+    "robot_sysid/motion": 27690,
+    "robot_sysid/pipeline": 6926,
     "robot_sysid/records": 9142,
     "robot_sysid/report": 8319,
     "robot_sysid/results": 15021,
@@ -35,7 +35,7 @@ BUDGETS = {
     "robot_sysid/signals": 9350,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12379,
-    "tests": 226167,
+    "tests": 226455,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

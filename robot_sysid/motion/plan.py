@@ -11,7 +11,8 @@ from robot_sysid import trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import WEIGHT, ExcitationOptions, LimitOptions, PoseOptions
-from robot_sysid.records import MotionPlan, RobotModel
+from robot_sysid.motion.checked import CheckedPlan
+from robot_sysid.records import RobotModel
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import (
     TrajectoryOptions,
@@ -22,7 +23,6 @@ from robot_sysid.simulator import ArmTorque
 
 # A random motion that nothing plays imports nothing that checks and designs.
 if TYPE_CHECKING:
-    from robot_sysid.motion.limit_check import LimitCheck
     from robot_sysid.motion.problem import ExcitationProblem
 
 LONGEST_CHECKED = 86400.0
@@ -67,26 +67,6 @@ class MotionRequest:
     def is_designed(self) -> bool:
         """Whether a trajectory is to be designed."""
         return self.excitation.kind == "optimal"
-
-
-@dataclass(frozen=True)
-class CheckedPlan:
-    """A trajectory and the check of its limits.
-
-    Attributes:
-        plan: the trajectory.
-        problem: the arm and the limits that it has to keep; None where nothing plays it.
-        check: of the limits; None where nothing plays it.
-    """
-
-    plan: MotionPlan
-    problem: ExcitationProblem | None = None
-    check: LimitCheck | None = None
-
-    @property
-    def failure(self) -> str | None:
-        """Why the trajectory must not be run, or None."""
-        return None if self.check is None else self.check.failure
 
 
 def make_plan(
