@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 5468,
     "robot_sysid/commands": 13318,
     "robot_sysid/damiao": 43858,
-    "robot_sysid/diagnosis": 20682,
+    "robot_sysid/diagnosis": 20231,
     "robot_sysid/dynamics": 8386,
     "robot_sysid/estimate": 29948,
     "robot_sysid/estimation": 45753,
@@ -32,10 +32,10 @@ BUDGETS = {
     "robot_sysid/report": 8319,
     "robot_sysid/results": 15021,
     "robot_sysid/servo": 10959,
-    "robot_sysid/signals": 9350,
+    "robot_sysid/signals": 9316,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12379,
-    "tests": 226455,
+    "tests": 226524,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -15,20 +15,16 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.contest import Contest, findings
 from robot_sysid.diagnosis.limited_in_time import (
+    MANY_VALUES,
     Stretch,
     failed_sensors,
-    is_limited,
-    join,
     leave_out,
-    left_out_note,
-    recurring_finding,
     unusual_torque,
 )
 from robot_sysid.diagnosis.log_refusal import refuse_for
@@ -41,7 +37,6 @@ from robot_sysid.logs import CHECKS
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress, percent
-from robot_sysid.signals.frozen import LEAST_RUN
 from robot_sysid.signals.process import (
     LogPiece,
     ProcessedSignals,
@@ -249,50 +244,32 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
 
 OFTEN = 0.005
 """Share of samples at the end of the range above which a sensor saturates."""
-# Number of different values below which a channel has coarse steps, which repeat by chance.
-_MANY_VALUES = 100
-# Least number of samples of a log at the end of its range that does not occur by chance.
-_SEEN = 20
+# Number of samples at the end of the range over that of others within 2 % of the range from it,
+# above which they are not there by chance.
+_CROWDED = 4.0
 
 
 def saturation_findings(
     pieces: Sequence[Measurement], joint_names: Sequence[str]
 ) -> Iterator[Finding]:
-    """Yield findings on torque channels that saturate, again and again."""
-    for joint, name in enumerate(joint_names):
-        tau = np.concatenate([_used_torque(piece)[:, joint] for piece in pieces])
-        if len(np.unique(tau)) < _MANY_VALUES:
+    """Yield findings on torque channels that saturate, where they are not left out."""
+    torques = []
+    for piece in pieces:
+        left_out = piece.left_out
+        torques.append(piece.tau if left_out is None else piece.tau[~left_out])
+    for name, values in zip(joint_names, np.concatenate(torques).T):
+        if len(np.unique(values)) < MANY_VALUES:
             continue
-        share, value = max(_at_end(tau, 1.0), _at_end(tau, -1.0))
-        if share > OFTEN:
-            text = f"the torque of joint {name} is exactly {value:.4g} N m, the end of its range, "
-            text += f"in {100.0 * share:.2g} % of the samples: the sensor is at its end; move "
-            yield Finding("saturated", Level.WARN, f"{text}slower, or carry less")
-
-
-def _used_torque(piece: Measurement) -> Array:
-    """Return the torques (K, n) of the samples of a piece that are not left out [N m]."""
-    return piece.tau if piece.left_out is None else piece.tau[~piece.left_out]
-
-
-def _at_end(tau: Array, sign: float) -> tuple[float, float]:
-    """Return (share of samples at which a torque (N,) saturates, value of the end of its range).
-
-    ``sign`` is 1 for the upper and -1 for the lower end. The share is zero where equal samples at
-    the end may be chance: a sensor that saturates has a run of them, or many, and several times as
-    many as there are samples within 2 % of the range from the end.
-    """
-    end = float(np.max(sign * tau))
-    is_at_end = sign * tau == end
-    is_near_end = (sign * tau > end - 0.02 * float(np.ptp(tau))) & ~is_at_end
-    count = int(np.sum(is_at_end))
-    near_count = int(np.sum(is_near_end))
-    # Beginnings and ends of runs at the end of the range, alternately.
-    edges = np.flatnonzero(np.diff(np.pad(is_at_end.view(np.int8), 1)))
-    longest_run = np.max(edges[1::2] - edges[::2], initial=0)
-    is_steady = longest_run >= LEAST_RUN and count > 3 * near_count
-    is_clipped = is_steady or (count >= _SEEN and count > 5 * near_count)
-    return float(np.mean(is_at_end)) if is_clipped else 0.0, sign * end
+        near = 0.02 * float(np.ptp(values))
+        for end in (float(np.min(values)), float(np.max(values))):
+            count = int(np.sum(values == end))
+            others = int(np.sum(np.abs(values - end) < near)) - count
+            if count > max(OFTEN * len(values), _CROWDED * others):
+                share = percent(count / len(values))
+                text = f"the torque of joint {name} is exactly {end:.4g} N m, the end of its range,"
+                text += f" in {share} of the samples: the sensor is at its end; move slower, or "
+                text += "carry less"
+                yield Finding("saturated", Level.WARN, text)
 
 
 CUTOFF_HZ = 8.0
@@ -303,6 +280,10 @@ have columns that are time derivatives of torques: their noise of positions woul
 """
 MOST_WINDOWS = 4
 """Number of windows of a long log that are used, spread evenly."""
+_PART = 56.0
+"""Longest part of a log in which torque that is unusual is looked for at once [s]."""
+_OVERLAP = 4.0
+"""Time by which parts of a log overlap [s]."""
 OF_LINKS = (
     "torque-scale",
     "zero",
@@ -357,16 +338,13 @@ def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
     """
     if _length(pieces) <= MOST_WINDOWS * WINDOW:
         return list(pieces)
-    windows = [window for piece in pieces for window in _windows(piece)]
+    windows = []
+    for piece in pieces:
+        count = max(1, int(_duration(piece) / WINDOW))
+        for rows in np.array_split(np.arange(len(piece)), count):
+            windows.append(slice_samples(piece, int(rows[0]), int(rows[-1]) + 1))
     spread = np.linspace(0, len(windows) - 1, MOST_WINDOWS)
     return [windows[k] for k in np.unique(spread.astype(int))]
-
-
-def _windows(piece: Measurement) -> Iterator[Measurement]:
-    """Yield windows of a piece, each of at least ``WINDOW`` seconds unless the piece is shorter."""
-    count = max(1, int(_duration(piece) / WINDOW))
-    for rows in np.array_split(np.arange(len(piece)), count):
-        yield slice_samples(piece, int(rows[0]), int(rows[-1]) + 1)
 
 
 def check_against_model(
@@ -407,13 +385,9 @@ def check_pieces(
     """
     options = options or EstimationOptions()
     joint_names = robot.joint_names
-    raw: list[Finding] = []
-    failures = failed_sensors(pieces)
-    if is_limited(failures, pieces):
-        pieces = leave_out(pieces, failures)
-        raw += map(partial(left_out_note, "held", joint_names), failures)
-    else:
-        raw.append(recurring_finding("held", joint_names, failures))
+    failures = [*failed_sensors(pieces)]
+    pieces, raw = leave_out("held", joint_names, pieces, failures)
+    lasts_a_moment = all(finding.is_left_out for finding in raw)
     raw += [*clock_findings(pieces), *velocity_findings(pieces)]
     raw += saturation_findings(pieces, joint_names)
     if any(finding.level is Level.REFUSE for finding in raw):
@@ -422,12 +396,10 @@ def check_pieces(
     foreign_unit = None
     model_findings = [*enough_findings(pieces, signals[0].cutoff)]
     if not model_findings:
-        touched = _touched(robot, pieces, options)
-        is_cut = is_limited([*failures, *touched], pieces)
-        if touched and is_cut:
-            pieces = leave_out(pieces, touched)
+        touched = [*_touched(robot, pieces, options)] if lasts_a_moment else []
+        pieces, contacts = leave_out("contact", joint_names, pieces, touched)
+        if touched:
             signals = low_pass(pieces, options.cutoff)
-            raw += map(partial(left_out_note, "contact", joint_names), touched)
         contest = Contest(robot, signals, options)
         scales = (
             np.ones(robot.n_joints) if divided is None else np.array(divided, float)
@@ -438,8 +410,9 @@ def check_pieces(
         model_findings = model_findings or findings(contest, scales)
         model_findings = model_findings or driving_findings(contest.posterior)
         model_findings = model_findings or [*slow_findings(qd)]
-        if not is_cut and not model_findings:
-            model_findings.append(recurring_finding("contact", joint_names, touched))
+        if model_findings:
+            contacts = [finding for finding in contacts if finding.is_left_out]
+        raw += contacts
         foreign_unit = foreign_unit_finding(contest.posterior.model.log, scales)
     of_links = set() if links_known else set(OF_LINKS)
     if foreign_unit:
@@ -460,20 +433,25 @@ def check_pieces(
 
 def _touched(
     robot: RobotModel, pieces: Sequence[Measurement], options: EstimationOptions
-) -> list[Stretch]:
-    """Return the stretches of a log with torque that is ordinary at no other time.
+) -> Iterator[Stretch]:
+    """Yield the stretches of a log with torque that is ordinary at no other time.
 
-    A long log is judged part by part, so that memory does not grow with it.
+    A long log is judged part by part, so that memory does not grow with it. Parts overlap, as the
+    low-pass loses their ends.
     """
-    windows = [window for piece in pieces for window in _windows(piece)]
-    count = math.ceil(len(windows) / MOST_WINDOWS)
-    if count == 1:
-        windows = list(pieces)
-    stretches: list[Stretch] = []
-    for part in np.array_split(np.arange(len(windows)), count):
-        signals = low_pass([windows[k] for k in part], options.cutoff)
-        stretches += unusual_torque(robot, signals, options)
-    return join(stretches)
+    parts: list[list[Measurement]] = [[]]
+    for piece in pieces:
+        overlap = round(_OVERLAP / sampling_period(piece.time))
+        count = math.ceil(_duration(piece) / _PART)
+        edges = np.linspace(0, len(piece), count + 1).astype(int).tolist()
+        for first, last in zip(edges, edges[1:]):
+            part = slice_samples(piece, max(first - overlap, 0), last)
+            if _length([*parts[-1], part]) > MOST_WINDOWS * WINDOW:
+                parts.append([])
+            parts[-1].append(part)
+    for part_pieces in filter(None, parts):
+        signals = low_pass(part_pieces, options.cutoff)
+        yield from unusual_torque(robot, signals, options)
 
 
 def check_log(

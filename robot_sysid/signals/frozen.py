@@ -5,30 +5,33 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.records import Array
 
 LEAST_TIME = 0.2
 """Least time for which a channel that failed repeats its value [s]."""
-LEAST_RUN = 4
-"""Least number of equal samples in a row that does not occur by chance."""
 _NEAR = 5
 """Number of steps on each side of a stretch that a jump at its end is compared with."""
 _JUMP = 3.0
 """Least jump at the end of a stretch of frozen positions, over the usual and the nearby steps."""
-_FASTEST = 3.0
-"""Largest mean speed at which a joint moves while its position is frozen, over its usual highest
-speed: a zero that shifts is no frozen position."""
+
+
+def true_runs(mask: NDArray[np.bool_]) -> Iterator[slice]:
+    """Yield the slices of consecutive true elements of a mask (N,)."""
+    edges = np.flatnonzero(np.diff(np.pad(mask.view(np.int8), 1)))
+    yield from map(slice, edges[::2].tolist(), edges[1::2].tolist())
 
 
 def equal_runs(time: Array, values: Array) -> Iterator[slice]:
-    """Yield the rows of each run of equal values (N,) that lasts at least ``LEAST_TIME``."""
-    changes = np.flatnonzero(np.diff(values)) + 1
-    starts = np.append(0, changes)
-    stops = np.append(changes, len(values))
-    lasts = time[stops - 1] - time[starts] >= LEAST_TIME
-    is_long = lasts & (stops - starts >= LEAST_RUN)
-    yield from map(slice, starts[is_long].tolist(), stops[is_long].tolist())
+    """Yield the rows of each run of equal values (N,) that lasts at least ``LEAST_TIME``.
+
+    A run of fewer than four samples may be chance.
+    """
+    for steps in true_runs(np.diff(values) == 0.0):
+        is_long = time[steps.stop] - time[steps.start] >= LEAST_TIME
+        if is_long and steps.stop - steps.start > 2:
+            yield slice(steps.start, steps.stop + 1)
 
 
 def frozen_positions(time: Array, q: Array) -> Iterator[slice]:
@@ -38,19 +41,9 @@ def frozen_positions(time: Array, q: Array) -> Iterator[slice]:
     still does not jump, however long it stands.
     """
     steps = np.abs(np.diff(q))
-    moving = steps > 0.0
-    if not np.any(moving):
-        return
-    usual = float(np.median(steps[moving]))
-    speeds = steps[moving] / np.diff(time)[moving]
-    fastest = float(np.quantile(speeds, 0.95))
+    usual = np.median(steps[steps > 0.0]) if np.any(steps) else 0.0
     for run in equal_runs(time, q):
-        if run.stop == len(q):
-            continue
-        jump = steps[run.stop - 1]
         before = steps[max(run.start - _NEAR, 0) : run.start]
-        after = steps[run.stop : run.stop + _NEAR]
-        nearby = float(np.max(np.append(before, after), initial=usual))
-        duration = time[run.stop] - time[run.start]
-        if _JUMP * nearby < jump < _FASTEST * fastest * duration:
+        jump, *after = steps[run.stop - 1 : run.stop + _NEAR].tolist() or [0.0]
+        if jump > _JUMP * max([usual, *before, *after]):
             yield run
