@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import servo_arm
-from robot_sysid.logs import LogOptions
+from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
-from robot_sysid.servo import UNITS, play_servos, run_servo
+from robot_sysid.servo import UNITS, run_servo
 from robot_sysid.servo.commands import commanded_pieces
+from robot_sysid.servo.held_out import play_servos
 from robot_sysid.servo.windows import split_pieces
 from robot_sysid.simulation.playback import ServoRollouts, servos_in_model
 from tests.support.places import MODELS
@@ -46,7 +47,7 @@ def main(*names: str) -> None:
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "log.csv"
             servo_arm.write_log(log, arm, *servo_arm.commands(robot, rng), STEP)
-            options = LogOptions(measurements=(log,))
+            options = FittedLogOptions(measurements=(log,))
             begun = time.monotonic()
             outcome = run_servo(robot, options, Path(folder) / "out", None, Progress())
             spent = time.monotonic() - begun

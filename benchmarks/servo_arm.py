@@ -117,6 +117,6 @@ def write_log(path, arm, time, command, step):
     sent = step * np.round(command / step)
     measured = step * np.round(arm.play(time, sent) / step)
     names = arm.robot.joint_names
-    titles = ["time", *(f"{n}.pos" for n in names), *(f"action {n}.pos" for n in names)]
+    titles = ["time", *(f"{n}.pos" for n in names), *(f"action_{n}" for n in names)]
     rows = np.column_stack((time, measured, sent))
     np.savetxt(path, rows, "%.9g", ",", header=",".join(titles), comments="")

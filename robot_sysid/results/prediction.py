@@ -3,7 +3,6 @@ on held-out pieces (a rollout) are better than the model's own."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import Array, Measurement, Motion, RobotModel, Validation
 from robot_sysid.records.data import validation_of
-from robot_sysid.results.record import RolloutTest
 from robot_sysid.signals.process import ProcessedSignals
 
 HORIZONS = (0.1, 0.3, 1.0, 3.0)
@@ -23,28 +21,6 @@ HELD_OUT_SHARE = 0.2
 """Share of each log, its end, that is held out; cross-validation leaves out as much."""
 LAST_FIFTH = "the last fifth of every log, which was not fitted for it"
 """Description of the pieces that ``HELD_OUT_SHARE`` holds out."""
-
-
-def rollout_refusal(test: RolloutTest | None, accepted: Collection[str]) -> str | None:
-    """Return why a new model that was compared in a rollout must not be written, or None.
-
-    It must not where the test could not be made, or found it no better than the original model at
-    predicting positions.
-
-    Args:
-        test: position errors of both models; None, without a test, does not refuse the model.
-        accepted: names of the findings that the user accepts; with "rollout" among them, no model
-            is refused.
-    """
-    if test is None or test.is_better or "rollout" in accepted:
-        return None
-    reason = f"nothing could be played on held-out pieces ({'; '.join(test.notes)})"
-    if test.score is not None:
-        reason = (
-            "played on held-out pieces, the new model is not better than the old one (errors "
-            f"{test.score:.2f} times those before)"
-        )
-    return f"no model was written: {reason}; to write it all the same: --accept rollout"
 
 
 def split_time(signals: ProcessedSignals | Measurement) -> float:

@@ -6,9 +6,8 @@ n joints; a piece is a part of a log without gaps.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +26,7 @@ from robot_sysid.logs.reader import (
 )
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
-from robot_sysid.records import (
-    Array,
-    DataOrigin,
-    Measurement,
-    Motion,
-    RobotModel,
-    file_access,
-)
+from robot_sysid.records import Array, DataOrigin, Motion, RobotModel, file_access
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.next_steps import use_lines
 from robot_sysid.results.prediction import LAST_FIFTH
@@ -46,32 +38,31 @@ from robot_sysid.results.record import (
 )
 from robot_sysid.results.result_lines import folder_text, rollout_lines
 from robot_sysid.results.written_model import versions, write_joints
-from robot_sysid.servo import fit as servo_fit
 from robot_sysid.servo.commands import commanded_pieces, is_moving
-from robot_sysid.servo.fit import ErrorDerivatives, ServoFit
+from robot_sysid.servo.fit import (
+    LARGEST_ERROR,
+    LINK_ERROR,
+    OWN_GAIN,
+    ServoFit,
+    fit_servos,
+    loop_equations,
+    refine_played,
+)
 from robot_sysid.servo.held_out import (
-    GoalPrediction,
-    best_goal_delay,
     play_servos,
-    servo_refusal,
+    rollout_error,
+    servo_fault,
+    worse_joints,
 )
-from robot_sysid.servo.loop_equations import LINK_ERROR, LoopFit
-from robot_sysid.servo.windows import (
-    MAX_DELAY_PERIODS,
-    ServoProblem,
-    limit_share,
-    make_problem,
-    split_pieces,
-)
+from robot_sysid.servo.windows import make_problem, split_pieces
 from robot_sysid.simulation.playback import (
-    NO_ACTUATOR,
     ServoParameters,
     ServoRollouts,
     chain_actuators,
     servos_in_model,
 )
 
-SERVO_SCHEMA = "robot-sysid servo 1"
+SERVO_SCHEMA = "robot-sysid servo 2"
 """Name and version of the format of servo.json."""
 WITHOUT_TORQUE = (
     "No torque was measured: all of this follows from commanded and measured positions, and from "
@@ -89,27 +80,22 @@ IDENTIFIED = "identified"
 FROM_MODEL = "from_model"
 ASSUMED = "assumed"
 _DOUBTS = {
-    FROM_MODEL: " (not determined: the model's value)",
-    ASSUMED: " (not determined: assumed)",
+    FROM_MODEL: " (kept: the model's)",
+    ASSUMED: " (not determined alone: goes with the joint's other numbers)",
 }
 """What follows a number in the printed lines, by its source, unless it is identified."""
-_GAIN_ORIGINS = {
-    IDENTIFIED: "fitted",
-    FROM_MODEL: "the model's",
-    ASSUMED: "assumed to be like those of the other joints",
-}
-"""Source of a gain, in words."""
 _KEYS = ("before", "value", "standard_error", "source")
 """Keys of an identified number in servo.json, without its unit."""
 OFTEN_LIMITED = 0.2
-"""Share of time at its limit from which on a servo is mentioned; chosen, nothing else depends on
-it."""
-_SAME_LIMIT = 1.5
-"""Torque limit of the model over that seen in the logs from which on they differ: the latter has
-the scale of the model's masses."""
-LARGE_ERROR = 0.5
-"""Relative error of a gain from which on only ratios of a joint's numbers are called identified;
-chosen, nothing else depends on it."""
+"""Share of time at its limit from which on a servo is mentioned."""
+_POSES = 200
+"""Number of poses of the logs in which a written model is checked."""
+_FITTED_WINDOWS = 24
+"""Largest number of windows of a fast servo that are played."""
+_WINDOW = 3.0
+"""Length of such a window [s]."""
+_SETTLING_TIME = 0.6
+"""Its beginning, in which errors do not count: the start state is uncertain [s]."""
 
 
 @dataclass(frozen=True)
@@ -118,26 +104,25 @@ class ServoIdentification:
 
     Attributes:
         robot: the arm as in the model file.
-        fit: the identified numbers; joints that do not move keep the model's.
-        is_moving: (n,) whether a joint moves in the logs.
+        fit: the numbers that are written; joints that do not move or that are predicted worse by
+            what was found keep all of the model's.
+        is_new: (n,) whether the numbers of a joint are not the model's.
         limit_share: (n,) share of time in which a servo needs more than its torque limit.
-        torque_limit: (n,) torque at which a servo is seen to be limited; NaN where none is seen.
-        has_limit: (n,) whether the model has this limit.
         data: the logs.
         rollout: the models before and after, played on held-out pieces.
-        goal: prediction of the same pieces by the commands themselves.
+        goal_delay, goal_errors: prediction of the same pieces by the commands of this time before
+            [s], and its errors, one per horizon of the rollouts [rad].
         notes: sentences for the user.
     """
 
     robot: RobotModel
     fit: ServoFit
-    is_moving: NDArray[np.bool_]
+    is_new: NDArray[np.bool_]
     limit_share: Array
-    torque_limit: Array
-    has_limit: NDArray[np.bool_]
     data: DataOrigin
     rollout: RolloutTest
-    goal: GoalPrediction
+    goal_delay: float
+    goal_errors: tuple[float, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -152,25 +137,23 @@ class ServoIdentification:
         A number is a dict of "before" (NaN where the model has none), "value", "standard_error" and
         "source" (``IDENTIFIED``, ``FROM_MODEL`` or ``ASSUMED``).
         """
-        model_value = servos_in_model(self.robot).vector()
         value = self.fit.servos.vector()
         error = self.fit.errors.vector()
-        # A number that the model does not have (NaN, which differs from every value) is assumed
-        # where the data does not show it.
-        source = np.where(value == model_value, FROM_MODEL, ASSUMED)
-        source = np.where(self.fit.is_identified, IDENTIFIED, source)
-        columns = model_value.tolist(), value.tolist(), error.tolist(), source.tolist()
+        is_shown = np.tile(self.fit.has_scale, 4) & (error < LARGEST_ERROR * value)[:-1]
+        source = np.where(is_shown, IDENTIFIED, ASSUMED)
+        source = np.where(np.tile(self.is_new, 4), source, FROM_MODEL)
+        before = servos_in_model(self.robot).vector()
+        columns = before.tolist(), value.tolist(), error.tolist(), source.tolist()
         numbers = [dict(zip(_KEYS, row)) for row in zip(*columns)]
-        joint_names = self.robot.joint_names
-        n_joints = len(joint_names)
         # The vectors hold n gains, n dampings, n frictions, n rotor inertias and the delay.
-        numbers_of_joint = {}
-        for k, name in enumerate(joint_names):
-            numbers_of_joint[name] = dict(zip(UNITS, numbers[k::n_joints]))
-        return numbers_of_joint
+        names = self.robot.joint_names
+        return {
+            name: dict(zip(UNITS, numbers[k :: len(names)]))
+            for k, name in enumerate(names)
+        }
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
-        """Return the changes of the model file's joints that move and of their position actuators.
+        """Return the changes of the model file's joints and of their position actuators.
 
         Of the damping of joint and servo together, the servo gets its share in the model as its kv,
         the joint the remainder. An actuator's numbers are those at the motor: a gear g makes them
@@ -180,7 +163,7 @@ class ServoIdentification:
         servos = self.fit.servos
         joint_changes = []
         actuator_changes = []
-        for k in np.flatnonzero(self.is_moving).tolist():
+        for k in np.flatnonzero(self.is_new).tolist():
             kv = float(actuators.damping_share[k] * servos.damping[k])
             joint_changes.append(
                 JointChange(
@@ -193,10 +176,11 @@ class ServoIdentification:
             if self.has_servo[k]:
                 squared_gear = float(actuators.gear[k]) ** 2
                 gain = float(servos.stiffness[k]) / squared_gear
-                index = int(actuators.index[k])
                 has_damping = actuators.damping_share[k] > 0.0
                 damping = kv / squared_gear if has_damping else None
-                actuator_changes.append(ActuatorChange(index, gain, damping))
+                actuator_changes.append(
+                    ActuatorChange(int(actuators.index[k]), gain, damping)
+                )
         return joint_changes, actuator_changes
 
     def json_content(self) -> dict[str, Any]:
@@ -209,25 +193,21 @@ class ServoIdentification:
         for k, (joint, numbers) in enumerate(self.joint_numbers.items()):
             joints[joint] = {
                 **{name: {**numbers[name], "unit": UNITS[name]} for name in UNITS},
-                "moves": self.is_moving[k],
+                "is_new": self.is_new[k],
                 "has_servo": self.has_servo[k],
                 "at_limit": self.limit_share[k],
             }
-        delay = {
-            "value": self.fit.servos.delay,
-            "standard_error": self.fit.errors.delay,
-        }
         return {
             "schema": SERVO_SCHEMA,
             "torque": "none measured; from position error",
             "meaning": WITHOUT_TORQUE,
-            "delay": delay,
+            "delay": {
+                "value": self.fit.servos.delay,
+                "standard_error": self.fit.errors.delay,
+            },
             "joints": joints,
             "rollout": rollout_entry(self.rollout),
-            "goal_prediction": asdict(self.goal),
-            "position_errors": dict(
-                zip(self.robot.joint_names, self.fit.position_error)
-            ),
+            "goal_prediction": {"delay": self.goal_delay, "errors": self.goal_errors},
             "source": self.data.description,
             "duration": self.data.duration,
             "model": {"path": str(self.robot.path), "sha256": self.robot.sha256},
@@ -245,16 +225,14 @@ def servo_lines(result: ServoIdentification) -> list[str]:
         f"  {WITHOUT_TORQUE}.",
         f"  delay of the commands: {with_error(1e3 * delay, 1e3 * error, 'ms')}",
     ]
-    for moves, (joint, numbers) in zip(result.is_moving, result.joint_numbers.items()):
-        text = "does not move in these logs; all as in the model"
-        if moves:
-            text = "; ".join(map(_number_text, numbers, numbers.values()))
-        lines.append(f"  {joint}: {text}")
+    for joint, numbers in result.joint_numbers.items():
+        texts = map(_number_text, numbers, numbers.values())
+        lines.append(f"  {joint}: {'; '.join(texts)}")
     lines += rollout_lines(result.rollout)
-    pairs = zip(result.rollout.errors, result.goal.errors)
-    goal_errors = [f"{error:.3g} over {test.horizon:g} s" for test, error in pairs]
-    if goal_errors:
-        lines.append(f"  {result.goal.name}: {', '.join(goal_errors)}")
+    errors = ", ".join(f"{error:.3g}" for error in result.goal_errors)
+    lines.append(
+        f'  "position = command of {1e3 * result.goal_delay:.0f} ms before": {errors}'
+    )
     return lines
 
 
@@ -270,74 +248,41 @@ def _number_text(name: str, number: dict[str, Any]) -> str:
     return f"{name} {old}{with_error(value, error, UNITS[name])}{doubt}"
 
 
-def servo_notes(result: ServoIdentification, period: float) -> Iterator[str]:
-    """Yield sentences on the assumptions behind a result and on its weak points.
-
-    Args:
-        result: the result, for all joints.
-        period: sampling period of the logs [s].
-    """
-    other_joints = result.robot.mj_model.nv - result.robot.n_joints
-    if other_joints:
-        yield (
-            "joints outside the arm (a gripper's, say) are held at rest: what their servos do is "
-            "not looked at"
-        )
-    yield (
-        "damping is that of joint and servo together, which look alike: the servo keeps the share "
-        "of it that it has in the model"
-    )
-    if result.fit.servos.delay > 0.95 * MAX_DELAY_PERIODS * period:
-        yield (
-            f"the delay is at the end of what is sought ({MAX_DELAY_PERIODS} samples): check the "
-            "time stamps of the commands"
-        )
-    lacks_servo = result.is_moving & ~result.has_servo
-    without_servo = list(itertools.compress(result.robot.joint_names, lacks_servo))
-    if without_servo:
-        yield (
-            f"the model has no position actuator on {', '.join(without_servo)}: the gain is "
-            "printed, but not written"
-        )
+def servo_notes(result: ServoIdentification, moves: NDArray[np.bool_]) -> Iterator[str]:
+    """Yield sentences on the weak points of a result, given which joints (n,) move."""
+    limit = chain_actuators(result.robot).limit
+    fit = result.fit
     for k, joint in enumerate(result.robot.joint_names):
-        if result.is_moving[k]:
-            yield from _joint_notes(result, k)
-        else:
+        gain = fit.servos.stiffness[k]
+        if not moves[k]:
             yield f"{joint} does not move in these logs: it keeps the model's numbers"
-
-
-def _joint_notes(result: ServoIdentification, k: int) -> Iterator[str]:
-    """Yield sentences on the weak points of the numbers of the joint with index ``k``."""
-    joint = result.robot.joint_names[k]
-    numbers = result.joint_numbers[joint]
-    gain = numbers["gain"]
-    from_model = [n for n in numbers if numbers[n]["source"] == FROM_MODEL]
-    unseen = [name for name in from_model if name != "gain"]
-    if unseen:
-        yield (
-            f"the servo of {joint} hides its {', '.join(unseen)}: what the model has stays, and "
-            "may be off by twice the stated error; a softer servo (a lower gain) would show more"
-        )
-    if result.limit_share[k] > OFTEN_LIMITED:
-        yield (
-            f"the servo of {joint} asks for more than its limit of "
-            f"{chain_actuators(result.robot).limit[k]:.3g} N·m (the model's) in "
-            f"{100.0 * result.limit_share[k]:.0f} % of the time: what is found rests on that limit"
-        )
-    limit = result.torque_limit[k]
-    if np.isfinite(limit) and not result.has_limit[k]:
-        yield (
-            f"the servo of {joint} reaches a torque limit of about {limit:.2g} N·m that the model "
-            "does not have (forcerange of a position actuator); windows of the log with it are not "
-            "fitted where enough others are left"
-        )
-    if gain["standard_error"] > LARGE_ERROR * gain["value"]:
-        origin = _GAIN_ORIGINS[gain["source"]]
-        yield (
-            f"the links' torque on {joint} is too small to show the absolute size of its numbers, "
-            f"only their ratios: its gain of {gain['value']:.3g} N·m/rad is {origin}, and the "
-            "others are right in proportion to it"
-        )
+        elif not result.is_new[k]:
+            yield (
+                f"the numbers found of {joint} predict held-out positions worse than the model's, "
+                "which stay, all of them"
+            )
+        elif not fit.has_scale[k]:
+            yield (
+                f"the links' torque on {joint} is too small to show the absolute size of its "
+                f"numbers, only their ratios: its gain of {gain:.3g} N·m/rad is assumed to be like "
+                "those of the other joints, and the others are right in proportion to it"
+            )
+        elif abs(np.log(fit.gain_ratio[k])) > 2.0 * OWN_GAIN:
+            yield (
+                f"the gain of {joint} is {fit.gain_ratio[k]:.2g} times what those of the other "
+                "joints lead to expect; check that servo's settings, and the masses of the links"
+            )
+        if moves[k] and not result.has_servo[k]:
+            yield (
+                f"the model has no position actuator on {joint}: the gain of {gain:.3g} N·m/rad is "
+                "printed, but not written"
+            )
+        if result.limit_share[k] > OFTEN_LIMITED:
+            yield (
+                f"the servo of {joint} asks for more than its limit of {limit[k]:.3g} N·m (the "
+                f"model's) in {100.0 * result.limit_share[k]:.0f} % of the time: what is found "
+                "rests on that limit"
+            )
 
 
 def run_servo(
@@ -369,8 +314,7 @@ def run_servo(
         with file_access.atomic_files() as files:
             # No torque was measured, so there is no residual to state.
             target = ModelTarget(files, folder, poses, rmse=0.0, mesh_dir=mesh_dir)
-            reason = servo_refusal(result.rollout, result.goal, logs.accept)
-            outcome = _write_results(result, target, reason)
+            outcome = _write_results(result, target, "rollout" in logs.accept)
             model_files = read_document(robot.path).contents
             protected = [*filter(None, input_files), *model_files]
             notes = remove_earlier(files, folder, outcome.files, protected)
@@ -384,10 +328,9 @@ def identify_servos(
 ) -> tuple[ServoIdentification, Motion]:
     """Identify servos, friction and rotor inertia; return the result and poses from the logs.
 
-    The poses are a motion (m, n) without velocity; the written model is checked there.
-    The beginnings of the logs are fitted and their ends, or the validation log, are held out to
-    compare the models. Numbers that the data does not show go back to the model's. Without a
-    validation log, the other numbers are at last fitted to the whole logs.
+    The poses are a motion (m, n) without velocity; the written model is checked there. The
+    beginnings of the logs are fitted and their ends, or the validation log, are held out to judge
+    the numbers, which are written as they were judged.
 
     Args:
         robot: the arm as in the model file.
@@ -396,63 +339,64 @@ def identify_servos(
     """
     measurement_logs = _open_logs(robot, logs.measurements, logs, progress)
     pieces = commanded_pieces(measurement_logs, robot.joint_names)
-    validation_path = logs.validation_measurements
-    if validation_path is None:
-        fitted, held_out = split_pieces(pieces)
-        held_out_text = LAST_FIFTH
-    else:
+    fitted, held_out = split_pieces(pieces)
+    held_out_text = LAST_FIFTH
+    if logs.validation_measurements is not None:
         fitted = pieces
-        validation_logs = _open_logs(robot, [validation_path], logs, progress)
+        paths = [logs.validation_measurements]
+        validation_logs = _open_logs(robot, paths, logs, progress)
         refuse_fitted_log(validation_logs[0], measurement_logs)
         held_out = commanded_pieces(validation_logs, robot.joint_names)
         held_out_text = "the validation log"
-    moves = is_moving(pieces)
     progress.stage("Searching for servos, friction and rotor inertia...")
+    moves = is_moving(fitted)
+    in_model = servos_in_model(robot)
+    equations = loop_equations(robot, fitted)
+    fit = fit_servos(robot, equations, moves)
     rollouts = ServoRollouts(robot)
-    every_number, loop_fit = servo_fit.initial_parametrisation(robot, fitted, moves)
-    derivatives = ErrorDerivatives(unlimited_problem(rollouts, fitted, loop_fit))
-    shown_numbers = servo_fit.search_shown_numbers(
-        derivatives, every_number, loop_fit, progress
-    )
-    servos = shown_numbers.start
-    is_determined = loop_fit.determines & ~shown_numbers.free
+    problem = make_problem(rollouts, fitted, _FITTED_WINDOWS, _WINDOW, _SETTLING_TIME)
+    fit = refine_played(problem, fit, in_model)
 
-    old_servos = servo_fit.keep_model_values(robot, servos)
-    goal_delay = best_goal_delay(derivatives.problem)
-    rollout, goal = play_servos(
-        rollouts, held_out, (old_servos, servos), held_out_text, goal_delay
+    # Joint and servo share the damping: where the model has no servo, only both are known.
+    found = fit.servos
+    has_servo = np.isfinite(in_model.stiffness)
+    old = replace(
+        in_model,
+        stiffness=np.where(has_servo, in_model.stiffness, found.stiffness),
+        damping=np.where(has_servo, in_model.damping, found.damping),
+        delay=found.delay,
     )
-    if validation_path is None:
-        # The held-out ends have done their work; the numbers come from the whole logs.
-        every_number, loop_fit = servo_fit.initial_parametrisation(robot, pieces, moves)
-        is_determined &= loop_fit.determines
-        in_loop = loop_fit.servos.vector()
-        start = np.where(is_determined, in_loop, servos.vector())
-        shown_numbers = replace(shown_numbers, start=ServoParameters.from_vector(start))
-        derivatives = ErrorDerivatives(unlimited_problem(rollouts, pieces, loop_fit))
-        servos = servo_fit.search_servos(derivatives, shown_numbers, progress)
-
-    # The errors are those with all numbers free that the equations do not determine.
-    fit = servo_fit.estimate_errors(derivatives, every_number, servos)
-    error_vector = np.where(is_determined, loop_fit.errors, fit.errors.vector())
-    errors = ServoParameters.from_vector(error_vector)
-    is_identified = is_determined | shown_numbers.free
-    fit = replace(fit, errors=errors, is_identified=is_identified)
-    fit = servo_fit.add_link_errors(robot, fit, loop_fit, moves)
+    goal_delay = equations.best_goal_delay()
+    is_new = moves
+    while True:
+        chosen = np.append(np.tile(is_new, 4), True)
+        vector = np.where(chosen, found.vector(), old.vector())
+        servos = ServoParameters.from_vector(vector)
+        rollout, goal_errors = play_servos(
+            rollouts, held_out, (old, servos), held_out_text, goal_delay
+        )
+        # Rollouts of what was fitted may only become worse where the equations miss something.
+        is_worse = worse_joints([rollout_error(problem, (old, servos))])
+        if rollout.errors:
+            is_worse |= worse_joints(rollout.errors)
+        is_worse &= is_new
+        if "rollout" in logs.accept or not np.any(is_worse):
+            break
+        is_new = is_new & ~is_worse
+    distance = np.abs(servos.stiffness * equations.distances(found.delay))
     result = ServoIdentification(
         robot=robot,
-        fit=fit,
-        is_moving=moves,
-        limit_share=limit_share(derivatives.problem, fit.servos),
-        torque_limit=loop_fit.limit,
-        has_limit=has_torque_limit(robot, loop_fit.limit),
+        fit=replace(fit, servos=servos),
+        is_new=is_new,
+        limit_share=np.mean(distance > chain_actuators(robot).limit, axis=0),
         data=origin_of(measurement_logs),
         rollout=rollout,
-        goal=goal,
+        goal_delay=goal_delay,
+        goal_errors=goal_errors,
     )
     notes = [note for log in measurement_logs for note in log.notes]
-    notes += servo_notes(result, every_number.typical.delay)
-    q = servo_fit.log_positions(pieces)
+    notes += servo_notes(result, moves)
+    q = equations.position[:: max(1, len(equations.position) // _POSES)]
     poses = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
     return replace(result, notes=tuple(dict.fromkeys(notes))), poses
 
@@ -469,36 +413,27 @@ def _open_logs(
     return opened
 
 
-def unlimited_problem(
-    rollouts: ServoRollouts, pieces: Sequence[Measurement], loop_fit: LoopFit
-) -> ServoProblem:
-    """Return the windows of pieces of logs in which no servo is at its torque limit."""
-    problem = make_problem(rollouts, pieces)
-    return problem.without_samples(loop_fit.limited_samples())
-
-
-def has_torque_limit(robot: RobotModel, limit: Array) -> NDArray[np.bool_]:
-    """Return whether rollouts of a model have the torque limits (n,) [N m] that logs show."""
-    actuators = chain_actuators(robot)
-    is_as_low = actuators.limit < _SAME_LIMIT * limit
-    return np.asarray(is_as_low & (actuators.index != NO_ACTUATOR))
-
-
 def _write_results(
-    result: ServoIdentification, target: ModelTarget, failure: str | None
+    result: ServoIdentification, target: ModelTarget, is_accepted: bool
 ) -> Outcome:
     """Write servo.json and the new model; return what was written, with the lines to print.
 
     A URDF holds no rotor inertia, which the rollouts had: an MJCF is written, the URDF beside it.
-    The model is left out where ``failure`` is given or it cannot be exported: the outcome then has
-    the reason. The outcome's result has the notes that were made while the model was written.
+    The model is left out where the numbers are not usable and not accepted, or cannot be exported:
+    the outcome then has the reason, and its result the notes that were made while it was written.
 
     Args:
         result: the identification to write.
         target: its path is the folder.
-        failure: why no model may be written, or None.
+        is_accepted: whether a model is written whatever held-out pieces say.
     """
     path = target.path / file_access.SERVO_NAME
+    fault = servo_fault(result.rollout, result.goal_errors)
+    failure = None
+    if fault is not None and not is_accepted:
+        failure = (
+            f"no model was written: {fault}; to write it all the same: --accept rollout"
+        )
     models: list[Path] = []
     if failure is None:
         try:
@@ -519,20 +454,19 @@ def _write_results(
     lines = (*servo_lines(result), f"Results saved to {folder_text(target.path)}")
     verdict: tuple[str, ...] = (f"Not usable: {failure}",)
     if failure is None:
-        score = result.rollout.score
-        times = "not known" if score is None else f"{score:.2g} times those before"
-        verdict = (
-            "Usable: position errors of the model, played on what was not fitted, are "
-            f"{times}",
-            *_lacking_lines(result),
-            *use_lines(models[0]),
-        )
+        judgement = f"Not usable, but written because of --accept rollout: {fault}"
+        if fault is None:
+            judgement = (
+                "Usable: position errors of the model, played on what was not fitted, are "
+                f"{result.rollout.score:.2g} times those before"
+            )
+        verdict = (judgement, *_lacking_lines(result), *use_lines(models[0]))
     return Outcome(lines, verdict, failure, (*models, path), result)
 
 
 def _lacking_lines(result: ServoIdentification) -> Iterator[str]:
     """Yield what the rollouts had, but the written model cannot hold."""
-    if np.any(result.is_moving & ~result.has_servo):
+    if np.any(result.is_new & ~result.has_servo):
         yield (
             "  together with the gain above, which this file cannot hold: set it in the simulator, "
             "or start from an MJCF with position actuators"

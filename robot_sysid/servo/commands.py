@@ -21,6 +21,8 @@ _SLOPES = {"degrees": 180.0 / np.pi, "steps of 4096 a turn": 4096 / (2 * np.pi)}
 """Change of commands per change of positions where they are in other units than rad."""
 _COPIED_SHARE = 0.98
 """Share of commands that equal a position from which on they are a copy of the positions."""
+_COPY_LAGS = 4
+"""Number of samples over which a copy of the positions is looked for."""
 _LEAST_CORRELATION = 0.5
 """Least correlation of commands and positions, at the best delay, of a joint that follows them."""
 _LARGEST_OFFSET = 0.3
@@ -60,9 +62,29 @@ def _command_faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
     Args:
         pairs: positions (N,) and commands (N,) of the joint in each piece of a log.
     """
-    correlation, lag, slope = _best_lag(pairs)
+    # Far enough beyond the largest delay to tell a wrong lag, but three quarters always overlap.
+    reach = min(3 * MAX_DELAY_PERIODS, min(len(q) for q, _ in pairs) // 4)
+    fits = []
+    copied_share = 0.0
+    for lag in range(-reach, reach + 1):
+        # Position k + lag is compared with command k, wherever both exist.
+        start = max(0, lag)
+        end = min(0, lag)
+        overlaps = [
+            (q[start : len(q) + end], c[-end : len(c) - start]) for q, c in pairs
+        ]
+        if 0 <= lag < _COPY_LAGS:
+            is_equal = [np.abs(q - c) < 1e-9 for q, c in overlaps]
+            copied_share = max(copied_share, float(np.mean(np.concatenate(is_equal))))
+        q = np.concatenate([q - np.mean(q) for q, _ in overlaps])
+        command = np.concatenate([c - np.mean(c) for _, c in overlaps])
+        product = float(q @ command)
+        norm = float(np.linalg.norm(q) * np.linalg.norm(command)) or np.inf
+        # Of equal correlations the shortest lag.
+        fits.append((abs(product) / norm, -abs(lag), lag, product / float(q @ q)))
+    correlation, _, lag, slope = max(fits)
     offset = float(np.median(np.concatenate([c - q for q, c in pairs])))
-    if _copied_share(pairs) > _COPIED_SHARE:
+    if copied_share > _COPIED_SHARE:
         yield (
             "repeat the measured positions: the log holds no real commands; record what was sent "
             "to the servos"
@@ -96,52 +118,3 @@ def _command_faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
             f"differ from its positions by {offset:.3g} all the time; check that both count from "
             "the same zero"
         )
-
-
-def _copied_share(pairs: Sequence[tuple[Array, Array]]) -> float:
-    """Return the largest share of commands that equal the position 0 to 3 samples later.
-
-    ``pairs`` are positions (N,) and commands (N,) of a joint in each piece of a log.
-    """
-    shares = []
-    for lag in range(4):
-        matches = [np.abs(c[: len(c) - lag] - q[lag:]) < 1e-9 for q, c in pairs]
-        shares.append(float(np.mean(np.concatenate(matches))))
-    return max(shares)
-
-
-def _best_lag(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, int, float]:
-    """Return the lag of a joint's positions behind its commands at the largest correlation.
-
-    Args:
-        pairs: positions (N,) and commands (N,) of the joint in each piece of a log.
-
-    Returns:
-        The absolute correlation, the lag in samples (negative where commands come after the
-        positions), and the slope of commands over positions.
-    """
-    # Far enough beyond the largest delay to tell a wrong lag, but three quarters always overlap.
-    reach = min(3 * MAX_DELAY_PERIODS, min(len(q) for q, _ in pairs) // 4)
-    fits = []
-    for lag in range(-reach, reach + 1):
-        # Position k + lag is compared with command k, wherever both exist.
-        start = max(0, lag)
-        end = min(0, lag)
-        positions = []
-        commands = []
-        for q, command in pairs:
-            q_overlap = q[start : len(q) + end]
-            command_overlap = command[-end : len(command) - start]
-            positions.append(q_overlap - np.mean(q_overlap))
-            commands.append(command_overlap - np.mean(command_overlap))
-        position = np.concatenate(positions)
-        command = np.concatenate(commands)
-        square = float(position @ position)
-        product = float(position @ command)
-        norm = np.sqrt(square) * float(np.linalg.norm(command))
-        correlation = abs(product) / norm if norm > 0.0 else 0.0
-        slope = product / square if norm > 0.0 else 0.0
-        # Of equal correlations the shortest lag.
-        fits.append((correlation, -abs(lag), lag, slope))
-    correlation, _, lag, slope = max(fits)
-    return correlation, lag, slope

@@ -1,15 +1,14 @@
-"""Windows of an arm's logs, played with candidate servos: the errors that are to be small.
+"""Windows of an arm's logs, played with a model's servos: how far off are the positions?
 
 n is the number of joints, M the number of samples in all windows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
@@ -20,20 +19,11 @@ from robot_sysid.simulation.playback import (
     ServoParameters,
     ServoRollouts,
     ServoWindow,
-    chain_actuators,
     interpolate,
 )
 
-WINDOW_LENGTH = 3.0
-"""Length of a fitted window [s]."""
-SETTLING_TIME = 0.6
-"""Beginning of a fitted window in which errors do not count: the start state is uncertain [s]."""
 SMOOTHING_TIME = 0.12
 """Length of the parabolas that give the start state from encoder steps [s]."""
-FITTED_WINDOWS = 24
-"""Largest number of windows that are fitted."""
-LEAST_SHARE_OF_WINDOWS = 0.25
-"""Share of the windows that must be left for the others to be left out."""
 MAX_DELAY_PERIODS = 10
 """Largest delay of the commands that is searched for, in sampling periods."""
 
@@ -53,54 +43,12 @@ class ServoProblem:
     windows: tuple[tuple[ServoWindow, Array, Array], ...]
     edges: Array
 
-    def subset(self, max_count: int) -> ServoProblem:
-        """Return a problem with at most ``max_count`` of these windows, spread evenly."""
-        count = min(len(self.windows), max_count)
-        indices = np.linspace(0, len(self.windows) - 1, count).round().astype(int)
-        return replace(self, windows=tuple(self.windows[k] for k in indices))
-
-    def without_samples(
-        self, excluded: Iterable[tuple[Measurement, NDArray[np.bool_]]]
-    ) -> ServoProblem:
-        """Return a problem without the windows that contain excluded samples.
-
-        Where these are most of the windows, the problem itself: few windows are worse.
-
-        Args:
-            excluded: pieces of the log with, for each of their samples, whether it is (N,).
-        """
-        times = {id(piece.time): piece.time[mask] for piece, mask in excluded}
-        windows = []
-        for window, after_start, q in self.windows:
-            excluded_times = times[id(window.time)] - window.start
-            inside = (excluded_times >= 0.0) & (excluded_times <= after_start[-1])
-            if not np.any(inside):
-                windows.append((window, after_start, q))
-        is_enough = len(windows) >= LEAST_SHARE_OF_WINDOWS * len(self.windows)
-        return replace(self, windows=tuple(windows)) if is_enough else self
-
-    def is_moving(self) -> NDArray[np.bool_]:
-        """Return whether each joint moves at each sample (M, n).
-
-        It does where it is faster than a tenth of its root mean square speed.
-        """
-        speeds = [np.gradient(q, time, axis=0) for _, time, q in self.windows]
-        speed = np.concatenate(speeds)
-        return np.asarray(np.abs(speed) > 0.1 * np.sqrt(np.mean(speed**2, axis=0)))
-
-    def positions(self, candidates: Sequence[ServoParameters]) -> Iterator[Array]:
-        """Yield the played positions (W, S + 1, n) of each candidate in W windows of S steps.
-
-        They are those at the start and at the end of each step; NaN once a rollout has diverged.
-        """
-        starts = [window for window, _, _ in self.windows]
-        return self.rollouts.positions(candidates, starts, self.edges)
-
     def errors(self, candidates: Sequence[ServoParameters]) -> Array:
         """Return played minus measured positions (C, M, n) of C candidates [rad].
 
         Where a rollout has diverged the error is pi.
         """
+        starts = [window for window, _, _ in self.windows]
         _, times, measured = zip(*self.windows)
         # Index of each sample's window, and of the step before it.
         window = np.repeat(np.arange(len(times)), list(map(len, times)))
@@ -110,7 +58,7 @@ class ServoProblem:
         fraction = (step_count - step)[:, None]
         target = np.concatenate(measured)
         errors = []
-        for q in self.positions(candidates):
+        for q in self.rollouts.positions(candidates, starts, self.edges):
             played = (1.0 - fraction) * q[window, step] + fraction * q[window, step + 1]
             errors.append(np.nan_to_num(played - target, nan=np.pi))
         return np.stack(errors)
@@ -127,9 +75,9 @@ class ServoProblem:
 def make_problem(
     rollouts: ServoRollouts,
     pieces: Sequence[Measurement],
-    max_windows: int = FITTED_WINDOWS,
-    length: float = WINDOW_LENGTH,
-    settling_time: float = SETTLING_TIME,
+    max_windows: int,
+    length: float,
+    settling_time: float = 0.0,
 ) -> ServoProblem:
     """Return a problem with the consecutive windows into which pieces of logs are cut.
 
@@ -164,8 +112,10 @@ def make_problem(
         raise InputError(
             f"no piece of the log has commands for {length:g} s; record longer"
         )
+    count = min(len(windows), max_windows)
+    chosen = np.linspace(0, len(windows) - 1, count).round().astype(int).tolist()
     edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
-    return ServoProblem(rollouts, tuple(windows), edges).subset(max_windows)
+    return ServoProblem(rollouts, tuple(windows[k] for k in chosen), edges)
 
 
 def smooth_states(piece: Measurement) -> tuple[Array, Array]:
@@ -193,17 +143,3 @@ def split_pieces(
         fitted.append(slice_samples(piece, 0, index))
         held_out.append(slice_samples(piece, index, len(piece)))
     return fitted, held_out
-
-
-def limit_share(problem: ServoProblem, servos: ServoParameters) -> Array:
-    """Return the share of time (n,) in which each servo would need more than its torque limit.
-
-    A servo needs its stiffness times the distance from its position to the command.
-    """
-    beyond = []
-    limit = chain_actuators(problem.rollouts.robot).limit
-    (positions,) = problem.positions([servos])
-    for (window, _, _), q in zip(problem.windows, positions):
-        distance = window.controls(servos.delay, problem.edges) - q[:-1]
-        beyond.append(np.abs(servos.stiffness * distance) > limit)
-    return np.mean(np.concatenate(beyond), axis=0)

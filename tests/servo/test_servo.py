@@ -11,7 +11,7 @@ import pytest
 
 from robot_sysid import servo
 from robot_sysid.errors import InputError
-from robot_sysid.logs import LogOptions
+from robot_sysid.logs import FittedLogOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.records.data import DataOrigin, Source
@@ -19,12 +19,12 @@ from robot_sysid.records.messages import Progress
 from robot_sysid.results.record import RolloutError, RolloutTest
 from robot_sysid.servo.commands import commanded_pieces, is_moving
 from robot_sysid.servo.fit import ServoFit
-from robot_sysid.servo.held_out import GoalPrediction, servo_refusal
+from robot_sysid.servo.held_out import play_servos, servo_fault
 from robot_sysid.servo.windows import smooth_states
 from robot_sysid.simulation.playback import ServoParameters, servos_in_model
 from tests.support import schemas, urdf
 from tests.support.model_files import write_files
-from tests.support.servo_logs import XML
+from tests.support.servo_logs import XML, commanded, positions, write
 
 URDF = urdf.robot(urdf.serial(dict.fromkeys(("l1", "l2"), urdf.inertial())))
 GAIN = 50.0
@@ -37,23 +37,27 @@ def robots(tmp_path_factory):
     return {name: load_robot_model(folder / f"arm.{name}") for name in ("xml", "urdf")}
 
 
-def identification(robot):
+def test_of(robot, *new_errors):
+    """Rollouts over 1 s, 3 s, ... with an error of 1 before and some new error of each joint."""
+    errors = []
+    for horizon, error in zip((1.0, 3.0), new_errors):
+        errors.append(RolloutError(horizon, 3, np.ones(2), np.full(2, error)))
+    return RolloutTest(robot.joint_names, "the last fifth", "servos", tuple(errors))
+
+
+def identification(robot, error=0.1):
     numbers = [np.full(2, value) for value in (GAIN, 3.0, 0.2, 0.1)]
     errors = ServoParameters(*np.full((4, 2), 0.01), 1e-3)
-    horizons = (RolloutError(1.0, 3, np.ones(2), 0.1 * np.ones(2)),)
-    is_identified = np.ones(9, dtype=bool)
-    servos = ServoParameters(*numbers, 0.02)
+    true = np.ones(2, dtype=bool)
+    fit = ServoFit(ServoParameters(*numbers, 0.02), errors, np.ones(2), true, ~true)
+    origin = DataOrigin(Source.LOG, "log.csv", 10.0, 50.0)
+    rollout = test_of(robot, error)
     return servo.ServoIdentification(
-        robot,
-        ServoFit(servos, errors, is_identified, np.full(2, 1e-3)),
-        np.ones(2, dtype=bool),
-        np.zeros(2),
-        np.full(2, np.nan),
-        np.zeros(2, dtype=bool),
-        DataOrigin(Source.LOG, "log.csv", 10.0, 50.0),
-        RolloutTest(robot.joint_names, "the last fifth", "servos", horizons),
-        GoalPrediction(0.05, (0.5,)),
+        robot, fit, true, np.zeros(2), origin, rollout, 0.05, (0.5,)
     )
+
+
+test_of.__test__ = False
 
 
 class NoteRecorder(Progress):
@@ -66,67 +70,55 @@ class NoteRecorder(Progress):
         self.notes += messages
 
 
-def run(robot, folder, monkeypatch, removal_notes=0, **options):
-    """Write a given identification; return the notes, of which the last are about removed files."""
+def run(robot, folder, monkeypatch, error=0.1, accept=(), **options):
+    """Write a given identification; return the outcome and the notes."""
     zero = np.zeros((3, robot.n_joints))
     poses = Motion(np.arange(3.0), zero, zero, zero)
-    monkeypatch.setattr(
-        servo, "identify_servos", lambda *_: (identification(robot), poses)
-    )
+    result = identification(robot, error)
+    monkeypatch.setattr(servo, "identify_servos", lambda *_: (result, poses))
     progress = NoteRecorder()
-    outcome = servo.run_servo(robot, LogOptions(), folder, None, progress, **options)
-    assert outcome.failure is None
+    logs = FittedLogOptions(accept=accept)
+    outcome = servo.run_servo(robot, logs, folder, None, progress, **options)
     schemas.check(folder / "servo.json")
-    written = json.loads((folder / "servo.json").read_text())["notes"]
-    assert progress.notes[: len(progress.notes) - removal_notes] == written
-    return progress.notes
+    return outcome, progress.notes
 
 
 def test_a_number_that_a_file_cannot_hold_is_noted_in_the_result(
     robots, tmp_path, monkeypatch
 ):
-    (note,) = run(robots["urdf"], tmp_path, monkeypatch)
+    _, (note,) = run(robots["urdf"], tmp_path, monkeypatch)
     assert "a URDF cannot hold rotor inertia" in note
+    assert json.loads((tmp_path / "servo.json").read_text())["notes"] == [note]
     # An MJCF beside the URDF holds all that the rollouts had, but for the gain.
     written = load_robot_model(tmp_path / "updated_model.xml")
     assert written.armature.tolist() == [0.1, 0.1]
     assert load_robot_model(tmp_path / "updated_model.urdf").armature.tolist() == [0, 0]
-    assert run(robots["xml"], tmp_path / "xml", monkeypatch) == []
+    assert run(robots["xml"], tmp_path / "xml", monkeypatch)[1] == []
 
 
-def test_a_number_that_the_model_does_not_have_has_no_before(robots):
-    lines = servo.servo_lines(identification(robots["urdf"]))
-    gain_lines = [line for line in lines if "gain" in line]
-    assert len(gain_lines) == 2
-    for line in gain_lines:
-        assert "gain 50.000 ± 0.010 N·m/rad;" in line and "damping 0 -> 3" in line
-    text = "".join(servo.servo_lines(identification(robots["xml"])))
-    assert "gain 100 -> 50.000 ± 0.010 N·m/rad;" in text
+def test_a_joint_that_is_kept_keeps_all_of_the_models_numbers(robots):
+    result = replace(identification(robots["xml"]), is_new=np.array([True, False]))
+    joints, actuators = result.changes()
+    assert [change.label for change in joints] == ["joint0"] and len(actuators) == 1
+    first, second = result.joint_numbers.values()
+    assert {number["source"] for number in first.values()} == {"identified"}
+    assert {number["source"] for number in second.values()} == {"from_model"}
+    (note,) = servo.servo_notes(result, np.ones(2, dtype=bool))
+    assert "joint1" in note and "worse" in note
 
 
-def test_a_number_that_is_not_identified_is_the_models_with_a_stated_error(robots):
+def test_a_gain_far_from_its_neighbours_is_said(robots):
     result = identification(robots["xml"])
-    assert not any("hides" in note for note in servo.servo_notes(result, 0.02))
-    friction = servos_in_model(robots["xml"]).frictionloss
-    fit = replace(
-        result.fit,
-        servos=replace(result.fit.servos, frictionloss=friction),
-        is_identified=np.arange(9) // 2 != 2,
-    )
+    moves = np.ones(2, dtype=bool)
+    assert list(servo.servo_notes(result, moves)) == []
+    fit = replace(result.fit, gain_ratio=np.array([1.2, 0.5]))
+    (note,) = servo.servo_notes(replace(result, fit=fit), moves)
+    assert "gain of joint1 is 0.5 times" in note
+    fit = replace(result.fit, has_scale=np.array([True, False]))
     result = replace(result, fit=fit)
-    for line in servo.servo_lines(result)[3:5]:
-        assert "frictionloss 0.300 ± 0.010 N·m (not determined: the model's" in line
-    notes = "".join(servo.servo_notes(result, 0.02))
-    assert notes.count("hides its frictionloss:") == 2
-    for name, number in result.joint_numbers["joint1"].items():
-        assert (number["source"] == "from_model") == (name == "frictionloss")
-
-
-def test_a_gain_that_neither_model_nor_data_has_counts_as_assumed(robots):
-    result = identification(robots["urdf"])
-    fit = replace(result.fit, is_identified=~result.fit.is_identified)
-    for numbers in replace(result, fit=fit).joint_numbers.values():
-        assert numbers["gain"]["source"] == "assumed"
+    (note,) = servo.servo_notes(result, moves)
+    assert "joint1" in note and "only their ratios" in note
+    assert result.joint_numbers["joint1"]["gain"]["source"] == "assumed"
 
 
 @pytest.mark.parametrize(
@@ -134,19 +126,27 @@ def test_a_gain_that_neither_model_nor_data_has_counts_as_assumed(robots):
     [
         ((0.1, 0.1), None),
         ((0.1, 1.1), "1.1 rad over 3 s, the model before 1"),
-        ((0.1, 0.6), '0.6 rad over 3 s, "position = command of 50 ms before" 0.5'),
+        ((0.1, 0.6), "0.6 rad over 3 s, the delayed commands 0.5"),
+        (((0.1, 1.2), (0.1, 1.2)), "joint1 is predicted worse than before"),
+        ((), "nothing could be played"),
     ],
 )
-def test_a_model_must_beat_its_rivals_over_every_horizon(new_errors, fault):
-    errors = []
-    for horizon, new_error in zip((1.0, 3.0), new_errors):
-        new = np.full(2, new_error)
-        errors.append(RolloutError(horizon, 3, np.ones(2), new))
-    test = RolloutTest(("a", "b"), "the last fifth", "servos", tuple(errors))
-    goal = GoalPrediction(0.05, (0.5, 0.5))
-    refusal = servo_refusal(test, goal, ())
-    assert refusal is None if fault is None else fault in refusal
-    assert servo_refusal(test, goal, ("rollout",)) is None
+def test_a_model_must_beat_its_rivals_over_every_horizon_and_joint(
+    robots, new_errors, fault
+):
+    found = servo_fault(test_of(robots["xml"], *new_errors), (0.5, 0.5))
+    assert found is None if fault is None else fault in found
+
+
+def test_what_got_worse_is_not_called_usable_even_if_it_is_accepted(
+    robots, tmp_path, monkeypatch
+):
+    refused, _ = run(robots["xml"], tmp_path, monkeypatch, 1.2)
+    assert refused.verdict[0].startswith("Not usable")
+    assert not (tmp_path / "updated_model.xml").exists()
+    accepted, _ = run(robots["xml"], tmp_path, monkeypatch, 1.2, ("rollout",))
+    assert accepted.verdict[0].startswith("Not usable, but written")
+    assert accepted.failure is None and (tmp_path / "updated_model.xml").exists()
 
 
 def test_results_of_an_earlier_run_are_removed_unless_they_are_inputs(
@@ -155,13 +155,111 @@ def test_results_of_an_earlier_run_are_removed_unless_they_are_inputs(
     (tmp_path / "params.json").write_text("{}")
     config = tmp_path / "run.toml"
     config.write_text("# of the user's own")
-    options = {"removal_notes": 1, "input_files": (config,)}
-    notes = run(robots["xml"], tmp_path, monkeypatch, **options)
-    assert any("earlier run" in note for note in notes)
+    run(robots["xml"], tmp_path, monkeypatch, input_files=(config,))
     assert not (tmp_path / "params.json").exists()
     assert config.exists()
     run(robots["xml"], tmp_path, monkeypatch)
     assert not config.exists()
+
+
+# --- whole runs ----------------------------------------------------------------------------------
+
+SO_ARM = """<mujoco><worldbody><body><joint name="lift" {joint}/>
+<inertial pos=".1 0 .02" mass=".4" diaginertia="2e-4 5e-4 5e-4"/>
+<body pos=".15 0 0"><joint name="elbow" {joint}/>
+<inertial pos=".08 0 .01" mass=".3" diaginertia="1e-4 3e-4 3e-4"/>
+<body pos=".1 0 0"><joint name="roll" {joint}/>
+<inertial pos=".02 0 0" mass=".01" diaginertia="1e-6 1e-6 1e-6"/></body></body></body></worldbody>
+<actuator><position joint="lift" kp="17.8" forcerange="-3 3"/>
+<position joint="elbow" kp="17.8" forcerange="-3 3"/>
+<position joint="roll" kp="17.8" forcerange="-3 3"/></actuator></mujoco>""".format(
+    joint='axis="0 1 0" range="-2 2" damping=".6" armature=".028" frictionloss=".052"'
+).replace('"roll" axis="0 1 0"', '"roll" axis="1 0 0"')
+"""A small arm whose file has other gains and friction than the arm of the logs."""
+SO_TRUTH = ServoParameters(
+    np.full(3, 14.0),
+    np.array([0.5, 0.45, 0.4]),
+    np.array([0.06, 0.08, 0.03]),
+    np.array([0.025, 0.03, 0.035]),
+    0.02,
+)
+
+
+def data_set(folder, robot, truth, roll_shares):
+    """Logs of an arm, in each of which the last joint gets a share of its motion."""
+    paths = []
+    for k, share in enumerate(roll_shares):
+        time, two = commanded(16.0, seed=k)
+        _, other = commanded(16.0, seed=k + 10)
+        command = np.column_stack((two, share * other[:, 0]))
+        q = positions(robot, time, command, truth)
+        paths.append(
+            write(
+                folder / f"log{k}.csv",
+                time,
+                q,
+                command,
+                names=("lift", "elbow", "roll"),
+            )
+        )
+    return tuple(paths)
+
+
+@pytest.fixture
+def so_arm(tmp_path):
+    write_files(tmp_path, {"arm.xml": SO_ARM})
+    return load_robot_model(tmp_path / "arm.xml")
+
+
+def identify(robot, paths, folder, accept=()):
+    logs = FittedLogOptions(measurements=paths, accept=accept)
+    return servo.run_servo(robot, logs, folder / "found", None, NoteRecorder())
+
+
+def test_a_gain_that_no_link_shows_is_written_with_its_friction_and_rotor(
+    so_arm, tmp_path
+):
+    """The last joint's numbers have the gain of its neighbours, and play its motion as they do."""
+    paths = data_set(tmp_path, so_arm, SO_TRUTH, (1.0, 0.1, 1.0))
+    outcome = identify(so_arm, paths, tmp_path)
+    assert outcome.verdict[0].startswith("Usable")
+    written = servos_in_model(
+        load_robot_model(tmp_path / "found" / "updated_model.xml")
+    )
+    assert outcome.result.fit.has_scale.tolist() == [True, True, False]
+    for name, tolerance in (("stiffness", 0.1), ("damping", 0.2), ("armature", 0.2)):
+        expected = pytest.approx(getattr(SO_TRUTH, name), rel=tolerance)
+        assert getattr(written, name) == expected, name
+    for error in outcome.result.rollout.errors[1:]:
+        assert error.errors_after[2] < 0.5 * error.errors_before[2]
+
+
+def test_numbers_that_play_worse_than_the_models_are_all_kept(
+    so_arm, tmp_path, monkeypatch
+):
+    """What was found of the last joint is made wrong; the file keeps all three of its numbers."""
+    paths = data_set(tmp_path, so_arm, SO_TRUTH, (1.0, 1.0))
+    refine = servo.refine_played
+
+    def spoil(*arguments):
+        """Return the fit with four times the last joint's damping."""
+        fit = refine(*arguments)
+        damping = fit.servos.damping * [1.0, 1.0, 4.0]
+        return replace(fit, servos=replace(fit.servos, damping=damping))
+
+    monkeypatch.setattr(servo, "refine_played", spoil)
+    outcome = identify(so_arm, paths, tmp_path)
+    assert outcome.verdict[0].startswith("Usable")
+    assert outcome.result.is_new.tolist() == [True, True, False]
+    written = servos_in_model(
+        load_robot_model(tmp_path / "found" / "updated_model.xml")
+    )
+    in_model = servos_in_model(so_arm)
+    for name in ("stiffness", "damping", "frictionloss", "armature"):
+        assert getattr(written, name)[2] == getattr(in_model, name)[2]
+    accepted = identify(so_arm, paths, tmp_path, ("rollout",))
+    assert accepted.result.is_new.all()
+    assert accepted.verdict[0].startswith("Not usable")
 
 
 TIME = np.arange(500) / 50.0
@@ -234,6 +332,6 @@ def test_pieces_without_commands_are_not_played_and_not_called_short():
     time = np.arange(0.0, 60.0, 0.1)
     piece = Measurement(time, np.zeros((len(time), 1)), None, None)
     rollouts = SimpleNamespace(robot=SimpleNamespace(joint_names=("a",)))
-    played, goal = servo.play_servos(rollouts, [piece], (), "the last fifth", 0.05)
-    assert played.errors == goal.errors == ()
+    played, goal = play_servos(rollouts, [piece], (), "the last fifth", 0.05)
+    assert played.errors == goal == ()
     assert "no held-out piece has commands for 1 s" in played.notes

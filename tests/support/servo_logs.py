@@ -46,10 +46,9 @@ def positions(robot, time, command, servos=TRUTH, steps=10):
     return np.round(q[::steps], 3)
 
 
-def write(path, time, q, command, title="action {}.pos"):
-    """Write a log with commands."""
-    names = [f"joint{k}" for k in range(q.shape[1])]
-    titles = ["time", *(f"{n}.pos" for n in names), *(title.format(n) for n in names)]
+def write(path, time, q, command, names=("joint0", "joint1")):
+    """Write a log with commands of joints with some names."""
+    titles = ["time", *(f"{n}.pos" for n in names), *(f"action_{n}" for n in names)]
     rows = np.column_stack((time, q, command))
     np.savetxt(path, rows, "%.9g", ",", header=",".join(titles), comments="")
     return path
