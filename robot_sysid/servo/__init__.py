@@ -46,6 +46,7 @@ from robot_sysid.servo.fit import (
     ServoFit,
     fit_servos,
     loop_equations,
+    model_numbers,
     refine_played,
 )
 from robot_sysid.servo.held_out import (
@@ -55,12 +56,7 @@ from robot_sysid.servo.held_out import (
     worse_joints,
 )
 from robot_sysid.servo.windows import make_problem, split_pieces
-from robot_sysid.simulation.playback import (
-    ServoParameters,
-    ServoRollouts,
-    chain_actuators,
-    servos_in_model,
-)
+from robot_sysid.simulation.playback import ServoRollouts, chain_actuators
 
 SERVO_SCHEMA = "robot-sysid servo 2"
 """Name and version of the format of servo.json."""
@@ -84,8 +80,6 @@ _DOUBTS = {
     ASSUMED: " (not determined alone: goes with the joint's other numbers)",
 }
 """What follows a number in the printed lines, by its source, unless it is identified."""
-_KEYS = ("before", "value", "standard_error", "source")
-"""Keys of an identified number in servo.json, without its unit."""
 OFTEN_LIMITED = 0.2
 """Share of time at its limit from which on a servo is mentioned."""
 _POSES = 200
@@ -134,23 +128,28 @@ class ServoIdentification:
     def joint_numbers(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Each joint's numbers: by the joint's name, then by a key of ``UNITS``.
 
-        A number is a dict of "before" (NaN where the model has none), "value", "standard_error" and
-        "source" (``IDENTIFIED``, ``FROM_MODEL`` or ``ASSUMED``).
+        A number is a dict of "before" (NaN where the model has none), "value", "standard_error",
+        "source" (``IDENTIFIED``, ``FROM_MODEL`` or ``ASSUMED``) and "unit".
         """
-        value = self.fit.servos.vector()
-        error = self.fit.errors.vector()
-        is_shown = np.tile(self.fit.has_scale, 4) & (error < LARGEST_ERROR * value)[:-1]
+        value = self.fit.numbers
+        error = self.fit.errors
+        is_shown = self.fit.has_scale & (error < LARGEST_ERROR * value)
         source = np.where(is_shown, IDENTIFIED, ASSUMED)
-        source = np.where(np.tile(self.is_new, 4), source, FROM_MODEL)
-        before = servos_in_model(self.robot).vector()
-        columns = before.tolist(), value.tolist(), error.tolist(), source.tolist()
-        numbers = [dict(zip(_KEYS, row)) for row in zip(*columns)]
-        # The vectors hold n gains, n dampings, n frictions, n rotor inertias and the delay.
-        names = self.robot.joint_names
-        return {
-            name: dict(zip(UNITS, numbers[k :: len(names)]))
-            for k, name in enumerate(names)
-        }
+        source = np.where(self.is_new, source, FROM_MODEL)
+        columns = np.stack((model_numbers(self.robot), value, error)).tolist()
+        joints = {}
+        for k, joint in enumerate(self.robot.joint_names):
+            joints[joint] = {
+                name: {
+                    "before": columns[0][row][k],
+                    "value": columns[1][row][k],
+                    "standard_error": columns[2][row][k],
+                    "source": str(source[row, k]),
+                    "unit": unit,
+                }
+                for row, (name, unit) in enumerate(UNITS.items())
+            }
+        return joints
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
         """Return the changes of the model file's joints and of their position actuators.
@@ -160,26 +159,22 @@ class ServoIdentification:
         g^2 times as large at the joint.
         """
         actuators = chain_actuators(self.robot)
-        servos = self.fit.servos
+        numbers = self.fit.numbers
         joint_changes = []
         actuator_changes = []
         for k in np.flatnonzero(self.is_new).tolist():
-            kv = float(actuators.damping_share[k] * servos.damping[k])
-            joint_changes.append(
-                JointChange(
-                    self.robot.joint_names[k],
-                    armature=float(servos.armature[k]),
-                    damping=float(servos.damping[k]) - kv,
-                    frictionloss=float(servos.frictionloss[k]),
-                )
-            )
+            stiffness, damping, friction, armature = numbers[:, k].tolist()
+            kv = float(actuators.damping_share[k]) * damping
+            name = self.robot.joint_names[k]
+            joint_changes.append(JointChange(name, armature, damping - kv, friction))
             if self.has_servo[k]:
                 squared_gear = float(actuators.gear[k]) ** 2
-                gain = float(servos.stiffness[k]) / squared_gear
-                has_damping = actuators.damping_share[k] > 0.0
-                damping = kv / squared_gear if has_damping else None
+                index = int(actuators.index[k])
+                motor_kv = (
+                    kv / squared_gear if actuators.damping_share[k] > 0.0 else None
+                )
                 actuator_changes.append(
-                    ActuatorChange(int(actuators.index[k]), gain, damping)
+                    ActuatorChange(index, stiffness / squared_gear, motor_kv)
                 )
         return joint_changes, actuator_changes
 
@@ -192,7 +187,7 @@ class ServoIdentification:
         joints = {}
         for k, (joint, numbers) in enumerate(self.joint_numbers.items()):
             joints[joint] = {
-                **{name: {**numbers[name], "unit": UNITS[name]} for name in UNITS},
+                **numbers,
                 "is_new": self.is_new[k],
                 "has_servo": self.has_servo[k],
                 "at_limit": self.limit_share[k],
@@ -201,10 +196,7 @@ class ServoIdentification:
             "schema": SERVO_SCHEMA,
             "torque": "none measured; from position error",
             "meaning": WITHOUT_TORQUE,
-            "delay": {
-                "value": self.fit.servos.delay,
-                "standard_error": self.fit.errors.delay,
-            },
+            "delay": {"value": self.fit.delay, "standard_error": self.fit.delay_error},
             "joints": joints,
             "rollout": rollout_entry(self.rollout),
             "goal_prediction": {"delay": self.goal_delay, "errors": self.goal_errors},
@@ -218,12 +210,11 @@ class ServoIdentification:
 
 def servo_lines(result: ServoIdentification) -> list[str]:
     """Return the printed lines of a result: delay, each joint's numbers, errors of rollouts."""
-    delay = result.fit.servos.delay
-    error = result.fit.errors.delay
+    fit = result.fit
     lines = [
         "Servos, friction and rotor inertia, before -> after, ± one standard error:",
         f"  {WITHOUT_TORQUE}.",
-        f"  delay of the commands: {with_error(1e3 * delay, 1e3 * error, 'ms')}",
+        f"  delay of the commands: {with_error(1e3 * fit.delay, 1e3 * fit.delay_error, 'ms')}",
     ]
     for joint, numbers in result.joint_numbers.items():
         texts = map(_number_text, numbers, numbers.values())
@@ -241,11 +232,10 @@ def _number_text(name: str, number: dict[str, Any]) -> str:
 
     ``number`` is a dict as in ``ServoIdentification.joint_numbers``, ``name`` a key of ``UNITS``.
     """
-    model_value, value, error, source = (number[key] for key in _KEYS)
-    is_changed = source != FROM_MODEL and np.isfinite(model_value)
-    old = f"{model_value:.3g} -> " if is_changed else ""
-    doubt = _DOUBTS.get(source, "")
-    return f"{name} {old}{with_error(value, error, UNITS[name])}{doubt}"
+    is_changed = number["source"] != FROM_MODEL and np.isfinite(number["before"])
+    old = f"{number['before']:.3g} -> " if is_changed else ""
+    value = with_error(number["value"], number["standard_error"], number["unit"])
+    return f"{name} {old}{value}{_DOUBTS.get(number['source'], '')}"
 
 
 def servo_notes(result: ServoIdentification, moves: NDArray[np.bool_]) -> Iterator[str]:
@@ -253,7 +243,7 @@ def servo_notes(result: ServoIdentification, moves: NDArray[np.bool_]) -> Iterat
     limit = chain_actuators(result.robot).limit
     fit = result.fit
     for k, joint in enumerate(result.robot.joint_names):
-        gain = fit.servos.stiffness[k]
+        gain = fit.numbers[0, k]
         if not moves[k]:
             yield f"{joint} does not move in these logs: it keeps the model's numbers"
         elif not result.is_new[k]:
@@ -350,43 +340,36 @@ def identify_servos(
         held_out_text = "the validation log"
     progress.stage("Searching for servos, friction and rotor inertia...")
     moves = is_moving(fitted)
-    in_model = servos_in_model(robot)
+    in_model = model_numbers(robot)
     equations = loop_equations(robot, fitted)
-    fit = fit_servos(robot, equations, moves)
+    goal_delay = equations.best_goal_delay()
     rollouts = ServoRollouts(robot)
     problem = make_problem(rollouts, fitted, _FITTED_WINDOWS, _WINDOW, _SETTLING_TIME)
-    fit = refine_played(problem, fit, in_model)
+    found = refine_played(problem, fit_servos(robot, equations, moves), in_model)
 
-    # Joint and servo share the damping: where the model has no servo, only both are known.
-    found = fit.servos
-    has_servo = np.isfinite(in_model.stiffness)
-    old = replace(
-        in_model,
-        stiffness=np.where(has_servo, in_model.stiffness, found.stiffness),
-        damping=np.where(has_servo, in_model.damping, found.damping),
-        delay=found.delay,
-    )
-    goal_delay = equations.best_goal_delay()
+    # Where the model has no servo, its joint's damping is not that of both: what was found stands
+    # for gain and damping.
+    kept = in_model.copy()
+    without = np.isnan(in_model[0])
+    kept[:2, without] = found.numbers[:2, without]
+    old = replace(found, numbers=kept)
     is_new = moves
     while True:
-        chosen = np.append(np.tile(is_new, 4), True)
-        vector = np.where(chosen, found.vector(), old.vector())
-        servos = ServoParameters.from_vector(vector)
+        fit = replace(found, numbers=np.where(is_new, found.numbers, kept))
+        pair = (old.servos, fit.servos)
         rollout, goal_errors = play_servos(
-            rollouts, held_out, (old, servos), held_out_text, goal_delay
+            rollouts, held_out, pair, held_out_text, goal_delay
         )
         # Rollouts of what was fitted may only become worse where the equations miss something.
-        is_worse = worse_joints([rollout_error(problem, (old, servos))])
-        if rollout.errors:
-            is_worse |= worse_joints(rollout.errors)
-        is_worse &= is_new
+        errors = (rollout_error(problem, pair), *rollout.errors)
+        is_worse = is_new & (worse_joints(errors[:1]) | worse_joints(errors[1:]))
         if "rollout" in logs.accept or not np.any(is_worse):
             break
         is_new = is_new & ~is_worse
-    distance = np.abs(servos.stiffness * equations.distances(found.delay))
+    distance = np.abs(fit.numbers[0] * equations.distances(fit.delay))
     result = ServoIdentification(
         robot=robot,
-        fit=replace(fit, servos=servos),
+        fit=fit,
         is_new=is_new,
         limit_share=np.mean(distance > chain_actuators(robot).limit, axis=0),
         data=origin_of(measurement_logs),
@@ -460,14 +443,5 @@ def _write_results(
                 "Usable: position errors of the model, played on what was not fitted, are "
                 f"{result.rollout.score:.2g} times those before"
             )
-        verdict = (judgement, *_lacking_lines(result), *use_lines(models[0]))
+        verdict = (judgement, *use_lines(models[0]))
     return Outcome(lines, verdict, failure, (*models, path), result)
-
-
-def _lacking_lines(result: ServoIdentification) -> Iterator[str]:
-    """Yield what the rollouts had, but the written model cannot hold."""
-    if np.any(result.is_new & ~result.has_servo):
-        yield (
-            "  together with the gain above, which this file cannot hold: set it in the simulator, "
-            "or start from an MJCF with position actuators"
-        )

@@ -81,8 +81,6 @@ _DELAY_STEPS = 4
 """Number of fits that lead to the delay; each is linear in it."""
 _DEFAULT_RATE = 20.0
 """Bandwidth of a servo of which the model says nothing [rad/s]."""
-_LINKS = 3
-"""Position of 1/K among the values of a joint."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +149,7 @@ class LoopEquations:
         pieces: the pieces of logs that have commands.
         period: sampling period [s].
         position: (M, n) measured positions [rad or m].
-        columns: (M, n, 4) acceleration, velocity, its sign, and the links' torque.
+        columns: (M, n, 4) the links' torque, velocity, its sign, and acceleration.
         is_moving: (M, n) whether a joint moves, so that its friction has the sign of its velocity;
             never in the beginning of a piece, whose commands are not known.
         link_columns: (M, n, L) torque by one standard deviation of each of L link errors [N m].
@@ -203,7 +201,7 @@ def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEqua
         motion = dynamics.motion(q, qd, qdd)
         torque = motion.torque(robot.thetas)
         inertial = torque - dynamics.motion(q, qd, 0.0 * qdd).torque(robot.thetas)
-        columns = np.stack((qdd, qd, np.sign(qd), torque), axis=-1)
+        columns = np.stack((torque, qd, np.sign(qd), qdd), axis=-1)
         is_inner = np.arange(len(q)) >= MAX_DELAY_PERIODS
         rows.append((q, columns, is_inner, motion.columns(links) @ factor, inertial))
     position, columns, is_inner, link_columns, inertial = map(
@@ -211,7 +209,7 @@ def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEqua
     )
     speed = np.abs(columns[:, :, 1])
     is_fast = speed > 0.1 * np.sqrt(np.mean(speed**2, axis=0))
-    qdd = columns[:, :, 0]
+    qdd = columns[:, :, 3]
     inertia = np.sum(inertial * qdd, axis=0) / (np.sum(qdd**2, axis=0) + 1e-12)
     return LoopEquations(
         pieces=commanded,
@@ -236,18 +234,31 @@ class ServoFit:
     """The fitted numbers of an arm and how sure they are.
 
     Attributes:
-        servos: the numbers; the model's of joints that do not move, NaN where it has none.
-        errors: their standard errors, zero of joints that do not move.
+        numbers: (4, n) stiffness, damping, dry friction and rotor inertia of the joints.
+        errors: (4, n) their standard errors.
+        delay, delay_error: by which all commands act late, and its standard error [s].
         gain_ratio: (n,) gain over what the other joints lead to expect.
         has_scale: (n,) whether the links' torque shows the gain.
         is_fast: (n,) whether the samples do not resolve the motion of the servo.
     """
 
-    servos: ServoParameters
-    errors: ServoParameters
+    numbers: Array
+    errors: Array
+    delay: float
+    delay_error: float
     gain_ratio: Array
     has_scale: NDArray[np.bool_]
     is_fast: NDArray[np.bool_]
+
+    @property
+    def servos(self) -> ServoParameters:
+        """The numbers and the delay, as a model is played with them."""
+        return ServoParameters.from_vector(np.append(self.numbers, self.delay))
+
+
+def model_numbers(robot: RobotModel) -> Array:
+    """Return the model's numbers (4, n), as in ``ServoFit``; NaN gains without a servo."""
+    return servos_in_model(robot).vector()[:-1].reshape(4, -1)
 
 
 def fit_servos(
@@ -256,23 +267,20 @@ def fit_servos(
     """Return the servo numbers that solve the equations best, with one delay for all joints.
 
     The delay is found first. Links then show the gains of the joints that carry them, and the
-    others' are taken to be like these.
+    others' are taken to be like these. Joints that do not move keep the model's numbers.
 
     Args:
         robot: the arm as in the model file.
         equations: the equations of all joints.
         moves: (n,) which joints move.
     """
-    in_model = servos_in_model(robot)
-    model_numbers = np.stack(
-        (in_model.armature, in_model.damping, in_model.frictionloss)
-    )
-    has_gain = np.isfinite(in_model.stiffness)
-    gain = np.full(len(moves), np.median(equations.inertia) * _DEFAULT_RATE**2)
+    in_model = model_numbers(robot)
+    has_gain = np.isfinite(in_model[0])
+    usual = np.median(equations.inertia) * _DEFAULT_RATE**2
     if np.any(has_gain):
-        median_gain = np.median(in_model.stiffness[has_gain])
-        gain = np.where(has_gain, in_model.stiffness, median_gain)
-    # Of each joint A/K, D/K, f/K, 1/K, and the error of the delay while that is free.
+        usual = np.median(in_model[0, has_gain])
+    gain = np.where(has_gain, in_model[0], usual)
+    # Of each joint 1/K, D/K, f/K, A/K, and the error of the delay while that is free.
     values = np.zeros((len(moves), 5))
     covariances = np.zeros((len(moves), 5, 5))
     delay_error = DELAY_ERROR * equations.period
@@ -284,15 +292,15 @@ def fit_servos(
         slopes = (equations.distances(delay + step) - distances) / step
         for k in np.flatnonzero(moves).tolist():
             columns = equations.columns[:, k]
-            # A term may be as large as the whole distance.
-            typical = np.std(distances[:, k]) / (np.std(columns, axis=0) + 1e-12)
-            mean = model_numbers[:, k] / gain[k]
+            mean = np.append(1.0, in_model[1:, k]) / gain[k]
+            # Beside the gain, a term may be as large as the whole distance.
+            widths = np.std(distances[:, k]) / (np.std(columns, axis=0) + 1e-12) + mean
+            widths[0] = gain_error[k] / gain[k]
             terms = (
-                Term(columns[:, :_LINKS], mean, mean + typical[:_LINKS]),
-                Term(columns[:, _LINKS:], 1.0 / gain[[k]], gain_error[[k]] / gain[k]),
+                Term(columns, mean, widths),
                 Term(slopes[:, [k]], np.zeros(1), np.full(1, deviation), -np.inf),
             )
-            by_links = values[k, _LINKS] * equations.link_columns[:, k]
+            by_links = values[k, 0] * equations.link_columns[:, k]
             held = np.column_stack((delay_error * slopes[:, k], by_links))
             values[k], covariances[k] = fit_terms(
                 terms, held, distances[:, k], equations.is_moving[:, k]
@@ -305,59 +313,34 @@ def fit_servos(
         shift = float(np.median(values[moves, 4]))
         delay = min(max(delay - shift, 0.0), MAX_DELAY_PERIODS * equations.period)
     fit_joints(delay, _SAME_DELAY, free)
-    inverse = values[:, _LINKS]
-    error = np.sqrt(covariances[:, _LINKS, _LINKS])
-    has_scale = moves & (error < LARGEST_ERROR * inverse)
-    gain_error = np.where(has_gain, OWN_GAIN, UNKNOWN_GAIN)
+    inverse = values[:, 0]
+    has_scale = moves & (np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * inverse)
+    gain_error = np.full(len(moves), UNKNOWN_GAIN)
     if np.any(has_scale):
         gain *= np.median(1.0 / (inverse * gain)[has_scale])
-    else:
-        gain_error = np.full(len(moves), UNKNOWN_GAIN)
+        gain_error[has_gain] = OWN_GAIN
     fit_joints(delay, _SAME_DELAY, gain_error)
 
-    servos, errors = _numbers(values, covariances)
-    turn = equations.period * np.sqrt(
-        servos.stiffness / (servos.armature + equations.inertia)
-    )
-    is_found = np.append(np.tile(moves, 4), True)
-    found = np.where(is_found, servos.vector(), in_model.vector())
+    found = 1.0 / np.maximum(values[:, 0], 1e-9)
+    numbers = found * values[:, :4].T
+    numbers[0] = found
+    # The derivative of each number by the joint's values.
+    slopes = found[:, None, None] * np.eye(4, 5)
+    slopes[:, :, 0] = -(numbers * found).T
+    variance = np.einsum("kij,kjl,kil->ik", slopes, covariances, slopes)
+    turn = equations.period * np.sqrt(found / (numbers[3] + equations.inertia))
     return ServoFit(
-        servos=replace(ServoParameters.from_vector(found), delay=delay),
-        errors=replace(
-            ServoParameters.from_vector(errors.vector() * is_found), delay=delay_error
-        ),
-        gain_ratio=servos.stiffness / gain,
+        numbers=np.where(moves, numbers, in_model),
+        errors=np.where(moves, np.sqrt(variance), 0.0),
+        delay=delay,
+        delay_error=delay_error,
+        gain_ratio=found / gain,
         has_scale=has_scale,
         is_fast=moves & (turn > LARGEST_TURN),
     )
 
 
-def _parameters(numbers: Array) -> ServoParameters:
-    """Return the parameters of numbers (4, n), without a delay."""
-    return ServoParameters.from_vector(np.append(numbers, 0.0))
-
-
-def _numbers(
-    values: Array, covariances: Array
-) -> tuple[ServoParameters, ServoParameters]:
-    """Return the numbers of joints with the values (n, 5) A/K, D/K, f/K, 1/K, delay, and errors.
-
-    ``covariances`` (n, 5, 5) are those of the values.
-    """
-    gain = 1.0 / np.maximum(values[:, _LINKS], 1e-9)
-    armature, damping, friction = gain * values[:, :_LINKS].T
-    numbers = np.stack((gain, damping, friction, armature))
-    # The derivative of each number by the joint's values.
-    slopes = np.zeros((len(values), 4, 5))
-    slopes[:, :, _LINKS] = -(numbers * gain).T
-    slopes[:, [1, 2, 3], [1, 2, 0]] = gain[:, None]
-    variance = np.einsum("kij,kjl,kil->ik", slopes, covariances, slopes)
-    return _parameters(numbers), _parameters(np.sqrt(variance))
-
-
-def refine_played(
-    problem: ServoProblem, fit: ServoFit, in_model: ServoParameters
-) -> ServoFit:
+def refine_played(problem: ServoProblem, fit: ServoFit, in_model: Array) -> ServoFit:
     """Return a fit with a delay, and numbers of fast servos, with which a model plays the windows.
 
     Unknown are logarithms of the numbers over the model's, or over those of the equations where it
@@ -366,31 +349,30 @@ def refine_played(
     Args:
         problem: windows of the log.
         fit: numbers of the equations.
-        in_model: numbers of the model, the means of wide priors.
+        in_model: (4, n) numbers of the model, the means of wide priors.
     """
     from scipy.optimize import least_squares
 
-    free = np.append(np.tile(fit.is_fast, 4), True)
-    start = fit.servos.vector()
-    given = np.nan_to_num(in_model.vector())
-    start = np.where(free & (given > 0.0), given, np.maximum(start, 1e-4 * free))
+    fast = np.flatnonzero(fit.is_fast)
+    start = np.where(in_model > 0.0, in_model, np.maximum(fit.numbers, 1e-4))[:, fast]
+    # Friction changes by as much as is typical: small changes move the rollouts less than chance.
+    steps = np.append(np.repeat(_STEPS, len(fast)), _STEPS[0])
+    x = np.full(len(steps), _CENTRE)
 
-    def servos(x: Array) -> ServoParameters:
-        """Return the numbers that unknowns stand for."""
-        vector = start.copy()
-        vector[free] *= np.exp(x - _CENTRE)
-        return ServoParameters.from_vector(vector)
+    def fit_at(x: Array) -> ServoFit:
+        """Return the fit with the numbers and the delay that unknowns stand for."""
+        factors = np.exp(x - _CENTRE)
+        numbers = fit.numbers.copy()
+        numbers[:, fast] = start * factors[:-1].reshape(4, -1)
+        return replace(fit, numbers=numbers, delay=fit.delay * factors[-1])
 
     def residuals(x: Array, scale: Array | float) -> Array:
         """Return the position errors over their scale, then the prior's residuals."""
-        errors = problem.errors([servos(x)])[0] / scale
+        errors = problem.errors([fit_at(x).servos])[0] / scale
         return np.append(errors, (x - _CENTRE) / FAST_PRIOR)
 
-    x = np.full(np.count_nonzero(free), _CENTRE)
-    # Friction changes by as much as is typical: small changes move the rollouts less than chance.
-    steps = np.append(np.repeat(_STEPS, len(fit.is_fast)), _STEPS[0])[free]
     for _ in range(2):
-        errors = residuals(x, 1.0)[: -len(x)].reshape(-1, len(fit.is_fast))
+        errors = problem.errors([fit_at(x).servos])[0]
         scale = np.sqrt(_CORRELATED_ROLLOUTS * np.mean(errors**2, axis=0)) + 1e-9
         fitted = least_squares(
             residuals,
@@ -403,13 +385,15 @@ def refine_played(
             args=(scale,),
         )
         x = fitted.x
+    refined = fit_at(x)
     variance = np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac))
-    least = np.append(np.repeat(_LEAST_ERRORS, len(fit.is_fast)), 0.0)[free]
-    error = fit.errors.vector()
-    error[free] = np.sqrt(variance + least**2) * servos(x).vector()[free]
+    least = np.array(_LEAST_ERRORS)[:, None]
+    relative = np.sqrt(variance[:-1].reshape(4, -1) + least**2)
+    errors = fit.errors.copy()
+    errors[:, fast] = relative * refined.numbers[:, fast]
     return replace(
-        fit,
-        servos=servos(x),
-        errors=ServoParameters.from_vector(error),
+        refined,
+        errors=errors,
+        delay_error=float(refined.delay * np.sqrt(variance[-1])),
         has_scale=fit.has_scale | fit.is_fast,
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Measurement
+from robot_sysid.records import Array, Measurement
 from robot_sysid.results.prediction import HORIZONS
 from robot_sysid.results.record import RolloutError, RolloutTest
 from robot_sysid.servo.windows import ServoProblem, make_problem
@@ -81,13 +81,13 @@ def rollout_error(
 def worse_joints(errors: Sequence[RolloutError]) -> NDArray[np.bool_]:
     """Return whether the positions of each joint (n,) are predicted worse than before.
 
-    By the geometric mean over all errors, of which there is one at least.
+    By the geometric mean over all errors; none is worse without any.
     """
-    log_ratios = []
+    excess: Array | float = 0.0
     for error in errors:
-        before, after = error.errors_before + FLOOR, error.errors_after + FLOOR
-        log_ratios.append(np.log(after / before))
-    return np.asarray(np.mean(log_ratios, axis=0) > np.log(WORSE))
+        ratio = (error.errors_after + FLOOR) / (error.errors_before + FLOOR)
+        excess = excess + np.log(ratio / WORSE)
+    return np.asarray(excess) > 0.0
 
 
 def servo_fault(test: RolloutTest, goal_errors: Sequence[float]) -> str | None:

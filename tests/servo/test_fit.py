@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from robot_sysid.records import Measurement
-from robot_sysid.servo.fit import LINK_ERROR, fit_servos, loop_equations, refine_played
+from robot_sysid.servo.fit import (
+    LINK_ERROR,
+    fit_servos,
+    loop_equations,
+    model_numbers,
+    refine_played,
+)
 from robot_sysid.servo.windows import make_problem
 from robot_sysid.simulation.playback import (
     ServoParameters,
@@ -62,9 +68,9 @@ def test_numbers_come_from_the_log_and_not_from_the_models_servos(kp):
     for name, tolerance in (("stiffness", 0.05), ("damping", 0.2), ("armature", 0.2)):
         expected = pytest.approx(getattr(TRUTH, name), rel=tolerance)
         assert getattr(fit.servos, name) == expected, name
-    off = np.abs(fit.servos.vector() - TRUTH.vector())
-    assert np.all(off[:-1] < 2.0 * fit.errors.vector()[:-1])
-    assert fit.servos.delay == pytest.approx(TRUTH.delay, abs=0.003)
+    off = np.abs(fit.numbers - TRUTH.vector()[:-1].reshape(4, 2))
+    assert np.all(off < 2.0 * fit.errors)
+    assert fit.delay == pytest.approx(TRUTH.delay, abs=0.003)
 
 
 def test_a_model_without_servos_leads_to_the_same_numbers():
@@ -77,11 +83,11 @@ def test_a_model_without_servos_leads_to_the_same_numbers():
 
 def test_errors_of_links_cover_numbers_that_wrong_links_change():
     fit = fit_to(arm())
-    errors = fit.errors.vector()[:8:2]
-    numbers = fit.servos.vector()[:8:2]
+    errors = fit.errors[:, 0]
+    numbers = fit.numbers[:, 0]
     # The mass is off by one standard deviation alone, which the common error adds to.
-    wrong = fit_to(arm(mass=0.3 * (1.0 + LINK_ERROR))).servos
-    changes = np.abs(wrong.vector()[:8:2] - numbers)
+    wrong = fit_to(arm(mass=0.3 * (1.0 + LINK_ERROR))).numbers[:, 0]
+    changes = np.abs(wrong - numbers)
     assert np.all(changes <= errors)
     assert changes[0] == pytest.approx(LINK_ERROR * numbers[0], rel=0.1)
     assert errors[0] < 3.5 * changes[0]
@@ -95,10 +101,8 @@ def test_samples_at_a_torque_limit_do_not_count():
 
 def test_joints_that_do_not_move_keep_the_models_numbers():
     fit = fit_to(arm(), moves=np.array([True, False]))
-    in_model = servos_in_model(arm())
-    for name in NUMBERS:
-        assert getattr(fit.servos, name)[1] == getattr(in_model, name)[1]
-        assert getattr(fit.errors, name)[1] == 0.0
+    np.testing.assert_array_equal(fit.numbers[:, 1], model_numbers(arm())[:, 1])
+    assert not fit.errors[:, 1].any() and fit.errors[:, 0].all()
 
 
 SMALL = """<mujoco><worldbody><body>
@@ -127,11 +131,11 @@ def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
     fit = fit_to(robot, piece)
     assert fit.is_fast.all()
     problem = make_problem(ServoRollouts(robot), [piece], 4, 3.0, 0.6)
-    refined = refine_played(problem, fit, in_model)
+    refined = refine_played(problem, fit, model_numbers(robot))
     assert refined.servos.armature == pytest.approx(truth.armature, rel=0.1)
     assert refined.servos.damping == pytest.approx(truth.damping, rel=0.2)
-    off = np.abs(refined.servos.vector() - truth.vector())[:-1]
-    assert np.all(off <= 3.0 * refined.errors.vector()[:-1])
-    errors = problem.errors([replace(in_model, delay=fit.servos.delay), refined.servos])
+    off = np.abs(refined.numbers - truth.vector()[:-1].reshape(4, 2))
+    assert np.all(off <= 3.0 * refined.errors)
+    errors = problem.errors([replace(in_model, delay=fit.delay), refined.servos])
     before, after = np.mean(errors**2, axis=(1, 2))
     assert after < 0.25 * before

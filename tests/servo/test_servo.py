@@ -46,10 +46,10 @@ def test_of(robot, *new_errors):
 
 
 def identification(robot, error=0.1):
-    numbers = [np.full(2, value) for value in (GAIN, 3.0, 0.2, 0.1)]
-    errors = ServoParameters(*np.full((4, 2), 0.01), 1e-3)
+    numbers = np.outer((GAIN, 3.0, 0.2, 0.1), np.ones(2))
     true = np.ones(2, dtype=bool)
-    fit = ServoFit(ServoParameters(*numbers, 0.02), errors, np.ones(2), true, ~true)
+    errors = np.full((4, 2), 0.01)
+    fit = ServoFit(numbers, errors, 0.02, 1e-3, np.ones(2), true, ~true)
     origin = DataOrigin(Source.LOG, "log.csv", 10.0, 50.0)
     rollout = test_of(robot, error)
     return servo.ServoIdentification(
@@ -244,8 +244,9 @@ def test_numbers_that_play_worse_than_the_models_are_all_kept(
     def spoil(*arguments):
         """Return the fit with four times the last joint's damping."""
         fit = refine(*arguments)
-        damping = fit.servos.damping * [1.0, 1.0, 4.0]
-        return replace(fit, servos=replace(fit.servos, damping=damping))
+        factors = np.ones((4, 3))
+        factors[1, 2] = 4.0
+        return replace(fit, numbers=fit.numbers * factors)
 
     monkeypatch.setattr(servo, "refine_played", spoil)
     outcome = identify(so_arm, paths, tmp_path)
