@@ -14,6 +14,7 @@ fault: of these no row should be left out.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,18 +22,15 @@ from pathlib import Path
 
 import numpy as np
 
+import robot_sysid
 from benchmarks.confusion_causes import Scene, draw_scene, resting_torque
 from benchmarks.real_arms import ARMS
+from robot_sysid.diagnosis.log_checks import check_log
 from robot_sysid.errors import SysidError
-from robot_sysid.estimation.build_result import result_of
-from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.question import EstimationOptions
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline.recordings import diagnose_logs
-from robot_sysid.records import Array, DataOrigin, RobotModel, Source
+from robot_sysid.records import Array
 from robot_sysid.records.file_access import temporary_folder
 from robot_sysid.records.messages import Progress
 
@@ -197,27 +195,33 @@ KINDS: dict[str, Kind] = {
 }
 
 
-def used_log(robot: RobotModel, scene: Scene) -> MeasurementLog | None:
-    """Return a scene's log as an identification uses it; None where it is refused."""
-    with temporary_folder() as folder:
-        path = folder / "log.csv"
-        write_measurement_csv(path, robot.joint_names, [scene.log])
-        try:
-            logs = [open_log(robot, path, LogOptions())]
-            logs = (
-                diagnose_logs(robot, logs, (), EstimationOptions(), Progress()) or logs
-            )
-        except SysidError as error:
-            print(f"    {error}"[:240].replace("\n", " "), flush=True)
-            return None
-    return logs[0]
+def check_scene(
+    scene: Scene, path: Path, answered: bool
+) -> tuple[MeasurementLog, tuple[float, bool]]:
+    """Return a scene's log as it is used, and the error of the last link's mass and its verdict.
+
+    The error is in stated ones. SysidError where the log is refused.
+
+    Args:
+        scene: with a fault in its log.
+        path: of the file that the log is written to.
+        answered: whether the arm is identified; if not, the error is NaN.
+    """
+    write_measurement_csv(path, scene.robot.joint_names, [scene.log])
+    log = open_log(scene.robot, path, LogOptions())
+    log = check_log(scene.robot, log, (), Progress())
+    if not answered:
+        return log, (np.nan, False)
+    result = robot_sysid.identify(scene.path, path)
+    error = (result.theta[0] - scene.theta[0]) / result.standard_errors["m"]
+    return log, (float(error), result.result.verdict.is_trustworthy)
 
 
 def beside(scene: Scene, spans: list[Span], log: MeasurementLog) -> float:
     """Return the time that is left out beside a fault [s]; NaN where a part of it is used."""
     times = []
     for piece in log.pieces:
-        left_out = getattr(piece, "left_out", None)
+        left_out = piece.left_out
         times.append(piece.time if left_out is None else piece.time[~left_out])
     used = np.concatenate(times)
     step = float(np.median(np.diff(scene.log.time)))
@@ -227,18 +231,6 @@ def beside(scene: Scene, spans: list[Span], log: MeasurementLog) -> float:
             return np.nan
         missing -= end - start
     return max(missing, 0.0)
-
-
-def mass_of(robot: RobotModel, log: MeasurementLog) -> tuple[float, float, bool]:
-    """Return the last link's mass, its error [kg], and whether the answer may be trusted."""
-    options = EstimationOptions()
-    pieces = [Piece("log", piece) for piece in log.pieces]
-    datasets, _ = low_pass_recordings(robot, pieces, options)
-    answer = answer_link(robot, datasets, options, Progress(), None)
-    origin = DataOrigin(Source.LOG, "log", log.duration, 250.0)
-    result = result_of(answer, origin)
-    link = result.links[-1]
-    return link.inertial.mass, float(link.errors[0]), result.verdict.is_trustworthy
 
 
 def line_of(kind: str, besides: list[float], count: int, answers: Array) -> str:
@@ -252,7 +244,7 @@ def line_of(kind: str, besides: list[float], count: int, answers: Array) -> str:
         f"{kind:<18}{len(besides):4d} of {count:3d} used, {covered:3d} left out well, "
     )
     text += f"{exposed:3d} in part; beside {median:5.2f} s (at most {worst:5.2f})"
-    if len(answers):
+    if np.any(np.isfinite(answers[:, 0])):
         z = np.abs(answers[:, 0])
         text += f"; mass: {np.sum(z < 2.0):3d} of {len(z):3d} within two errors, "
         text += f"largest {np.max(z):.2f}, trusted {int(np.sum(answers[:, 1]))}"
@@ -270,28 +262,27 @@ def main() -> int:
     parser.add_argument("--duration", type=float, default=20.0)
     parser.add_argument("--no-answers", action="store_true")
     options = parser.parse_args()
-    robots = {arm: load_robot_model(options.models / ARMS[arm]) for arm in options.arms}
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     for kind in options.kinds:
         besides = []
         answers = []
-        for arm, robot in robots.items():
-            for seed in seeds:
-                path = options.models / ARMS[arm]
-                scene = draw_scene(path, arm, "real", options.duration, seed)
-                number = list(KINDS).index(kind)
-                rng = np.random.default_rng([seed, number, _STREAM])
-                scene, spans = KINDS[kind](replace(scene, rng=rng))
-                log = used_log(robot, scene)
-                if log is None:
-                    continue
-                besides.append(beside(scene, spans, log))
-                if np.isnan(besides[-1]) or besides[-1] > _BESIDE:
-                    print(f"    {arm} {seed} {spans}: {besides[-1]:.2f} s beside")
-                if not options.no_answers:
-                    mass, error, trusted = mass_of(robot, log)
-                    answers.append(((mass - scene.theta[0]) / error, trusted))
-        count = len(robots) * len(seeds)
+        for arm, seed in itertools.product(options.arms, seeds):
+            path = options.models / ARMS[arm]
+            scene = draw_scene(path, arm, "real", options.duration, seed)
+            rng = np.random.default_rng([seed, list(KINDS).index(kind), _STREAM])
+            scene, spans = KINDS[kind](replace(scene, rng=rng))
+            try:
+                with temporary_folder() as folder:
+                    path = folder / "log.csv"
+                    log, answer = check_scene(scene, path, not options.no_answers)
+            except SysidError as error:
+                print(f"    {arm} {seed}: {error}"[:240], flush=True)
+                continue
+            answers.append(answer)
+            besides.append(beside(scene, spans, log))
+            if np.isnan(besides[-1]) or besides[-1] > _BESIDE:
+                print(f"    {arm} {seed} {spans}: {besides[-1]:.2f} s beside")
+        count = len(options.arms) * len(seeds)
         print(line_of(kind, besides, count, np.array(answers)), flush=True)
     return 0
 
