@@ -11,12 +11,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from robot_sysid.signals.cutoff import (
-    acceleration_spectra,
-    choose_cutoff,
-    quantisation_error,
-)
-from robot_sysid.signals.filters import design_low_pass, second_derivative
+from robot_sysid.signals.cutoff import acceleration_spectra, choose_cutoff
+from robot_sysid.signals.filters import derivatives, design_low_pass
 
 OMEGA = 2.0 * np.pi * np.array([0.13, 0.29, 0.43, 0.59])
 DURATION = 15.0
@@ -43,10 +39,10 @@ def estimates(q: np.ndarray, rate: float, cutoff: float) -> dict[str, np.ndarray
     frequency = 2.0 * np.pi * np.fft.rfftfreq(len(smooth), 1.0 / rate)
     spectral = np.fft.irfft(-(frequency**2) * np.fft.rfft(smooth), len(smooth))
     accelerations = {
-        "window + 8th order": second_derivative(smooth, rate),
+        "window + 16th order": derivatives(smooth, rate)[1],
         "window + central": np.diff(smooth, 2) * rate**2,
         "window + Fourier": spectral,
-        "Butterworth pair + 8th order": second_derivative(pair, rate),
+        "Butterworth pair + 16th order": derivatives(pair, rate)[1],
         "Savitzky-Golay on raw": savgol_filter(q, window, 4, deriv=2, delta=1.0 / rate),
         "raw second difference": np.diff(q, 2) * rate**2,
     }
@@ -65,9 +61,8 @@ def main() -> None:
         for resolution in (0.0, 1e-4):
             time, q, exact = motion(rate, np.random.default_rng(0))
             readings = np.round(q / resolution) * resolution if resolution else q
-            steps = quantisation_error(readings[:, None])
             cutoff = (
-                choose_cutoff(acceleration_spectra(readings[:, None], rate, steps))[0]
+                choose_cutoff(acceleration_spectra(readings[:, None], rate))[0]
                 if resolution
                 else 10.0
             )

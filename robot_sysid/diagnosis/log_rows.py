@@ -247,10 +247,11 @@ def _further_friction(signals: ProcessedSignals) -> Array:
     acts at once; the last two are dry friction times sine and cosine of the position. Friction that
     builds up approaches the sign of the speed exponentially with the distance travelled.
     """
-    stride = signals.low_pass.stride
-    q = signals.q[::stride]
+    low_pass = signals.low_pass
+    window = low_pass.window(0, len(low_pass.centres(len(signals))), smooth=True)
+    q = signals.q[window]
     # (N, n, 1), to be combined with columns (N, n, len(BUILD_UP)).
-    sign = np.sign(signals.qd[::stride])[..., None]
+    sign = np.sign(signals.qd[window])[..., None]
     distance = np.abs(np.diff(q, axis=0))[..., None]
     decay = np.exp(-distance / np.array(BUILD_UP))
     built = np.empty((*q.shape, len(BUILD_UP)))
@@ -259,5 +260,4 @@ def _further_friction(signals: ProcessedSignals) -> Array:
         built[k + 1] = direction + decay[k] * (built[k] - direction)
     late = built - sign
     uneven = sign * np.stack((np.sin(q), np.cos(q)), axis=-1)
-    low_pass = signals.low_pass.at_lower_rate(stride)
-    return low_pass.decimate(np.concatenate((late, uneven), axis=-1))
+    return low_pass.decimate_smooth(np.concatenate((late, uneven), axis=-1))

@@ -110,8 +110,6 @@ def link_result(
     findings = [*find_misfits(fitted, tests, acceleration_error)]
     share, sentence = unexplained_share(fitted)
     all_notes = [*robot.notes, *notes]
-    for log_signals in signals:
-        all_notes += log_signals.one_way_joints(robot.joint_names)
     if share > UNUSUAL:
         all_notes.append(sentence)
     findings += implausible_link(robot, links[-1])

@@ -36,8 +36,6 @@ BLOCKS = 5
 """Number of blocks of cross-validation: a block is every fifth stretch of a log."""
 LONGEST_STRETCH = 10.0
 """Upper bound of a stretch [s]: a motion may move a joint for some seconds only."""
-# Numbers of columns that are computed at once: a bound on memory that does not change results.
-_NUMBERS = 8_000_000
 # Largest count of numbers in a recording's rows that stay in memory: half a minute of an arm of
 # seven joints.
 _IN_MEMORY = 250_000
@@ -296,10 +294,7 @@ def decimated_equations(
     Raises:
         InputError: no joint ever moves fast enough for its equations to be used.
     """
-    width = sum(map(len, equations.columns))
-    bodies = signals.filter_columns(
-        equations.bodies, smooth=True, chunk=max(1, _NUMBERS // width)
-    )
+    bodies = signals.filter_columns(equations.bodies, smooth=True)
     unknown_load = itertools.repeat(np.array(np.nan))
     friction = signals.filter_columns(
         lambda motion: equations.friction(motion, unknown_load)

@@ -173,11 +173,6 @@ def answer_link(
         file = fit_file(fitter, options, unchanged_parts, fit)
     signals = motion_signals(datasets)
     acceleration_errors = [log.acceleration_error for log in signals]
-    notes: list[str] = []
-    # A joint that moves in one direction only confounds Coulomb friction with the sensor's offset.
-    if any({"coulomb", "offset"} <= set(model.terms) for model in choice.friction):
-        for log_signals in signals:
-            notes += log_signals.one_way_joints(robot.joint_names)
     validations = []
     for name, log in (tests or {}).items():
         validations.append(validate_datasets(fit, errors, log, name))
@@ -189,7 +184,6 @@ def answer_link(
         file,
         tests=(*validations, *log_tests),
         acceleration_error=max(acceleration_errors, default=0.0),
-        notes=tuple(dict.fromkeys(notes)),
         missed_friction=missed,
     )
 

@@ -86,13 +86,9 @@ def identify_logs(
     pieces = []
     for log in logs:
         for samples in log.pieces:
-            pieces.append(Piece(str(log.path), samples.without_velocities()))
-    del (
-        logs,
-        checked,
-        log,
-        samples,
-    )  # frees the recorded velocities before signals are made
+            pieces.append(Piece(str(log.path), replace(samples, qd=None)))
+    # This frees the recorded velocities before signals are made.
+    del logs, checked, log, samples
     return _identify_pieces(config, robot, pieces, origin, notes, progress, tests)
 
 
@@ -213,7 +209,9 @@ def _identify_pieces(
     result = link_result(fitted, file, errors, origin, notes)
     printed = {*robot.notes, *notes}
     progress.note(*(note for note in result.notes if note not in printed))
-    checkpoints = signals.motion(signals.spread_indices(CHECKPOINTS))
+    checkpoints = signals.motion(
+        np.linspace(0, len(signals) - 1, CHECKPOINTS).astype(int)
+    )
     all_tests = tuple(itertools.chain.from_iterable(test_recordings.values()))
     result = _with_file_tests(result, all_tests, checkpoints, config.model.mesh_dir)
     traces = partial(traces_of, fitted, file)

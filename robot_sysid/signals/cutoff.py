@@ -1,11 +1,11 @@
 """Choosing the cut-off frequency of the low-pass from the data.
 
 The error of an acceleration that is computed from low-passed positions has two parts: motion above
-the cut-off, which is lost, and encoder noise below it. Both are estimated from the spectrum of the
-second difference of the raw positions. At high frequencies that spectrum is noise: the second
-difference of white noise has the shape (2 - 2 cos(2 pi f T))^2 / T^4. What stands clearly above the
-noise is motion. A joint that creeps over an encoder's steps is read as a staircase, whose spectrum
-stands far above that shape; its quantisation error counts as noise too (``quantisation_error``).
+the cut-off, which is lost, and noise below it. Both are estimated from the spectrum of the second
+difference of the raw positions. At high frequencies that spectrum is noise: the second difference
+of white noise has the shape (2 - 2 cos(2 pi f T))^2 / T^4. What stands above it, up to where the
+spectrum is lowest, is motion; beyond lie vibration, ripple, steps of an encoder, and images of the
+motion that repeated readings leave.
 
 The chosen cut-off is the highest one whose expected error is small: it keeps most of the changes of
 friction's sign and most rows at the ends of the log. It is at most a multiple of the frequencies at
@@ -14,7 +14,6 @@ which the arm moves, because torques above them hold more and more that is not m
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,7 +22,6 @@ import numpy as np
 from robot_sysid.records import Array
 from robot_sysid.records.messages import percent
 from robot_sysid.signals.filters import design_low_pass
-from robot_sysid.signals.resampling import is_new_sample
 
 # Expected squared error of the acceleration, relative to its mean square, that does no harm: it
 # biases an identified inertia by the same share, 0.005 %.
@@ -37,22 +35,9 @@ _MOTION_SHARE = 0.99
 # Largest cut-off over the highest frequency at which the arm moves (docs/measurements.md,
 # tests/signals/test_cutoff.py).
 _LARGEST_CUTOFF_RATIO = 15.0
-# Largest share of rows with a new reading at which rows count as more frequent than the readings of
-# the encoders.
-_FRESH_SHARE = 0.6
-# Largest standard deviation of the time between new readings, over its mean, for which the readings
-# count as regular.
-_REGULARITY = 0.5
-# An octave that adds less than this share to the squared speed below it is a gap in the spectrum.
-_GAP_SHARE = 1e-4
-# Multiple of the frequency of the first gap above which power does not count as motion.
-_GAP_RATIO = 10.0
 # A frequency holds motion where its power is more than this multiple of the noise, which noise
 # alone hardly ever reaches.
 _MOTION_TO_NOISE = 6.0
-# Largest share of an encoder's steps with a repeated reading for which the quantisation error
-# counts as white noise: the joint passes the steps too fast for a staircase.
-_REPEATED_SHARE = 0.01
 # Longest segment whose spectrum is averaged; a longer one would only resolve frequencies finer than
 # any cut-off needs (chosen) [s].
 _LONGEST_SEGMENT = 20.0
@@ -64,6 +49,12 @@ _TRIMMED_SHARE = 0.2
 # Fewest readings of a log that a spectrum is made from; the bound on the length of its segments, of
 # which there are at least four, is no smaller either (chosen).
 _SHORTEST_SEGMENT = 64
+# Largest share of rows with a new reading at which rows count as more frequent than the readings of
+# the encoders.
+_FRESH_SHARE = 0.6
+# Largest standard deviation of the time between new readings, over its mean, for which the readings
+# count as regular.
+_REGULARITY = 0.5
 
 
 @dataclass(frozen=True)
@@ -92,6 +83,20 @@ class Spectra:
     def position_noise(self) -> Array:
         """Standard deviation (n,) of the noise of the readings [rad]."""
         return np.sqrt(self.level * self.rate / 2.0)
+
+    @property
+    def noise_share(self) -> float:
+        """Root mean square of the acceleration's noise, over that of the motion's acceleration."""
+        motion = np.sum(self.motion)
+        return float(np.sqrt(np.sum(self.noise) / motion)) if motion > 0.0 else np.inf
+
+    @property
+    def fastest(self) -> float:
+        """Highest frequency at which the arm moves [Hz]; the highest of all for an arm at rest."""
+        speed = np.cumsum(self.motion / self.frequency**2)
+        if not np.any(speed):
+            return float(self.frequency[-1])
+        return float(self.frequency[np.searchsorted(speed, _MOTION_SHARE * speed[-1])])
 
 
 class CutoffChoice(NamedTuple):
@@ -122,11 +127,7 @@ def choose_cutoff(spectra: Spectra) -> CutoffChoice:
     half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
     lowest = 4.0 * half_width_times_cutoff / (_TRIMMED_SHARE * spectra.count / rate)
     candidates = np.geomspace(min(lowest, highest), highest, 40)
-    # The highest frequency at which the arm moves; the highest of all where it does not move.
-    fastest = spectra.frequency[-1]
-    if np.any(spectra.motion):
-        fastest = spectra.frequency[_speed_index(spectra.frequency, spectra.motion)]
-    bound = max(candidates[0], _LARGEST_CUTOFF_RATIO * fastest)
+    bound = max(candidates[0], _LARGEST_CUTOFF_RATIO * spectra.fastest)
     candidates = candidates[candidates <= bound]
     errors = np.array([_squared_error(cutoff, spectra) for cutoff in candidates])
     largest_error = max(_HARMLESS_ERROR, _ERROR_TOLERANCE * errors.min())
@@ -141,44 +142,42 @@ def choose_cutoff(spectra: Spectra) -> CutoffChoice:
     return CutoffChoice(cutoff, expected, reason)
 
 
-def acceleration_noise(spectra: Spectra | None, cutoff: float) -> float:
-    """Return the root mean square of the noise that a cut-off [Hz] leaves in the acceleration over
-    that of the motion's acceleration; infinite where nothing moves or there are no spectra.
+def _squared_error(cutoff: float, spectra: Spectra) -> float:
+    """Return the expected squared error of the acceleration at a cut-off [Hz], over the mean square
+    of the acceleration; where nothing moves, the squared error itself [rad^2/s^4].
     """
-    if spectra is None or not np.any(spectra.motion > 0.0):
-        return math.inf
-    passed = spectra.frequency <= cutoff
-    return math.sqrt(np.sum(spectra.noise[passed]) / np.sum(spectra.motion))
+    kernel = design_low_pass(cutoff, spectra.rate).kernel
+    gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:]
+    total = np.sum(spectra.motion)
+    error = (1.0 - gain) ** 2 @ spectra.motion + gain**2 @ spectra.noise
+    return float(error / total) if total > 0.0 else float(error)
 
 
-def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:
+def acceleration_spectra(q: Array, rate: float) -> Spectra | None:
     """Return the spectra of all joints' accelerations; None where there are too few samples.
 
     Args:
         q: (N, n) positions on a uniform grid [rad].
         rate: of the grid [Hz].
-        steps: (N, n) quantisation errors of the positions, see ``quantisation_error`` [rad].
     """
-    q, steps, rate = _drop_repeated_readings(q, steps, rate)
+    q, rate = _drop_repeated_readings(q, rate)
     if len(q) < _SHORTEST_SEGMENT:
         return None
     longest = max(_SHORTEST_SEGMENT, round(_LONGEST_SEGMENT * rate))
     # At least four segments; the second difference has two samples less.
     length = min((len(q) - 2) // 4, longest)
-    frequency, power, shape = _second_difference_spectrum(q, rate, length)
-    shape = shape[:, None]
+    frequency, power = _second_difference_spectrum(q, rate, length)
+    phase = 2.0 * np.pi * frequency[:, None] / rate
+    # Power density where positions are white noise of unit density.
+    shape = ((2.0 - 2.0 * np.cos(phase)) * rate**2) ** 2
     # Frequencies that count as noise alone: from half of the Nyquist frequency to just below it.
     high = (frequency > 0.25 * rate) & (frequency < 0.475 * rate)
     # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
     level = 1.05 * np.median(power[high] / shape[high], axis=0)
-    white_noise = level * shape
-    staircase = np.zeros_like(power)
-    stepped = np.any(steps, axis=0)
-    if np.any(stepped):
-        steps = steps[:, stepped]
-        staircase[:, stepped] = _second_difference_spectrum(steps, rate, length)[1]
-    motion = _motion_power(frequency, power, np.maximum(white_noise, staircase))
-    noise = np.maximum(white_noise, np.where(motion > 0.0, 0.0, power))
+    noise = level * shape
+    motion = np.where(power > _MOTION_TO_NOISE * noise, power - noise, 0.0)
+    motion[_valley(frequency, power, motion) :] = 0.0
+    noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
     return Spectra(
         rate=rate,
         count=len(q),
@@ -190,69 +189,36 @@ def acceleration_spectra(q: Array, rate: float, steps: Array) -> Spectra | None:
     )
 
 
-def _drop_repeated_readings(
-    q: Array, steps: Array, rate: float
-) -> tuple[Array, Array, float]:
-    """Return positions (M, n), zero quantisation errors (M, n) and the mean rate [Hz] of the M new
-    readings alone, interpolated at even intervals.
+def _valley(frequency: Array, power: Array, motion: Array) -> int:
+    """Return the index from which on power is no motion: behind the lowest power above the motion.
 
-    A reading that is held for several rows has images at multiples of its own rate, which look like
-    noise at every frequency. Where most rows are new, or new readings are few or come irregularly,
-    the arguments are returned unchanged.
+    The search begins at the frequency below which half of the squared speed of the lower half of
+    all octaves lies, where power is motion for certain; the last tenth of the spectrum is not
+    searched.
 
     Args:
-        q: (N, n) positions on a uniform grid [rad].
-        steps: (N, n) quantisation errors [rad].
-        rate: of the grid [Hz].
+        frequency: (F,) [Hz].
+        power: (F, n) spectrum of the acceleration.
+        motion: (F, n) what of it stands above white noise.
     """
-    is_new = np.any(np.diff(q, axis=0), axis=1)
-    new_rows = np.concatenate(([0], np.flatnonzero(is_new) + 1))
-    share = len(new_rows) / len(q)
-    if share > _FRESH_SHARE or len(new_rows) < _SHORTEST_SEGMENT:
-        return q, steps, rate
-    waits = np.diff(new_rows)
-    if np.std(waits) > _REGULARITY * np.mean(waits):
-        # An encoder that creeps from step to step.
-        return q, steps, rate
-    even = np.linspace(0.0, len(q) - 1.0, len(new_rows))
-    fresh_q = np.empty((len(even), q.shape[1]))
-    for joint, reading in enumerate(q.T):
-        fresh_q[:, joint] = np.interp(even, new_rows, reading[new_rows])
-    return fresh_q, np.zeros_like(fresh_q), rate * share
-
-
-def quantisation_error(q: Array, joint_time: Array | None = None) -> Array:
-    """Return the error (N, n) that the steps of encoders make in their readings [rad].
-
-    The error is the reading minus a piecewise straight line: between two successive readings that
-    differ, the joint passed the middle of the two, and between two such middles it moved at nearly
-    constant speed. The error is zero for a joint whose reading hardly ever repeats while the joint
-    moves: its steps are too fine to make a staircase.
-
-    Args:
-        q: (N, n) readings [rad].
-        joint_time: (N, n) time stamps of each joint's readings [s]; None where every row holds a
-            new reading. A row that repeats an older reading has no error and is left out.
-    """
-    error = np.zeros_like(q)
-    for joint in range(q.shape[1]):
-        is_new = np.ones(len(q), dtype=bool)
-        if joint_time is not None:
-            is_new = is_new_sample(joint_time[:, joint])
-        reading = q[is_new, joint]
-        last_samples = np.flatnonzero(np.diff(reading))
-        repeats = np.diff(last_samples, prepend=-1) > 1
-        if np.count_nonzero(repeats) > _REPEATED_SHARE * len(last_samples):
-            middles = 0.5 * (reading[last_samples] + reading[last_samples + 1])
-            samples = np.arange(len(reading))
-            line = np.interp(samples, last_samples + 0.5, middles)
-            error[is_new, joint] = reading - line
-    return error
+    speed = np.cumsum(np.sum(motion, axis=1) / frequency**2)
+    # On a logarithmic scale of evenly spaced frequencies the square root is half way.
+    lower_half = speed[int(np.sqrt(len(speed)))]
+    start = int(np.searchsorted(speed, 0.5 * lower_half))
+    end = max(start + 1, int(0.9 * len(power)))
+    # Averaged over a band around each frequency, as wide as a quarter of the frequency.
+    index = np.arange(start, end)
+    width = np.maximum(1, index // 4)
+    low = index - width // 2
+    high = np.minimum(len(power), low + width)
+    total = np.concatenate(([0.0], np.cumsum(np.sum(power, axis=1))))
+    smooth = (total[high] - total[low]) / (high - low)
+    return start + int(np.argmin(smooth)) + 1
 
 
 def _second_difference_spectrum(
     q: Array, rate: float, length: int
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array]:
     """Return the spectrum of the second difference of positions, an acceleration.
 
     It is the mean over segments of the squared Fourier transform under a Blackman-Harris window,
@@ -265,8 +231,7 @@ def _second_difference_spectrum(
         length: samples of a segment.
 
     Returns:
-        Frequencies (F,) [Hz], zero left out; power densities (F, n); and the power density (F,)
-        where positions are white noise of unit density.
+        Frequencies (F,) [Hz], zero left out, and power densities (F, n).
     """
     angle = 2.0 * np.pi / length * np.arange(length)
     window = np.cos(np.outer(angle, range(4))) @ _BLACKMAN_HARRIS
@@ -284,106 +249,30 @@ def _second_difference_spectrum(
     if length % 2 == 0:
         # The Nyquist frequency, which an even length has, is the one bin without a mirror image.
         power[-1] *= 0.5
-    phase = 2.0 * np.pi * frequency / rate
-    shape = ((2.0 - 2.0 * np.cos(phase)) * rate**2) ** 2
-    return frequency[1:], power[1:], shape[1:]
+    return frequency[1:], power[1:]
 
 
-def _motion_power(frequency: Array, power: Array, noise: Array) -> Array:
-    """Return the power (F, n) of each joint's acceleration that is motion of the arm.
+def _drop_repeated_readings(q: Array, rate: float) -> tuple[Array, float]:
+    """Return positions (M, n) and the mean rate [Hz] of the M new readings alone, interpolated at
+    even intervals.
 
-    Vibration, ripple and noise that is not white make the spectrum of the acceleration rise again
-    at high frequencies: power counts as motion up to where the spectrum is lowest, at most up to
-    ``_GAP_RATIO`` times the frequency of the first gap.
-
-    Args:
-        frequency: (F,) [Hz].
-        power: (F, n) spectrum of the acceleration.
-        noise: (F, n) spectrum of its noise.
-    """
-    motion = np.where(power > _MOTION_TO_NOISE * noise, power - noise, 0.0)
-    if not np.any(motion):
-        return motion
-    moved = np.sum(motion, axis=1)
-    slow = _speed_index(frequency, moved)
-    smooth = _smooth(np.sum(power, axis=1))
-    # The lowest power above most of the motion; the last tenth of the spectrum is not searched.
-    end = max(slow + 1, int(0.9 * len(power)))
-    lowest = slow + int(np.argmin(smooth[slow:end]))
-    gap = frequency[_gap_index(frequency, moved)]
-    last = min(lowest, int(np.searchsorted(frequency, _GAP_RATIO * gap)))
-    motion[last + 1 :] = 0.0
-    return motion
-
-
-def _speed_index(frequency: Array, motion: Array) -> int:
-    """Return the index of the frequency (F,) below which 99 % of the squared speed lies: the
-    highest one at which the arm moves.
-
-    Only the spectrum up to its first gap counts.
+    A reading that is held for several rows has images at multiples of its own rate, which look like
+    noise at every frequency. Where most rows are new, or new readings are few or come irregularly,
+    the arguments are returned unchanged.
 
     Args:
-        frequency: (F,) [Hz].
-        motion: (F,) power density of the motion's acceleration.
+        q: (N, n) positions on a uniform grid [rad].
+        rate: of the grid [Hz].
     """
-    speed = _cumulative_squared_speed(frequency, motion)
-    total = speed[_gap_index(frequency, motion)]
-    return int(np.searchsorted(speed, _MOTION_SHARE * total))
-
-
-def _cumulative_squared_speed(frequency: Array, motion: Array) -> Array:
-    """Return (F,) the squared speed of a motion up to each frequency, up to a constant factor.
-
-    Args:
-        frequency: (F,) [Hz].
-        motion: (F,) power density of the motion's acceleration.
-    """
-    return np.cumsum(motion / frequency**2)
-
-
-def _gap_index(frequency: Array, motion: Array) -> int:
-    """Return the index of the frequency at which the first gap begins: an octave that adds next to
-    nothing to the squared speed.
-
-    Beyond such a gap lie images of the motion, which repeated samples and jitter in time leave. The
-    search begins at the frequency below which half of the squared speed of the lower half of all
-    octaves lies: power there is motion for certain. Where there is no gap, it is the last index.
-
-    Args:
-        frequency: (F,) [Hz].
-        motion: (F,) power density of the motion's acceleration.
-    """
-    speed = _cumulative_squared_speed(frequency, motion)
-    last = len(frequency) - 1
-    # Index of the frequency one octave above each frequency.
-    octave = np.minimum(np.searchsorted(frequency, 2.0 * frequency), last)
-    is_empty = speed[octave] - speed < _GAP_SHARE * speed
-    # On a logarithmic scale of evenly spaced frequencies the square root is half way.
-    lower_half = speed[int(np.sqrt(len(speed)))]
-    start = int(np.searchsorted(speed, 0.5 * lower_half))
-    is_empty[:start] = False
-    is_empty[octave == last] = False
-    return int(np.argmax(is_empty)) if np.any(is_empty) else last
-
-
-def _smooth(power: Array) -> Array:
-    """Return a spectrum (F,) averaged over a band around each of its evenly spaced frequencies, as
-    wide as a quarter of the frequency.
-    """
-    index = np.arange(len(power))
-    width = np.maximum(1, index // 4)
-    total = np.concatenate(([0.0], np.cumsum(power)))
-    low = np.maximum(0, index - width // 2)
-    high = np.minimum(len(power), low + width)
-    return (total[high] - total[low]) / (high - low)
-
-
-def _squared_error(cutoff: float, spectra: Spectra) -> float:
-    """Return the expected squared error of the acceleration at a cut-off [Hz], over the mean square
-    of the acceleration; where nothing moves, the squared error itself [rad^2/s^4].
-    """
-    kernel = design_low_pass(cutoff, spectra.rate).kernel
-    gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:]
-    total = np.sum(spectra.motion)
-    error = (1.0 - gain) ** 2 @ spectra.motion + gain**2 @ spectra.noise
-    return float(error / total) if total > 0.0 else float(error)
+    is_new = np.any(np.diff(q, axis=0), axis=1)
+    new_rows = np.concatenate(([0], np.flatnonzero(is_new) + 1))
+    share = len(new_rows) / len(q)
+    if share > _FRESH_SHARE or len(new_rows) < _SHORTEST_SEGMENT:
+        return q, rate
+    waits = np.diff(new_rows)
+    if np.std(waits) > _REGULARITY * np.mean(waits):
+        # An encoder that creeps from step to step.
+        return q, rate
+    even = np.linspace(0.0, len(q) - 1.0, len(new_rows))
+    fresh = [np.interp(even, new_rows, reading[new_rows]) for reading in q.T]
+    return np.column_stack(fresh), rate * share

@@ -1,16 +1,16 @@
 """Process a measured log into the signals from which regressors are computed.
 
 1. a uniform time grid (``resampling``);
-2. one low-pass for everything, its cut-off chosen from the data (``cutoff``, ``filters``);
-3. positions are low-passed and differentiated, those without noise differentiated as they are;
-   velocity columns of the log are not used: a drive filters and delays them in its own way;
+2. one cut-off for everything, chosen from the data (``cutoff``);
+3. positions are low-passed and differentiated (``filters``), those without noise differentiated as
+   they are; velocity columns of the log are not
+   used: a drive filters and delays them in its own way;
 4. regressor columns and torques pass the same low-pass and are decimated to its bandwidth. What
-   depends on the sign of a speed is computed at the full rate
-   (``ProcessedSignals.filter_columns``);
-5. the ends are cut off. Rows over long holes in the log, over corners of motion without noise, or
-   over moments at which a joint is too slow for its friction to have a sign, are masked
-   (``ProcessedSignals.usable``). Where a joint's torque shows that it stands still as it turns
-   round, the rows over its turns are masked too (``turning_samples``).
+   depends on the sign of a speed is computed at the full rate (``filter_columns``);
+5. the ends are cut off. Rows over long holes in the log, or over moments at which a joint is too
+   slow for its friction to have a sign, are masked (``ProcessedSignals.usable``). Where a joint's
+   torque shows that it stands still as it turns round, the rows over its turns are masked too
+   (``turning_samples``).
 
 A filtered row mixes all samples under the filter's window, near a reversal also some in which the
 direction of friction is not known. Rows with more than ``LARGEST_SLOW_SHARE`` of the filter's
@@ -21,9 +21,7 @@ instant leaves errors of 3.8 % in viscous friction, this one 0.9 % (benchmarks/r
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,23 +34,10 @@ from robot_sysid.records.messages import Detail, percent
 from robot_sysid.signals.cutoff import (
     CutoffChoice,
     Spectra,
-    acceleration_noise,
     acceleration_spectra,
     choose_cutoff,
-    quantisation_error,
 )
-from robot_sysid.signals.filters import (
-    ATTENUATION,
-    CHUNK,
-    FINE_REACH,
-    REACH,
-    Decimator,
-    LowPass,
-    design_low_pass,
-    first_derivative,
-    second_derivative,
-    shift_samples,
-)
+from robot_sysid.signals.filters import REACH, LowPass, derivatives, design_low_pass
 from robot_sysid.signals.resampling import (
     SHORTEST_PIECE,
     UniformSignals,
@@ -64,8 +49,6 @@ LARGEST_SLOW_SHARE = 0.07
 have in a row that is used; benchmarks/reversal_masking.py compares it with others."""
 DEADBAND_SHARE = 0.005
 """Deadband over a joint's peak speed: below it the joint has hardly left stiction (chosen)."""
-LEAST_DIRECTION_SHARE = 0.05
-"""Share of the samples in each direction below which a joint is reported (chosen)."""
 _LEAST_DEADBAND = 1e-3
 """Least deadband [rad/s]: encoder noise alone can look like this speed."""
 _LONGEST_HOLE_STEPS = 5.5
@@ -73,24 +56,13 @@ _LONGEST_HOLE_STEPS = 5.5
 cut-off: noise of the samples around
 four lost ones is at most three times the usual noise in a row over them, and grows with the
 square of their number (tests/signals/test_process.py)."""
-_RIPPLE_SHARE = 0.0045
-"""Ripple of the position filter's pass band over the relative noise of the acceleration. With this
-ratio the error of a result by the ripple is small beside its error by noise; it is the ratio of the
-usual filter at the highest cut-off that noise allows."""
-_LARGEST_ATTENUATION = 150.0
-"""Largest attenuation of the filter of positions with little noise [dB]; more is lost in
-rounding."""
-_NOISELESS = 1e-3 / 67.0
-"""Largest median difference of second derivatives of orders sixteen and fourteen, relative to the
-acceleration, at which positions need no filter. The noise of the acceleration is 67 times this
-difference, so at most 1e-3."""
-_CORNER_RATIO = 20.0
-"""Multiple of its median above which the difference of second derivatives of orders sixteen and
-fourteen shows a corner of the motion: a jump of a higher derivative."""
-_LEAST_CLEAN_SHARE = 0.5
-"""Least share of the log that has to be free of corners for positions to pass no filter."""
+_BLOCK = 500
+"""Decimated rows that are computed at once: bounds memory, changes no result."""
+_EXACT = 1e-3
+"""Largest noise of the acceleration, over all frequencies and relative to the motion's, at which
+positions are differentiated as they are."""
 _NOTED_SHARE = 0.05
-"""Share of the rows lost beside holes or corners above which that is printed (chosen)."""
+"""Share of the rows lost beside holes above which that is printed (chosen)."""
 SEPARATION = 6.0
 """Difference of two readings, in standard deviations of their noise, beyond which they do not
 differ by chance. For readings that are rounded to steps this is between one step and two
@@ -109,12 +81,10 @@ class ProcessedSignals:
         tau: (N, n) torques, uniform but not filtered, so that they pass the low-pass exactly as
             often as the regressor columns do [N m].
         bridged: (N,) whether the motion of a sample was computed from samples over a long hole in
-            the log, or across a corner of motion without noise.
+            the log.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         turning: (N, n) whether a joint may be standing because it turns round.
-        low_pass: the filter for regressor columns and torques.
-        position_filter: the filter that positions have passed; of one weight where they are free
-            of noise.
+        low_pass: the filter for columns and torques.
         notes: what a reader should know about the log.
         acceleration_error: expected error of the acceleration over its root mean square; 0 where
             the cut-off was given.
@@ -131,8 +101,7 @@ class ProcessedSignals:
     deadband: Array
     turning: NDArray[np.bool_]
     low_pass: LowPass
-    position_filter: LowPass
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     acceleration_error: float = 0.0
     standing: tuple[int, ...] = ()
 
@@ -146,41 +115,29 @@ class ProcessedSignals:
         return self.low_pass.cutoff
 
     @property
-    def is_noiseless(self) -> bool:
-        """Whether positions are free of noise and have passed no filter."""
-        return self.position_filter.half_width == 0
-
-    @property
     def rate(self) -> float:
         """Sample rate of the grid [Hz]."""
         return self.low_pass.rate
 
     def filter_columns(
-        self,
-        make_columns: Callable[[Motion], Iterable[Array]],
-        smooth: bool = False,
-        chunk: int = CHUNK,
+        self, make_columns: Callable[[Motion], Iterable[Array]], smooth: bool = False
     ) -> list[Array]:
         """Return arrays (K, ...) that are computed from the motion, low-passed and decimated.
 
         Args:
             make_columns: takes a motion of m samples and yields arrays (m, ...), the same number
-                of arrays in every call; called once per chunk, in the order of time.
+                of arrays in every call.
             smooth: whether the arrays are smooth functions of the motion (no sign of a speed), so
-                that they need fewer samples (``LowPass.at_lower_rate``).
-            chunk: largest number m of samples at a time; never more than ``CHUNK``.
+                that they need fewer samples.
         """
-        stride = self.low_pass.stride if smooth else 1
-        low_pass = self.low_pass.at_lower_rate(stride)
-        size = min(chunk, CHUNK) * stride
-        decimators: defaultdict[int, Decimator]
-        decimators = defaultdict(lambda: Decimator(low_pass))
-        decimated: defaultdict[int, list[Array]] = defaultdict(list)
-        for start in range(0, len(self), size):
-            motion = self.motion(slice(start, start + size, stride))
-            for number, values in enumerate(make_columns(motion)):
-                decimated[number].append(decimators[number].push(values))
-        return [np.concatenate(chunks) for chunks in decimated.values()]
+        low_pass = self.low_pass
+        decimate = low_pass.decimate_smooth if smooth else low_pass.decimate
+        n_rows = len(low_pass.centres(len(self)))
+        blocks = []
+        for start in range(0, n_rows, _BLOCK):
+            window = low_pass.window(start, min(_BLOCK, n_rows - start), smooth)
+            blocks.append(list(map(decimate, make_columns(self.motion(window)))))
+        return list(map(np.concatenate, zip(*blocks)))
 
     def motion(self, samples: NDArray[np.int64] | slice) -> Motion:
         """Return the motion (m, n) at ``samples``: m indices of samples, or a slice of them, for
@@ -194,14 +151,16 @@ class ProcessedSignals:
         """Return the motion (K, n), low-passed once, at the instants of the decimated rows."""
         return self.motion(self.low_pass.centres(len(self)))
 
-    def spread_indices(self, count: int) -> NDArray[np.int64]:
-        """Return the ascending indices of at most ``count`` samples, spread evenly over the log."""
-        indices = np.linspace(0, len(self) - 1, count)
-        return np.unique(indices.astype(int))
-
     def decimated_time(self) -> Array:
         """Return (K,) the instants of the decimated rows [s]."""
         return self.time[self.low_pass.centres(len(self))]
+
+    def usable(self) -> NDArray[np.bool_]:
+        """Return (K, n) whether each decimated row of each joint may be used: the filter's window
+        holds little weight of slow or standing samples, and the row is complete.
+        """
+        moving = self.slow_share() <= LARGEST_SLOW_SHARE
+        return moving & self.is_complete()[:, None]
 
     def slow_share(self) -> Array:
         """Return (K, n) the share of each decimated row's weight that lies on samples inside the
@@ -212,68 +171,38 @@ class ProcessedSignals:
             is_slow[:, joint] |= self.turning[:, joint]
         return self.low_pass.weight_shares(is_slow)
 
-    def one_way_joints(self, joint_names: Sequence[str]) -> Iterator[str]:
-        """Yield a sentence per joint that hardly moves in one of its two directions."""
-        forward = np.mean(self.qd > self.deadband, axis=0)
-        backward = np.mean(self.qd < -self.deadband, axis=0)
-        is_one_way = np.minimum(forward, backward) < LEAST_DIRECTION_SHARE
-        for joint in np.flatnonzero(is_one_way).tolist():
-            yield (
-                f"{joint_names[joint]} moves faster than {self.deadband[joint]:.2g} rad/s in "
-                f"{100.0 * forward[joint]:.0f} % of the samples forwards and in "
-                f"{100.0 * backward[joint]:.0f} % backwards; to tell Coulomb friction from an "
-                "offset, let it move faster and both ways"
-            )
-
-    def usable(self) -> NDArray[np.bool_]:
-        """Return (K, n) whether each decimated row of each joint may be used: the filter's window
-        holds little weight of slow or standing samples, and the row is complete.
-        """
-        moving = self.slow_share() <= LARGEST_SLOW_SHARE
-        return moving & self.is_complete()[:, None]
-
     def is_complete(self) -> NDArray[np.bool_]:
         """Return (K,) whether the filter's window of each decimated row holds next to no weight of
-        bridged samples, and none at all in motion without noise, which is differentiated exactly.
+        bridged samples.
         """
-        largest_share = 0.0 if self.is_noiseless else LARGEST_SLOW_SHARE
-        return self.low_pass.weight_shares(self.bridged) <= largest_share
+        return self.low_pass.weight_shares(self.bridged) <= LARGEST_SLOW_SHARE
 
 
 @dataclass(frozen=True)
 class LogPiece(Measurement):
-    """A piece of a log; its spectra are computed once and cached, however often it is processed."""
+    """A piece of a log; what processing needs first is computed once and cached."""
 
     @classmethod
     def of(cls, measurement: Measurement) -> LogPiece:
-        """Return a measurement as a log piece; the argument itself, with its cached spectra, where
-        that is a log piece already.
-        """
+        """Return a measurement as a log piece; the argument itself where it is one already."""
         return measurement if isinstance(measurement, cls) else cls(**vars(measurement))
 
-    def without_velocities(self) -> LogPiece:
-        """Return the piece, its cached spectra included, without the measured velocities."""
-        # A copy has the cached values too, which depend on no velocity; a new record would not.
-        piece = copy(self)
-        object.__setattr__(piece, "qd", None)
-        return piece
+    @cached_property
+    def uniform(self) -> UniformSignals:
+        """The piece on a uniform grid; InputError where the piece is too short."""
+        return resample_uniformly(self)
 
     @cached_property
     def spectra(self) -> Spectra | None:
         """Spectra that a cut-off is chosen from; None where the piece is too short for them."""
-        uniform = resample_uniformly(self)
-        # The steps of encoders are found in the raw readings: interpolation rounds them off.
-        errors = quantisation_error(self.q, self.joint_time)
-        steps = resample_uniformly(replace(self, q=errors)).q
-        return acceleration_spectra(uniform.q, uniform.rate, steps)
+        return acceleration_spectra(self.uniform.q, self.uniform.rate)
 
     @cached_property
     def choice(self) -> CutoffChoice:
         """The cut-off chosen for the piece; InputError where the piece is too short."""
         if self.spectra is None:
-            count = len(resample_uniformly(self).q)
             raise InputError(
-                f"{count} samples are too few to choose a cut-off from; record longer"
+                f"{len(self.uniform.q)} samples are too few to choose a cut-off from; record longer"
             )
         return choose_cutoff(self.spectra)
 
@@ -295,78 +224,85 @@ def process(
     Raises:
         InputError: the log is too short, or the cut-off does not fit its sample rate.
     """
-    uniform = resample_uniformly(measurement)
-    expected_error = 0.0
     piece = LogPiece.of(measurement)
+    uniform = piece.uniform
+    expected_error = 0.0
     if cutoff is None:
         cutoff, expected_error, reason = piece.choice
     else:
         reason = f"cut-off {cutoff:.4g} Hz {chosen_by}"
     low_pass = design_low_pass(cutoff, uniform.rate)
-    shortest = _fewest_samples(low_pass)
+    position_filter = replace(low_pass, step=1)
+    if piece.spectra is not None and piece.spectra.noise_share < _EXACT:
+        position_filter = replace(position_filter, kernel=np.ones(1))
+    # Samples that positions and their derivatives lose at each end; torques lose more.
+    lost = position_filter.half_width + REACH
+    shortest = 2 * (lost + low_pass.half_width) + 10 * low_pass.step
     if len(uniform.q) < shortest:
         raise InputError(
-            f"the log's {len(uniform.q) / low_pass.rate:.3g} s are too short for a cut-off of "
-            f"{low_pass.cutoff:.3g} Hz, which needs {shortest / low_pass.rate:.3g} s; record longer"
+            f"the log's {len(uniform.q) / uniform.rate:.3g} s are too short for a cut-off of "
+            f"{cutoff:.3g} Hz, which needs {shortest / uniform.rate:.3g} s; record longer"
         )
-    corners = _corners(uniform, low_pass)
-    position_filter = replace(low_pass, kernel=np.ones(1))
-    reach = FINE_REACH
-    if corners is None:
-        position_filter, reach = _position_filter(low_pass, uniform, piece.spectra)
+    inner = slice(lost, len(uniform.q) - lost)
     q = position_filter.filter(uniform.q)
-    lost = position_filter.half_width + reach
+    qd, qdd = derivatives(q, uniform.rate)
     longest_hole = min(_LONGEST_HOLE_STEPS / uniform.rate, 1.0 / cutoff)
-    is_hole = uniform.gap > longest_hole
-    qd = first_derivative(q, uniform.rate, reach)
-    qdd = second_derivative(q, uniform.rate, reach)
-    peak_speed = np.max(np.abs(qd), axis=0)
+    hole_share = position_filter.weight_shares(uniform.gap > longest_hole)
     turning = np.zeros(qd.shape, dtype=bool)
-    if corners is None and piece.spectra is not None:
-        # Of positions without noise any speed has a sign.
-        turning = turning_samples(
-            uniform.q[lost:-lost], qd, piece.spectra.position_noise
-        )
+    if piece.spectra is not None:
+        noise = piece.spectra.position_noise
+        turning = turning_samples(uniform.q[inner], qd, noise)
+    peak_speed = np.max(np.abs(qd), axis=0)
     signals = ProcessedSignals(
-        time=uniform.start + np.arange(lost, len(uniform.q) - lost) / uniform.rate,
-        q=q[reach:-reach],
+        time=uniform.start + np.arange(len(uniform.q))[inner] / uniform.rate,
+        q=q[REACH:-REACH],
         qd=qd,
         qdd=qdd,
-        # A view would keep the torque of the whole log.
-        tau=uniform.tau[lost:-lost].copy(),
-        bridged=_bridged(is_hole, corners, position_filter, reach),
+        tau=uniform.tau[inner],
+        bridged=hole_share[REACH:-REACH] > LARGEST_SLOW_SHARE,
         deadband=np.maximum(DEADBAND_SHARE * peak_speed, _LEAST_DEADBAND),
         turning=turning,
         low_pass=low_pass,
-        position_filter=position_filter,
-        notes=(),
         acceleration_error=expected_error,
     )
-    obstacle = "jumps of the acceleration"
-    if np.any(is_hole):
-        longest = f"{1e3 * longest_hole:.3g} ms"
-        obstacle = f"lost samples (gaps of more than {longest}) or what is left out"
-    row_notes = _notes(signals, joint_names, obstacle)
-    notes = (*uniform.notes, Detail(reason), *row_notes)
-    return replace(signals, notes=notes)
+    row_notes = _notes(signals, joint_names, longest_hole)
+    return replace(signals, notes=(*uniform.notes, Detail(reason), *row_notes))
 
 
-def with_delay(signals: ProcessedSignals, delay: float) -> ProcessedSignals:
-    """Return the signals with the torque moved ``delay`` [s] earlier, for a torque that lags by
-    that much; negative if it leads.
+def _notes(
+    signals: ProcessedSignals, joint_names: Sequence[str], longest_hole: float
+) -> Iterator[str]:
+    """Yield sentences for the user on the rows of processed signals; a ``Detail`` is printed on
+    demand only.
 
-    Samples at the ends for which the shifted torque has no value are cut off.
-
-    Raises:
-        InputError: fewer samples are left than the low-pass needs.
+    Args:
+        signals: the processed signals.
+        joint_names: numbers stand for joints without a name.
+        longest_hole: length of a hole in the log beyond which rows beside it are not used [s].
     """
-    tau, first = shift_samples(signals.tau, delay * signals.rate)
-    if len(tau) < len(signals.low_pass.kernel):
-        raise InputError(f"a delay of {delay:g} s leaves nothing of the log")
-    span = slice(first, first + len(tau))
-    names = "time", "q", "qd", "qdd", "bridged", "turning"
-    cut = {name: getattr(signals, name)[span] for name in names}
-    return replace(signals, tau=tau, **cut)
+    usable = signals.usable()
+    is_complete = signals.is_complete()
+    yield Detail(
+        f"signals at {signals.rate:.6g} Hz, decimated to "
+        f"{signals.rate / signals.low_pass.step:.4g} Hz: {len(usable)} rows per joint"
+    )
+    missing = 1.0 - float(np.mean(is_complete))
+    if missing > 0.0:
+        note = (
+            f"{percent(missing)} of the rows lie next to lost samples (gaps of more than "
+            f"{1e3 * longest_hole:.3g} ms) or what is left out, and are not used"
+        )
+        yield note if missing > _NOTED_SHARE else Detail(note)
+    if missing == 1.0:
+        return
+    rows = "rows" if missing == 0.0 else "other rows"
+    for joint, share in enumerate(np.mean(usable[is_complete], axis=0)):
+        name = joint_names[joint] if joint < len(joint_names) else str(joint + 1)
+        if share < 0.5:
+            yield (
+                f"only {100 * share:.0f} % of the {rows} of joint {name} are used: otherwise it is "
+                f"slower than its velocity deadband of {signals.deadband[joint]:.2g} rad/s"
+            )
 
 
 def turning_samples(readings: Array, qd: Array, noise: Array) -> NDArray[np.bool_]:
@@ -402,127 +338,30 @@ def turning_samples(readings: Array, qd: Array, noise: Array) -> NDArray[np.bool
     return is_turning
 
 
-def _corners(uniform: UniformSignals, low_pass: LowPass) -> NDArray[np.bool_] | None:
-    """Return where (N - 2 FINE_REACH,) motion without noise has corners; None where it has noise,
-    or too many corners.
+def with_delay(signals: ProcessedSignals, delay: float) -> ProcessedSignals:
+    """Return the signals with the torque moved ``delay`` [s] earlier, for a torque that lags by
+    that much; negative if it leads.
 
-    Two orders of a derivative differ by noise and by what the sample rate does not resolve: next to
-    nothing in smooth motion, and a lot around a jump of a higher derivative.
+    Samples at the ends for which the shifted torque has no value are cut off.
+
+    Raises:
+        InputError: fewer samples are left than the low-pass needs.
     """
-    fine = second_derivative(uniform.q, uniform.rate, FINE_REACH)
-    largest = np.max(np.sqrt(np.mean(fine**2, axis=0)))
-    fine -= second_derivative(uniform.q[1:-1], uniform.rate, FINE_REACH - 1)
-    difference = np.max(np.abs(fine), axis=1, initial=0.0)
-    steps = np.diff(uniform.q[FINE_REACH - 1 : -FINE_REACH], axis=0)
-    moves = np.any(steps != 0.0, axis=1)
-    median = np.median(difference[moves]) if np.any(moves) else math.inf
-    if median > _NOISELESS * largest:
-        return None
-    # Two samples more on each side: near a corner the two derivatives may agree by chance.
-    is_rough = difference > _CORNER_RATIO * median
-    corners = np.convolve(is_rough, np.ones(5), "same") > 0.0
-    count = np.concatenate(([0], np.cumsum(corners)))
-    width = len(low_pass.kernel)
-    is_clean = count[width:] == count[:-width]
-    return corners if np.mean(is_clean) >= _LEAST_CLEAN_SHARE else None
+    from scipy.ndimage import shift
+
+    samples = delay * signals.rate
+    lost = math.ceil(abs(samples)) + _SPLINE_REACH
+    if len(signals) - 2 * lost < len(signals.low_pass.kernel):
+        raise InputError(f"a delay of {delay:g} s leaves nothing of the log")
+    later = shift(signals.tau, (-samples, 0.0), order=5, mode="nearest")
+    span = slice(lost, len(signals) - lost)
+    names = "time", "q", "qd", "qdd", "bridged", "turning"
+    cut = {name: getattr(signals, name)[span] for name in names}
+    return replace(signals, tau=later[span], **cut)
 
 
-def _bridged(
-    is_hole: NDArray[np.bool_],
-    corners: NDArray[np.bool_] | None,
-    position_filter: LowPass,
-    reach: int,
-) -> NDArray[np.bool_]:
-    """Return where the motion comes from samples in holes, or across corners of motion without
-    noise.
-
-    Args:
-        is_hole: (N,) whether a sample lies in a long hole of the log.
-        corners: (N - 2 reach,) where motion without noise has corners; None where it has noise.
-        position_filter: the filter of positions.
-        reach: of the derivatives [samples].
-    """
-    if corners is None:
-        every_sample = replace(position_filter, step=1)
-        shares = every_sample.weight_shares(is_hole)
-        return shares[reach : len(shares) - reach] > LARGEST_SLOW_SHARE
-    # Nothing damps what a derivative makes of a wrong sample.
-    near_hole = np.convolve(is_hole, np.ones(2 * reach + 1), "valid") > 0.0
-    return corners | near_hole
-
-
-def _position_filter(
-    low_pass: LowPass, uniform: UniformSignals, spectra: Spectra | None
-) -> tuple[LowPass, int]:
-    """Return the low-pass for positions and the reach of their derivatives.
-
-    Torques do not pass the filter of positions, so its ripple scales motion, and with it the
-    identified parameters, by up to 1 + ripple. The lower the noise of positions, the flatter is the
-    filter, at the cost of more samples at the ends.
-
-    Args:
-        low_pass: the filter of regressor columns and torques.
-        uniform: the log; its length bounds that of the filter.
-        spectra: of the log's accelerations; None where it is too short for them.
-    """
-    noise = acceleration_noise(spectra, low_pass.cutoff)
-    ripple = max(_RIPPLE_SHARE * noise, 10.0 ** (-_LARGEST_ATTENUATION / 20.0))
-    attenuation = -20.0 * math.log10(min(ripple, 1.0))
-    if attenuation <= ATTENUATION:
-        return low_pass, REACH
-    flat = design_low_pass(low_pass.cutoff, low_pass.rate, attenuation)
-    # Samples that the flat filter and its derivatives lose at both ends beyond the usual ones.
-    extra_loss = 2 * (flat.half_width - low_pass.half_width + FINE_REACH - REACH)
-    fits = extra_loss <= len(uniform.q) - _fewest_samples(low_pass)
-    return (flat, FINE_REACH) if fits else (low_pass, REACH)
-
-
-def _fewest_samples(low_pass: LowPass) -> int:
-    """Return the number of samples below which a log is too short for a low-pass: those that
-    positions, their derivatives and regressor columns lose at both ends, and ten decimated rows.
-    """
-    return 4 * low_pass.half_width + 2 * REACH + 10 * low_pass.step
-
-
-def _notes(
-    signals: ProcessedSignals, joint_names: Sequence[str], obstacle: str
-) -> Iterator[str]:
-    """Yield sentences for the user on the rows of processed signals; a ``Detail`` is printed on
-    demand only.
-
-    Args:
-        signals: the processed signals.
-        joint_names: numbers stand for joints without a name.
-        obstacle: what rows that are not complete lie next to.
-    """
-    usable = signals.usable()
-    is_complete = signals.is_complete()
-    lost = signals.low_pass.half_width + signals.position_filter.half_width + REACH
-    yield Detail(
-        f"signals at {signals.rate:.6g} Hz, decimated to "
-        f"{signals.rate / signals.low_pass.step:.4g} Hz: {len(usable)} rows per joint; "
-        f"{lost / signals.rate:.2g} s cut off at each end"
-    )
-    if signals.is_noiseless:
-        yield Detail(
-            "positions have no noise: they are differentiated without a low-pass"
-        )
-    missing = 1.0 - float(np.mean(is_complete))
-    if missing > 0.0:
-        note = (
-            f"{percent(missing)} of the rows lie next to {obstacle}, and are not used"
-        )
-        yield note if missing > _NOTED_SHARE else Detail(note)
-    if missing == 1.0:
-        return
-    rows = "rows" if missing == 0.0 else "other rows"
-    for joint, share in enumerate(np.mean(usable[is_complete], axis=0)):
-        name = joint_names[joint] if joint < len(joint_names) else str(joint + 1)
-        if share < 0.5:
-            yield (
-                f"only {100 * share:.0f} % of the {rows} of joint {name} are used: otherwise it is "
-                f"slower than its velocity deadband of {signals.deadband[joint]:.2g} rad/s"
-            )
+_SPLINE_REACH = 24
+"""Samples from the end of a log over which a spline of fifth order feels it (chosen)."""
 
 
 def check_losses(recordings: Sequence[ProcessedSignals]) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.messages import count_text
-from robot_sysid.signals.filters import Decimator, design_low_pass
+from robot_sysid.signals.filters import design_low_pass
 
 GAP_STEPS = 1.75
 """Multiple of the median step of time beyond which a step counts as a hole with at least one lost
@@ -323,7 +323,8 @@ class Thinning:
             rate = 1.0 / period
             low_pass = design_low_pass(_CUTOFF_SHARE * rate / every, rate)
             self._low_pass = replace(low_pass, step=every)
-            self._decimator = Decimator(self._low_pass)
+        # The latest rows, which later decimated rows need.
+        self._waiting: Array | None = None
 
     @classmethod
     def of(cls, time: Array, expected: float) -> Thinning:
@@ -352,10 +353,11 @@ class Thinning:
         self._last_time = rows[-1, 1]
         decimated = []
         # The first block is empty where a gap lies just before these rows.
-        blocks = np.split(rows, np.flatnonzero(step > self._longest_step))
-        for number, block in enumerate(blocks):
-            if number > 0:
-                # The filter does not reach over a gap.
-                self._decimator = Decimator(self._low_pass)
-            decimated.append(self._decimator.push(block))
+        first, *others = np.split(rows, np.flatnonzero(step > self._longest_step))
+        if self._waiting is not None:
+            first = np.concatenate((self._waiting, first))
+        # The filter does not reach over a gap.
+        for block in (first, *others):
+            decimated.append(self._low_pass.decimate(block))
+            self._waiting = block[len(decimated[-1]) * self.every :].copy()
         return np.concatenate(decimated)

@@ -14,7 +14,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.signals.filters import FINE_REACH
 from robot_sysid.signals.process import (
     LARGEST_SLOW_SHARE,
     SEPARATION,
@@ -47,6 +46,38 @@ def test_motion_of_a_quantised_log_is_recovered(seed):
     assert_close(signals.tau, swing.tau(signals.time), atol=1e-12)
 
 
+@pytest.mark.parametrize(("seed", "rate"), [(0, 10.0), (1, 1000.0)])
+def test_positions_without_noise_are_differentiated_unfiltered(seed, rate):
+    """To 1e-8, most of it in the time stamps."""
+    swing = Swing(seed)
+    cutoff = 0.2 * min(rate, 60.0)
+    signals = process(swing.measurement(seconds(20.0, rate)), cutoff=cutoff)
+    true = swing.q(signals.time, 2)
+    assert root_mean_square(signals.qdd - true) < 1e-8 * root_mean_square(true)
+
+
+@given(st.floats(0.3, 40.0), st.sampled_from((100.0, 333.0, 1000.0)), SEEDS)
+def test_smooth_functions_of_motion_need_few_samples(cutoff, rate, seed):
+    """Products of low-passed motion."""
+    swing = Swing(seed, 0.3 * cutoff * FREQUENCIES)
+    log = swing.measurement(seconds(30.0 / cutoff, rate))
+    try:
+        signals = process(log, cutoff=cutoff)
+    except InputError:  # the cut-off does not fit the rate, or the log is too short
+        return
+
+    def smooth(motion):
+        return np.sin(motion.q) * motion.qdd, np.cos(motion.q) * motion.qd**2
+
+    fast = signals.filter_columns(smooth, smooth=True)
+    for few, full in zip(fast, signals.filter_columns(smooth)):
+        assert few.shape == full.shape
+        assert root_mean_square(few - full) < 1e-8 * root_mean_square(full)
+    (signs,) = signals.filter_columns(lambda motion: (np.sign(motion.qd),))
+    expected = signals.low_pass.decimate(np.sign(signals.qd))
+    assert_close(signs, expected, atol=1e-12)
+
+
 def low_pass_with_deadband(log, deadband):
     """Return the signals of a log, low-passed at 8 Hz, with a deadband of all joints [rad/s]."""
     signals = process(log, cutoff=8.0)
@@ -67,105 +98,6 @@ def test_exactly_the_rows_with_too_many_slow_samples_are_masked(deadband):
     assert np.any(~signals.usable() & ~slow[centres])
     rows = signals.low_pass.decimate(signals.tau)
     assert_allclose(rows, Swing().tau(signals.decimated_time()), atol=1e-3)
-
-
-@given(
-    st.floats(0.3, 40.0),
-    st.sampled_from((100.0, 333.0, 1000.0)),
-    st.integers(0, 100),
-    st.integers(1, 999),
-    st.booleans(),
-)
-def test_smooth_functions_of_motion_need_few_samples(cutoff, rate, seed, chunk, noisy):
-    """Products of low-passed motion, with and without encoder noise.
-
-    Signs of speeds use all samples, and the size of a chunk changes no value.
-    """
-    time = seconds(30.0 / cutoff, rate)[: -1 - seed]
-    swing = Swing(seed, 0.3 * cutoff * FREQUENCIES)
-    rng = default_rng(seed)
-    log = swing.measurement(time)
-    noise = rng.normal(0.0, 1e-4 * noisy, log.q.shape)
-    try:
-        signals = process(replace(log, q=log.q + noise), cutoff=cutoff)
-    except InputError:  # the cut-off does not fit the rate, or the log is too short
-        return
-
-    def smooth(motion):
-        return np.sin(motion.q) * motion.qdd, np.cos(motion.q) * motion.qd**2
-
-    assert signals.low_pass.step % signals.low_pass.stride == 0
-    tolerance = 1e-5 if noisy else 1e-8
-    fast = signals.filter_columns(smooth, True, chunk)
-    for few, full in zip(fast, signals.filter_columns(smooth, False, chunk)):
-        assert few.shape == full.shape
-        assert root_mean_square(few - full) < tolerance * root_mean_square(full)
-    (signs,) = signals.filter_columns(lambda motion: (np.sign(motion.qd),), chunk=chunk)
-    expected = signals.low_pass.decimate(np.sign(signals.qd))
-    assert_close(signs, expected, atol=1e-12)
-
-
-def test_positions_pass_a_filter_as_flat_as_their_noise_is_low():
-    swing = Swing()
-    time = seconds(20.0, 200.0)
-    widths = []
-    for resolution in (1e-3, 1e-6, 1e-7):
-        signals = process(swing.measurement(time, resolution), cutoff=8.0)
-        widths.append(signals.position_filter.half_width / signals.low_pass.half_width)
-    assert widths[0] == 1.0 < widths[1] < widths[2] < 2.0
-    signals = process(swing.measurement(time), cutoff=8.0)
-    true = swing.q(signals.time, 2)
-    assert root_mean_square(signals.qdd - true) < 1e-6 * root_mean_square(true)
-
-
-@pytest.mark.parametrize(("seed", "rate"), [(0, 10.0), (1, 1000.0)])
-def test_positions_without_noise_are_differentiated_unfiltered(seed, rate):
-    """To 1e-8, most of it in the time stamps; with noise, positions pass a low-pass."""
-    swing = Swing(seed)
-    time = seconds(20.0, rate)
-    cutoff = 0.2 * min(rate, 60.0)
-    signals = process(swing.measurement(time), cutoff=cutoff)
-    assert signals.is_noiseless and not np.any(signals.bridged)
-    true = swing.q(signals.time, 2)
-    assert root_mean_square(signals.qdd - true) < 1e-8 * root_mean_square(true)
-    assert not process(swing.measurement(time, 1e-4), cutoff=cutoff).is_noiseless
-
-
-def corner_motion(time: np.ndarray, corner: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a motion (N, 1) whose fourth derivative jumps, and its second derivative (N, 1)."""
-    sine = np.sin(0.5 * (time - corner))
-    cosine = np.cos(0.5 * (time - corner))
-    pair = 0.3 * sine**4, 0.3 * (3.0 * (sine * cosine) ** 2 - sine**4)
-    return tuple(np.where(time > corner, value, 0.0)[:, None] for value in pair)
-
-
-@given(SEEDS, st.floats(10.0, 30.0))
-def test_rows_over_a_corner_of_exact_motion_are_masked_and_no_others(seed, corner):
-    """Ten samples per second do not resolve the corner; the other rows are exact to 1e-8."""
-    swing = Swing(seed)
-    time = seconds(40.0, 10.0)
-    log = swing.measurement(time)
-    bent = log.q + corner_motion(time, corner)[0]
-    signals = process(replace(log, q=bent), cutoff=2.0)
-    true = swing.q(signals.time, 2) + corner_motion(signals.time, corner)[1]
-    error = signals.qdd - true
-    assert signals.is_noiseless and np.max(np.abs(error)) > 1e-6
-    assert np.max(np.abs(error[~signals.bridged])) < 1e-8
-    assert 0 < np.sum(signals.bridged) <= 2 * (FINE_REACH + 2) + 1
-    used = signals.decimated_time()[np.all(signals.usable(), axis=1)]
-    assert np.min(np.abs(used - corner)) > signals.low_pass.half_width / signals.rate
-
-
-def test_joints_that_move_in_one_direction_are_named():
-    """The first joint swings, the second moves forwards only, the third backwards only."""
-    time = seconds(10.0, 200.0)
-    swing = 0.3 * np.sin(2.0 * np.pi * 0.4 * time)
-    q = np.column_stack((swing, swing + time, swing - time))
-    signals = low_pass_with_deadband(Measurement(time, q, None, q + 1.0), 0.05)
-    forwards, backwards = signals.one_way_joints(("a", "b", "c"))
-    sentence = "{} moves faster than 0.05 rad/s in {} % of the samples forwards"
-    assert forwards.startswith(sentence.format("b", 100))
-    assert backwards.startswith(sentence.format("c", 0))
 
 
 def test_a_joint_at_rest_is_masked_and_named():
