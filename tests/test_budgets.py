@@ -26,7 +26,7 @@ BUDGETS = {
     "robot_sysid/logs": 21969,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 10146,
-    "robot_sysid/motion": 27690,
+    "robot_sysid/motion": 27157,
     "robot_sysid/pipeline": 6940,
     "robot_sysid/records": 9142,
     "robot_sysid/report": 8319,
@@ -35,7 +35,7 @@ BUDGETS = {
     "robot_sysid/signals": 7461,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12379,
-    "tests": 223532,
+    "tests": 223461,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
