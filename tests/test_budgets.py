@@ -31,11 +31,11 @@ BUDGETS = {
     "robot_sysid/records": 9142,
     "robot_sysid/report": 8319,
     "robot_sysid/results": 14952,
-    "robot_sysid/servo": 7024,
+    "robot_sysid/servo": 7112,
     "robot_sysid/signals": 7461,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12379,
-    "tests": 223461,
+    "tests": 223485,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
