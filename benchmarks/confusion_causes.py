@@ -531,7 +531,7 @@ def causes_of_logs(names: tuple[str, ...], *faults: str) -> dict[str, Cause]:
     return {fault: Cause(spoiler(fault), (names,)) for fault in faults}
 
 
-SCALE = ("torque-scale",)
+SCALE = ("torque-scale", "torque-unit")
 # Too long a time makes less of the accelerations, as if gravity were more.
 CLOCK = ("clock", "gravity")
 MASSES = r"all masses|all links|masses of (the|all)|model's masses|density"

@@ -32,7 +32,7 @@ from robot_sysid.damiao.trajectory import (
 from robot_sysid.errors import InputError
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import WEIGHT, LimitOptions
-from robot_sysid.motion.limit_check import find_contact
+from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.trajectories import straight_way
@@ -114,7 +114,7 @@ class Contacts:
         """
         if np.max(np.abs(end - begin)) <= _SHORT:
             return
-        contact = find_contact(self.problem, straight_way(begin, end))
+        contact = first_contact(self.problem, straight_way(begin, end))
         if contact is not None:
             remedy = "bring the arm nearer by hand"
             yield Check(STOP, f"{name} the model's {contact.label} touch; {remedy}")
@@ -137,7 +137,7 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
         yield Check(NOTE, unguarded)
     motion = SampledTrajectory(plan.trajectory, plan.settings.speed)
     excesses = list(_joint_excesses(robot, motion))
-    contact = find_contact(contacts.problem, motion)
+    contact = first_contact(contacts.problem, motion)
     if contact is not None:
         excesses.append(f"the model's {contact.label} touch at {contact.time:.2f} s")
     excesses = [f"{excess}; {_SMALLER}" for excess in excesses]

@@ -20,18 +20,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.log_prior import base_prior
-from robot_sysid.diagnosis.log_rows import LogRows, log_rows
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.diagnosis.log_fit import LogRows, log_rows
+from robot_sysid.estimate.choose import rms_torque
+from robot_sysid.estimate.fit import Equations, solve
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question, arm_question, friction_columns
+from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.terms import ArmTerms
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import count_text
 from robot_sysid.signals.frozen import equal_runs, frozen_positions, true_runs
-from robot_sysid.signals.process import LogPiece, ProcessedSignals
+from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import slice_samples
 
-FAR = 15.0
+FAR = 20.0
 """Mean residual over ``_SMOOTH``, in ordinary sizes of the joint's, of a stretch that is left out:
-right logs of real arms reach 10, a push of 2 % of the arm's weight 20."""
+right logs of real arms reach 18."""
 ORDINARY = 4.0
 """Mean residual at which a stretch that is left out ends."""
 MOST_STRETCHES = 5
@@ -44,6 +48,8 @@ _OUTLYING = 6.0
 """Residual above which a row has no weight in the fit, in ordinary sizes."""
 _LEAST_SIZE = 0.005
 """Least ordinary size of a residual, as a share of the joint's typical torque."""
+_DRY = 0.1
+"""Dry friction that sizes the priors of friction, as a share of a joint's torque."""
 _ROUNDS = 6
 """Number of fits, each with the weights of the one before."""
 _CORRELATED = 5.0
@@ -86,26 +92,31 @@ def _moves(piece: Measurement, rows: slice) -> bool:
 
 
 def unusual_torque(
-    robot: RobotModel, signals: Sequence[ProcessedSignals], options: EstimationOptions
+    robot: RobotModel, recordings: Sequence[Recording], options: EstimationOptions
 ) -> Iterator[Stretch]:
     """Yield the stretches in which torque is left over that is ordinary at no other time.
 
     Args:
         robot: the arm with its model.
-        signals: low-passed signals of the log's pieces.
+        recordings: low-passed signals of the log's pieces.
         options: prior uncertainties of the estimate.
     """
     from scipy.ndimage import uniform_filter1d
 
-    log = log_rows(robot, signals)
+    arm = ArmTerms(robot, friction=friction_columns(options))
+    log = log_rows(arm, recordings, arm.start())
     residual = robust_residual(log, options)
-    time = log.motion.time
-    width = max(1, round(_SMOOTH / float(np.median(np.diff(time)))))
+    signals = recordings[0].signals
+    assert signals is not None
+    width = max(1, round(_SMOOTH * signals.rate / signals.low_pass.step))
     # Time that the low-pass mixes with what happens in a stretch, and that it loses at both ends.
-    low_pass = signals[0].low_pass
-    margin = 0.5 / low_pass.cutoff
-    lost = 2.0 * low_pass.half_width / low_pass.rate
-    for window in log.windows:
+    margin = 0.5 / signals.cutoff
+    lost = 2.0 * signals.low_pass.half_width / signals.rate
+    first = 0
+    for recording in recordings:
+        time = recording.motion.time
+        window = slice(first, first + len(time))
+        first = window.stop
         totals = uniform_filter1d(residual[window], width, axis=0, mode="constant")
         share = uniform_filter1d(log.used[window].astype(float), width, axis=0)
         # Where fewer than a third of the rows are used, the others count as zero.
@@ -113,8 +124,8 @@ def unusual_torque(
         for rows in true_runs(np.max(size, axis=1) > ORDINARY):
             joints = np.max(size[rows], axis=0) > FAR
             if np.any(joints):
-                start = time[window][rows.start] - (margin if rows.start else lost)
-                stop = time[window][rows.stop - 1]
+                start = time[rows.start] - (margin if rows.start else lost)
+                stop = time[rows.stop - 1]
                 stop += margin if rows.stop < len(size) else lost
                 yield Stretch(float(start), float(stop), joints)
 
@@ -124,33 +135,37 @@ def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
 
     The ordinary size is the standard deviation of a normal distribution with the same median.
     """
-    prior = base_prior(log, options)
-    right_sides = log.right_sides - log.torque_of(prior.mean)
-    equations = []
-    for indices, rows in zip(log.indices, log.rows):
-        is_estimated = np.isin(indices, prior.estimated)
-        positions = prior.positions(indices[is_estimated])
-        equations.append((positions, rows[:, is_estimated] * prior.spread[positions]))
-    size = 0.05 * log.typical_torque
+    typical = log.typical_torque
+    torque = rms_torque(log.sums)
+    question = Question(options, dry=tuple((_DRY * torque).tolist()))
+    terms = arm_question(log.arm, question, torque)
+    equations = Equations(log.sums, terms, log.held)
+    columns = log.columns[:, :, equations.index]
+    right_sides = (
+        log.right_sides
+        - log.columns[:, :, equations.others] @ (log.held[equations.others])
+    )
+    size = 0.05 * typical
     weights = log.used.astype(float)
+    relative = np.zeros_like(right_sides)
     for _ in range(_ROUNDS):
-        precision = prior.precision.copy()
-        pull = np.zeros(len(precision))
-        for joint, (positions, columns) in enumerate(equations):
+        normal = equations.prior.copy()
+        for joint in range(len(size)):
+            full = np.column_stack((columns[:, joint], right_sides[:, joint]))
             weight = weights[:, joint] / (_CORRELATED * size[joint] ** 2)
-            weighted = columns * weight[:, None]
-            precision[np.ix_(positions, positions)] += columns.T @ weighted
-            pull[positions] += weighted.T @ right_sides[:, joint]
-        values = np.linalg.solve(precision, pull)
-        torques = [columns @ values[positions] for positions, columns in equations]
-        residual = right_sides - np.stack(torques, axis=1)
-        distance = np.abs(residual)
-        median = np.nanmedian(np.where(log.used, distance, np.nan), axis=0)
-        size = np.fmax(1.4826 * median, _LEAST_SIZE * log.typical_torque)
-        distance /= size
+            normal += full.T @ (full * weight[:, None])
+        values, _ = solve(normal, equations.usual)
+        left = right_sides - columns @ values
+        for joint, residual in enumerate(left.T):
+            used = log.used[:, joint]
+            median = np.median(np.abs(residual[used])) if np.any(used) else 0.0
+            least = _LEAST_SIZE * typical[joint]
+            size[joint] = max(1.4826 * float(median), float(least))
+            relative[:, joint] = residual * used / size[joint]
+        distance = np.abs(relative)
         weights = log.used / np.maximum(1.0, 0.5 * distance)
         weights[distance > _OUTLYING] = 0.0
-    return np.asarray(residual * log.used / size)
+    return relative
 
 
 def leave_out(

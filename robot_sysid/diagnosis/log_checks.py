@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.contest import Contest, findings
+from robot_sysid.diagnosis.contest import findings
 from robot_sysid.diagnosis.limited_in_time import (
     MANY_VALUES,
     Stretch,
@@ -28,21 +28,14 @@ from robot_sysid.diagnosis.limited_in_time import (
     unusual_torque,
 )
 from robot_sysid.diagnosis.log_refusal import refuse_for
-from robot_sysid.diagnosis.log_rows import WINDOW, rms
-from robot_sysid.diagnosis.plausibility import driving_findings, least_friction_share
-from robot_sysid.diagnosis.torque_units import foreign_unit_finding
 from robot_sysid.errors import InputError, SysidError, prefix_input_errors
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.rows import Recording
 from robot_sysid.logs import CHECKS
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress, percent
-from robot_sysid.signals.process import (
-    LogPiece,
-    ProcessedSignals,
-    check_losses,
-    process,
-)
+from robot_sysid.signals.process import LogPiece, check_losses, process
 from robot_sysid.signals.resampling import sampling_period, slice_samples
 
 ROWS = 40
@@ -272,6 +265,8 @@ def saturation_findings(
                 yield Finding("saturated", Level.WARN, text)
 
 
+WINDOW = 16.0
+"""Length of the windows of a long log that are used [s]."""
 CUTOFF_HZ = 8.0
 """Highest cut-off of the low-pass [Hz]: faster motion has little information on links."""
 CUTOFF_SHARE = 0.6
@@ -295,18 +290,10 @@ OF_LINKS = (
     "force",
 )
 """Checks that a faultless log fails if the arm's links differ from the model's."""
-# Largest rms residual of a torque that was computed, as a share of the typical torque.
-_EXACT = 0.004
-# Largest rms noise of a torque that was computed, as a share of the typical torque.
-_QUIET = 5e-4
-# Largest Coulomb friction of a torque that was computed, as a share of the typical torque.
-_FRICTIONLESS = 0.002
 
 
-def low_pass(
-    pieces: Sequence[Measurement], cutoff: float | None
-) -> list[ProcessedSignals]:
-    """Return the low-passed signals of a log, piece by piece.
+def low_pass(pieces: Sequence[Measurement], cutoff: float | None) -> list[Recording]:
+    """Return the low-passed recordings of a log, piece by piece.
 
     Of a log longer than ``MOST_WINDOWS`` times ``WINDOW``, evenly spread windows are used.
     InputError where most rows lie next to lost samples.
@@ -320,13 +307,9 @@ def low_pass(
     for piece in _spread_windows(pieces):
         log_piece = LogPiece.of(piece)
         cutoff_hz = min(cutoff or CUTOFF_SHARE * log_piece.choice.cutoff, CUTOFF_HZ)
-        processed = process(log_piece, joint_names=(), cutoff=cutoff_hz)
-        # Every row is used: those of a joint that is too slow are masked later.
-        deadband = np.zeros_like(processed.deadband)
-        turning = np.zeros_like(processed.turning)
-        signals.append(replace(processed, deadband=deadband, turning=turning))
+        signals.append(process(log_piece, joint_names=(), cutoff=cutoff_hz))
     check_losses(signals)
-    return signals
+    return [Recording("log", piece) for piece in signals]
 
 
 def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
@@ -392,42 +375,29 @@ def check_pieces(
     raw += saturation_findings(pieces, joint_names)
     if any(finding.level is Level.REFUSE for finding in raw):
         return tuple(raw), tuple(pieces)
-    signals = low_pass(pieces, options.cutoff)
-    foreign_unit = None
-    model_findings = [*enough_findings(pieces, signals[0].cutoff)]
+    recordings = low_pass(pieces, options.cutoff)
+    signals = recordings[0].signals
+    assert signals is not None
+    model_findings = [*enough_findings(pieces, signals.cutoff)]
     if not model_findings:
         touched = [*_touched(robot, pieces, options)] if lasts_a_moment else []
         pieces, contacts = leave_out("contact", joint_names, pieces, touched)
         if touched:
-            signals = low_pass(pieces, options.cutoff)
-        contest = Contest(robot, signals, options)
+            recordings = low_pass(pieces, options.cutoff)
         scales = (
             np.ones(robot.n_joints) if divided is None else np.array(divided, float)
         )
-        qd = contest.posterior.model.log.motion.qd
         # Later checks count only where earlier ones find nothing.
-        model_findings = _computed_findings(contest)
-        model_findings = model_findings or findings(contest, scales)
-        model_findings = model_findings or driving_findings(contest.posterior)
+        model_findings = findings(robot, recordings, options, scales)
+        qd = np.concatenate([recording.motion.qd for recording in recordings])
         model_findings = model_findings or [*slow_findings(qd)]
         if model_findings:
             contacts = [finding for finding in contacts if finding.is_left_out]
         raw += contacts
-        foreign_unit = foreign_unit_finding(contest.posterior.model.log, scales)
     of_links = set() if links_known else set(OF_LINKS)
-    if foreign_unit:
-        # No links make all torques several times smaller or larger.
-        of_links.discard("torque-scale")
     for k, finding in enumerate(model_findings):
         if finding.name in of_links:
             model_findings[k] = replace(finding, level=Level.NOTE)
-    # Torques in a wrong unit follow the weight of the links, so that they do not lack it; warnings
-    # and notes only explain what the unit does.
-    if foreign_unit and all(
-        cause.level is not Level.REFUSE or cause.name == "gravity"
-        for cause in model_findings
-    ):
-        model_findings = [foreign_unit]
     return (*raw, *model_findings), tuple(pieces)
 
 
@@ -450,8 +420,8 @@ def _touched(
                 parts.append([])
             parts[-1].append(part)
     for part_pieces in filter(None, parts):
-        signals = low_pass(part_pieces, options.cutoff)
-        yield from unusual_torque(robot, signals, options)
+        recordings = low_pass(part_pieces, options.cutoff)
+        yield from unusual_torque(robot, recordings, options)
 
 
 def check_log(
@@ -533,37 +503,3 @@ def require_acceptable(
         accepting = " ".join(f"--accept {name}" for name in names)
         advice = f"nothing was written (to go on all the same: {accepting})"
         raise SysidError(f"{log.path}: {texts}; {advice}")
-
-
-def _computed_findings(contest: Contest) -> list[Finding]:
-    """Return a list with one finding where the torque was computed from the model, else [].
-
-    Such a torque has no residual, no noise and no friction at any joint that the links load.
-    """
-    posterior = contest.posterior
-    log = posterior.model.log
-    is_exact = rms(posterior.residual) < _EXACT * log.typical_torque
-    is_quiet = _fast_torque(contest.signals) < _QUIET * log.typical_torque
-    is_frictionless = least_friction_share(posterior) < _FRICTIONLESS
-    is_computed = is_exact & is_quiet & is_frictionless
-    if not np.all(is_computed[log.is_loaded]):
-        return []
-    text = (
-        f"the torque follows rigid-body dynamics to {percent(_EXACT)} and has no friction: it was "
-        "computed, or commanded, not measured; record the measured torque"
-    )
-    return [Finding("computed", Level.WARN, text)]
-
-
-def _fast_torque(signals: Sequence[ProcessedSignals]) -> Array:
-    """Return the rms torque (n,) [N m] above the cut-off of the low-pass, where a sensor has noise.
-
-    ``signals`` hold the torque before the low-pass, one record per piece.
-    """
-    residuals = []
-    for piece in signals:
-        # The filter loses this many samples at each end.
-        half = piece.low_pass.half_width
-        slow = piece.low_pass.filter(piece.tau)
-        residuals.append(piece.tau[half : len(piece) - half] - slow)
-    return rms(np.concatenate(residuals))

@@ -1,559 +1,503 @@
-"""Mistaken columns of a log: signs, exchanged joints, degrees, units of torque.
+"""Mistaken columns of a log: signs, exchanged joints, degrees, units of torque, another mounting.
 
-Mistakes in signs, order and degrees can be listed; torque scales are one factor per joint. A
-mistake is corrected and the log's equations are made again; the gain in log marginal likelihood is
-comparable with that of an explanation (``contest``). Corrections of torques alone need no new rows
-and are tried for every log; those of positions and scales where the model does not fit.
+Each mistake can be listed, but for torque scales, one factor per joint. A mistake is corrected and
+the log is fitted again; the gain in log marginal likelihood competes with those of explanations
+(``contest``). Corrections of torques alone change only right-hand sides and are tried for every
+log; all others where the model does not fit.
 
-Throughout, N is the number of samples of a piece, K that of rows per joint, n that of joints. A
-torque scale is the ratio of recorded to true torque. The model's torque is the rms inverse dynamics
-of the model's links. The base model is the model of a log without faults (``LogModel``).
+Throughout, K is the number of rows of all recordings, n that of joints. A torque scale is the ratio
+of recorded to true torque.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from heapq import nlargest
 from itertools import combinations
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding, Level
-from robot_sysid.diagnosis.log_model import LogModel, Posterior
-from robot_sysid.diagnosis.log_rows import (
-    LEAST_TORQUE,
+from robot_sysid.diagnosis.causes import mounting_text
+from robot_sysid.diagnosis.log_fit import (
+    LogFit,
     LogRows,
+    evidence,
+    gain_of,
     log_rows,
-    rigid_torque,
-    weight_torque,
+    with_term,
 )
-from robot_sysid.diagnosis.torque_units import SMALL, WEIGHING, typical_scale
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector, with_gravity
-from robot_sysid.estimation.question import EstimationOptions
-from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.dynamics.equations import names_of
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    gravity_vector,
+    turn_gravity,
+    with_gravity,
+)
+from robot_sysid.estimate.choose import CLEAR, rms_torque
+from robot_sysid.estimate.fit import Equations, fit
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import arm_question
+from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.terms import SCALES, ArmTerms, Term, independent
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.signals.process import ProcessedSignals
 
+LITTLE = 0.02
+"""Share of unexplained torque that a correction may always leave."""
+GROSS = 0.05
+"""Share of unexplained torque above which relabellings of columns are tried."""
+GROSS_JOINT = 0.5
+"""Share of one joint's torque that is unexplained above which relabellings are tried."""
+ODD = 1.3
+"""Ratio of measured torque to the model's, or its inverse, above which torque scales are tried."""
 REFUSED = 1.6
 """Torque scale, or its inverse, above which a log is refused."""
 WARNED = 1.3
 """Torque scale, or its inverse, above which a log gets a warning."""
+SMALLER = 1.0 / 3.0
+"""Torque scale below which all joints' torques are in another unit, whatever the links: arms whose
+links are off by 20 %, one of them by 40 %, measure at least 0.53 of the weight."""
+LARGER = 5.0
+"""Torque scale above which they are: the heaviest tool that an arm may carry, which its model
+lacks, makes at least one joint's weight no larger than 3.4 times."""
+WIDE = 0.7
+"""Prior standard deviation of a scale's relative change in one round."""
+KNOWN = 0.3
+"""Relative standard error from which a joint's scale is not identified."""
+SAME = 1.35
+"""Ratio between the largest and smallest torque scale below which they have one common cause."""
+CLOSE = 1.25
+"""Largest ratio between a torque scale and the factor of a unit that explains it."""
+COMMON_RANGE = 4.0
+"""Prior standard deviation of the logarithm of a scale that all joints share."""
+OWN_RANGE = 0.4
+"""Prior standard deviation of the logarithm of a joint's scale over the common one."""
 UNITS = {
-    1e3: "mN·m",
+    1e3: "mN·m, or masses of the model in tonnes",
     100.0: "N·cm",
     10.197: "kgf·cm",
     8.851: "lbf·in",
-    0.7376: "lbf·ft",
     141.6: "ozf·in",
-    1e-3: "kN·m",
+    1e-3: "kN·m, or masses of the model in grams",
 }
 """One newton metre in other units of torque, to the unit's name."""
+WEIGHING = (
+    "give the torque per ampere with --torque-constants, or determine it with a weight: bolt on "
+    "1 kg (of another mass, state it), record a motion called weight, and compare"
+)
+"""What to do where torques are motor currents; the command that compares follows the message."""
+_ROUNDS = 4
 SHORT = 6.0
 """Length of the stretch of a log on which relabelled motions are tried first [s]."""
-MOUNTING = (
-    "gravity acts in another direction than in the model: the base is mounted otherwise, on a wall "
-    "or a ceiling; turn it in the model (MJCF: gravity of <option>, or euler of the base's body; "
-    "URDF: rpy of the first joint's origin)"
-)
-"""Text of the finding that the arm is mounted otherwise than the model says."""
-# Cosine of the angle to the model's gravity from which another direction counts as the same.
-_SAME_WAY = 0.9
-# Ratio between the largest and smallest torque scale below which they have one common cause.
-_SAME = 1.35
-# Largest ratio between a torque scale and the factor of a unit that explains it.
-_CLOSE = 1.25
-# Prior standard deviation of the logarithm of a scale that all joints share.
-_COMMON_RANGE = 4.0
-# Prior standard deviation of the logarithm of a joint's scale over the common one.
-_OWN_RANGE = 0.4
-# Rounds of Gauss-Newton for the scales.
-_ROUNDS = 5
-# Prior standard deviation of a scale's relative change in one round of Gauss-Newton.
-_FAR = 0.7
-# Smallest torque scale of any unit and gear.
-_LEAST = 1e-4
-# Largest torque scale of any unit and gear.
-_MOST = 1e5
-# Relative standard error from which a joint's scale is not identified.
-_KNOWN = 0.3
-# Largest factor between a scale and the torque ratio of a joint that links load.
-_FARTHEST = 3.0
-# Largest factor between a scale and the torque ratio of a joint whose torque is mostly friction.
-_FRICTION = 10.0
-# Number of the best corrections of a first comparison that are fitted to the whole log.
-_FINALISTS = 3
+FINALISTS = 3
+"""Number of the best corrections of a first comparison that are fitted to the whole log."""
+WIDE_TILT = 15.0
+"""Prior standard deviation of a base's tilt where it is mounted otherwise [degrees]."""
+_TURNS = 3
+ODD_UNIT = 20.0
+"""Ratio of one joint's torque to the model's, over that of the other joints, above which the joint
+has a unit of its own."""
+_LEAST_LOAD = 0.03
+"""Model torque below which friction makes most of a joint's torque, over the strongest joint's."""
 
 
 @dataclass(frozen=True)
 class Relabelling:
-    """A mistake in the columns of a log, and its correction.
+    """A mistake in the columns of a log, or in the model's mounting, and its correction.
 
     Attributes:
         finding: the mistake, and what puts the log right.
-        motion: function of recorded positions, velocities or accelerations (N, n) that returns the
-            corrected ones; None where they are right.
-        torque: function of recorded torques (N, n) that returns the corrected ones; None where
-            they are right.
-        gravity: (3,) that acted on the arm, in the model's world frame [m/s^2]; None where the
-            model's is right.
+        columns: correction of columns of the log; None for none.
+        gravity: (3,) that acted on the arm, in the model's world frame [m/s^2]; None for the
+            model's.
     """
 
     finding: Finding
-    motion: Callable[[Array], Array] | None = None
-    torque: Callable[[Array], Array] | None = None
+    columns: ColumnCorrection | None = None
     gravity: Array | None = None
 
-    def correct(self, signals: Sequence[ProcessedSignals]) -> list[ProcessedSignals]:
-        """Return the signals of all pieces with the mistake corrected."""
-        corrected = []
-        for piece in signals:
-            arrays: dict[str, Any] = {}
-            if self.motion is not None:
-                for name in ("q", "qd", "qdd"):
-                    arrays[name] = self.motion(getattr(piece, name))
-            if self.torque is not None:
-                arrays["tau"] = self.torque(piece.tau)
-            corrected.append(replace(piece, **arrays))
+    @property
+    def is_of_torques(self) -> bool:
+        """Whether only torques are corrected."""
+        return self.columns is not None and self.columns.quantities == ("torque",)
+
+    def arm(self, robot: RobotModel) -> RobotModel:
+        """Return the arm under the gravity that acted on it."""
+        return robot if self.gravity is None else with_gravity(robot, self.gravity)
+
+    def correct(self, recording: Recording) -> Recording:
+        """Return a recording with the mistake corrected, in which the same rows are used."""
+        arrays: dict[str, Any] = {}
+        signals = recording.source
+        assert isinstance(signals, ProcessedSignals)
+        columns = self.columns
+        if columns is not None and "position" in columns.quantities:
+            for name in ("q", "qd", "qdd"):
+                arrays[name] = columns.apply(getattr(signals, name))
+        if columns is not None and "torque" in columns.quantities:
+            arrays["tau"] = columns.apply(signals.tau)
+        corrected = Recording(recording.name, replace(signals, **arrays))
+        corrected.__dict__["used"] = recording.used
         return corrected
 
 
 def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
-    """Yield every mistake in signs, order, units of angles and mounting that is tried.
-
-    Mistakes in torques alone come first, then those in positions alone, then those in both; last
-    are positions in degrees, or in radians that were taken for degrees, and other directions of
-    gravity.
-    """
+    """Yield every mistake in signs, order, units of angles and mounting that is tried."""
     names = robot.joint_names
+    n = len(names)
     for quantities in (("torque",), ("position",), ("position", "torque")):
-        yield from _sign_mistakes(names, quantities)
-        yield from _order_mistakes(names, quantities)
-    # The method __mul__ of an array (n,) multiplies values (N, n) by the array.
+        subject = " and ".join(quantities)
+        verb = "has" if len(quantities) == 1 else "have"
+        scope = "" if len(quantities) == 2 else f" in the {subject}s"
+        for joint, name in enumerate(names):
+            signs = np.where(np.arange(n) == joint, -1.0, 1.0)
+            text = (
+                f"the {subject} of joint {name} {verb} the opposite sign of the model's"
+            )
+            yield _mistake("sign", text, quantities, names, factors=signs)
+        if n > 1 and quantities == ("torque",):
+            text = "the torque of every joint has the opposite sign of the model's"
+            yield _mistake("sign", text, quantities, names, factors=-np.ones(n))
+        for first, second in combinations(range(n), 2):
+            order = list(range(n))
+            order[first], order[second] = second, first
+            text = f"joints {names[first]} and {names[second]} are exchanged{scope}"
+            yield _mistake("order", text, quantities, names, order)
+        if n > 2:
+            text = f"the order of the joints is reversed{scope}"
+            yield _mistake("order", text, quantities, names, range(n)[::-1])
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     text = "positions look like degrees; pass --units deg"
+    degrees = _mistake("angle-unit", text, ("position",), names, factors=to_radians)
     finding = Finding("angle-unit", Level.REFUSE, text, options=("--units", "deg"))
-    yield Relabelling(finding, to_radians.__mul__)
+    yield replace(degrees, finding=finding)
     text = "positions look like radians that were taken for degrees; say rad where degrees are "
     text += "said: in --units, the file of --columns, a column's title or the recorder"
-    yield Relabelling(
-        Finding("angle-unit", Level.REFUSE, text), (1.0 / to_radians).__mul__
+    finding = Finding("angle-unit", Level.REFUSE, text)
+    radians = _mistake(
+        "angle-unit", text, ("position",), names, factors=1.0 / to_radians
     )
-    gravity = gravity_vector(robot)
-    size = float(np.linalg.norm(gravity))
-    for direction in (*np.eye(3), *-np.eye(3)) if size > 0.0 else ():
-        if direction @ gravity < _SAME_WAY * size:
-            finding = Finding("tilt", Level.REFUSE, MOUNTING)
-            yield Relabelling(finding, gravity=size * direction)
+    yield replace(radians, finding=finding)
 
 
-def _column_mistake(name: str, text: str, columns: ColumnCorrection) -> Relabelling:
-    """Return the mistake that columns are wrong.
-
-    Args:
-        name: name of the check that reports it.
-        text: the mistake.
-        columns: its correction.
-    """
-    advice = f"{text}{COLUMNS_ADVICE}"
-    finding = Finding(name, Level.REFUSE, advice, correction=columns)
-    motion = columns.apply if "position" in columns.quantities else None
-    torque = columns.apply if "torque" in columns.quantities else None
-    return Relabelling(finding, motion, torque)
-
-
-def _sign_mistakes(
-    names: Sequence[str], quantities: tuple[str, ...]
-) -> Iterator[Relabelling]:
-    """Yield the mistakes that signs are wrong in all quantities: each joint's, then all joints'.
-
-    Turned positions of all joints are left out: they look like turned torques.
-
-    Args:
-        names: names of the n joints.
-        quantities: "position", "torque" or both.
-    """
-    subject = " and ".join(quantities)
-    verb = "has" if len(quantities) == 1 else "have"
-    owners = [f"joint {name}" for name in names]
-    signs_of_owners = [*(1.0 - 2.0 * np.eye(len(names)))]
-    if len(names) > 1 and quantities == ("torque",):
-        owners.append("every joint")
-        signs_of_owners.append(-np.ones(len(names)))
-    for owner, signs in zip(owners, signs_of_owners):
-        text = f"the {subject} of {owner} {verb} the opposite sign of the model's"
-        columns = ColumnCorrection.of_factors(quantities, names, signs)
-        yield _column_mistake("sign", text, columns)
-
-
-def _order_mistakes(
-    names: Sequence[str], quantities: tuple[str, ...]
-) -> Iterator[Relabelling]:
-    """Yield each exchange of two joints, then the reverse order, in all given quantities.
-
-    Args:
-        names: names of the n joints; the reverse order of two is their exchange.
-        quantities: "position", "torque" or both.
-    """
-    scope = "" if len(quantities) == 2 else f" in the {quantities[0]}s"
-    joints = list(range(len(names)))
-    factors = (1.0,) * len(names)
-    mistakes = []
-    for first, second in combinations(joints, 2):
-        order = joints.copy()
-        order[first] = second
-        order[second] = first
-        text = f"joints {names[first]} and {names[second]} are exchanged"
-        mistakes.append((text, order))
-    if len(names) > 2:
-        mistakes.append(("the order of the joints is reversed", joints[::-1]))
-    for text, order in mistakes:
-        columns = ColumnCorrection(quantities, tuple(names), tuple(order), factors)
-        yield _column_mistake("order", f"{text}{scope}", columns)
+def _mistake(
+    check: str,
+    text: str,
+    quantities: tuple[str, ...],
+    names: Sequence[str],
+    order: Sequence[int] = (),
+    factors: Array | None = None,
+) -> Relabelling:
+    """Return the mistake that joints have the columns of others, or columns times a factor."""
+    ones = np.ones(len(names)) if factors is None else factors
+    order = order or range(len(names))
+    columns = ColumnCorrection(
+        quantities, tuple(names), tuple(order), tuple(ones.tolist())
+    )
+    finding = Finding(
+        check, Level.REFUSE, f"{text}{COLUMNS_ADVICE}", correction=columns
+    )
+    return Relabelling(finding, columns)
 
 
 @dataclass(frozen=True)
 class Correction:
-    """A corrected mistake and the log after its correction.
-
-    Attributes:
-        finding: the mistake, and what puts the log right.
-        gain: increase of the log marginal likelihood by the correction [nats].
-        posterior: posterior of the base model of the corrected log.
-    """
+    """A corrected mistake, its gain in log marginal likelihood [nats], and the corrected log."""
 
     finding: Finding
     gain: float
-    posterior: Posterior
-
-    @classmethod
-    def of(cls, finding: Finding, posterior: Posterior, base: Posterior) -> Correction:
-        """Return the correction of a mistake; ``base`` is the posterior of the log as it is."""
-        gain = float(posterior.log_evidence - base.log_evidence)
-        return cls(finding, gain, posterior)
+    log: LogFit
 
 
-def find_wrong_torques(
-    base: Posterior, signals: Sequence[ProcessedSignals]
-) -> list[Correction]:
-    """Return the best corrections of wrong torques, best first by a comparison at fixed noise.
+def wrong_torques(log: LogFit) -> Iterator[Correction]:
+    """Yield the best corrections of torques' signs and order, which keep the columns of the log."""
+    rows = log.rows
+    terms = log.fit.equations.terms
+    candidates: list[tuple[float, int, Relabelling, LogRows]] = []
+    for mistake in relabellings(rows.arm.robot):
+        if mistake.columns is not None and mistake.is_of_torques:
+            corrected = rows.with_torque(mistake.columns.apply(rows.torque))
+            candidates.append(
+                (_promise(log, corrected), len(candidates), mistake, corrected)
+            )
+    candidates.sort(reverse=True)
+    least = _promise(log, rows)
+    for promise, _, mistake, corrected in candidates[:FINALISTS]:
+        if promise > least:
+            fitted = corrected.fit(terms, log.fit)
+            after = LogFit(fitted, corrected)
+            gain = gain_of(log, after) - float(np.log(len(candidates)))
+            yield Correction(mistake.finding, gain, after)
 
-    They are corrections of signs and order that keep the positions, and with them the rows of the
-    log; where the torque is small, also additions of missing gravity. All are compared at the noise
-    of the log as it is; up to ``_FINALISTS`` of those that gain are fitted with noise estimated
-    anew.
 
-    Args:
-        base: posterior of the base model of the log.
-        signals: low-passed signals of the log's pieces.
-    """
-    model = base.model
-    mistakes = [
-        m for m in relabellings(model.log.robot) if m.motion is None and m.torque
-    ]
-    if typical_scale(model.log) < SMALL:
-        mistakes += _without_links(model.log, signals)
-    candidates = []
+def _promise(log: LogFit, rows: LogRows) -> float:
+    """Return roughly the log likelihood of rows with other torques, at the weights of a fit."""
+    old = log.fit.equations
+    equations = Equations(rows.sums, old.terms, old.held)
+    normal = equations.data(log.fit.weights) + equations.prior
+    gradient = normal[:-1, -1] - normal[:-1, :-1] @ equations.usual
+    values = equations.usual + log.fit.inverse @ gradient
+    squares = rows.sums.squared_residuals(equations.full(values))
+    counts = np.maximum(np.sum(rows.sums.counts, axis=0), 1.0)
+    dry = log.fit.at(names_of("coulomb", log.fit.arm.joints))
+    errors = np.sqrt(np.diag(log.fit.inverse)[dry])
+    driving = np.minimum(values[dry] / errors, 0.0)
+    noise = np.log(np.maximum(squares / counts, log.fit.noise**2 * 1e-6))
+    return float(-0.5 * counts @ noise - 0.5 * np.sum(driving**2))
+
+
+def wrong_columns(
+    log: LogFit,
+    options: EstimationOptions,
+    mistakes: Iterable[Relabelling],
+    finalists: int = FINALISTS,
+) -> Iterator[Correction]:
+    """Yield the corrections of mistakes that explain a short stretch best."""
+    robot = log.fit.arm.robot
+    stretch = [_busiest(log.fit.recordings)]
+    question = log.fit.question
+    promises: list[tuple[float, int, Relabelling]] = []
     for mistake in mistakes:
-        assert mistake.torque is not None
-        log = model.log.with_torque(mistake.torque(model.log.torque))
-        corrected = model.with_torque_of(log)
-        evidence = corrected.at_noise(base.noise).log_evidence
-        if evidence > base.log_evidence:
-            candidates.append((evidence, mistake, corrected))
-    corrections = []
-    for _, mistake, corrected in nlargest(_FINALISTS, candidates, key=itemgetter(0)):
-        posterior = corrected.posterior(base.noise)
-        corrections.append(Correction.of(mistake.finding, posterior, base))
-    return corrections
-
-
-def _without_links(
-    log: LogRows, signals: Sequence[ProcessedSignals]
-) -> Iterator[Relabelling]:
-    """Yield the mistakes that the recorded torque lacks the links' weight, or all their torque.
-
-    The corrections add the missing torque (K, n), so they apply to ``log.torque`` only.
-
-    Args:
-        log: equations of the log.
-        signals: low-passed signals of the log's pieces.
-    """
-    robot = log.robot
-
-    def torques(motion: Motion) -> tuple[Array, Array]:
-        """Return (weight, inverse dynamics) of the model's links, (N, n) each [N m]."""
-        return weight_torque(robot, motion), rigid_torque(robot, motion)
-
-    # Low-passed like the torque: the part that the low-pass removes may exceed the noise.
-    filtered = [piece.filter_columns(torques, smooth=True) for piece in signals]
-    weight, links = map(np.concatenate, zip(*filtered))
-    missing_torques = {
-        "the torque fits the model without gravity: gravity is compensated in it already; record "
-        "the measured joint torque, not the command": weight,
-        "the torque has nothing of its motion but friction: this is an external torque, what is "
-        "left after the controller's model; record the measured joint torque": links,
-    }
-    for text, missing in missing_torques.items():
-        finding = Finding("gravity", Level.REFUSE, text)
-        yield Relabelling(finding, torque=missing.__add__)
-
-
-def find_wrong_columns(
-    base: Posterior, signals: Sequence[ProcessedSignals], options: EstimationOptions
-) -> list[Correction]:
-    """Return the ``_FINALISTS`` corrections of columns that explain a short stretch best.
-
-    All ``relabellings`` of positions, torques or both are tried on this stretch; those with the
-    largest evidence are then fitted to the whole log, which gives their gain. Samples are used
-    where the uncorrected log uses them, so that all corrections are judged on the same rows.
-
-    Args:
-        base: posterior of the base model of the log, which has no correction.
-        signals: low-passed signals of the log's pieces.
-        options: prior uncertainties of the estimate.
-    """
-    robot = base.model.log.robot
-
-    def correct(
-        mistake: Relabelling,
-        pieces: Sequence[ProcessedSignals],
-        used: NDArray[np.bool_],
-    ) -> Posterior:
-        """Return the posterior of pieces after a mistake's correction.
-
-        ``used`` (K, n) are the rows that count.
-        """
-        arm = robot
+        corrected = [mistake.correct(recording) for recording in stretch]
+        arm = ArmTerms(mistake.arm(robot), friction=log.fit.arm.friction)
+        rows = log_rows(arm, corrected, arm.start())
+        torque = rms_torque(rows.sums)
+        fitted = fit(
+            arm,
+            corrected,
+            rows.point,
+            rows.sums,
+            arm_question(arm, replace(question, motors=()), torque),
+            possible=False,
+            question=question,
+        )
+        promises.append((evidence(fitted), len(promises), mistake))
+    promises.sort(reverse=True)
+    for _, _, mistake in promises[:finalists]:
         if mistake.gravity is not None:
-            arm = with_gravity(robot, mistake.gravity)
-        rows = log_rows(arm, mistake.correct(pieces), used)
-        return LogModel(rows, options).posterior()
-
-    stretch = [_busiest(signals)]
-    used = log_rows(robot, stretch).used
-    mistakes = list(relabellings(robot))
-    evidences = [correct(mistake, stretch, used).log_evidence for mistake in mistakes]
-    candidates = zip(evidences, mistakes)
-    corrections = []
-    for _, mistake in nlargest(_FINALISTS, candidates, key=itemgetter(0)):
-        posterior = correct(mistake, signals, base.model.log.used)
-        corrections.append(Correction.of(mistake.finding, posterior, base))
-    return corrections
+            yield mounted(log, options, mistake.gravity)
+            continue
+        corrected = [mistake.correct(r) for r in log.fit.recordings]
+        after = LogFit.of(robot, corrected, options)
+        gain = gain_of(log, after) - float(np.log(len(promises)))
+        yield Correction(mistake.finding, gain, after)
 
 
-def _busiest(signals: Sequence[ProcessedSignals]) -> ProcessedSignals:
-    """Return the ``SHORT`` seconds of the longest piece in which the joints move most.
-
-    Each joint's speed counts relative to its largest. A shorter piece is returned as it is.
-    """
-    best = max(signals, key=len)
-    count = round(SHORT * best.rate)
-    if len(best) <= count:
+def _busiest(recordings: Sequence[Recording]) -> Recording:
+    """Return the ``SHORT`` seconds of the longest recording in which the joints move most."""
+    best = max(recordings, key=len)
+    signals = best.source
+    assert isinstance(signals, ProcessedSignals)
+    count = round(SHORT * signals.rate)
+    if len(signals) <= count:
         return best
-    relative = np.abs(best.qd) / np.maximum(np.max(np.abs(best.qd), axis=0), 1e-9)
-    travelled = np.append(0.0, np.cumsum(np.sum(relative, axis=1)))
-    start = int(np.argmax(travelled[count:] - travelled[:-count]))
-    stretch = slice(start, start + count)
+    relative = np.abs(signals.qd) / np.maximum(np.max(np.abs(signals.qd), axis=0), 1e-9)
+    total = np.cumsum(np.sum(relative, axis=1))
+    start = int(np.argmax(total[count:] - total[:-count]))
     names = ("time", "q", "qd", "qdd", "tau", "bridged", "turning")
-    return replace(best, **{name: getattr(best, name)[stretch] for name in names})
+    cut = {name: getattr(signals, name)[start : start + count] for name in names}
+    return Recording(best.name, replace(signals, **cut))
 
 
-@dataclass(frozen=True)
-class TorqueScales:
-    """Torque scales: recorded torque over true torque of each joint.
+def mounted(log: LogFit, options: EstimationOptions, direction: Array) -> Correction:
+    """Return the correction of a model whose base is mounted otherwise.
 
-    Properties need at least one identified scale.
-
-    Attributes:
-        scale: (n,) scale of each joint; the median of the identified scales where a joint's is not
-            identified. Without any identified one, the last iterates of the search.
-        identified: (k,) indices of the joints whose scale is identified.
-        covariance: (k, k) covariance of the logarithms of these joints' scales.
-    """
-
-    scale: Array
-    identified: NDArray[np.int64]
-    covariance: Array
-
-    @cached_property
-    def common(self) -> tuple[float, float]:
-        """The mean of the identified scales, and the standard error of its logarithm.
-
-        Its logarithm is the generalised least-squares mean of the logarithms of the scales.
-        """
-        precision = np.linalg.inv(self.covariance)
-        total = np.sum(precision)
-        weight = np.sum(precision, axis=0) / total
-        mean = float(weight @ np.log(self.scale[self.identified]))
-        return float(np.exp(mean)), float(total**-0.5)
-
-    @property
-    def spread(self) -> float:
-        """Ratio of the largest to the smallest identified scale."""
-        scale = self.scale[self.identified]
-        return float(np.max(scale) / np.min(scale))
-
-    @property
-    def penalty(self) -> float:
-        """Loss of log evidence for scales that fit the data instead of being 1 [nats].
-
-        It is the Occam factor of a normal prior P of the log scales s with posterior covariance C,
-        (log det P - log det C + s^T P^-1 s) / 2. P has a wide standard deviation for a scale that
-        all joints share and a narrow one for each joint's own. Nearly equal scales count as one.
-        """
-        logarithm = np.log(self.scale[self.identified])
-        covariance = self.covariance
-        if self.spread < _SAME:
-            typical, error = self.common
-            logarithm = np.log([typical])
-            covariance = np.array([[error**2]])
-        prior = _COMMON_RANGE**2 + _OWN_RANGE**2 * np.eye(len(logarithm))
-        narrowed = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(covariance)[1]
-        return float(0.5 * (narrowed + logarithm @ np.linalg.solve(prior, logarithm)))
-
-
-def find_wrong_scales(
-    base: Posterior, options: EstimationOptions, divided: Array
-) -> list[Correction]:
-    """Return the correction of torque scales: a unit, a common scale or a scale per joint.
-
-    The finding's level depends on the scale farthest from 1 (``REFUSED``, ``WARNED``).
+    Gravity is turned until the fit, which allows it a wide tilt, agrees with it.
 
     Args:
-        base: posterior of the base model of the log.
+        log: the fit of the log.
         options: prior uncertainties of the estimate.
-        divided: (n,) torque scales by which the torques were divided already, as the user gave
-            them.
-
-    Returns:
-        One correction, none where no scale is identified.
+        direction: (3,) of gravity to begin with.
     """
-    log = base.model.log
-    scales = torque_scales(log, options)
-    if not len(scales.identified):
-        return []
-    typical, common_error = scales.common
-    scale = scales.scale
-    scale_option: tuple[str, ...] = ()
-    if scales.spread < _SAME:
-        unit = _unit_near(typical, common_error)
-        scale = np.full(len(scale), unit or typical)
-        if unit is not None:
-            scale_option = ("--torque-scale", _scale_text(unit, divided))
-    undone = log.with_torque(log.torque / scale)
-    posterior = LogModel(undone, options).posterior()
-    # The density of recorded torques is that of the divided ones over the scale of each row.
-    density = float(np.sum(base.model.count * np.log(scale)))
-    gain = posterior.log_evidence - density - base.log_evidence - scales.penalty
-    names = log.robot.joint_names
-    listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in scales.identified)
-    meaning = _meaning(typical, scales.spread, common_error, divided)
-    text = (
-        f"torque reads {typical:.3g} times what the model takes ({listed}): {meaning}"
+    robot = log.fit.arm.robot
+    level = gravity_vector(robot)
+    gravity = np.linalg.norm(level) * direction / np.linalg.norm(direction)
+    wide = replace(options, priors=replace(options.priors, gravity=WIDE_TILT))
+    for _ in range(_TURNS):
+        turned = with_gravity(robot, gravity)
+        after = LogFit.of(turned, log.fit.recordings, wide)
+        at = after.fit.at(TILT_NAMES)
+        gravity = turn_gravity(gravity, after.fit.free[at])
+    error = float(np.max(np.sqrt(np.diag(after.fit.inverse)[at])))
+    finding = Finding("tilt", Level.REFUSE, mounting_text(level, gravity, error))
+    return Correction(finding, gain_of(log, after), after)
+
+
+def other_axes(robot: RobotModel) -> Iterator[Relabelling]:
+    """Yield gravity along the world's axes that are not the model's direction."""
+    gravity = gravity_vector(robot)
+    size = float(np.linalg.norm(gravity))
+    for direction in (*np.eye(3), *-np.eye(3)) if size > 0.0 else ():
+        if direction @ gravity < 0.9 * size:
+            finding = Finding("tilt", Level.REFUSE, "")
+            yield Relabelling(finding, gravity=size * direction)
+
+
+def corrections(
+    log: LogFit,
+    best: LogFit,
+    options: EstimationOptions,
+    divided: Array,
+    is_of_gravity: bool = False,
+) -> list[Correction]:
+    """Return the plausible corrections of mistakes, the largest gain first.
+
+    A correction is plausible if its links are, and it leaves clearly less unexplained than the log,
+    or little.
+
+    Those of torques' signs and order are always tried. All others are tried where the fit with the
+    best explanation leaves gross misfit or implausible links, where torques are off by ``ODD`` at
+    typical joints, or other torques fit better.
+
+    Args:
+        log: the fit of the log.
+        best: the fit with the best explanation.
+        options: prior uncertainties of the estimate.
+        divided: (n,) torque scales by which the torques were divided already.
+        is_of_gravity: whether gravity in another direction may explain the log.
+    """
+    tried = [*wrong_torques(log)]
+    robot = log.fit.arm.robot
+    scaled: list[Correction] = []
+    is_far = (
+        best.misfit > GROSS
+        or float(np.max(best.misfit_by_joint)) > GROSS_JOINT
+        or not best.is_plausible
     )
-    # The farthest scale from one, in either direction.
-    off = float(np.max(np.abs(np.log(scale[scales.identified]))))
+    ratio = np.median(log.torque_ratio[log.loaded])
+    if is_far or abs(np.log(ratio)) > np.log(ODD):
+        scaled = [*wrong_scales(log, options, divided)]
+        is_far &= all(each.log.misfit > GROSS for each in scaled)
+        tried += scaled
+    # Another torque column may only make up for a position of the same joint.
+    if is_far or any(each.gain > CLEAR for each in tried if each not in scaled):
+        # Those of torques alone were tried on the whole log.
+        columns = [m for m in relabellings(robot) if not m.is_of_torques]
+        tried += wrong_columns(log, options, columns)
+    if is_far or is_of_gravity:
+        tried += wrong_columns(log, options, other_axes(robot), 1)
+    plausible = [
+        each
+        for each in tried
+        if each.log.is_plausible and each.log.misfit < max(0.7 * log.misfit, LITTLE)
+    ]
+    return sorted(plausible, key=lambda correction: -correction.gain)
+
+
+# ---- torque scales
+
+
+def wrong_scales(
+    log: LogFit, options: EstimationOptions, divided: Array
+) -> Iterator[Correction]:
+    """Yield the correction of torque scales: one for all joints, or one per joint.
+
+    Found by Gauss-Newton from the ratios of root mean square torques: torques are divided by the
+    scales, and the fit of what results allows them wide errors. None where some loaded joint's
+    torque does not follow its links.
+    """
+    robot = log.fit.arm.robot
+    names = robot.joint_names
+    scale = log.torque_ratio.copy()
+    scale[~log.loaded] = np.median(scale[log.loaded])
+    widened = names_of("scale", log.fit.arm.joints)
+    term = Term(SCALES, widened, log.fit.arm.terms[SCALES].columns)
+    wide = replace(term, prior=independent(np.full(len(names), WIDE)))
+    arm = log.fit.arm
+    point = arm.start()
+    fitted = log.fit
+    for _ in range(_ROUNDS):
+        undone = _divided(log, scale)
+        rows = log_rows(arm, undone, point)
+        terms = arm_question(arm, log.fit.question, rms_torque(rows.sums))
+        fitted = rows.fit(with_term(terms, wide))
+        at = fitted.at(widened)
+        change = np.clip(1.0 + fitted.free[at], 0.2, 5.0)
+        scale = scale * change
+        point = fitted.next_point()
+    covariance = fitted.inverse[np.ix_(at, at)] / np.outer(change, change)
+    is_sure = np.sqrt(np.diag(covariance)) < KNOWN
+    sure = np.flatnonzero(is_sure)
+    if not np.all(is_sure[log.loaded]):
+        return
+    covariance = covariance[np.ix_(sure, sure)]
+    precision = np.linalg.inv(covariance)
+    own = np.log(scale[sure])
+    typical = float(np.exp(np.sum(precision @ own) / np.sum(precision)))
+    scale[~is_sure] = typical
+    # Loss for scales that fit the data instead of being one: the prior's volume over that left.
+    if np.ptp(own) < np.log(SAME):
+        scale[:] = typical
+        own = np.log([typical])
+        covariance = np.array([[1.0 / np.sum(precision)]])
+    prior = COMMON_RANGE**2 + OWN_RANGE**2 * np.eye(len(own))
+    penalty = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(covariance)[1]
+    penalty = 0.5 * (penalty + own @ np.linalg.solve(prior, own))
+    after = LogFit.of(robot, _divided(log, scale), options)
+    gain = gain_of(log, after, np.log(scale)) - float(penalty)
+    yield Correction(scale_finding(log, scale, sure, divided), gain, after)
+
+
+def odd_unit_finding(log: LogFit) -> Finding | None:
+    """Return the finding that one joint's torque has another unit than that of the other joints."""
+    least = _LEAST_LOAD * np.max(log.model_torque)
+    ratio = log.torque_ratio * log.model_torque / np.maximum(log.model_torque, least)
+    if len(ratio) < 3:
+        return None
+    joint = int(np.argmax(ratio))
+    typical = float(np.median(log.torque_ratio[log.loaded]))
+    factor = float(ratio[joint] / np.median(np.delete(ratio, joint)))
+    # A torque without gravity has a share of the model's at joints that carry weight.
+    if factor < ODD_UNIT or typical < 0.6:
+        return None
+    name = log.fit.arm.joints[joint]
+    text = (
+        f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in mN·m or "
+        f"N·cm; put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
+    )
+    return Finding("torque-scale", Level.REFUSE, text)
+
+
+def _divided(log: LogFit, scale: Array) -> list[Recording]:
+    """Return the recordings with torques divided by scales (n,)."""
+    names = log.fit.arm.robot.joint_names
+    columns = ColumnCorrection.of_factors(("torque",), names, 1.0 / scale)
+    division = Relabelling(Finding("torque-scale", Level.NOTE, ""), columns)
+    return [division.correct(recording) for recording in log.fit.recordings]
+
+
+def scale_finding(
+    log: LogFit, scale: Array, sure: NDArray[np.int64], divided: Array
+) -> Finding:
+    """Return the finding on torque scales (n,), of which those with indices ``sure`` are found."""
+    names = log.fit.arm.robot.joint_names
+    known = scale[sure]
+    typical = float(np.median(known))
+    listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
+    start = ",".join(format(value, ".4g") for value in scale * divided)
+    text = f"torque reads {typical:.3g} times what the model takes ({listed}): "
+    off = float(np.max(np.abs(np.log(known))))
     level = Level.WARN if off > np.log(WARNED) else Level.NOTE
     level = Level.REFUSE if off > np.log(REFUSED) else level
-    start = ",".join(format(value, ".4g") for value in scale * divided)
-    payload_options = ("--torque-scale", start) if scales.spread > _SAME else ()
-    finding = Finding("torque-scale", level, text, payload_options, scale_option)
-    return [Correction(finding, gain, posterior)]
-
-
-def torque_scales(log: LogRows, options: EstimationOptions) -> TorqueScales:
-    """Return the torque scale of each joint, by Gauss-Newton from the ratio of rms torques.
-
-    In each round the torques are divided by the scales of the last round, and the torque of the
-    estimated links is one more column of each joint's equations; its coefficient is the relative
-    change of the scale. No scale counts as identified unless those of all joints that links load
-    have a relative standard error below ``_KNOWN``.
-
-    Args:
-        log: equations of the log.
-        options: prior uncertainties of the estimate.
-    """
-    is_loaded = log.is_loaded
-    ratio = np.clip(log.torque_ratio(1e-6), _LEAST, _MOST)
-    typical_ratio = float(np.median(ratio[is_loaded]))
-    # Friction makes the torque of a joint that links hardly load.
-    is_odd = np.abs(np.log(ratio / typical_ratio)) > np.log(_FRICTION)
-    is_moved = log.model_torque > LEAST_TORQUE * np.max(log.model_torque)
-    is_of_links = is_loaded | (is_odd & is_moved)
-    scale = np.where(is_of_links, ratio, typical_ratio)
-    farthest = np.where(is_loaded, _FARTHEST, _FRICTION)
-    lower = scale / farthest
-    upper = scale * farthest
-    covariance = np.eye(len(scale))
-    values: Array | None = None
-    for _ in range(_ROUNDS):
-        undone = log.with_torque(log.torque / scale)
-        base = LogModel(undone, options)
-        rigid = undone.links_torque(base.prior.mean if values is None else values)
-        columns = []
-        for joint, unit in enumerate(np.eye(len(scale))):
-            # (K, n): column j is that of joint j's scale, which acts at joint j only.
-            scale_columns = _FAR * rigid[:, joint, None] * unit
-            columns.append(base.transform(joint, scale_columns))
-        posterior = base.with_columns(columns).posterior()
-        # The scales' coefficients come last.
-        first = len(base.prior.estimated)
-        # A linear step is not trusted beyond a factor of five.
-        change = np.clip(1.0 + _FAR * posterior.coefficients[first:], 0.2, 5.0)
-        covariance = _FAR**2 * posterior.covariance[first:, first:]
-        covariance = covariance / np.outer(change, change)
-        scale = np.clip(scale * change, lower, upper)
-        values = posterior.values
-    is_sure = np.sqrt(np.diag(covariance)) < _KNOWN
-    # Where a loaded joint's torque does not follow its links, units do not explain it.
-    sure = np.flatnonzero(is_sure & np.all(is_sure[is_loaded]))
-    if len(sure):
-        scale = np.where(is_sure, scale, np.median(scale[sure]))
-    return TorqueScales(scale, sure, covariance[np.ix_(sure, sure)])
-
-
-def _unit_near(typical: float, error: float) -> float | None:
-    """Return the factor in ``UNITS`` that agrees with the scale ``typical``, or None.
-
-    A factor within e of one, as of lbf·ft, counts as no unit: the scale may have other causes.
-    ``error`` is the relative standard error of the scale.
-    """
-    nearest = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
-    is_close = abs(np.log(typical / nearest)) < max(np.log(_CLOSE), 3.0 * error)
-    is_far_from_one = abs(np.log(nearest)) > 1
-    return nearest if is_close and is_far_from_one else None
-
-
-def _meaning(typical: float, spread: float, error: float, divided: Array) -> str:
-    """Return in words the probable cause of torque scales, and what to do.
-
-    Args:
-        typical: the common scale.
-        spread: ratio of the largest to the smallest scale; above ``_SAME``, joints differ.
-        error: relative standard error of the common scale.
-        divided: (n,) torque scales by which the torques were divided already.
-    """
-    if spread > _SAME:
-        return (
-            "a factor of its own for every joint, as motor currents or per cent of rated torque "
-            f"have, or the model of another arm; {WEIGHING}"
-        )
-    unit = _unit_near(typical, error)
-    cause = "motor currents, torques before the gear, or the model of another arm"
-    if unit is not None:
+    # No links, and no tool that an arm may carry, make all torques that small or large.
+    is_foreign = bool(np.all(known < SMALLER) or np.all(known > LARGER))
+    check = "torque-unit" if is_foreign else "torque-scale"
+    if np.max(known) / np.min(known) > SAME:
+        text += "a factor of its own for every joint, as motor currents or per cent of rated "
+        text += f"torque have, or the model of another arm; {WEIGHING}"
+        return Finding(check, level, text, ("--torque-scale", start))
+    unit = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
+    cause = "motor currents, torques before the gear"
+    if abs(np.log(typical / unit)) < np.log(CLOSE):
         cause = UNITS[unit]
-    value = _scale_text(unit or typical, divided)
-    return f"as in {cause}; if the model is this arm's, pass --torque-scale {value}"
-
-
-def _scale_text(scale: float, divided: Array) -> str:
-    """Return the value of --torque-scale: a further scale times those in use already.
-
-    ``divided`` (n,) are the scales in use; the value is one number where all joints have the same.
-    """
-    scales = divided[:1] if np.ptp(divided) == 0.0 else divided
-    return ",".join(format(value, ".4g") for value in (scale * scales).tolist())
+        start = ",".join(format(value, ".4g") for value in unit * divided)
+    text += f"either torques are in another unit ({cause}), or all masses of the model are in "
+    text += "another unit or of another density, or it is the model of another arm; torques cannot "
+    text += (
+        "tell these apart: weigh a link or a known mass; if the model is right, pass "
+    )
+    text += f"--torque-scale {start if np.ptp(divided) else start.split(',')[0]}"
+    return Finding(check, level, text)

@@ -154,6 +154,9 @@ def choose_motors(
                 possible=False,
                 question=question,
             )
+            # The opposite of a motor, with negative friction, explains as much as the motor.
+            if term.names[0] in wider.at_bound:
+                continue
             if wider.log_evidence - current.log_evidence > gain:
                 gain = wider.log_evidence - current.log_evidence
                 best = motor, wider

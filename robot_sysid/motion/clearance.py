@@ -122,7 +122,7 @@ class Clearance:
     Attributes:
         is_solid: whether the model has collision geometry.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most;
-            one row per pair of links (``approach_rates``).
+            one row per pair of links, and a last row for every pair (``approach_rates``).
         collisions: descriptions of the pairs of bodies that are inside each other at rest, but not
             by design and deeper than ``DEEPEST_TOUCH``.
         outside_at_rest: (half-space, name of the body, distance outside [m]) of each body that is
@@ -136,6 +136,7 @@ class Clearance:
         clearance: float,
         half_spaces: Sequence[HalfSpace],
     ) -> None:
+        self._arguments = (robot, start, clearance, half_spaces)
         self._robot = robot
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = data_at_pose(model, robot.reference_qpos)
@@ -152,6 +153,9 @@ class Clearance:
         self.rates = approach_rates(robot, self._data, link_of_body) * has_obstacles
         # (nbody, nbody) the row of ``rates`` of each pair of bodies.
         self._rows = link_of_body[:, None] * (robot.n_joints + 1) + link_of_body
+        # (P,) slack of each row of ``rates`` where no pair is within the horizon; the last row,
+        # which stands for every pair, has no more slack than the horizon then.
+        self._free = np.append(np.full(len(self.rates) - 1, np.inf), HORIZON)
         self.collisions = self._set_required_distances(clearance)
         self._ignore_harmless_neighbours(start)
         drop_pairs(model, link_of_body, np.isneginf(self._required))
@@ -160,6 +164,10 @@ class Clearance:
         self.outside_at_rest = []
         if self._spaces is not None:
             self.outside_at_rest = self._set_required_heights(self._spaces)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments of the constructor: another process makes its own MuJoCo data."""
+        return type(self), self._arguments
 
     def slack(self, q: Array) -> Slack:
         """Return the slack, with its gradient, at joint positions q (N, n) [rad or m]."""
@@ -181,9 +189,10 @@ class Clearance:
 
     def slack_at(self, q: Array) -> tuple[float, Array]:
         """Return the slack at one configuration q (n,) [m], and the slack (P,) of each row of
-        ``rates``: the smallest among its pairs, ``HORIZON`` where none is within the horizon.
+        ``rates``: the smallest among its pairs, infinite where none is within the horizon;
+        ``HORIZON`` in the last row, which bounds all other pairs.
         """
-        budget = np.full(len(self.rates), HORIZON)
+        budget = self._free.copy()
         nearest = self._nearest(q[None], budget)
         return float(nearest.slack[0]), budget
 
@@ -460,9 +469,10 @@ def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:
 
 def approach_rates(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
     """Return bounds (P, n) on how fast the links of one arm can approach each other, per unit joint
-    speed [m/rad, or 1 for slides]; P = (n + 1)^2.
+    speed [m/rad, or 1 for slides]; P = (n + 1)^2 + 1.
 
-    Row a (n + 1) + b bounds the approach of links a and b [m/s] as rates @ abs(qd).
+    Row a (n + 1) + b bounds the approach of links a and b [m/s] as rates @ abs(qd); the last row
+    bounds that of every pair.
 
     Args:
         robot: the arm.
@@ -478,7 +488,7 @@ def approach_rates(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
         # The joints between two links move the outer one, of the higher number, about their axes.
         is_between = (low <= joint) & (joint < high)
         pairs.append(np.where(is_between, reach[:, high], 0.0))
-    return np.array(pairs)
+    return np.vstack((pairs, np.max(pairs, axis=0)))
 
 
 def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:

@@ -2,9 +2,8 @@
 
 Positions, velocities, accelerations and torques are compared with their limits at 1 kHz or more.
 Clearance is checked between samples as well: two bodies approach each other no faster than
-sum_j |qd_j| rate_j. Between two configurations with slacks a and b that are so far apart by this
-sum, integrated over time, as s, no slack is below (a + b - s) / 2. The stretch of time with the
-least of these bounds is halved until no bound is below what is looked for (conservative
+sum_j |qd_j| rate_j, so a configuration with slack s shows that the motion is free until that sum,
+integrated over time, has used up s; only there is the next collision test needed (conservative
 advancement, Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, ch. 2).
 
 Of a motion that repeats itself, one period and both ends are checked.
@@ -14,8 +13,7 @@ The check is for one serial chain.
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +43,12 @@ at 1 kHz 1 - cos(pi 0.6 / 1000) = 2e-6 is missed; a window bends ten times more.
 FINEST_RATE_HZ = 4000.0
 """Highest rate of collision tests, where bodies are near each other [Hz]: a body at 2 m/s moves
 0.5 mm between two tests."""
+MOST_TOGETHER = 64
+"""Largest number of samples in one collision test; tested together, each takes a quarter of the
+time."""
+WORTH_SKIPPING = 4
+"""Number of samples that have to be skipped after a test for the next test to be of one sample; the
+number of samples per test doubles otherwise."""
 WHOLE = 1e-9
 """How near the number of samples in a period must be to a whole number for all periods to have
 equal samples."""
@@ -75,20 +79,20 @@ class Excess:
 
 
 @dataclass(frozen=True)
-class LimitCheck:
-    """Largest values along a trajectory against all its limits.
+class Peaks:
+    """Largest values along a trajectory of the quantities that have limits, except clearances.
 
     Attributes:
         largest: (4 n + 1,) largest absolute value of each of ``ExcitationProblem.signals``.
         time: (4 n + 1,) when it is reached [s].
-        closest: the pair with the least slack: distance minus required distance.
-        excesses: limits that are not kept, the worst first; () for a trajectory that may be run.
+        lowest: (n,) lowest position of each joint [rad or m].
+        highest: (n,) highest position of each joint [rad or m].
     """
 
     largest: Array
     time: Array
-    closest: Closest
-    excesses: tuple[Excess, ...]
+    lowest: Array
+    highest: Array
 
     @property
     def joints(self) -> Array:
@@ -96,6 +100,19 @@ class LimitCheck:
         one row each, of each joint (4, n).
         """
         return self.largest[:-1].reshape(4, -1)
+
+
+@dataclass(frozen=True)
+class LimitCheck(Peaks):
+    """Peaks of a trajectory against all its limits.
+
+    Attributes:
+        closest: the pair with the least slack: distance minus required distance.
+        excesses: limits that are not kept, the worst first; () for a trajectory that may be run.
+    """
+
+    closest: Closest
+    excesses: tuple[Excess, ...]
 
     @property
     def holds(self) -> bool:
@@ -126,12 +143,12 @@ def check_limits(
     """
     peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), tool=True)
     closest = _tightest(problem.obstacles, plan, CLEARANCE_RESOLUTION)
-    excesses = list(_excesses(problem, *peaks))
+    excesses = list(_excesses(problem, peaks))
     if closest.slack < -TOUCH:
         share = 1.0 - closest.slack / OBSTACLE_LENGTH
         excesses.append(Excess(f"clearance of {closest.label}", share, closest.time))
     worst = tuple(sorted(excesses, key=lambda excess: -excess.share))
-    return LimitCheck(*peaks, closest, worst)
+    return LimitCheck(**vars(peaks), closest=closest, excesses=worst)
 
 
 def scale_to_limits(
@@ -149,8 +166,7 @@ def scale_to_limits(
         sample_rate: at which it will be run [Hz]; it is checked at this rate, at least at 1 kHz.
     """
     rate = max(LEAST_RATE_HZ, sample_rate)
-    largest, _ = _peaks(problem, plan, rate)
-    shares = largest[:-1].reshape(4, -1) / problem.limits.largest
+    shares = _peaks(problem, plan, rate).joints / problem.limits.largest
     # Rows 1 and 2 are speed and acceleration. A joint at rest has a share of zero, so the maximum
     # keeps the division defined.
     speed_share = np.max(shares[1:3], axis=0)
@@ -185,14 +201,14 @@ def keeps_limits(
     """
     # Most motions that break a limit break it at the samples of the lower rate too.
     for rate in (FEW_RATE_HZ, sample_rate):
-        if any(_excesses(problem, *_peaks(problem, plan, rate))):
+        if any(_excesses(problem, _peaks(problem, plan, rate))):
             return False
-    return find_contact(problem, plan) is None
+    return first_contact(problem, plan) is None
 
 
-def find_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | None:
-    """Return bodies between which a clearance is not kept along a motion, and when; None where all
-    are kept.
+def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | None:
+    """Return the bodies between which a clearance is first not kept along a motion, and when; None
+    where all are kept.
     """
     closest = _tightest(problem.obstacles, plan, np.inf, stop_below=0.0)
     return closest if closest.slack < 0.0 else None
@@ -226,34 +242,35 @@ def _motions(
 
 def _peaks(
     problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False
-) -> tuple[Array, Array]:
-    """Return the largest values (4 n + 1,) of limited quantities along a motion, and when.
+) -> Peaks:
+    """Return the largest values of limited quantities along a motion sampled at a rate [Hz].
 
-    The motion is sampled at a rate [Hz]; of one that repeats itself, one period and both ends are
-    evaluated (``_spans``). The tool's speed is computed where it has a limit or ``tool`` is true;
-    it is zero otherwise.
+    Of a motion that repeats itself, one period and both ends are evaluated (``_spans``). The tool's
+    speed is computed where it has a limit or ``tool`` is true; it is zero otherwise.
     """
     columns = np.arange(4 * problem.n_joints + 1)
     largest, time = np.zeros((2, len(columns)))
+    lowest = np.full(problem.n_joints, np.inf)
+    highest = -lowest
     for motion in _motions(plan, rate, _spans(plan, rate)):
         magnitudes = np.abs(problem.signals(motion, torque=True, tool=tool))
         peak_samples = np.argmax(magnitudes, axis=0)
         peaks = magnitudes[peak_samples, columns]
         time = np.where(peaks > largest, motion.time[peak_samples], time)
         largest = np.maximum(largest, peaks)
-    return largest, time
+        lowest = np.minimum(lowest, np.min(motion.q, axis=0))
+        highest = np.maximum(highest, np.max(motion.q, axis=0))
+    return Peaks(largest, time, lowest, highest)
 
 
-def _excesses(
-    problem: ExcitationProblem, largest: Array, time: Array
-) -> Iterator[Excess]:
-    """Yield the limits of position, speed, acceleration, torque and tool speed that the largest
-    values (4 n + 1,) of a motion exceed; each is reached at ``time`` [s].
+def _excesses(problem: ExcitationProblem, peaks: Peaks) -> Iterator[Excess]:
+    """Yield the limits of position, speed, acceleration, torque and tool speed that the peaks of a
+    motion exceed.
     """
-    share = largest / problem.limits.columns
+    share = peaks.largest / problem.limits.columns
     # Written with "not", so that NaN counts as an excess.
     for k in np.flatnonzero(~(share <= 1.0 + ROUNDING)):
-        yield Excess(problem.signal_names[k], float(share[k]), float(time[k]))
+        yield Excess(problem.signal_names[k], float(share[k]), float(peaks.time[k]))
 
 
 def _tightest(
@@ -273,9 +290,38 @@ def _tightest(
         resolution: largest error of the least slack [m]; infinite where only contacts matter.
         stop_below: the search ends at the first slack below this [m].
     """
-    tightest = _Tightest(plan.evaluate(np.zeros(1)).q[0])
-    for motion in _motions(plan, FINEST_RATE_HZ, _spans(plan)):
-        _search(obstacles, motion, tightest, resolution, stop_below)
+    spans = _spans(plan)
+    start = plan.evaluate(np.zeros(1))
+    tightest = _Tightest(start.q[0])
+    if resolution < np.inf:
+        # A tight configuration from coarse samples lets the search skip all that is less tight.
+        for motion in _motions(plan, FEW_RATE_HZ, spans):
+            tightest.update(motion, first=0, slacks=obstacles.slack(motion.q).value)
+    limits = _NOTHING_TESTED
+    tested_until = 0.0
+    for motion in _motions(plan, FINEST_RATE_HZ, spans):
+        approach = _Approach(np.abs(motion.qd), obstacles.rates)
+        if motion.time[0] > tested_until + 2.0 / FINEST_RATE_HZ:  # another span
+            limits = _NOTHING_TESTED
+        sample = approach.first_beyond(limits)
+        batch = 1
+        while sample < len(motion.time) and tightest.slack >= stop_below:
+            # Up to ``batch`` samples are tested; how far pairs may move on follows from the last.
+            last = min(sample + batch, len(motion.time)) - 1
+            slacks = obstacles.slack(motion.q[sample:last]).value
+            last_slack, row_slacks = obstacles.slack_at(motion.q[last])
+            tightest.update(motion, sample, np.append(slacks, last_slack))
+            # Slack above the floor may be used up untested: no contact and no lower minimum is
+            # missed by it.
+            floor = tightest.slack - resolution
+            if tightest.slack >= -TOUCH:
+                floor = max(-TOUCH, floor)
+            limits = approach.limits(last, row_slacks - floor)
+            sample = max(last + 1, approach.first_beyond(limits))
+            is_near = sample - last <= WORTH_SKIPPING
+            batch = min(2 * batch, MOST_TOGETHER) if is_near else 1
+        limits = approach.remaining(limits)
+        tested_until = motion.time[-1]
     return replace(obstacles.closest(tightest.q), time=tightest.time)
 
 
@@ -293,52 +339,76 @@ class _Tightest:
         self.slack = np.inf
         self.time = 0.0
 
+    def update(self, motion: Motion, first: int, slacks: Array) -> None:
+        """Take the sample with the least of ``slacks`` (K,), if that is less than ``self.slack``.
 
-def _search(
-    obstacles: Clearance,
-    motion: Motion,
-    tightest: _Tightest,
-    resolution: float,
-    stop_below: float,
-) -> None:
-    """Lower ``tightest``, in place, to the least slack along a motion at ``FINEST_RATE_HZ``.
+        The slacks [m] are those of K samples of the motion, the first one with index ``first``.
+        """
+        least = int(np.argmin(slacks))
+        if slacks[least] < self.slack:
+            self.slack = float(slacks[least])
+            self.time = float(motion.time[first + least])
+            self.q = motion.q[first + least]
 
-    Arguments are as in ``_tightest``.
+
+_NOTHING_TESTED = {-1: -np.inf}
+"""Limits as ``_Approach.limits`` returns them, before the first test: row -1, the last one, bounds
+all pairs, and its path is beyond minus infinity at the first sample."""
+
+
+class _Approach:
+    """Bounds on how far pairs of bodies approach each other along N samples of a motion.
+
+    The path of a row of ``rates`` is how far its pairs may have approached since the sample before
+    the first [m]. Paths are computed when they are needed and cached.
+
+    Args:
+        speed: (N, n) absolute joint speeds at ``FINEST_RATE_HZ``.
+        rates: (P, n) approach bounds, see ``Clearance.rates``.
     """
-    speed = np.abs(motion.qd)
-    steps = np.maximum(speed[1:], speed[:-1]) / FINEST_RATE_HZ
-    # How far each joint has moved (N, n).
-    way = np.vstack((np.zeros_like(speed[:1]), np.cumsum(steps, axis=0)))
-    slacks: dict[int, Array] = {}
 
-    def test(sample: int) -> None:
-        """Find the slacks at a sample."""
-        least, slacks[sample] = obstacles.slack_at(motion.q[sample])
-        if least < tightest.slack:
-            tightest.slack = least
-            tightest.time = float(motion.time[sample])
-            tightest.q = motion.q[sample]
+    def __init__(self, speed: Array, rates: Array) -> None:
+        self._speed = speed
+        self._rates = rates
+        self._paths: dict[int, Array] = {}
 
-    def bound(first: int, last: int) -> tuple[float, int, int]:
-        """Return the least slack that there can be between two tested samples, and both."""
-        moved = obstacles.rates @ (way[last] - way[first])
-        least = 0.5 * np.min(slacks[first] + slacks[last] - moved)
-        return float(least), first, last
+    def limits(self, sample: int, slacks: Array) -> dict[int, float]:
+        """Return, for each row with a finite slack, how long its path may get before it has used up
+        the slack it has at a sample: the path at this sample plus the slack [m].
 
-    last = len(way) - 1
-    test(0)
-    test(last)
-    stretches = [bound(0, last)]
-    while stretches and tightest.slack >= stop_below:
-        least, first, last = heapq.heappop(stretches)
-        # Slack above the floor may be used up untested: no contact and no lower minimum is missed.
-        floor = tightest.slack - resolution
-        if tightest.slack >= -TOUCH:
-            floor = max(-TOUCH, floor)
-        if least >= floor:
-            break
-        if last - first > 1:
-            middle = (first + last) // 2
-            test(middle)
-            heapq.heappush(stretches, bound(first, middle))
-            heapq.heappush(stretches, bound(middle, last))
+        Args:
+            sample: index of the sample.
+            slacks: (P,) of the rows [m]; infinite where no pair is near.
+        """
+        limits = {}
+        for row in np.flatnonzero(np.isfinite(slacks)).tolist():
+            slack = max(0.0, float(slacks[row]))
+            limits[row] = float(self._path(row)[sample]) + slack
+        return limits
+
+    def first_beyond(self, limits: Mapping[int, float]) -> int:
+        """Return the index of the first sample at which the path of a row reaches its limit [m]; N
+        if no path does.
+        """
+        first = len(self._speed)
+        for row, limit in limits.items():
+            reached = np.searchsorted(self._path(row), limit)
+            first = min(first, int(reached))
+        return first
+
+    def remaining(self, limits: Mapping[int, float]) -> dict[int, float]:
+        """Return the limits [m] for an ``_Approach`` of the samples that follow, whose paths begin
+        at zero: the limit of each row less its path along all N samples.
+        """
+        remaining = {}
+        for row, limit in limits.items():
+            remaining[row] = limit - float(self._path(row)[-1])
+        return remaining
+
+    def _path(self, row: int) -> Array:
+        """Return the path (N,) of a row of ``rates`` [m]."""
+        if row not in self._paths:
+            speed = self._speed @ self._rates[row]
+            previous = np.concatenate((speed[:1], speed[:-1]))
+            self._paths[row] = np.cumsum(np.maximum(speed, previous)) / FINEST_RATE_HZ
+        return self._paths[row]

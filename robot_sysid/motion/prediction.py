@@ -164,18 +164,20 @@ def motion_lines(
     yield Detail("Peaks (share of limit):")
     yield from map(Detail, _joint_lines(problem, check))
     yield from _assumed_lines(problem)
+    yield from map(Detail, _room_lines(check))
     yield from _start_lines(problem, plan)
 
 
 def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]:
-    """Yield a line per joint with its peaks, the position from the middle of its range, and one for
-    the tool's speed.
-    """
+    """Yield a line per joint with its range and its peaks, and one for the tool's speed."""
+    # Row 0 is the distance from the middle of the range; the line has the range itself.
+    peaks = check.joints[1:]
     width = max(len(name) for name in problem.joint_names)
-    limits = problem.limits.largest
+    limits = problem.limits.largest[1:]
     for j, name in enumerate(problem.joint_names):
-        line = f"  {name:{width}s}"
-        for label, peak, limit in zip(LIMIT_NAMES, check.joints[:, j], limits[:, j]):
+        reach = f"{check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
+        line = f"  {name:{width}s}  position {reach}"
+        for label, peak, limit in zip(LIMIT_NAMES[1:], peaks[:, j], limits[:, j]):
             line += f"  {label} {peak:6.2f}{_share_text(peak, limit)}"
         yield line
     fastest = check.largest[-1]
@@ -222,6 +224,14 @@ def _assumed_limits(
     unit = f"{position_unit(is_slide)}/s{'²' if family == 'acceleration' else ''}"
     values = ", ".join(f"{value:.4g}" for value in np.unique(limit))
     yield f"{family} {values} {unit} of {names}"
+
+
+def _room_lines(check: LimitCheck) -> Iterator[str]:
+    """Yield when and by how much the pair with the least room is beyond its clearance."""
+    closest = check.closest
+    if np.isfinite(closest.distance):
+        slack = f"about {1000.0 * closest.slack:.0f} mm more than required"
+        yield f"Least room: {slack}, between {closest.label} at {closest.time:.2f} s"
 
 
 def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion import PoseOptions
-from robot_sysid.motion.limit_check import find_contact, keeps_limits
+from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.problem import RESERVE_WORDS, ExcitationProblem
 from robot_sysid.motion.trajectories import (
     PEAK_ACCELERATION,
@@ -184,7 +184,7 @@ def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
     """Return the names of two bodies that come too near each other on the straight line in joint
     space from the model's pose to ``start`` (n,); None where none do.
     """
-    contact = find_contact(problem, straight_way(problem.robot.reference, start))
+    contact = first_contact(problem, straight_way(problem.robot.reference, start))
     return None if contact is None else contact.label
 
 

@@ -73,8 +73,6 @@ add up to about two single ones, and of friction that a stiff servo hides."""
 _EVALUATIONS = 5
 """Largest number of evaluations in each of two searches."""
 
-_DELAY_SHIFTS = np.linspace(-1.5, 1.5, 13)
-"""Changes of the delay's logarithm from the best of which a search begins."""
 _CENTRE = 5.0
 """Unknown of a number that is as in the model: far from zero, as relative steps need."""
 _SAME_DELAY = 1e-6
@@ -373,11 +371,6 @@ def refine_played(problem: ServoProblem, fit: ServoFit, in_model: Array) -> Serv
         errors = problem.errors([fit_at(x).servos])[0] / scale
         return np.append(errors, (x - _CENTRE) / FAST_PRIOR)
 
-    # The equations of a fast servo may lead to a delay from which the search goes elsewhere.
-    # Absolute errors: single windows may run off.
-    starts = [np.append(x[:-1], _CENTRE + shift) for shift in _DELAY_SHIFTS]
-    played = problem.errors([fit_at(start).servos for start in starts])
-    x = starts[int(np.argmin(np.mean(np.abs(played), axis=(1, 2))))]
     for _ in range(2):
         errors = problem.errors([fit_at(x).servos])[0]
         scale = np.sqrt(_CORRELATED_ROLLOUTS * np.mean(errors**2, axis=0)) + 1e-9

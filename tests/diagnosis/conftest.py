@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.diagnosis.contest import Contest
-from robot_sysid.diagnosis.log_checks import low_pass
-from robot_sysid.estimation.question import EstimationOptions
 from tests.support import arms
 from tests.support.wrong_logs import truth_of
 
@@ -20,12 +17,6 @@ def truth():
     joint = 'range="-2.5 2.5" armature=".02"'
     robot = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:5], joint=joint))
     return truth_of(robot, seed=3)
-
-
-@pytest.fixture(scope="session")
-def contest(truth):
-    """Return the contest of explanations of the five-joint arm's log."""
-    return Contest(truth.robot, low_pass([truth.log], None), EstimationOptions())
 
 
 @pytest.fixture(scope="session")

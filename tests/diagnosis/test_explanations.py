@@ -83,13 +83,13 @@ TORQUES = {
     "tilt": lambda t: t.log.tau + tilt(t, (0.07, -0.05)),
     "payload-step: the last link carries": lambda t: t.log.tau + late_payload(t),
     "force: a constant force of": lambda t: t.log.tau + pull(t, (4.0, 3.0, 0.0)),
-    "force: at joint joint1 a torque follows": lambda t: t.log.tau + spring(t, 1),
+    "force: at joint joint2 a torque follows": lambda t: t.log.tau + spring(t, 2),
     "gravity: of the links' weight is missing": lambda t: t.log.tau - 0.6 * t.still,
     "gravity": lambda t: t.log.tau - t.still,
     "torque-scale: changes its scale by": lambda t: (
         t.log.tau * (1.0 + 0.03 * t.log.time)[:, None]
     ),
-    "torque-scale: pass --torque-scale 200": lambda t: 100.0 * t.log.tau,
+    "torque-unit: pass --torque-scale 200": lambda t: 100.0 * t.log.tau,
     "torque-scale: torque of joint joint3 alone reads": lambda t: (
         t.log.tau * [1.0, 1.0, 1.0, 1e3]
     ),
@@ -184,7 +184,7 @@ REMEDIES = {
     "angle-unit": lambda log, _: replace(
         log, q=np.radians(log.q), qd=np.radians(log.qd)
     ),
-    "torque-scale: pass --torque-scale 200": lambda log, finding: replace(
+    "torque-unit: pass --torque-scale 200": lambda log, finding: replace(
         log, tau=log.tau / number_after("reads", finding.text)
     ),
 }

@@ -19,7 +19,7 @@ from robot_sysid.motion.limit_check import (
     CLEARANCE_RESOLUTION,
     RESERVE,
     check_limits,
-    find_contact,
+    first_contact,
     keeps_limits,
     scale_to_limits,
 )
@@ -53,6 +53,8 @@ def test_peaks_equal_those_of_dense_samples(seed, size):
     plan = plan_of(THREE, seed, size)
     check = check_limits(THREE, plan)
     motion = plan.evaluate(np.arange(401) / 1000.0)
+    assert np.allclose(check.lowest, motion.q.min(axis=0), atol=1e-12)
+    assert np.allclose(check.highest, motion.q.max(axis=0), atol=1e-12)
     signals = (motion.qd, motion.qdd, THREE.torque(motion))
     assert_allclose(check.joints[1:], np.max(np.abs(signals), axis=1), atol=1e-9)
     limits = THREE.limits
@@ -92,7 +94,7 @@ def test_clearance_equals_that_of_dense_samples(seed, size):
     assert check.closest.slack <= least + CLEARANCE_RESOLUTION + 1e-6
     # Between two of these samples nothing moves farther than this.
     assert check.closest.slack >= least - 0.0025 * fastest
-    assert (find_contact(problem, plan) is not None) == (check.closest.slack < 0.0)
+    assert (first_contact(problem, plan) is not None) == (check.closest.slack < 0.0)
 
 
 class ThinWall:
@@ -122,7 +124,7 @@ def test_a_wall_between_two_samples_is_detected():
     assert np.min(problem.obstacles.slack(sampled.q).value) > 0.0
     check = check_limits(problem, plan)
     assert "clearance of arm and wall" in str(check.excesses[0])
-    contact = find_contact(problem, plan)
+    contact = first_contact(problem, plan)
     assert contact.time == pytest.approx(check.closest.time, abs=3.0)
 
 
@@ -146,7 +148,7 @@ class Stopping:
 def test_a_motion_that_stops_inside_a_wall_is_detected(end, touches):
     """Between two samples the speed is that at the start of the step."""
     problem = replace(THREE, obstacles=ThinWall())
-    assert (find_contact(problem, Stopping(end)) is not None) == touches
+    assert (first_contact(problem, Stopping(end)) is not None) == touches
 
 
 @pytest.mark.slow
@@ -162,7 +164,8 @@ def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, speed):
     full_check = check_limits(THREE, hidden)
     covered = np.diff(limit_check._spans(plan))
     assert np.sum(covered) < 0.6 * plan.duration
-    assert_allclose(check.largest, full_check.largest, rtol=1e-9)
+    for name in ("lowest", "highest", "largest"):
+        assert_allclose(getattr(check, name), getattr(full_check, name), rtol=1e-9)
     assert len(check.excesses) == len(full_check.excesses)
 
 

@@ -14,7 +14,6 @@ from robot_sysid.servo.fit import (
     refine_played,
 )
 from robot_sysid.servo.windows import make_problem
-from robot_sysid.simulation import playback
 from robot_sysid.simulation.playback import (
     ServoParameters,
     ServoRollouts,
@@ -118,9 +117,6 @@ SMALL = """<mujoco><worldbody><body>
 """Two joints like those of a small hobby arm behind stiff servos."""
 
 
-@pytest.mark.skipif(
-    not playback._has_threads(), reason="takes minutes where MuJoCo steps in Python"
-)
 def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
     """Its rotor inertia and damping show; what it hides stays near the model's, with a wide ±."""
     robot = robot_of(SMALL)
