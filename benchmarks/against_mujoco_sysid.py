@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from robot_sysid.estimation.question import EstimationOptions
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.records import Measurement
 from robot_sysid.simulation.plant import round_to_multiples
 from robot_sysid.simulator import ArmTorque

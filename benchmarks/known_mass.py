@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.honest_intervals import ARMS
+from benchmarks.real_arms import ARMS
 from benchmarks.payload_by_difference import recordings, rms, weigh
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.question import EstimationOptions, Priors
+from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.parser import load_robot_model
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 

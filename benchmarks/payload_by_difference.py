@@ -19,11 +19,16 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.honest_intervals import ARMS
+from benchmarks.real_arms import ARMS
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimation.build_result import payload_of
-from robot_sysid.estimation.identify import Piece, answer_payload, low_pass_recordings
-from robot_sysid.estimation.question import EstimationOptions, Priors, Question
+from robot_sysid.estimate.identify import (
+    Piece,
+    identify_payload,
+    low_pass_recordings,
+)
+from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.payload import payload_result
+from robot_sysid.estimate.questions import Question
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
@@ -83,12 +88,10 @@ def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
     pieces = []
     for recording, position in zip(raw, np.linspace(-1.0, 1.0, len(raw))):
         pieces.append(replace(recording, order=position))
-    datasets, _ = low_pass_recordings(robot, pieces, estimation)
+    recordings, _ = low_pass_recordings(robot, pieces)
     question = Question(estimation, loaded=True, drifts=drifts, **question_options)
-    answer, free = answer_payload(
-        robot, datasets, question, Progress(), unchanged_parts=None
-    )
-    return payload_of(answer, free, find_flange(robot, "0,0,0"), ORIGIN)
+    fits = identify_payload(robot, recordings, question, Progress(), unchanged=None)
+    return payload_result(*fits, find_flange(robot, "0,0,0"), ORIGIN)
 
 
 def single_difference(robot, raw):

@@ -114,7 +114,7 @@ def wrong_links(robot: RobotModel, rng: np.random.Generator) -> Array:
 
 def prior_links(robot: RobotModel, rng: np.random.Generator) -> Array:
     """Return links (n, 10) drawn from the prior of 5 %; the last one is off by as much."""
-    from robot_sysid.estimation.algebra.priors import model_link_factor
+    from robot_sysid.estimate.links import model_link_factor
 
     links = range(robot.n_joints)
     factor = model_link_factor(robot, links, 0.05)

@@ -29,11 +29,6 @@ from benchmarks.speed_table import rewrite
 from robot_sysid.api.calls import identify, payload
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimation.algebra.least_squares import restrict
-from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.dataset import Dataset
-from robot_sysid.estimation.fit import evidence_of
-from robot_sysid.estimation.identify import without_standing
 from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import Measurement
@@ -48,7 +43,6 @@ ROWS = {
     "friction": "its links, with friction and rotor inertia by least squares",
     "mjcf": "**the MJCF that robot-sysid writes**",
     "urdf": "the URDF that robot-sysid writes",
-    "fit": "robot-sysid's fit, with what no file holds",
     "least": "plain least squares, its parameters",
     "least file": "plain least squares, as a model file",
     "sysid": "mujoco.sysid's file: friction and rotors, links kept",
@@ -163,13 +157,8 @@ def column(case: Case, folder: Path) -> dict[str, str]:
     mjcf.write_text(as_mjcf(case.model))
     for file_format, model in (("urdf", DATA / case.model), ("mjcf", mjcf)):
         outcome = identify_case(case, model)
-        fit = outcome.answer.fit
-        fit_signals = fit.columns.datasets[0].signals
-        # Rows over turns at which a joint stands count in no judge of robot-sysid's own.
-        judged = Dataset(
-            "", signals(case.other, outcome.robot.joint_names, fit_signals.cutoff)
-        )
-        test = without_standing(outcome.robot, judged, fit.question.options).signals
+        cutoff = outcome.result.cutoff
+        test = signals(case.other, outcome.robot.joint_names, cutoff)
         suffix = {"mjcf": ".xml", "urdf": ".urdf"}[file_format]
         written = [
             path for path in outcome.save(folder / file_format) if path.suffix == suffix
@@ -177,9 +166,8 @@ def column(case: Case, folder: Path) -> dict[str, str]:
         error = [percent(file_error(path, outcome.robot, test)) for path in written[:1]]
         cells[file_format] = error[0] if error else "none is written"
     cells["catalogue"] = percent(file_error(mjcf, outcome.robot, test))
-    cells["fit"] = percent(fit_error(fit, test, case.empty is not None))
     cells["mjcf mass"] = f"{outcome.mass:.3f} ± {outcome.standard_errors['m']:.3f}"
-    plain = LeastSquares(case, outcome.robot, fit_signals.cutoff)
+    plain = LeastSquares(case, outcome.robot, cutoff)
     cells["friction"] = percent(plain.error(plain.solution(links=False), test))
     values = plain.solution()
     cells["least"] = percent(plain.error(values, test))
@@ -188,7 +176,7 @@ def column(case: Case, folder: Path) -> dict[str, str]:
     stretches = tuple(
         stretch for stretch in (case.empty, case.fitted) if stretch is not None
     )
-    model, mass = by_rollouts(case.model, stretches, fit_signals.cutoff, case.rotors)
+    model, mass = by_rollouts(case.model, stretches, cutoff, case.rotors)
     cells["sysid"] = percent(file_error(model, outcome.robot, test))
     cells["sysid mass"] = f"{mass:.3f}"
     return cells
@@ -223,22 +211,6 @@ def relative(test, torque) -> float:
     off = measured - torque
     off -= np.nanmean(off, axis=0)
     return float(np.sqrt(np.nansum(off**2) / np.nansum(measured**2)))
-
-
-def fit_error(fit, test, is_loaded: bool) -> float:
-    """Return the relative torque error of a fit, with scales, zeros and shared motors."""
-    fitted = fit.columns
-    test_data = [Dataset("", test, is_loaded)]
-    columns = Columns(fitted.robot, test_data, fitted.torques, fitted.couplings)
-    rows = columns.samples(fit.point)
-    evidence = evidence_of([rows], fit.evidence.torque)
-    offsets = [name for name in columns.names if name.startswith("offset[")]
-    held = np.where(np.isin(columns.names, offsets), 0.0, fit.values)
-    free = restrict(evidence.total, offsets, held)
-    best = np.linalg.lstsq(*free.equations(), rcond=None)[0]
-    return float(
-        np.sqrt(np.sum(free.squared_residuals(best)) / np.sum(evidence.squared_torque))
-    )
 
 
 class LeastSquares:

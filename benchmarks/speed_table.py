@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import against_mujoco_sysid, servo_arm, whole_arm
+from benchmarks import against_mujoco_sysid, servo_arm
 from robot_sysid.parser import load_robot_model
 from tests.support.places import DATA, GUESS, MODELS, ROOT, TRUTH
 
@@ -160,19 +160,6 @@ def log_rows() -> Iterator[str]:
             yield format_row(task, "robot-sysid", seconds, base[0], cell)
 
 
-def arm_rows() -> Iterator[str]:
-    """Yield the cost of identifying every link of seven joints from 15 000 samples."""
-    has_pinocchio = importlib.util.find_spec("pinocchio") is not None
-    if not has_pinocchio or not (DATA / "kuka_lwr4").exists():
-        return
-    durations = whole_arm.durations()
-    base = next(iter(durations.values()))
-    for name, seconds in durations.items():
-        tool = name if "pinocchio" in name else f"robot-sysid, {name}"
-        task = "every link, 7 joints, 15 000 samples in memory"
-        yield format_row(task, tool, seconds, base)
-
-
 def servo_rows() -> Iterator[str]:
     """Yield the cost of an arm without torque sensors, from 40 s."""
     path = MODELS / "so101" / "so101_new_calib.xml"
@@ -223,7 +210,6 @@ def sysid_rows() -> Iterator[str]:
 PARTS = {
     "start": start_rows,
     "logs": log_rows,
-    "arm": arm_rows,
     "servo": servo_rows,
     "plan": plan_rows,
     "sysid": sysid_rows,

@@ -11,9 +11,9 @@ viscous      qd                            N m s/rad
 offset       1                             N m (torque sensor or current offset)
 armature     qdd                           kg m^2 (rotor inertia seen through the gear)
 sqrt         sign(qd) sqrt(abs(qd))        N m (s/rad)^0.5
-stribeck     sign(qd) exp(-(qd/vs)^2)      N m (breakaway above Coulomb)
+stribeck     sign(qd) exp(-(qd/0.1)^2)     N m (breakaway above Coulomb)
 load         sign(qd) abs(load)            1 (loss of a gear that grows with its load)
-sigmoid      tanh(qd/vs)                   N m (Coulomb friction with a smooth reversal)
+sigmoid      tanh(qd/0.05)                 N m (Coulomb friction with a smooth reversal)
 fading_fast  sign(qd) exp(-abs(qd)/0.04)   N m (friction above Coulomb that fades with speed)
 fading       sign(qd) exp(-abs(qd)/0.13)   N m
 fading_slow  sign(qd) exp(-abs(qd)/0.4)    N m
@@ -39,41 +39,9 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
-
-@dataclass(frozen=True)
-class NonlinearTerm:
-    """A friction term whose column is nonlinear in one more parameter, a speed vs [rad/s].
-
-    Attributes:
-        column: returns the column (...) for velocities (...) and vs, a number or (...).
-        slope: returns the column's derivative (...) by vs, for the same two arguments.
-        default_speed: vs where nothing is known about it [rad/s].
-        trial_speeds: values of vs worth trying, ascending; vs is searched from half the first to
-            twice the last. Stribeck velocities of geared joints lie between 0.01 and 0.3 rad/s at
-            the output.
-    """
-
-    column: Callable[[Array, Array | float], Array]
-    slope: Callable[[Array, Array | float], Array]
-    default_speed: float
-    trial_speeds: tuple[float, ...]
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Least and largest vs [rad/s]."""
-        return 0.5 * self.trial_speeds[0], 2.0 * self.trial_speeds[-1]
-
-
 _LARGEST_DECAY = 200.0
-"""Exponent x beyond which exp(-x) is replaced by zero (Stribeck) or kept constant (fading):
-arithmetic with numbers near 1e-308 takes a hundred times as long."""
-
-
-def _stribeck(qd: Array, speed: Array | float) -> Array:
-    """Return sign(qd) exp(-(qd / speed)^2) (...) of velocities (...) and a speed [rad/s]."""
-    decay = (qd / speed) ** 2
-    size = np.where(decay < _LARGEST_DECAY, np.exp(-decay), 0.0)
-    return np.asarray(np.sign(qd) * size)
+"""Exponent x beyond which exp(-x) is kept constant: arithmetic with numbers near 1e-308 takes a
+hundred times as long."""
 
 
 def _fading(qd: Array, qdd: Array, load: Array, fading_speed: float) -> Array:
@@ -88,34 +56,17 @@ def _fading(qd: Array, qdd: Array, load: Array, fading_speed: float) -> Array:
     return np.asarray(np.sign(qd) * np.exp(-decay))
 
 
-def _stribeck_slope(qd: Array, speed: Array | float) -> Array:
-    """Return the derivative (...) of ``_stribeck`` of velocities (...) by the speed [s/rad]."""
-    return np.asarray(_stribeck(qd, speed) * 2.0 * qd**2 / speed**3)
+STRIBECK_SPEED = 0.1
+"""Speed of the term "stribeck" [rad/s]."""
+SIGMOID_SPEED = 0.05
+"""Speed of the term "sigmoid" [rad/s]."""
 
 
-def _sigmoid(qd: Array, speed: Array | float) -> Array:
-    """Return tanh(qd / speed) (...) of velocities (...) and a speed [rad/s]; exactly odd in qd."""
-    return np.asarray(np.sign(qd) * np.tanh(np.abs(qd) / speed))
+def _stribeck(qd: Array, qdd: Array, load: Array) -> Array:
+    """Return sign(qd) exp(-(qd / 0.1)^2) (N,), as a column of ``TERMS``."""
+    decay = np.minimum((qd / STRIBECK_SPEED) ** 2, _LARGEST_DECAY)
+    return np.asarray(np.sign(qd) * np.exp(-decay))
 
-
-def _sigmoid_slope(qd: Array, speed: Array | float) -> Array:
-    """Return the derivative (...) of ``_sigmoid`` of velocities (...) by the speed [s/rad]."""
-    # The square of cosh overflows at a ratio of 355; the derivative is negligible at 300 already.
-    ratio = np.minimum(np.abs(qd / speed), 300.0)
-    return np.asarray(-qd / (speed * np.cosh(ratio)) ** 2)
-
-
-_STRIBECK = NonlinearTerm(
-    _stribeck, _stribeck_slope, default_speed=0.1, trial_speeds=(0.02, 0.05, 0.1, 0.2)
-)
-_SIGMOID = NonlinearTerm(
-    _sigmoid, _sigmoid_slope, default_speed=0.05, trial_speeds=(0.01, 0.03, 0.1, 0.3)
-)
-NONLINEAR_TERMS: Mapping[str, NonlinearTerm] = {
-    "stribeck": _STRIBECK,
-    "sigmoid": _SIGMOID,
-}
-"""Terms that are nonlinear in a speed; a fit that includes friction estimates the speed too."""
 
 FADING_SPEEDS: Mapping[str, float] = {
     "fading_fast": 0.04,
@@ -131,14 +82,13 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "offset": lambda qd, qdd, load: np.ones_like(qd),
     "armature": lambda qd, qdd, load: qdd,
     "sqrt": lambda qd, qdd, load: np.sign(qd) * np.sqrt(np.abs(qd)),
-    "stribeck": lambda qd, qdd, load: _STRIBECK.column(qd, _STRIBECK.default_speed),
+    "stribeck": _stribeck,
     "load": lambda qd, qdd, load: np.sign(qd) * np.abs(load),
-    "sigmoid": lambda qd, qdd, load: _SIGMOID.column(qd, _SIGMOID.default_speed),
+    "sigmoid": lambda qd, qdd, load: np.tanh(qd / SIGMOID_SPEED),
     **{term: partial(_fading, fading_speed=v) for term, v in FADING_SPEEDS.items()},
 }
 """Term name to the function that returns its column (N,) from qd, qdd and load (N,), see
-``FrictionModel.columns``; a new term is one more line here. ``NONLINEAR_TERMS`` take their default
-speed."""
+``FrictionModel.columns``; a new term is one more line here."""
 
 DRY_TERMS = ("coulomb", "sqrt", "stribeck", "sigmoid", *FADING_SPEEDS)
 """Terms whose columns depend on a speed alone and are not smooth where it changes sign."""
@@ -180,11 +130,6 @@ class FrictionModel:
             free.append("viscous")
         return tuple(term not in free for term in self.terms)
 
-    @property
-    def nonlinear_terms(self) -> tuple[str, ...]:
-        """The terms of this model that are in ``NONLINEAR_TERMS``."""
-        return tuple(term for term in self.terms if term in NONLINEAR_TERMS)
-
     def parameter_names(self, joint: str) -> tuple[str, ...]:
         """Return the parameter name of each column, for instance ``coulomb[joint6]``."""
         return tuple(f"{term}[{joint}]" for term in self.terms)
@@ -199,11 +144,6 @@ class FrictionModel:
         """
         columns = [TERMS[term](qd, qdd, load) for term in self.terms]
         return np.stack(columns).T if columns else np.empty((len(qd), 0))
-
-
-def speed_name(term: str, joint: str) -> str:
-    """Return the name of a nonlinear term's speed, for instance ``stribeck_speed[joint6]``."""
-    return f"{term}_speed[{joint}]"
 
 
 def friction_model(name: str) -> FrictionModel:
@@ -228,7 +168,7 @@ def friction_model(name: str) -> FrictionModel:
     return FrictionModel(terms)
 
 
-_COUPLED = FrictionModel(("coulomb", "viscous", "armature", "sqrt", "stribeck"))
+_COUPLED = FrictionModel(("coulomb", "viscous", "armature"))
 """Friction terms of every motor that turns with several joints."""
 
 

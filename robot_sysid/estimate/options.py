@@ -28,9 +28,6 @@ the last joint only."""
 DEFAULT_TERMINAL = "coulomb-viscous-offset"
 """Default friction model with ``torques="terminal"``; it has no rotor inertia, which one joint's
 torque does not tell from the inertia of the link."""
-CHOSEN = "auto"
-"""Value of the option ``friction_model`` that selects each joint's friction terms from the data."""
-
 
 # Names of the parts of a model file that may stay as they are (``Question.unchanged_parts``).
 # Friction of joints and motors.
@@ -139,10 +136,10 @@ class EstimationOptions(OptionRecord):
     )
     friction_model: str | None = option(
         None,
-        "friction terms of every joint, such as coulomb-viscous-offset, or auto",
+        "friction terms of every joint, such as coulomb-viscous-offset",
         "TERMS",
-        default_text="auto: each joint's by held-out torques; of the last joint's torque alone "
-        f"{DEFAULT_TERMINAL}",
+        default_text="coulomb-viscous-offset-armature, and what priors allow for; of the last "
+        f"joint's torque alone {DEFAULT_TERMINAL}",
     )
     priors: Priors = option(
         Priors(),
@@ -179,26 +176,26 @@ class EstimationOptions(OptionRecord):
             ):
                 if is_given:
                     raise InputError(f"{flag} and --no-friction exclude each other")
-        if self.friction_model not in (None, CHOSEN):
+        if self.friction_model is not None:
             from robot_sysid.dynamics.friction import friction_model
 
             friction_model(str(self.friction_model))
 
     @property
-    def friction(self) -> FrictionModel | None:
-        """Friction terms of every joint; None where each joint's terms are selected from data.
-
-        With the option ``no_friction`` it is a model without terms.
-        """
+    def friction(self) -> FrictionModel:
+        """Friction terms of every joint; none with the option ``no_friction``."""
         from robot_sysid.dynamics.friction import FrictionModel, friction_model
 
         if self.no_friction:
             return FrictionModel(())
-        if self.friction_model not in (None, CHOSEN):
-            return friction_model(str(self.friction_model))
-        if self.torques == "terminal":
-            return friction_model(DEFAULT_TERMINAL)
-        return None
+        return friction_model(self.friction_model or self._default_friction)
+
+    @property
+    def _default_friction(self) -> str:
+        """Friction model where no option names one."""
+        from robot_sysid.dynamics.friction import DEFAULT_MEASURED
+
+        return DEFAULT_TERMINAL if self.torques == "terminal" else DEFAULT_MEASURED
 
     @property
     def left_out_terms(self) -> tuple[str, ...]:
@@ -206,11 +203,9 @@ class EstimationOptions(OptionRecord):
 
         A sigmoid is no lack of Coulomb friction.
         """
-        from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+        from robot_sysid.dynamics.friction import friction_model
 
-        default = DEFAULT_TERMINAL if self.torques == "terminal" else DEFAULT_MEASURED
-        if self.friction is None:
-            return ()
         terms = self.friction.terms
         given = {*terms, "coulomb"} if "sigmoid" in terms else {*terms}
-        return tuple(t for t in friction_model(default).terms if t not in given)
+        default = friction_model(self._default_friction).terms
+        return tuple(term for term in default if term not in given)

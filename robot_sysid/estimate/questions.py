@@ -101,15 +101,14 @@ class Question:
         """Friction terms of every joint that are estimated without a prior."""
         if self.resting:
             return ("offset",)
-        model = self.options.friction
-        return USUAL_FRICTION if model is None else model.terms
+        return self.options.friction.terms
 
 
 def friction_columns(options: EstimationOptions) -> tuple[str, ...]:
     """Return the names of the friction terms that need columns."""
-    model = options.friction
-    given = USUAL_FRICTION if model is None else model.terms
-    return tuple(dict.fromkeys((*USUAL_FRICTION, *given, *UNKNOWN_FRICTION)))
+    return tuple(
+        dict.fromkeys((*USUAL_FRICTION, *options.friction.terms, *UNKNOWN_FRICTION))
+    )
 
 
 def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]:

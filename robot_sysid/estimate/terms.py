@@ -62,8 +62,6 @@ ALL_FRICTION = (*USUAL_FRICTION, *UNKNOWN_FRICTION)
 """Friction terms that have columns where no option names others."""
 LEAST_DEVIATION = 1e-9
 """Least standard deviation of a prior [SI]: that of a number that is known exactly."""
-MOTOR_TERMS = ("coulomb", "viscous", "armature")
-"""Friction terms of a motor that turns several joints."""
 BOTH = frozenset(("mjcf", "urdf"))
 """Kinds of model files."""
 # Friction that drifts from the first recording to the last.
@@ -227,7 +225,7 @@ class ArmTerms:
                 zip(names_of(term, robot.joint_names), np.array(numbers).tolist())
             )
         for motor in self.motors:
-            values.update(zip(motor_names(motor), motor.model.tolist()))
+            values.update(zip(motor.parameter_names, motor.model.tolist()))
         return values
 
     def start(self) -> Point:
@@ -284,11 +282,11 @@ class ArmTerms:
         for motor in self.motors:
             yield Term(
                 MOTORS,
-                motor_names(motor),
+                motor.parameter_names,
                 partial(self._motor, motor),
                 lower=0.0,
                 held_by=frozenset(("mjcf",)),
-                usual=motor.model[:3],
+                usual=motor.model,
             )
         yield Term(SCALES, names_of("scale", self.joints), self._scales)
         yield Term(ZEROS, names_of("zero", robot.joint_names), self._zeros)
@@ -332,7 +330,7 @@ class ArmTerms:
         torque = torque - self.robot.armature * motion.qdd
         for motor in self.motors:
             if motor.tendon is not None:
-                _, viscous, armature = motor.model[:3]
+                _, viscous, armature = motor.model
                 speed = viscous * (motion.qd @ motor.ratios)
                 torque -= np.outer(
                     speed + armature * (motion.qdd @ motor.ratios), motor.ratios
@@ -454,8 +452,3 @@ def term_key(term: Term) -> str:
     if term.cause == MOTORS:
         return term.names[0].partition("[")[2][:-1]
     return term.cause
-
-
-def motor_names(motor: Coupling) -> tuple[str, ...]:
-    """Return the names of a motor's parameters, such as ``coulomb[joint_5+joint_6]``."""
-    return tuple(f"{term}[{motor.name}]" for term in MOTOR_TERMS)

@@ -16,7 +16,6 @@ _TERM_UNITS: Mapping[str, tuple[str, str]] = {
     "viscous": ("N·m·s/rad", "N·s/m"),
     "armature": ("kg·m²", "kg"),
     "sqrt": ("N·m·√(s/rad)", "N·√(s/m)"),
-    **dict.fromkeys(("stribeck_speed", "sigmoid_speed"), ("rad/s", "m/s")),
     "zero": ("rad", "m"),
 }
 """Friction term, speed parameter of one, or joint zero to its unit in a hinge and in a slide."""

@@ -15,7 +15,7 @@
 A filtered row mixes all samples under the filter's window, near a reversal also some in which the
 direction of friction is not known. Rows with more than ``LARGEST_SLOW_SHARE`` of the filter's
 weight on such samples are masked. In a simulated closed loop a mask that only looks at a row's own
-instant leaves errors of 3.8 % in viscous friction, this one 0.9 % (benchmarks/reversal_masking.py).
+instant leaves errors of 3.8 % in viscous friction, this one 0.9 %.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from robot_sysid.signals.resampling import (
 
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband, or in long holes of the log, may
-have in a row that is used; benchmarks/reversal_masking.py compares it with others."""
+have in a row that is used."""
 DEADBAND_SHARE = 0.005
 """Deadband over a joint's peak speed: below it the joint has hardly left stiction (chosen)."""
 _LEAST_DEADBAND = 1e-3
