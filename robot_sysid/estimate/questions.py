@@ -67,6 +67,8 @@ PER_CENT = 0.01
 """One per cent."""
 MILLI = 1e-3
 """One thousandth."""
+# Share of an error that is left of what all torque scales have in common.
+_LEFT = 1e-3
 # Prior standard deviation of a number that is known exactly, as a share of it.
 _EXACT = 1e-6
 
@@ -147,8 +149,21 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     for cause, deviations in sizes.items():
         if cause in arm.terms and np.any(deviations > 0.0):
             prior = independent(deviations)
+            if cause == SCALES and question.loaded and question.known_mass is None:
+                prior = without_common(prior)
             terms.append(replace(arm.terms[cause], prior=prior))
     return terms
+
+
+def without_common(prior: Prior) -> Prior:
+    """Return the prior of torque scales without the error that all of them share.
+
+    No torque tells it from a heavier arm that carries a heavier payload: left in, the prior of the
+    links decides about it. It is added to the payload's error (``Fit.scale_errors``).
+    """
+    size = len(prior.mean)
+    apart = np.eye(size) - (1.0 - _LEFT) / size
+    return Prior(prior.mean, prior.factor @ apart)
 
 
 def _payload(arm: ArmTerms, question: Question) -> Term:
