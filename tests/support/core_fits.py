@@ -5,63 +5,40 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import friction_model
-from robot_sysid.estimation.build_result import result_of
-from robot_sysid.estimation.choices import CANDIDATES
-from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.dataset import rms_torque
-from robot_sysid.estimation.fit import Fitter
-from robot_sysid.estimation.identify import Piece, answer_link, low_pass_recordings
-from robot_sysid.estimation.question import Choice, EstimationOptions, Priors, Question
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED as BASIC
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
+from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.result import link_result
 from robot_sysid.records import DataOrigin, Source
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import split_at_gaps
 from tests.support.measured_logs import CUTOFF
 
-BASIC = CANDIDATES[0]
-"""The friction model with the fewest terms among which recordings choose."""
-NO_PRIORS = Priors(link=0.0, scale=0.0, zero=0.0, gravity=0.0, friction=0.0)
+NO_PRIORS = Priors(link=0.0, scale=0.0, zero=0.0, gravity=0.0, delay=0.0, friction=0.0)
 """Priors with which torque noise is the only source of error."""
 NOISE_ONLY = {"priors": NO_PRIORS}
 """Options with which torque noise is the only source of error."""
-EXACT_SENSORS = EstimationOptions(priors=Priors(zero=0.0, gravity=0.0))
-"""Options with exact encoders and a level base, so that no prior allows a body to turn."""
 ORIGIN = DataOrigin(Source.LOG, "a log", 10.0, 200.0)
 
 
-def fitter_of(robot, recordings, torques="chain", couplings=()):
-    """Return a fitter of recordings."""
-    columns = Columns(robot, recordings, torques, couplings)
-    return Fitter(columns, rms_torque(recordings))
+def fit_recordings(robot, recordings, options=None, **question):
+    """Return the fit of recordings; ``question`` are the further fields of ``Question``."""
+    return solved(
+        robot, recordings, Question(options or EstimationOptions(), **question)
+    )
 
 
-def choice_of(robot, friction=BASIC, couplings=()):
-    """Return the choice of one friction model, by name, for all joints."""
-    return Choice((friction_model(friction),) * robot.n_joints, tuple(couplings))
-
-
-def fit_recordings(
-    robot, recordings, options=None, friction=BASIC, couplings=(), **question
-):
-    """Return the fit of recordings with a given friction model.
-
-    ``question`` are the further fields of ``Question``.
-    """
-    question = Question(options or EstimationOptions(), **question)
-    fitter = fitter_of(robot, recordings, question.options.torques, couplings)
-    return fitter.fit(question, choice_of(robot, friction, couplings))
-
-
-def filter_logs(robot, *logs, **options):
-    """Return (the low-passed datasets of measurements, the options of their fit)."""
-    options = EstimationOptions(**{"cutoff": CUTOFF, **options})
+def filter_logs(robot, *logs, cutoff=CUTOFF):
+    """Return the low-passed recordings of measurements."""
     pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
-    return low_pass_recordings(robot, pieces, options)[0], options
+    return low_pass_recordings(robot, pieces, cutoff)[0]
 
 
-def fit_logs(robot, *logs, friction=BASIC, **options):
-    """Return the fit of measurements of the arm alone with a given friction model."""
-    return fit_recordings(robot, *filter_logs(robot, *logs, **options), friction)
+def fit_logs(robot, *logs, **options):
+    """Return the fit of measurements of the arm alone."""
+    return fit_recordings(robot, filter_logs(robot, *logs), EstimationOptions(**options))
 
 
 def result_of_logs(robot, logs, options, kept=None):
@@ -72,8 +49,9 @@ def result_of_logs(robot, logs, options, kept=None):
     pieces = []
     for number, log in enumerate(logs):
         pieces += [Piece(f"log{number}", piece) for piece in split_at_gaps(log)]
-    datasets, _ = low_pass_recordings(robot, pieces, options)
-    return result_of(answer_link(robot, datasets, options, Progress(), kept), ORIGIN)
+    recordings, _ = low_pass_recordings(robot, pieces, options.cutoff)
+    fits = identify_link(robot, recordings, options, Progress(), kept)
+    return link_result(*fits, (), ORIGIN)
 
 
 def body_error(theta, true_theta):

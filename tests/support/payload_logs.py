@@ -1,6 +1,6 @@
 """Recordings of small arms with and without a payload, exact or with noise and model errors.
 
-``exact_recording`` has exact derivatives, so that the truth solves the equations to rounding.
+``exact_recording`` has exact derivatives and no filter, so that the truth solves the equations to rounding.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimation.columns import PAYLOAD_NAMES
-from robot_sysid.estimation.dataset import Dataset
+from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.records import Motion
-from robot_sysid.signals.filters import design_low_pass
+from robot_sysid.signals.filters import LowPass
 from robot_sysid.signals.process import ProcessedSignals
 from tests.support import arms
 
 RATE = 50.0
 DURATION = 12.0
-CUTOFF = 5.0
+UNFILTERED = LowPass(20.0, RATE, np.ones(1), 1)
+"""A low-pass that passes everything: columns and torques agree to rounding."""
 PAYLOAD = spatial.theta_from_com(
     1.2,
     np.array([0.03, -0.02, 0.08]),
@@ -93,8 +94,8 @@ class TrueArm:
         rotor_and_offset = self.armature * motion.qdd + self.offset
         return self.scale * rigid + (1.0 + drift) * friction + rotor_and_offset
 
-    def values(self, columns, drift=0.0):
-        """Return the true parameters (p,) of columns."""
+    def values(self, names, drift=0.0):
+        """Return the true values (p,) of named parameters."""
         value_of = dict(zip(PARAMETER_NAMES, self.thetas[-1]))
         value_of.update(zip(PAYLOAD_NAMES, self.payload))
         for number, joint in enumerate(self.robot.joint_names):
@@ -104,7 +105,7 @@ class TrueArm:
             value_of[f"drift[{joint}]"] = drift
         for number in range(self.robot.n_joints - 1):
             value_of.update(zip(link_names(self.robot, number), self.thetas[number]))
-        return np.array([float(value_of.get(name, 0.0)) for name in columns.names])
+        return np.array([float(value_of.get(name, 0.0)) for name in names])
 
     def abba(self, seed, drift=0.0, sigma=0.0):
         """Return four recordings in the order empty, loaded, loaded, empty."""
@@ -135,13 +136,12 @@ def perturb_body(theta, share, rng):
 
 def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
     """Return a recording whose velocities and accelerations are exact and whose rows all count."""
-    low_pass = design_low_pass(CUTOFF, RATE)
     deadband = np.zeros(motion.q.shape[1])
     bridged = np.zeros(len(motion.time), dtype=bool)
     turning = np.zeros(motion.q.shape, dtype=bool)
     series = motion.time, motion.q, motion.qd, motion.qdd, tau
     signals = ProcessedSignals(*series, bridged, deadband, turning, low_pass)
-    return Dataset(name, signals, is_loaded, place)
+    return Recording(name, signals, is_loaded, place)
 
 
 def add_noise(recording, sigma, seed):
