@@ -1,0 +1,221 @@
+"""Each term's columns are the derivative of the torque by its parameters, at any point."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from numpy.testing import assert_allclose, assert_array_equal
+
+from robot_sysid.dynamics.friction import TERMS
+from robot_sysid.dynamics.inverse_dynamics import (
+    ArmDynamics,
+    gravity_vector,
+    tilt_axes,
+    turn_gravity,
+)
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimate.choose import motors_of, neighbours
+from robot_sysid.estimate.terms import PAYLOAD_NAMES, ArmTerms, Point
+from robot_sysid.records import DELAY_NAME
+from tests.support import arms
+from tests.support.payload_logs import (
+    UNFILTERED,
+    exact_recording,
+    four_joint_arm,
+    perturb_body,
+    wide_motion,
+)
+
+ARMS = {
+    "four": four_joint_arm('range="-2 2" armature=".3"'),
+    "tilted gravity": arms.robot_of(arms.TILTED_GRAVITY),
+    "slide": arms.robot_of(arms.SLIDE_IN_CHAIN),
+}
+MEAN_OF_SEVEN = replace(UNFILTERED, kernel=np.full(7, 1.0 / 7.0), step=3)
+LINEARISED = ("scale", "zero", "load", "drift", "tilt_1", "tilt_2", DELAY_NAME)
+"""Parameters that multiply others: zero at the point around which they are linearised."""
+PLACE = 0.7
+"""Place of the recording on the axis along which friction drifts."""
+STEP = 1e-5
+
+
+def arm_of(robot, torques="chain"):
+    """Return all terms of an arm, with two motors that turn two joints each."""
+    motors = tuple(neighbours(robot))[:2] if torques == "chain" else ()
+    friction = tuple(term for term in TERMS if term != "stribeck")
+    return ArmTerms(robot, torques, motors, friction, loaded=True, drifts=True)
+
+
+def random_values(arm, rng):
+    """Return name to value of parameters of an arm that differs from its model."""
+    values = {}
+    for name in arm.names:
+        if name.partition("[")[0] not in LINEARISED:
+            values[name] = 0.5 * rng.uniform(0.2, 1.0)
+    for link in (*arm.others, arm.robot.n_joints - 1):
+        theta = perturb_body(arm.robot.links[link].theta, 0.3, rng)
+        values.update(zip(names_of_link(arm, link), theta))
+    values.update(zip(PAYLOAD_NAMES, 0.3 * arm.robot.prior.theta))
+    return values
+
+
+def names_of_link(arm, link):
+    """Return the ten names of a link's parameters."""
+    is_last = link == arm.robot.n_joints - 1
+    name = arm.robot.links[link].body_name
+    return [n if is_last else f"{n}({name})" for n in PARAMETER_NAMES]
+
+
+def point_of(arm, values, gravity):
+    """Return the point at some values."""
+    thetas = arm.robot.thetas
+    for link in (*arm.others, arm.robot.n_joints - 1):
+        thetas[link] = [values[name] for name in names_of_link(arm, link)]
+    payload = np.array([values[name] for name in PAYLOAD_NAMES])
+    return Point(thetas, payload, gravity, values)
+
+
+def torque_of(arm, motion, values, gravity, loaded=True):
+    """Return sensor readings (N, J), by MuJoCo and by the formulas of friction."""
+    robot = arm.robot
+    point = point_of(arm, values, gravity)
+    model = copy.copy(robot.mj_model)
+    for link, theta in zip(robot.links, point.carried(loaded)):
+        if link.has_mass:
+            arms.write_body(model, link.body_id, theta)
+    model.dof_armature[:] = 0.0
+    value_of = {**dict.fromkeys(arm.names, 0.0), **values}
+    angles = np.array([value_of.get("tilt_1", 0.0), value_of.get("tilt_2", 0.0)])
+    axes = tilt_axes(gravity_vector(robot), gravity)
+    model.opt.gravity[:] = turn_gravity(gravity, angles, axes)
+    zero = np.array([value_of[f"zero[{name}]"] for name in robot.joint_names])
+    rigid = ArmDynamics(robot, model).torque(motion.q - zero, motion.qd, motion.qdd)
+    torque = np.zeros((len(rigid), len(arm.joints)))
+    for row, (j, joint) in enumerate(zip(arm.indices, arm.joints)):
+        other = 0.0
+        own = 0.0
+        for term in set(arm.friction) & set(TERMS):
+            column = TERMS[term](motion.qd[:, j], motion.qdd[:, j], rigid[:, j])
+            torque_of_term = value_of[f"{term}[{joint}]"] * column
+            if term in ("offset", "armature"):
+                other = other + torque_of_term
+            else:
+                own = own + torque_of_term
+        torque[:, row] = (1.0 + value_of[f"scale[{joint}]"]) * rigid[:, j] + other
+        torque[:, row] += (1.0 + value_of[f"drift[{joint}]"] * PLACE) * own
+    for motor in arm.motors:
+        speed = motion.qd @ motor.ratios
+        sizes = [value_of[f"{term}[{motor.name}]"] for term in motor.terms[:3]]
+        rates = (np.sign(speed), speed, motion.qdd @ motor.ratios)
+        torque += np.outer(np.dot(sizes, rates), motor.ratios[arm.indices])
+    return torque
+
+
+def record(motion, tau, arm, loaded=True, low_pass=UNFILTERED):
+    """Return the only part of a recording of torques (N, J)."""
+    readings = np.zeros_like(motion.q)
+    readings[:, arm.indices] = tau
+    recording = exact_recording(motion, readings, loaded, PLACE)
+    signals = replace(recording.source, low_pass=low_pass)
+    (part,) = replace(recording, source=signals).parts(1)
+    return part
+
+
+@pytest.mark.parametrize(
+    ("name", "torques"), [*((name, "chain") for name in ARMS), ("four", "terminal")]
+)
+@settings(max_examples=1)
+@given(seed=arms.SEEDS)
+def test_each_column_is_the_derivative_of_the_torque(name, torques, seed):
+    arm = arm_of(ARMS[name], torques)
+    rng = np.random.default_rng(seed)
+    values = random_values(arm, rng)
+    gravity = turn_gravity(gravity_vector(arm.robot), rng.uniform(-0.5, 0.5, 2))
+    motion = wide_motion(seed, arm.robot.n_joints, 0.08, 100.0)
+    part = record(motion, 0.0, arm)
+    point = point_of(arm, values, gravity)
+    assert_allclose(
+        arm.torque(part, point, values),
+        torque_of(arm, motion, values, gravity),
+        rtol=1e-9,
+        atol=1e-9,
+    )
+    for term in arm.terms.values():
+        columns = term.columns(part, point)
+        for k, name in enumerate(term.names):
+            if name == DELAY_NAME:
+                expected = delay_column(arm, motion, values, gravity)
+            else:
+                ahead, behind = (
+                    torque_of(
+                        arm, motion, {**values, name: values.get(name, 0.0) + h}, gravity
+                    )
+                    for h in (STEP, -STEP)
+                )
+                expected = (ahead - behind) / (2.0 * STEP)
+            error = np.max(np.abs(columns[:, :, k] - expected))
+            assert error < 1e-6 * max(np.max(np.abs(expected)), 1.0), name
+
+
+def delay_column(arm, motion, values, gravity):
+    """Return the derivative (N, J) by a delay, of bodies, viscous friction and rotors."""
+    smooth = {}
+    for name, value in values.items():
+        of_joint = name.startswith(("viscous[", "armature[")) and "+" not in name
+        if "[" not in name or (of_joint and "-" not in name):
+            smooth[name] = value
+    torque = torque_of(arm, motion, smooth, gravity)
+    return -np.gradient(torque, motion.time, axis=0)
+
+
+@given(arms.SEEDS)
+def test_friction_passes_the_filter_that_the_torque_has_passed(seed):
+    arm = arm_of(ARMS["four"])
+    values = random_values(arm, np.random.default_rng(seed))
+    dry = {
+        name: value
+        for name, value in values.items()
+        if name.startswith(("coulomb", "sqrt", "sigmoid", "fading"))
+    }
+    motion = wide_motion(seed, 4, 1.0, 100.0)
+    start = arm.start()
+    nothing = dict.fromkeys((*dict.fromkeys(values), *PAYLOAD_NAMES), 0.0)
+    tau = torque_of(arm, motion, {**nothing, **dry}, start.gravity)
+    part = record(motion, tau, arm, low_pass=MEAN_OF_SEVEN)
+    known = arm.known(part)
+    measured = part.recording.torque[part.rows][:, arm.indices]
+    assert_allclose(arm.torque(part, start, dry) - known, measured, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", arms.MODELS)
+def test_the_models_parameters_make_the_models_torque(name):
+    """Inverse dynamics by MuJoCo with all springs and tendons, and friction added."""
+    robot = arms.robot_of(arms.MODELS[name])
+    motors, _ = motors_of(robot, "chain")
+    arm = ArmTerms(robot, motors=motors)
+    motion = arms.seeded_motion(0, robot.n_joints)
+    part = record(motion, 0.0, arm)
+    friction = robot.friction.coulomb * np.sign(motion.qd)
+    expected = ArmDynamics(robot).torque(motion.q, motion.qd, motion.qdd) + friction
+    expected += robot.friction.viscous * motion.qd
+    for motor in motors:
+        dry = motor.model[0] * np.sign(motion.qd @ motor.ratios)
+        expected += np.outer(dry, motor.ratios)
+    torque = arm.torque(part, arm.start(), arm.model)
+    assert_allclose(torque, expected, atol=1e-9 * np.max(np.abs(expected)))
+
+
+def test_a_payload_acts_where_the_arm_carries_it_alone():
+    arm = arm_of(ARMS["four"])
+    motion = wide_motion(1, 4, 0.3, 100.0)
+    columns = [
+        arm.terms["payload"].columns(record(motion, 0.0, arm, loaded), arm.start())
+        for loaded in (False, True)
+    ]
+    assert not np.any(columns[0])
+    last = arm.terms["last link"].columns(record(motion, 0.0, arm), arm.start())
+    assert_array_equal(columns[1], last)
