@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import link_names, split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.bodies import LinksProblem, consistent_least_squares
+from robot_sysid.estimate.questions import Question, scale_spread
 from robot_sysid.estimate.rows import Recording, Sums
 from robot_sysid.estimate.terms import (
     FRICTION,
@@ -201,8 +201,8 @@ class Fit:
     alone: Array
     start: Array
     kept: NDArray[np.bool_]
-    at_bound: tuple[str, ...] = ()
-    question: Any = None
+    at_bound: tuple[str, ...]
+    question: Question
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -281,12 +281,15 @@ class Fit:
 
     @cached_property
     def _scale_deviations(self) -> dict[str, float]:
-        """Joint to the prior standard deviation of its torque scale; empty where it has none."""
-        for term in self.equations.terms:
-            if term.cause == SCALES and term.prior is not None:
-                deviations = np.sqrt(term.prior.variances).tolist()
-                return dict(zip(self.arm.joints, deviations))
-        return {}
+        """Joint to the stated deviation of its torque scale; empty where none is estimated.
+
+        What the scales share counts, which the prior of a payload's question leaves out.
+        """
+        if SCALES not in (term.cause for term in self.equations.terms):
+            return {}
+        question = self.question
+        deviations = scale_spread(self.arm, question.options, question.loaded)
+        return dict(zip(self.arm.joints, deviations.tolist()))
 
     @property
     def errors(self) -> Array:
@@ -467,11 +470,11 @@ def fit(
     point: Point,
     sums: Sums,
     terms: Sequence[Term],
+    question: Question,
     held: Mapping[str, float] | None = None,
     noise: Array | None = None,
     correlation: Array | None = None,
     possible: bool = True,
-    question: Any = None,
 ) -> Fit:
     """Return the fit of a question.
 
@@ -480,7 +483,8 @@ def fit(
         recordings: the recordings, to draw them and to take residuals.
         point: around which the sums were made.
         sums: of all rows.
-        terms: the question: its parameters, with priors and bounds.
+        terms: the question's: its parameters, with priors and bounds.
+        question: from which the terms were made.
         held: name to value of parameters that are not estimated; the model's values, else zero.
         noise: (J,) to begin with [N m].
         correlation: (J,) rows that count as one independent row; one by default.

@@ -231,6 +231,7 @@ def payloads_by_recording(fitted: Fit, flange: Flange) -> Iterator[RecordingPayl
             fitted.point,
             fitted.sums.only(_blocks(fitted, logs)),
             fitted.equations.terms,
+            fitted.question,
             noise=fitted.noise,
             correlation=fitted.correlation,
             possible=False,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.errors import InputError
+from robot_sysid.estimate.identifiability import RELATIVE_CUT
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
 from robot_sysid.signals.process import ProcessedSignals
 
@@ -267,7 +268,7 @@ def add_up(
     joints: Sequence[str],
     make: Callable[[Part], tuple[Array, Array, Mask]],
 ) -> Sums:
-    """Return the sums of all rows.
+    """Return the sums of all rows; columns that are nothing but rounding are zero.
 
     Args:
         recordings: one at least.
@@ -293,6 +294,11 @@ def add_up(
             f"none of the joints {', '.join(joints)} moves faster than its velocity deadband for "
             "long enough; move faster, and turn round less often"
         )
+    for gram in grams:
+        squares = np.diag(gram.sum(axis=0))
+        is_noise = squares <= RELATIVE_CUT**2 * np.max(squares[:-1], initial=0.0)
+        is_noise[-1] = False
+        gram[:, is_noise] = gram[:, :, is_noise] = 0.0
     return Sums(
         tuple(names),
         tuple(joints),

@@ -204,6 +204,7 @@ def missed_friction(fitted: Fit) -> str:
         fitted.point,
         fitted.sums,
         [*(term for term in kept if term.names), *added],
+        fitted.question,
         correlation=fitted.correlation,
     )
     joints = []
