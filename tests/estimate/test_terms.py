@@ -152,7 +152,10 @@ def test_each_column_is_the_derivative_of_the_torque(name, torques, seed):
             else:
                 ahead, behind = (
                     torque_of(
-                        arm, motion, {**values, name: values.get(name, 0.0) + h}, gravity
+                        arm,
+                        motion,
+                        {**values, name: values.get(name, 0.0) + h},
+                        gravity,
                     )
                     for h in (STEP, -STEP)
                 )

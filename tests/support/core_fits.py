@@ -38,7 +38,9 @@ def filter_logs(robot, *logs, cutoff=CUTOFF):
 
 def fit_logs(robot, *logs, **options):
     """Return the fit of measurements of the arm alone."""
-    return fit_recordings(robot, filter_logs(robot, *logs), EstimationOptions(**options))
+    return fit_recordings(
+        robot, filter_logs(robot, *logs), EstimationOptions(**options)
+    )
 
 
 def result_of_logs(robot, logs, options, kept=None):

@@ -1,0 +1,367 @@
+"""The fit: the truth comes back within its errors, what is put in is found, and nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from numpy.testing import assert_allclose, assert_array_equal
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.inverse_dynamics import (
+    LinkDynamics,
+    gravity_vector,
+    turn_gravity,
+)
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimate import fit as fit_module
+from robot_sysid.estimate.choose import neighbours, rms_torque
+from robot_sysid.estimate.fit import correlation_times, fit
+from robot_sysid.estimate.links import LinkScales, link_factor, link_lengths
+from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.questions import (
+    CURVATURE,
+    FADING,
+    LARGEST_LOSS,
+    Question,
+    arm_question,
+)
+from robot_sysid.estimate.terms import (
+    DELAY,
+    DRIFT,
+    LAST_LINK,
+    PAYLOAD_NAMES,
+    SCALES,
+    TILT,
+    ZEROS,
+    ArmTerms,
+    independent,
+)
+from tests.support import arms
+from tests.support.core_fits import (
+    BASIC,
+    NOISE_ONLY,
+    NO_PRIORS,
+    body_error,
+    fit_logs,
+    fit_recordings,
+)
+from tests.support.measured_logs import seeded_log
+from tests.support.payload_logs import (
+    PAYLOAD,
+    TrueArm,
+    add_noise,
+    add_torque,
+    exact_recording,
+    four_joint_arm,
+    four_joint_xml,
+    wide_motion,
+)
+from tests.support.synthetic_data import autocorrelated, random_body
+
+ROBOT = four_joint_arm()
+JOINTS = ROBOT.joint_names
+EXACT = EstimationOptions(**NOISE_ONLY)
+QUESTION = Question(EXACT)
+
+
+def values_of(fitted, term):
+    """Return the value of a term in each joint."""
+    return np.array([fitted.by_name[f"{term}[{joint}]"] for joint in JOINTS])
+
+
+def payload_error(fitted, payload=PAYLOAD):
+    return body_error(fitted.values[fitted.at(PAYLOAD_NAMES)], payload)
+
+
+# ---- exact recordings
+
+
+@settings(max_examples=4)
+@given(arms.SEEDS)
+def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
+    """Priors pull by the square of the noise, and exact data leaves the least noise."""
+    arm = TrueArm(ROBOT, seed, model_error=0.0)
+    arm.thetas[-1] = random_body(np.random.default_rng(seed))
+    recording = arm.recording(wide_motion(seed), False)
+    for options, tolerance in ((EstimationOptions(), 1e-6), (EXACT, 1e-8)):
+        fitted = fit_recordings(ROBOT, [recording], options)
+        link = fitted.values[fitted.at(PARAMETER_NAMES)]
+        assert body_error(link, arm.thetas[-1]) < tolerance
+        assert_allclose(fitted.values, arm.values(fitted.names), atol=1e-6)
+        assert not fitted.at_bound and not fitted.arm.motors
+
+
+@settings(max_examples=2)
+@given(arms.SEEDS)
+def test_a_payload_is_recovered_whatever_the_model_has_wrong(seed):
+    """Links off by up to 30 %, friction and rotors that the model lacks, other motions."""
+    arm = TrueArm(ROBOT, seed)
+    recordings = []
+    for k in range(2):
+        motion = wide_motion([seed, k])
+        recordings.append(arm.recording(motion, k > 0, name=f"log{k}"))
+    assert payload_error(fit_recordings(ROBOT, recordings, loaded=True)) < 1e-3
+
+
+def test_a_factor_of_all_torques_goes_into_the_payload_and_not_into_scales():
+    recordings = TrueArm(ROBOT, 5, model_error=0.1).abba(5)
+    scaled = [add_torque(r, 0.3 * r.torque) for r in recordings]
+    fitted = fit_recordings(ROBOT, scaled, loaded=True)
+    assert payload_error(fitted, 1.3 * PAYLOAD) < 1e-4
+    assert np.mean(values_of(fitted, "scale")) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_drift_of_friction_is_distinguished_from_the_payload():
+    recordings = TrueArm(ROBOT, 3).abba(3, drift=0.15)
+    fitted = fit_recordings(ROBOT, recordings, loaded=True, drifts=True)
+    assert_allclose(values_of(fitted, "drift"), 0.15, rtol=1e-3)
+    assert payload_error(fitted) < 1e-3
+    assert payload_error(fit_recordings(ROBOT, recordings, loaded=True)) > 0.01
+
+
+def test_a_known_mass_identifies_the_torque_scales():
+    scale = np.array([1.03, 0.96, 1.02, 0.98])
+    recordings = TrueArm(ROBOT, 4, scale=scale).abba(4)
+    mass = float(PAYLOAD[0])
+    fitted = fit_recordings(ROBOT, recordings, loaded=True, known_mass=mass)
+    assert_allclose(values_of(fitted, "scale"), scale - 1.0, atol=1e-4)
+    assert payload_error(fitted) < 1e-3
+
+
+@settings(max_examples=3)
+@given(arms.SEEDS)
+def test_scaling_all_torques_scales_the_estimate(seed):
+    """Of one joint's rows and without priors, which are in units of the torque."""
+    arm = ArmTerms(ROBOT, "terminal")
+    recording = add_noise(
+        TrueArm(ROBOT, seed).recording(wide_motion(seed), False), 0.1, seed
+    )
+    terms = [arm.terms[LAST_LINK], *map(arm.terms.get, BASIC.split("-"))]
+    torques = []
+    for factor in (1.0, 0.1, 40.0):
+        scaled = add_torque(recording, (factor - 1.0) * recording.torque)
+        sums = arm.sums([scaled], arm.start())
+        fitted = fit(arm, [scaled], arm.start(), sums, terms, QUESTION, possible=False)
+        (part,) = scaled.parts(1)
+        torques.append(arm.torque(part, fitted.point, fitted.by_name) / factor)
+        assert fitted.noise[0] == pytest.approx(0.1 * factor, rel=0.2)
+    size = 1e-6 * np.max(np.abs(torques[0]))
+    assert_allclose(torques[1:], [torques[0]] * 2, rtol=0.0, atol=size)
+
+
+# ---- bounds and bodies
+
+
+def test_bounds_are_kept_and_the_rest_is_the_best_beside_them():
+    """A gear that gained torque by its load, and one that lost too much."""
+    arm = TrueArm(ROBOT, 6, model_error=0.0)
+    loss = np.array([0.0, 0.08, -0.05, 0.5])
+    recording = arm.recording(wide_motion(6), False)
+    motion = recording.motion
+    load = np.abs(arm.rigid_torque(motion, False))
+    lossy = add_torque(recording, loss * load * np.sign(motion.qd))
+    options = replace(EXACT, friction_model=f"{BASIC}-load")
+    fitted = fit_recordings(ROBOT, [lossy], options)
+    assert_allclose(values_of(fitted, "load")[2:], [0.0, LARGEST_LOSS])
+    assert {"load[joint2]", "load[joint3]"} <= set(fitted.at_bound)
+    held = np.array([name in fitted.at_bound for name in fitted.names])
+    equations = fitted.equations
+    normal = equations.data(fitted.weights) + equations.prior
+    change = np.append(-fitted.free, 1.0)
+    pull = (normal @ change)[:-1] / np.sqrt(np.diag(normal)[:-1])
+    assert np.max(np.abs(pull[~held])) < 1e-3 * np.max(np.abs(pull[held]))
+
+
+def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot):
+    """Weak motion, strong noise: the plain estimate is impossible, the result never."""
+    impossible = []
+    for seed, noise in enumerate((3.0, 0.02, 1.0, 0.02)):
+        log = seeded_log(plant, seed, 6.0, noise_torque=noise)
+        fitted = fit_logs(robot, log, **NOISE_ONLY)
+        assert spatial.is_consistent(fitted.values[:10])
+        impossible.append(not spatial.is_consistent(fitted.free[:10]))
+        if not impossible[-1]:
+            assert_array_equal(fitted.values, fitted.free)
+    assert impossible[0] and not all(impossible)
+
+
+def test_what_no_torque_shows_stays_at_the_models_and_has_no_error():
+    """Axes parallel to gravity: only four parameters of the last link act."""
+    upright = arms.robot_of(arms.serial_arm((arms.Z,) * 3))
+    arm = TrueArm(upright, 1, model_error=0.0)
+    recording = add_noise(arm.recording(wide_motion(1, 3), False), 0.05, 1)
+    fitted = fit_recordings(upright, [recording], EXACT)
+    hidden = [name not in ("m", "hx", "hy", "Izz") for name in PARAMETER_NAMES]
+    assert_array_equal(np.isinf(fitted.errors[:10]), hidden)
+    model = upright.prior.theta
+    assert_allclose(fitted.free[:10][hidden], model[hidden], rtol=1e-4, atol=1e-6)
+    assert not np.any(fitted.share()[:10][hidden])
+
+
+@pytest.mark.parametrize("link", [1, 3])
+def test_a_link_that_the_model_holds_to_be_massless_is_found(link):
+    """Its 1e-9 kg in the model are no reason to believe that it weighs nothing."""
+    tiny = spatial.theta_from_com(1e-9, np.zeros(3), 1e-15 * np.eye(3))
+    model = arms.compile_xml(four_joint_xml())
+    arms.write_body(model, ROBOT.links[link].body_id, tiny)
+    arm = TrueArm(ROBOT, 1, model_error=0.0)
+    recording = add_noise(arm.recording(wide_motion(1), False), 0.02, 0)
+    fitted = fit_recordings(arms.robot_of(model), [recording])
+    assert fitted.noise[1] < 0.03 and np.all(np.isfinite(fitted.values))
+    if link == 3:
+        assert fitted.by_name["m"] == pytest.approx(ROBOT.prior.mass, rel=0.1)
+
+
+# ---- explanations
+
+
+PUT_IN = {
+    SCALES: 0.05,
+    ZEROS: 0.01,
+    TILT: 0.02,
+    DELAY: 0.01,
+    DRIFT: 0.2,
+    "load": 0.1,
+    "fading": 0.3,
+    "sqrt": 0.3,
+    "joint0+joint1": 0.5,
+}
+"""Term, and a size of it that the torques of the arm clearly show."""
+
+
+@pytest.mark.parametrize("key", PUT_IN)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_is_put_in_is_found_with_its_value_and_nothing_else_is(key, seed):
+    """The gain is that of the log marginal likelihood, exactly so with the same noise."""
+    truth = TrueArm(ROBOT, seed, model_error=0.0)
+    recordings = truth.abba(seed, sigma=0.02)[::3]
+    arm = ArmTerms(ROBOT, motors=tuple(neighbours(ROBOT))[:1], drifts=True)
+    names = [name for term in arm.terms.values() for name in term.names]
+    point = replace(arm.start(), friction=dict(zip(names, truth.values(names))))
+    size = np.full(len(arm.terms[key].names), PUT_IN[key])
+    term = replace(arm.terms[key], prior=independent(size), lower=-np.inf)
+    sizes = size * np.random.default_rng(seed).choice([-1.0, 1.0], len(size))
+    if key == "joint0+joint1":
+        # Joints would lose friction that is subtracted, and cross their bounds.
+        sizes = size
+    for factor in (0.0, 1.0):
+        logs = []
+        for recording in recordings:
+            (part,) = recording.parts(1)
+            torque = term.columns(part, point) @ (factor * sizes)
+            logs.append(add_torque(recording, torque))
+        sums = arm.sums(logs, point)
+        terms = arm_question(arm, QUESTION, rms_torque(sums))
+        arguments = arm, logs, point, sums
+        base = fit(*arguments, terms, QUESTION, possible=False)
+        gain = base.gain(term)
+        assert gain > 100.0 if factor else gain < 0.0
+        wider = fit(*arguments, [*terms, term], QUESTION, noise=base.noise)
+        at = wider.at(term.names)
+        off = np.abs(wider.values[at] - factor * sizes)
+        assert np.all(off < 3.0 * wider.errors[at])
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(fit_module, "_NOISE_ROUNDS", 0)
+            fixed = fit(
+                *arguments, [*terms, term], QUESTION, noise=base.noise, possible=False
+            )
+        assert fixed.log_evidence - base.log_evidence == pytest.approx(gain, abs=0.1)
+
+
+# ---- errors
+
+
+def drawn_recording(seed, memory):
+    """Return (an arm drawn from the priors, its recording with noise of a memory [samples])."""
+    rng = np.random.default_rng(seed)
+    arm = TrueArm(ROBOT, seed, model_error=0.3)
+    others = range(3)
+    thetas = [ROBOT.links[k].theta for k in others]
+    lengths = link_lengths(ROBOT, others)
+    factor = link_factor(thetas, 0.05, lengths, LinkScales(4.0, 1.5, 2.0))
+    arm.thetas[:3] = thetas + (factor @ rng.standard_normal(30)).reshape(3, 10)
+    priors = Priors()
+    tilt = np.radians(priors.gravity) * rng.standard_normal(2)
+    delay = 1e-3 * priors.delay * rng.standard_normal()
+    motion = wide_motion(seed)
+    late = wide_motion(seed, delay=delay)
+    gravity = turn_gravity(gravity_vector(ROBOT), tilt)
+    moves = LinkDynamics(ROBOT, gravity).motion(late.q, late.qd, late.qdd)
+    rigid = moves.torque(arm.thetas)
+    share = 0.01 * priors.friction * arm.coulomb
+    speed = np.abs(late.qd)
+    dry = arm.coulomb + CURVATURE * share * rng.standard_normal(4) * np.sqrt(speed)
+    for fading in (0.04, 0.13, 0.4):
+        size = FADING * share * rng.standard_normal(4)
+        dry = dry + size * np.exp(-speed / fading)
+    dry = dry + 0.01 * priors.friction * rng.standard_normal(4) * np.abs(rigid)
+    rest = arm.viscous * late.qd + arm.armature * late.qdd + arm.offset
+    tau = (1.0 + 0.02 * rng.standard_normal(4)) * (
+        rigid + dry * np.sign(late.qd) + rest
+    )
+    tau += 0.1 * autocorrelated(rng.standard_normal(tau.shape), memory)
+    zero = 1e-3 * priors.zero * rng.standard_normal(4)
+    return arm, exact_recording(replace(motion, q=motion.q + zero), tau, False)
+
+
+@pytest.mark.parametrize("memory", [0.0, 10.0])
+def test_errors_are_as_large_as_is_stated_where_everything_is_as_the_priors_say(memory):
+    ratios = {}
+    for seed in range(20):
+        arm, recording = drawn_recording(seed, memory)
+        fitted = fit_recordings(ROBOT, [recording])
+        off = (fitted.values - arm.values(fitted.names)) / fitted.errors
+        for name, ratio in zip(fitted.names, off):
+            kind = name.partition("(")[0].partition("[")[0]
+            if name not in fitted.at_bound:
+                kind = "last" if name in PARAMETER_NAMES else kind
+                ratios.setdefault(kind, []).append(ratio)
+    for kind in ("m", "coulomb", "viscous", "armature"):
+        found = np.array(ratios[kind])
+        assert 0.9 <= np.mean(np.abs(found) < 1.96) <= 1.0, kind
+        assert 0.7 < np.sqrt(np.mean(found**2)) < 1.2, kind
+    last = np.array(ratios["last"])
+    assert np.mean(np.abs(last) < 1.96) > 0.9
+    assert 0.5 < np.sqrt(np.mean(last**2)) < 1.2
+
+
+@given(arms.SEEDS)
+def test_rows_of_noise_with_a_memory_count_less(seed):
+    white = np.random.default_rng(seed).standard_normal((20000, 2))
+    for memory, expected in ((0.0, 1.0), (10.0, 20.0)):
+        noise = autocorrelated(white, memory)
+        noise[::7, 0] = np.nan
+        assert_allclose(correlation_times(noise), expected, rtol=0.3)
+
+
+def test_what_no_prior_names_is_in_the_errors_by_the_blocks():
+    """Friction that falls within the log: the estimates without each block differ by more."""
+    arm = TrueArm(ROBOT, 2, model_error=0.0)
+    recording = add_noise(arm.recording(wide_motion(2), False), 0.01, 2)
+    motion = recording.motion
+    fall = np.linspace(0.3, -0.3, len(motion.time))[:, None]
+    fallen = add_torque(recording, fall * arm.coulomb * np.sign(motion.qd))
+    options = EstimationOptions(priors=NO_PRIORS)
+    fitted = fit_recordings(ROBOT, [fallen], options)
+    at = fitted.at([f"coulomb[{joint}]" for joint in JOINTS])
+    formal = np.sqrt(np.diag(fitted.inverse))
+    assert np.all(fitted.errors >= (1.0 - 1e-9) * formal)
+    assert np.median(fitted.errors[at] / formal[at]) > 1.5
+
+
+def test_the_causes_of_an_error_add_up_in_squares(payload_fit):
+    rows = np.eye(len(payload_fit.names))[payload_fit.at(PAYLOAD_NAMES)]
+    budget = payload_fit.budget(rows)
+    total = np.sum([part**2 for part in budget.values()], axis=0)
+    variances = np.diag(payload_fit.inverse + payload_fit.scale_errors)
+    assert_allclose(total, rows @ variances, rtol=1e-6)
+    assert len(budget) >= 6
+    common = np.diag(payload_fit.scale_errors)[payload_fit.at(PAYLOAD_NAMES)]
+    payload = payload_fit.values[payload_fit.at(PAYLOAD_NAMES)]
+    # 3 % of each of four joints is 1.5 % of all, which no torque shows.
+    assert_allclose(np.sqrt(common), 0.015 * np.abs(payload), rtol=1e-3)
+    stated = payload_fit.errors[payload_fit.at(PAYLOAD_NAMES)]
+    assert np.max(np.abs(payload - PAYLOAD) / stated) < 3.5

@@ -1,0 +1,153 @@
+"""Sums of rows: as of all rows at once, in any chunks and order, of used rows alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from robot_sysid.errors import InputError
+from robot_sysid.estimate import rows as rows_module
+from robot_sysid.estimate.rows import Poses, Recording, block_numbers, without
+from robot_sysid.estimate.terms import ArmTerms
+from robot_sysid.records import Measurement
+from tests.support.arms import SEEDS
+from tests.support.payload_logs import TrueArm, four_joint_arm, wide_motion
+
+ROBOT = four_joint_arm()
+ARM = ArmTerms(ROBOT, loaded=True)
+POINT = ARM.start()
+JOINTS = range(len(ARM.joints))
+
+
+def logs_of(seed, counts=(30, 20), name="log"):
+    """Return an empty and a loaded recording of rows, of which some are not used."""
+    rng = np.random.default_rng(seed)
+    arm = TrueArm(ROBOT, seed)
+    recordings = []
+    for k, count in enumerate(counts):
+        motion = wide_motion([seed, k], 4, count / 50.0)
+        recording = arm.recording(motion, k > 0, name=f"{name}{k}")
+        recording.__dict__["used"] = rng.random(motion.q.shape) < 0.8
+        recordings.append(recording)
+    return recordings
+
+
+def dense_rows(recordings, joint):
+    """Return the rows [A b] (K, p + 1) of a joint that are used."""
+    found = []
+    for recording in recordings:
+        (part,) = recording.parts(1)
+        columns = [term.columns(part, POINT)[:, joint] for term in ARM.terms.values()]
+        tau = recording.torque[:, joint] - ARM.known(part)[:, joint]
+        found.append(np.column_stack((*columns, tau))[recording.used[:, joint]])
+    return np.concatenate(found)
+
+
+def normal_of(sums, weights=np.ones(4), **blocks):
+    return sums.normal(weights, **blocks)
+
+
+@settings(max_examples=3)
+@given(SEEDS)
+def test_sums_are_those_of_all_rows_in_use(seed):
+    """Weighted by joint, also of residuals; a torque that is not used may be anything."""
+    recordings = logs_of(seed)
+    for recording in recordings:
+        recording.torque[~recording.used] = np.nan
+    sums = ARM.sums(recordings, POINT)
+    weights = np.random.default_rng(seed).uniform(0.1, 3.0, 4)
+    values = np.random.default_rng(seed).normal(size=len(sums.names))
+    expected = 0.0
+    squares = []
+    for joint in JOINTS:
+        rows = dense_rows(recordings, joint)
+        expected = expected + weights[joint] ** 2 * rows.T @ rows
+        squares.append(np.sum((rows @ np.append(-values, 1.0)) ** 2))
+        assert np.sum(sums.counts[:, joint]) == len(rows)
+    scale = np.max(np.abs(expected))
+    assert_allclose(normal_of(sums, weights), expected, atol=1e-12 * scale)
+    assert_allclose(sums.squared_residuals(values), squares, rtol=1e-9)
+    assert_array_equal(sums.nonzero, np.diag(expected)[:-1] > 0.0)
+
+
+@settings(max_examples=3)
+@given(SEEDS, st.integers(3, 20))
+def test_neither_chunks_nor_the_order_of_recordings_change_the_sums(seed, size):
+    recordings = logs_of(seed)
+    expected = ARM.sums(recordings, POINT)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rows_module, "_NUMBERS", size * len(ARM.names) * len(JOINTS))
+        chunked = ARM.sums(logs_of(seed), POINT)
+    normal = normal_of(expected)
+    scale = np.max(np.abs(normal))
+    for sums in (chunked, ARM.sums(recordings[::-1], POINT)):
+        assert_allclose(normal_of(sums), normal, atol=1e-12 * scale)
+    assert_array_equal(chunked.counts, expected.counts)
+
+
+@given(SEEDS, st.sampled_from([1, 2, 5]))
+def test_blocks_are_equal_stretches_of_one_log_that_add_up(seed, n_logs):
+    recordings = []
+    for k in range(n_logs):
+        recordings += logs_of(seed + k, (70, 50), f"log{k}, ")
+    recordings = [replace(r, name=r.name.partition(",")[0]) for r in recordings]
+    numbers, logs = block_numbers(recordings)
+    assert len(logs) == max(3 * n_logs, 10)
+    assert list(dict.fromkeys(logs)) == [f"log{k}" for k in range(n_logs)]
+    for name in dict.fromkeys(logs):
+        of_log = []
+        for recording, blocks in zip(recordings, numbers):
+            if recording.name == name:
+                of_log.append(blocks[np.any(recording.used, axis=1)])
+        joined = np.concatenate(of_log)
+        assert np.all(np.diff(joined) >= 0)
+        sizes = np.unique(joined, return_counts=True)[1]
+        assert len(sizes) == logs.count(name) and np.ptp(sizes) <= 1
+
+
+def test_sums_of_some_blocks_are_the_rest_without_the_others():
+    sums = ARM.sums(logs_of(1), POINT)
+    some = [0, 3, 5]
+    others = [k for k in range(len(sums.logs)) if k not in some]
+    normal = normal_of(sums)
+    rest = normal - normal_of(sums, blocks=others)
+    assert_allclose(normal_of(sums, blocks=some), rest, atol=1e-12 * np.max(normal))
+    only = sums.only(some)
+    assert_allclose(normal_of(only), rest, atol=1e-12 * np.max(normal))
+    assert only.logs == tuple(sums.logs[k] for k in some)
+
+
+def test_rows_that_are_cut_out_do_not_count_and_those_of_others_stay():
+    recording, other = logs_of(2)
+    before = recording.used.copy()
+    cut = without(recording, [(0.1, 0.2), (0.5, 9.0)])
+    time = recording.motion.time
+    inside = ((time >= 0.1) & (time <= 0.2)) | (time >= 0.5)
+    assert_array_equal(cut.used, before & ~inside[:, None])
+    assert_array_equal(recording.used, before)
+    cut.torque[inside] = 1e9
+    sums = ARM.sums([cut, other], POINT)
+    assert np.all(normal_of(sums)[-1, -1] < 1e9)
+    with pytest.raises(InputError, match="velocity deadband for long enough"):
+        ARM.sums([without(recording, [(0.0, 9.0)])], POINT)
+
+
+def test_the_truth_solves_the_equations_of_resting_poses():
+    arm = TrueArm(ROBOT, 2)
+    time = np.arange(12.0)
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 4))
+    zero = np.zeros_like(q)
+    tau = arm.torque(Measurement(time, q, zero, zero, zero), True)
+    used = np.arange(12)[:, None] != np.arange(4)
+    poses = Poses(Measurement(time, q, zero, tau, zero), used)
+    recording = Recording("poses", poses, is_loaded=True)
+    assert recording.signals is None
+    sums = ARM.sums([recording], POINT)
+    assert_array_equal(np.sum(sums.counts, axis=0), np.sum(used, axis=0))
+    truth = arm.values(sums.names)
+    assert_allclose(sums.squared_residuals(truth), 0.0, atol=1e-9)
