@@ -294,11 +294,8 @@ def add_up(
             f"none of the joints {', '.join(joints)} moves faster than its velocity deadband for "
             "long enough; move faster, and turn round less often"
         )
-    for gram in grams:
-        squares = np.diag(gram.sum(axis=0))
-        is_noise = squares <= RELATIVE_CUT**2 * np.max(squares[:-1], initial=0.0)
-        is_noise[-1] = False
-        gram[:, is_noise] = gram[:, :, is_noise] = 0.0
+    for sums in joint_sums:
+        sums.clear_rounding()
     return Sums(
         tuple(names),
         tuple(joints),
@@ -338,6 +335,14 @@ class _JointSums:
             own = full[block == number]
             self.grams[number] += own.T @ own
             self.counts[number] += len(own)
+
+    def clear_rounding(self) -> None:
+        """Set the products of columns that are nothing but rounding to zero."""
+        squares = np.diag(self.grams.sum(axis=0))[:-1]
+        is_noise = squares <= RELATIVE_CUT**2 * np.max(squares, initial=0.0)
+        at = np.flatnonzero(is_noise)
+        self.grams[:, at] = 0.0
+        self.grams[:, :, at] = 0.0
 
 
 def without(recording: Recording, spans: Sequence[tuple[float, float]]) -> Recording:

@@ -42,8 +42,8 @@ from robot_sysid.estimate.terms import (
 from tests.support import arms
 from tests.support.core_fits import (
     BASIC,
-    NOISE_ONLY,
     NO_PRIORS,
+    NOISE_ONLY,
     body_error,
     fit_logs,
     fit_recordings,
@@ -227,7 +227,7 @@ PUT_IN = {
     "load": 0.1,
     "fading": 0.3,
     "sqrt": 0.3,
-    "joint0+joint1": 0.5,
+    "joint0+joint1": 0.1,
 }
 """Term, and a size of it that the torques of the arm clearly show."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED as BASIC
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -16,6 +16,8 @@ from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import split_at_gaps
 from tests.support.measured_logs import CUTOFF
 
+BASIC = DEFAULT_MEASURED
+"""The friction terms that are estimated of every joint."""
 NO_PRIORS = Priors(link=0.0, scale=0.0, zero=0.0, gravity=0.0, delay=0.0, friction=0.0)
 """Priors with which torque noise is the only source of error."""
 NOISE_ONLY = {"priors": NO_PRIORS}

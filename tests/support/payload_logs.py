@@ -1,6 +1,7 @@
 """Recordings of small arms with and without a payload, exact or with noise and model errors.
 
-``exact_recording`` has exact derivatives and no filter, so that the truth solves the equations to rounding.
+``exact_recording`` has exact derivatives and no filter, so that the truth solves the equations to
+rounding.
 """
 
 from __future__ import annotations
