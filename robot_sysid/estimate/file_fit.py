@@ -108,12 +108,15 @@ def _fit_kind(
     """Return the fit of a file of one kind."""
     arm = estimate.arm
     rotors = select_rotors(estimate, unchanged, kind)
-    held = {f"armature[{owner}]": rotor for owner, rotor in rotors.items()}
+    payload = {}
     if carried is not None:
-        held.update(zip(PAYLOAD_NAMES, carried.tolist()))
+        payload = dict(zip(PAYLOAD_NAMES, carried.tolist()))
+    held = {**payload}
+    for owner, rotor in rotors.items():
+        held[f"armature[{owner}]"] = rotor
     terms = _terms(estimate, unchanged, kind)
     offsets = [arm.terms["offset"]]
-    before = _solved(estimate, offsets, held if carried is not None else {})
+    before = _solved(estimate, offsets, payload)
     # Gravity is turned only where the torques clearly show it.
     level = [term for term in terms if term.cause != TILT]
     fitted = _solved(estimate, level, held)
