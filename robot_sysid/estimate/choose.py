@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.dynamics.equations import names_of
-from robot_sysid.dynamics.friction import Coupling
+from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.fit import Fit, correlation_times, fit
 from robot_sysid.estimate.links import (
@@ -116,12 +116,16 @@ def rms_torque(sums: Sums) -> Array:
 
 
 def dry_friction(fitted: Fit) -> tuple[float, ...]:
-    """Return the dry friction (J,) of a fit [N m]: Coulomb and sigmoid terms added up."""
-    sizes = np.zeros(len(fitted.arm.joints))
-    for term in ("coulomb", "sigmoid"):
+    """Return the dry friction (J,) of a fit [N m]: root of the sum of squares of its terms.
+
+    Without those that fade with speed it would be nothing where they take all of Coulomb friction,
+    and the next round would allow for none of them.
+    """
+    squares = np.zeros(len(fitted.arm.joints))
+    for term in ("coulomb", "sigmoid", *FADING_SPEEDS):
         names = names_of(term, fitted.arm.joints)
-        sizes += np.abs([fitted.by_name.get(name, 0.0) for name in names])
-    return tuple(sizes.tolist())
+        squares += np.square([fitted.by_name.get(name, 0.0) for name in names])
+    return tuple(np.sqrt(squares).tolist())
 
 
 def choose_motors(

@@ -1,0 +1,198 @@
+"""A model file predicts as well as is stated, and leaves out what it cannot hold."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.inverse_dynamics import (
+    LinkDynamics,
+    gravity_vector,
+    with_gravity,
+)
+from robot_sysid.estimate.file_fit import fit_file
+from robot_sysid.estimate.options import FILE_FRICTION as FRICTION
+from robot_sysid.estimate.options import FILE_GRAVITY as GRAVITY
+from robot_sysid.estimate.options import FILE_LINKS as LINKS
+from robot_sysid.estimate.options import FILE_ROTORS as ROTORS
+from robot_sysid.results.prediction import torque_error
+from tests.support import arms
+from tests.support.core_fits import filter_logs, fit_recordings
+from tests.support.measured_logs import log_of, plan_of
+
+MIDDLE = np.array([0.0, 1.0, 0.0])
+WRIST = np.array([0.0, 1.0, 1.0])
+
+
+def record(plant, model, seed=1, extra_torque=None, duration=20.0):
+    """Return low-passed recordings of a log of an arm.
+
+    ``extra_torque`` is a function of the exact motion that is added to the plant's torque.
+    """
+    plan = plan_of(plant, seed, duration)
+    log = log_of(plant, plan, seed, noise_torque=0.02, encoder_resolution=1e-5)
+    if extra_torque is not None:
+        log = replace(log, tau=log.tau + extra_torque(plan.evaluate(log.time)))
+    return filter_logs(model, log)
+
+
+def file_of(model, recordings, kept=()):
+    """Return the fit of a model file; ``kept`` are the parts that stay as they are."""
+    return fit_file(fit_recordings(model, recordings), kept)
+
+
+@pytest.fixture(scope="module")
+def recording(plant, robot):
+    return record(plant, robot)
+
+
+def joint_values(file, term):
+    """Return the value of a term in each joint of a file."""
+    names = file.fit.arm.robot.joint_names
+    return np.array([file.fit.by_name[f"{term}[{joint}]"] for joint in names])
+
+
+def compiled(robot, file):
+    """Return the MuJoCo model as it would be written."""
+    model = copy.copy(robot.mj_model)
+    for link, theta in zip(robot.links, file.thetas):
+        arms.write_body(model, link.body_id, theta)
+    for term, field in (
+        ("coulomb", model.dof_frictionloss),
+        ("viscous", model.dof_damping),
+        ("armature", model.dof_armature),
+    ):
+        field[robot.dof_index] = joint_values(file, term)
+    if file.gravity is not None:
+        model.opt.gravity[:] = file.gravity
+    return model
+
+
+def angle_between(vector, other):
+    """Return the angle [deg]."""
+    cosine = vector @ other / np.linalg.norm(vector) / np.linalg.norm(other)
+    return np.degrees(np.arccos(min(cosine, 1.0)))
+
+
+def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
+    file = file_of(robot, recording)
+    other = record(plant, robot, 11)
+    before = file.before.relative_error
+    after = file.after.relative_error
+    assert all(map(spatial.is_consistent, file.thetas))
+    signals = recording[0].signals
+    error = torque_error(robot.mj_model, robot, signals, "log").relative_error
+    assert before == pytest.approx(error, rel=0.05)
+    assert after < 0.02 * before
+    model = compiled(robot, file)
+    for log in (recording[0], other[0]):
+        error = torque_error(model, robot, log.signals, "file").relative_error
+        assert error == pytest.approx(after, rel=0.25)
+    # It has only the terms that a file holds, and each joint's sensor offset.
+    terms = {name.partition("[")[0] for name in file.fit.names if "[" in name}
+    assert terms == {"coulomb", "viscous", "offset"} and file.gravity is None
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.5])
+def test_links_and_sensor_offsets_are_not_confounded(plant, offset):
+    """Both look alike where joints turn little; the file has to be right without the sensors."""
+    log = log_of(plant, plan_of(plant, 2, 5.0), 2, noise_torque=0.02)
+    recordings = filter_logs(plant, replace(log, tau=log.tau + offset * MIDDLE))
+    file = file_of(plant, recordings)
+    tolerance = 0.02 if offset else 1e-6
+    assert joint_values(file, "offset") == pytest.approx(offset * MIDDLE, abs=tolerance)
+    q = log.q[::50]
+    moves = LinkDynamics(plant).motion(q, 0.0 * q, 0.0 * q)
+    weight = moves.torque(plant.thetas)
+    error = moves.torque(file.thetas) - weight
+    assert np.linalg.norm(error) < 0.02 * np.linalg.norm(weight)
+
+
+def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
+    axis = np.array([0.5, 0.8, 0.0])
+    turn = Rotation.from_rotvec(np.radians(2.0) * axis / np.linalg.norm(axis))
+    tilted = with_gravity(plant, turn.apply(gravity_vector(plant)))
+    recordings = record(tilted, robot)
+    file = file_of(robot, recordings)
+    assert angle_between(file.gravity, gravity_vector(tilted)) < 0.3
+    kept = file_of(robot, recordings, (GRAVITY,))
+    assert kept.gravity is None and not {"tilt_1", "tilt_2"} & set(kept.fit.names)
+    assert kept.after.relative_error > file.after.relative_error
+
+
+def without_rotors(robot, kind="mjcf"):
+    """Return the arm with a model of a kind that has no rotor inertia."""
+    model = copy.copy(robot.mj_model)
+    model.dof_armature[:] = 0.0
+    return replace(robot, mj_model=model, kind=kind)
+
+
+@pytest.mark.parametrize(("has_rotors", "tolerance"), [(True, 0.0), (False, 0.01)])
+def test_a_rotor_is_that_of_the_estimate_where_it_is_clear_else_the_models(
+    plant, robot, has_rotors, tolerance
+):
+    """Friction that a file cannot hold would look like a rotor."""
+
+    def stribeck(motion):
+        """Return friction (K, 3) of the middle joint that fades with speed [N m]."""
+        return 0.6 * np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2)) * MIDDLE
+
+    model = robot if has_rotors else without_rotors(robot)
+    file = file_of(model, record(plant, model, extra_torque=stribeck))
+    assert joint_values(file, "armature") == pytest.approx([0.05] * 3, abs=tolerance)
+
+
+@pytest.mark.parametrize("kept", [(FRICTION,), (ROTORS, LINKS)])
+def test_a_kept_part_stays(robot, recording, kept):
+    file = file_of(without_rotors(robot), recording, (*kept, GRAVITY))
+    for name, part in {
+        "coulomb[joint1]": FRICTION,
+        "viscous[joint2]": FRICTION,
+        "armature[joint0]": ROTORS,
+        "armature[joint2]": ROTORS,
+        "m(link0)": LINKS,
+        "Izz(link1)": LINKS,
+    }.items():
+        is_models = file.fit.by_name[name] == file.fit.arm.model[name]
+        assert is_models == (part in kept), name
+
+
+def test_rotors_of_a_urdfs_arm_are_in_the_mjcf_beside_it(robot, recording):
+    """A URDF cannot hold them: beside links it has friction only, and rotors count as links."""
+    model = without_rotors(robot, "urdf")
+    file = file_of(model, recording)
+    assert file.kind == "mjcf" and file.urdf.kind == "urdf"
+    assert joint_values(file, "armature") == pytest.approx([0.05] * 3, abs=0.01)
+    assert not any("armature[" in name for name in file.urdf.fit.names)
+    assert not np.any(joint_values(file.urdf, "armature"))
+    assert file.urdf.after.relative_error > 1.5 * file.after.relative_error
+    # The URDF alone where rotors are to stay as they are.
+    alone = file_of(model, recording, (ROTORS,))
+    assert alone.urdf is None and alone.kind == "urdf"
+
+
+def shared_motor(motion):
+    """Return the torque (K, 3) of a motor with friction that turns with both wrist joints [N m]."""
+    speed = motion.qd @ WRIST
+    acceleration = motion.qdd @ WRIST
+    return np.outer(1.5 * np.sign(speed) + 0.4 * speed + 0.02 * acceleration, WRIST)
+
+
+def test_a_motor_that_turns_two_joints_is_in_the_mjcf_alone(plant, robot):
+    """Its rotor is in the joints, because tendons of older releases have none."""
+    recordings = record(plant, robot, extra_torque=shared_motor)
+    file = file_of(replace(robot, kind="urdf"), recordings, (GRAVITY,))
+    for term, value in {"coulomb": 1.5, "viscous": 0.4, "armature": 0.0}.items():
+        estimate = file.fit.by_name[f"{term}[joint1+joint2]"]
+        assert estimate == pytest.approx(value, rel=0.1)
+    rotors = joint_values(file, "armature") - robot.armature
+    assert rotors == pytest.approx([0.0, 0.02, 0.02], abs=0.01)
+    assert not any("+" in name for name in file.urdf.fit.names)
+    assert file.after.relative_error < 0.2 * file.urdf.after.relative_error
+    kept = file_of(robot, recordings, (GRAVITY, FRICTION))
+    assert not any("+" in name for name in kept.fit.names)
