@@ -1,0 +1,246 @@
+"""What the data decides: shared motors that it clearly shows, and how wrong models' links are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from numpy.testing import assert_allclose, assert_array_equal
+
+from robot_sysid.estimate.choose import dry_friction, link_evidence, motors_of
+from robot_sysid.estimate.links import (
+    LinkEvidence,
+    LinkScales,
+    average_scales,
+    link_directions,
+    link_factor,
+    link_lengths,
+)
+from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.questions import Question, arm_question, scale_spread
+from robot_sysid.estimate.terms import LAST_LINK, LINKS, SCALES, ArmTerms
+from tests.support import arms
+from tests.support.arms import SEEDS, rigid_bodies
+from tests.support.core_fits import BASIC, NO_PRIORS, filter_logs, fit_recordings
+from tests.support.measured_logs import XML, log_of, plan_of
+from tests.support.payload_logs import (
+    TrueArm,
+    add_noise,
+    add_torque,
+    four_joint_arm,
+    perturb_body,
+    wide_motion,
+)
+from tests.support.releases import since
+
+ROBOT = four_joint_arm()
+
+
+# ---- motors that turn several joints
+
+
+def record(seed, torque=lambda motion: 0.0, model_error=0.1):
+    """Return a noisy recording of an arm with an additional torque of the motion."""
+    recording = TrueArm(ROBOT, seed, model_error).recording(wide_motion(seed), False)
+    return add_noise(add_torque(recording, torque(recording.motion)), 0.1, seed)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_shared_motor_is_found_with_its_friction(sign):
+    ratios = np.array([0.0, 0.0, 1.0, sign])
+
+    def wrist(motion):
+        speed = motion.qd @ ratios
+        return np.outer(1.5 * np.sign(speed) + 0.4 * speed, ratios)
+
+    fitted = fit_recordings(ROBOT, [record(1, wrist)])
+    (motor,) = fitted.arm.motors
+    assert motor.name == ("joint2+joint3" if sign > 0.0 else "joint2-joint3")
+    for term, value in {"coulomb": 1.5, "viscous": 0.4}.items():
+        name = f"{term}[{motor.name}]"
+        error = fitted.errors[fitted.names.index(name)]
+        assert abs(fitted.by_name[name] - value) < 3.0 * error < value
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_motor_is_found_in_an_arm_without(seed):
+    def stribeck(motion):
+        return 0.4 * np.sign(motion.qd) * np.exp(-((motion.qd / 0.1) ** 2))
+
+    fitted = fit_recordings(ROBOT, [record(seed, stribeck)])
+    assert fitted.arm.motors == () and fitted.question.motors == ()
+
+
+@since(3, 3)
+def test_motors_of_the_model_are_estimated_and_no_candidates():
+    wrist = arms.robot_of(arms.SHARED_MOTOR)
+    stated, offered = motors_of(wrist, "chain")
+    assert [motor.tendon for motor in stated] == [0]
+    assert stated[0].name == "joint1-2*joint2"
+    assert_array_equal(stated[0].model[:3], [1.5, 0.4, 0.03])
+    assert len(offered) == 4 and motors_of(wrist, "terminal") == ((), ())
+    spring = arms.TENDON_SPRING.replace('damping="3"', "")
+    assert motors_of(arms.robot_of(spring), "chain")[0] == ()
+
+
+def test_dry_friction_does_not_vanish_where_fading_terms_take_all_of_it():
+    """With friction that fades slowly, Coulomb friction alone would be anything."""
+    sizes = np.array([0.0, 1.0, 0.0, 0.0])
+
+    def stribeck(motion):
+        return sizes * np.sign(motion.qd) * np.exp(-((motion.qd / 0.3) ** 2))
+
+    plain, faded = (
+        fit_recordings(ROBOT, [record(2, torque)])
+        for torque in (lambda motion: 0.0, stribeck)
+    )
+    before, after = dry_friction(plain)[1], dry_friction(faded)[1]
+    assert before < after < before + 1.5
+    name = "armature[joint1]"
+    error = faded.errors[faded.names.index(name)]
+    assert error < 2.0 * plain.errors[plain.names.index(name)]
+
+
+# ---- priors
+
+
+def terms_of(**options):
+    """Return cause, or name of friction, to the terms of a question of the four-joint arm."""
+    loaded = options.pop("loaded", False)
+    known_mass = options.pop("known_mass", None)
+    options = EstimationOptions(**options)
+    arm = ArmTerms(ROBOT, loaded=loaded)
+    question = Question(options, loaded, known_mass=known_mass, dry=(1.0,) * 4)
+    terms = arm_question(arm, question, np.full(4, 10.0))
+    return {term.names[0]: term for term in terms}
+
+
+def spread(term):
+    """Return the prior standard deviations of a term."""
+    return np.sqrt(term.prior.variances)
+
+
+def test_priors_are_of_the_stated_size():
+    priors = Priors(link=8.0, scale=(1.0, 2.0, 3.0, 4.0), zero=1.5, gravity=0.5)
+    terms = terms_of(priors=replace(priors, delay=4.0, friction=3.0))
+    assert_allclose(spread(terms["scale[joint0]"]), [0.01, 0.02, 0.03, 0.04])
+    assert_allclose(spread(terms["zero[joint0]"]), 1.5e-3)
+    assert_allclose(spread(terms["tilt_1"]), np.radians(0.5))
+    assert_allclose(spread(terms["delay"]), 4e-3)
+    # Of dry friction of 1 N m, a tenth of the torque: the usual shapes of friction.
+    assert_allclose(spread(terms["sqrt[joint0]"]), 0.15)
+    assert_allclose(spread(terms["fading[joint0]"]), 0.45)
+    assert_allclose(spread(terms["load[joint0]"]), 0.075)
+    # By itself and with all other links: the root of twice the square.
+    mass = ROBOT.links[0].theta[0]
+    expected = np.sqrt(2.0) * 0.08 * mass
+    assert spread(terms["m(link0)"])[0] == pytest.approx(expected, rel=1e-6)
+    assert terms["coulomb[joint0]"].prior is None and terms["m"].prior is None
+
+
+def test_what_is_known_exactly_is_no_question():
+    terms = terms_of(priors=NO_PRIORS, friction_model="coulomb")
+    assert [*terms] == ["m", "coulomb[joint0]"]
+    causes = {term.cause for term in terms_of(friction_model=BASIC).values()}
+    assert {LAST_LINK, LINKS, SCALES} < causes
+
+
+def test_scales_of_a_payload_have_nothing_in_common_unless_its_mass_is_known():
+    """Nothing but a known mass shows it; how far each is off is 3 %, as is stated."""
+    for mass, common in ((None, 0.0), (2.0, 0.015)):
+        term = terms_of(loaded=True, known_mass=mass)["scale[joint0]"]
+        mean = np.full(4, 0.25) @ term.prior.factor
+        assert np.linalg.norm(mean) == pytest.approx(common, abs=1e-4)
+    stated = scale_spread(ArmTerms(ROBOT), EstimationOptions(), loaded=True)
+    assert_allclose(stated, 0.03)
+
+
+@given(rigid_bodies(), rigid_bodies())
+def test_links_share_an_error_in_mass(first, second):
+    factor = link_factor([first, second], 0.05, [0.3, 0.0])
+    covariance = factor @ factor.T
+    scale = np.sqrt(covariance[0, 0] * covariance[10, 10])
+    assert covariance[0, 10] / scale == pytest.approx(0.5, rel=1e-6)
+    for start in (0, 10):
+        block = covariance[start : start + 10, start : start + 10]
+        sizes = np.sqrt(np.diag(block))
+        assert np.linalg.eigvalsh(block / np.outer(sizes, sizes))[0] > 0.0
+
+
+# ---- scales of the links' prior
+
+N_LINKS = 4
+USUAL = LinkScales(4.0, 1.5, 2.0)
+
+
+def evidence_of(seed, scales, noise=0.01):
+    """Return (evidence, rows, data) of all directions of links whose errors have these scales."""
+    rng = np.random.default_rng(seed)
+    scale = scales.of_directions(N_LINKS)
+    rows = rng.standard_normal((3 * len(scale), len(scale)))
+    data = rows @ (scale * rng.standard_normal(len(scale)))
+    data += noise * rng.standard_normal(len(data))
+    gram = rows.T @ rows / noise**2
+    return LinkEvidence(N_LINKS, gram, rows.T @ data / noise**2), rows, data
+
+
+@given(SEEDS)
+def test_the_likelihood_of_link_scales_is_that_of_the_data(seed):
+    """Differences are those of a Gaussian of covariance noise^2 + Y S S Y'."""
+    noise = 0.3
+    evidence, rows, data = evidence_of(seed, USUAL, noise)
+    likelihoods = []
+    expected = []
+    for scales in (USUAL, LinkScales(4.0, 0.5, 2.0)):
+        scale = scales.of_directions(N_LINKS)
+        likelihoods.append(evidence.log_likelihood(scale))
+        covariance = noise**2 * np.eye(len(rows)) + (rows * scale**2) @ rows.T
+        log_determinant = np.linalg.slogdet(covariance)[1]
+        exponent = data @ np.linalg.solve(covariance, data)
+        expected.append(-0.5 * (exponent + log_determinant))
+    difference = np.diff(likelihoods)[0] - np.diff(expected)[0]
+    assert abs(difference) < 1e-6 * abs(expected[0])
+
+
+@pytest.mark.parametrize(
+    "scales", [LinkScales(2.0, 0.5, 4.0), LinkScales(8.0, 4.0, 1.0)]
+)
+def test_link_scales_that_the_data_shows_are_found(scales):
+    average = average_scales(evidence_of(0, scales)[0])
+    for aspect in ("centre_of_mass", "inertia"):
+        assert 0.5 < getattr(average, aspect) / getattr(scales, aspect) < 2.1, aspect
+    nothing = LinkEvidence(N_LINKS, np.zeros((42, 42)), np.zeros(42))
+    usual = average_scales(nothing)
+    assert 4.0 < usual.mass < 6.0 and 1.5 < usual.centre_of_mass < 3.0
+
+
+def test_the_evidence_of_a_fit_is_that_without_the_links_prior(noisy_fit):
+    """The best deviation by evidence and prior together is the estimate."""
+    evidence = link_evidence(noisy_fit)
+    terms = zip(noisy_fit.equations.terms, noisy_fit.equations.spans)
+    ((term, span),) = [pair for pair in terms if pair[0].cause == LINKS]
+    arm = noisy_fit.arm
+    thetas = tuple(tuple(arm.robot.links[link].theta) for link in arm.others)
+    lengths = tuple(link_lengths(arm.robot, arm.others))
+    directions = 0.05 * link_directions(thetas, lengths)
+    scale = noisy_fit.question.link_scales.of_directions(evidence.n_links)
+    inner = np.eye(len(scale)) + scale[:, None] * evidence.curvature * scale
+    found = directions @ (scale * np.linalg.solve(inner, scale * evidence.pull))
+    moved = noisy_fit.free[span] - term.prior.mean
+    assert_allclose(found, moved, atol=1e-3 * np.max(np.abs(moved)))
+
+
+def test_the_prior_of_links_widens_where_the_models_are_wrong(plant):
+    model = arms.compile_xml(XML)
+    rng = np.random.default_rng(7)
+    for link in plant.links:
+        arms.write_body(model, link.body_id, perturb_body(link.theta, 0.5, rng))
+    log = log_of(plant, plan_of(plant, 1, 30.0), noise_torque=0.02)
+    wide, narrow = (
+        fit_recordings(robot, filter_logs(robot, log)).question.link_scales
+        for robot in (arms.robot_of(model), plant)
+    )
+    assert wide.mass > narrow.mass
+    assert wide.centre_of_mass > 1.5 * narrow.centre_of_mass

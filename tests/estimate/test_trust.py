@@ -1,0 +1,213 @@
+"""Each implausible estimate is refused with its reason; a wide error alone is no reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimate import trust
+from robot_sysid.model.bodies import link_reach
+from robot_sysid.records import InertialParameters, Validation
+from robot_sysid.results.record import BodyEstimate, JointEstimate, Quantity, Verdict
+from tests.support import arms
+from tests.support.core_fits import fit_logs
+
+SEVEN = arms.robot_of(arms.SEVEN)
+REACH = link_reach(SEVEN.mj_model, SEVEN.reference_qpos, SEVEN.body_id)
+ARM = REACH + sum(float(np.linalg.norm(link.translation)) for link in SEVEN.links[1:])
+OK = Verdict.OK
+IMPLAUSIBLE = Verdict.IMPLAUSIBLE
+NOT_SEEN = Verdict.NOT_SEEN
+WRONG_WEIGHT = Verdict.WRONG_WEIGHT
+
+
+def body(mass=1.0, com=(0.0, 0.0, 0.1), error=0.01, radius=0.05, moment_error=1e-3):
+    """Return a body estimate with errors of its mass and of its first moment along z."""
+    inertia = abs(mass) * radius**2 * np.eye(3)
+    theta = spatial.theta_from_com(mass, np.array(com), inertia)
+    errors = np.array([error, 0.0, 0.0, moment_error] + [1e-3] * 6)
+    covariance = np.nan_to_num(np.diag(errors**2))
+    inertial = InertialParameters(theta)
+    return BodyEstimate("it", inertial, covariance, np.isfinite(errors), errors)
+
+
+def body_at(distance, moment_error=1e-3, **numbers):
+    """Return a body whose centre of mass is at a distance from its origin [m]."""
+    return body(com=(0.0, 0.0, distance), moment_error=moment_error, **numbers)
+
+
+FAR = REACH + 0.3 * ARM
+"""Distance of a centre of mass from the last joint up to which it is plausible [m]."""
+
+
+def prediction(relative_error, **joints):
+    """Return a held-out error, as a share of the torque."""
+    return Validation("parts", 100, 0.1, relative_error, {}, joints)
+
+
+def judge_link(*args, **numbers):
+    return trust.implausible_link(SEVEN, (body_at if args else body)(*args, **numbers))
+
+
+def judge_links(index, change):
+    """Return the reasons against the arm with a change of one link's parameters (10,)."""
+    thetas = SEVEN.thetas
+    thetas[index] = change(thetas[index])
+    return trust.implausible_links(SEVEN, thetas)
+
+
+def shift(theta):
+    """Return a body (10,) with its centre of mass 2 m farther along each axis."""
+    mass, com, inertia = spatial.com_from_theta(theta)
+    return spatial.theta_from_com(mass, com + 2.0, inertia)
+
+
+def judge_payload(misfit="", relative_error=0.03, **numbers):
+    test = prediction(relative_error)
+    return trust.judge_payload(SEVEN, body(**numbers), misfit, test)
+
+
+def judge_known_mass(mass_without, *findings):
+    return trust.judge_known_mass(findings, mass_without, 1.0)
+
+
+def judge_joint(**terms):
+    """Return the reasons against the last joint's friction and rotor."""
+    sizes = (9.0, 40.0, 5.0, 20.0, 1.0, 4.0, 0.5)
+    torque = dict(zip(SEVEN.joint_names, sizes))
+    joints = {name: JointEstimate("some", {}) for name in SEVEN.joint_names}
+    figures = {term: Quantity(value, 0.1) for term, value in terms.items()}
+    joints[SEVEN.joint_names[-1]] = JointEstimate("some", figures)
+    return trust.implausible_joints(SEVEN, joints, torque)
+
+
+@pytest.mark.parametrize(
+    ("findings", "verdict", "message"),
+    [
+        (judge_link(), OK, ""),
+        (judge_link(error=5.0), OK, ""),
+        # A gripper and its load, a fifth of the arm's reach beyond the flange.
+        (judge_link(REACH + 0.2 * ARM, mass=2.0), OK, ""),
+        # A tenth of a metre too far away: one standard error of that, or three.
+        (judge_link(FAR + 0.1, 0.1), OK, ""),
+        (judge_link(FAR + 0.1, 0.07), OK, ""),
+        (judge_link(FAR + 0.1, 0.03), IMPLAUSIBLE, "away"),
+        (judge_link(1.8), IMPLAUSIBLE, "centre of mass is 1.8 m away"),
+        (judge_link(radius=0.6), IMPLAUSIBLE, "radius of gyration is 0.6 m"),
+        (judge_link(mass=10.4, error=np.inf), IMPLAUSIBLE, "do not show the mass"),
+        (judge_links(1, lambda theta: 3.0 * theta), OK, ""),
+        (judge_links(1, lambda theta: 100.0 * theta), IMPLAUSIBLE, "link1 would weigh"),
+        (judge_links(2, shift), IMPLAUSIBLE, "centre of mass of link2"),
+        (judge_links(3, np.negative), IMPLAUSIBLE, "link3 is no possible rigid body"),
+        (judge_joint(coulomb=30.0, viscous=200.0, armature=0.5), OK, ""),
+        (judge_joint(coulomb=141.2), IMPLAUSIBLE, "141 N m of dry friction"),
+        (judge_joint(armature=1e3), IMPLAUSIBLE, "rotor"),
+        (judge_payload(error=0.4), OK, ""),
+        (judge_payload(mass=-1.0), Verdict.SWAPPED, "-1"),
+        (judge_payload(mass=0.01, error=0.02), NOT_SEEN, "0.010 ± 0.020 kg"),
+        # Two standard errors of its mass decide.
+        (judge_payload(mass=0.038, error=0.02), NOT_SEEN, "0.038"),
+        (judge_payload(mass=0.042, error=0.02), OK, ""),
+        (judge_payload(mass=-0.038, error=0.02), NOT_SEEN, "-0.038"),
+        (judge_payload(error=np.inf), NOT_SEEN, "(± not known)"),
+        (judge_payload(com=(0.0, 1.8, 0.0)), IMPLAUSIBLE, "1.8 m"),
+        (judge_payload(radius=1.5), IMPLAUSIBLE, "radius of gyration"),
+        (judge_payload("a differs from b"), Verdict.DISAGREE, "a differs from b"),
+        (judge_payload(relative_error=0.6), Verdict.UNEXPLAINED, "60 %"),
+        (judge_known_mass(0.8), OK, ""),
+        (judge_known_mass(0.3), WRONG_WEIGHT, "0.3 kg"),
+        (judge_known_mass(2.1), WRONG_WEIGHT, "2.1 kg"),
+        # A finding that the known mass puts right is no reason to refuse it; another is.
+        (judge_known_mass(0.8, (IMPLAUSIBLE, "far")), OK, ""),
+        (judge_known_mass(-1.0, (Verdict.SWAPPED, "less")), Verdict.SWAPPED, "less"),
+    ],
+)
+def test_each_implausible_estimate_is_refused_with_its_reason(
+    findings, verdict, message
+):
+    judgement, reasons = trust.first(findings, OK)
+    assert judgement is verdict
+    assert judgement.is_trustworthy == (verdict is OK) == (not reasons)
+    assert message in " ".join(reasons)
+
+
+@pytest.mark.parametrize(
+    ("model", "file", "noise", "verdict"),
+    [
+        (prediction(0.3), prediction(0.1), 0.0, Verdict.BETTER),
+        (prediction(0.1), prediction(0.109), 0.0, Verdict.AS_GOOD),
+        (prediction(0.1), prediction(0.12), 0.0, Verdict.NO_BETTER),
+        (prediction(0.9), prediction(0.6), 0.0, Verdict.NO_BETTER),
+        (prediction(0.0), prediction(1e-12), 0.0, Verdict.AS_GOOD),
+        (prediction(None), prediction(None), 0.0, Verdict.NO_BETTER),
+        # A joint that the file predicts clearly worse, unless nobody sees the difference.
+        (prediction(0.3, a=0.1), prediction(0.1, a=0.16), 0.0, Verdict.NO_BETTER),
+        (prediction(0.3, a=0.1), prediction(0.1, a=0.14), 0.0, Verdict.BETTER),
+        (prediction(0.3, a=0.01), prediction(0.1, a=0.019), 0.0, Verdict.BETTER),
+        # A model whose error is the noise is right.
+        (prediction(0.1), prediction(0.12), 0.095, Verdict.AS_GOOD),
+    ],
+)
+def test_a_file_is_compared_with_the_model_before(model, file, noise, verdict):
+    assert trust.judge_file(model, file, noise)[0] is verdict
+
+
+def judge_fit(fitted, *tests, acceleration=0.0):
+    """Return (verdict, reasons) of a fit and of its errors in other rows."""
+    return trust.first(trust.find_misfits(fitted, tests, acceleration), OK)
+
+
+@pytest.mark.parametrize(
+    ("factor", "relative_error", "is_ok"),
+    [(2.5, 0.1, True), (3.5, 0.01, True), (3.5, 0.1, False)],
+)
+def test_held_out_errors_may_be_three_times_the_noise(
+    noisy_fit, factor, relative_error, is_ok
+):
+    noise = noisy_fit.noise_per_joint
+    errors = {joint: factor * size for joint, size in noise.items()}
+    test = replace(prediction(relative_error), rmse_per_joint=errors)
+    verdict, reasons = judge_fit(noisy_fit, test)
+    assert verdict is (OK if is_ok else Verdict.UNEXPLAINED)
+    assert is_ok or "of parts are predicted 3.5 times worse" in reasons[0]
+    unknown = replace(test, is_informative=False)
+    assert judge_fit(noisy_fit, unknown) == (OK, ())
+
+
+def test_positions_without_accelerations_are_refused(noisy_fit):
+    verdict, (reason,) = judge_fit(noisy_fit, acceleration=0.49)
+    assert verdict is Verdict.UNEXPLAINED and "49 %" in reason
+
+
+@pytest.mark.parametrize("is_noise", [False, True])
+def test_a_joint_with_unexplained_torque_is_named_unless_it_is_white_noise(
+    robot, noisy, is_noise
+):
+    tau = noisy.tau.copy()
+    if is_noise:
+        size = 9.0 * np.sqrt(np.mean(tau[:, 2] ** 2))
+        white = np.repeat(np.random.default_rng(0).normal(size=len(tau)), 8)
+        tau[:, 2] += size * white[: len(tau)]
+    else:
+        tau[:, 2] = tau[::-1, 0]
+    verdict, reasons = judge_fit(fit_logs(robot, replace(noisy, tau=tau)))
+    assert verdict is (OK if is_noise else Verdict.UNEXPLAINED)
+    assert is_noise or "of the torque of joint2 is unexplained" in reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("distance", "error", "is_named"),
+    [(0.1, 0.001, False), (0.15, 0.01, True), (0.15, 0.03, False)],
+)
+def test_a_link_is_named_whose_first_moment_is_clearly_wrong(distance, error, is_named):
+    """By 50 %: beyond two errors of 0.01 kg m, within two of 0.03."""
+    link = replace(body_at(distance, error), prior=body_at(0.1).inertial)
+    named = list(trust.wrong_links([link]))
+    assert len(named) == is_named
+    for wrong in named:
+        assert wrong.first_moment_of_model == pytest.approx(0.1)
+        assert wrong.first_moment == pytest.approx(0.15)
+        assert wrong.error == pytest.approx(0.01)
