@@ -1,0 +1,378 @@
+"""What the data shows: rank, condition numbers, and hidden directions in words."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import (
+    TERMINAL_FRICTION,
+    Equations,
+    friction_per_joint,
+)
+from robot_sysid.estimate.identifiability import (
+    analyse_identifiability,
+    column_scale,
+    readable_basis,
+    visible_space,
+)
+from robot_sysid.estimate.triangles import InformationAccumulator
+from robot_sysid.records import Measurement
+from tests.support import arms
+from tests.support.synthetic_data import (
+    ORIGIN,
+    arm_equations,
+    information_of,
+    random_body,
+    terminal_information,
+)
+
+
+def analyse_information(information):
+    """Return the identifiability from square-root information."""
+    matrix, _ = information.equations()
+    joint = information.joints[-1].joint
+    return analyse_identifiability(matrix, information.names, joint)
+
+
+def analyse_terminal(seed, axis, offset=ORIGIN):
+    """Return the identifiability from the last joint's torque alone."""
+    rng = np.random.default_rng(seed)
+    truth = np.append(random_body(rng), [0.4, 0.1])
+    return analyse_information(terminal_information(rng, truth, axis, offset))
+
+
+def analyse(rng, equations, names):
+    """Return the identifiability from equations of any torque."""
+    truth = rng.normal(size=len(names))
+    return analyse_information(information_of(equations, names, truth))
+
+
+def conditions(identifiability):
+    """Return the condition number of the regressor and that of unit columns."""
+    return identifiability.condition_number, identifiability.scaled_condition_number
+
+
+def test_last_joint_alone_shows_seven_of_ten_parameters_and_its_friction():
+    identifiability = analyse_terminal(0, np.array([0.0, 0.0, 1.0]))
+    assert (identifiability.rank, identifiability.n_parameters) == (9, 12)
+    hidden = ("mass", "first moment along z", "Ixx + Iyy")
+    assert identifiability.unidentifiable == hidden
+    expected = tuple(k not in {0, 3, 4, 7} for k in range(12))
+    assert identifiability.identified == expected
+
+
+@given(arms.SEEDS, st.lists(st.sampled_from([-7.0, 0.0, 1.0]), max_size=3))
+def test_nuisances_of_any_number_and_unit_do_not_count(seed, exponents):
+    rng = np.random.default_rng(seed)
+    ((rows, _),), names = arm_equations(rng, joints=1, count=80)
+    units = 10.0 ** np.array(exponents)
+    nuisances = rng.normal(size=(80, len(exponents))) * units
+    equations = [(np.column_stack((rows, nuisances)), np.arange(12 + len(exponents)))]
+    names += tuple(f"nuisance{k}" for k in range(len(exponents)))
+    truth = rng.normal(size=len(names)) / np.append(np.ones(12), units)
+    identifiability = analyse_information(information_of(equations, names, truth))
+    assert (identifiability.rank, identifiability.n_parameters) == (9, 12)
+
+
+def test_the_rank_of_nuisances_does_not_make_up_for_what_the_link_hides():
+    """Friction of four joints, of which one is estimated; three inertial columns are zero."""
+    rng = np.random.default_rng(4)
+    equations, names = arm_equations(rng, joints=4)
+    for rows, _ in equations:
+        rows[:, [0, 3, 6]] = 0.0
+    identifiability = analyse(rng, equations, names)
+    assert (identifiability.rank, identifiability.n_parameters) == (9, 12)
+    hidden = ("mass", "first moment along z", "inertia Ixz")
+    assert identifiability.unidentifiable == hidden
+
+
+def test_a_column_that_looks_like_a_nuisance_is_not_identified():
+    """An inertia whose torque is constant is confounded with an offset."""
+    rng = np.random.default_rng(5)
+    equations, names = arm_equations(rng, joints=3)
+    for rows, _ in equations:
+        rows[:, 9] = 0.0
+    rows, columns = equations[0]
+    rows[:, 9] = 2.0
+    equations[0] = np.column_stack((rows, np.ones(len(rows)))), np.append(columns, 16)
+    identifiability = analyse(rng, equations, (*names, "offset[joint0]"))
+    assert (identifiability.rank, identifiability.n_parameters) == (11, 12)
+    expected = tuple(k not in (9, 16) for k in range(17))
+    assert identifiability.identified == expected
+
+
+def test_condition_numbers_are_those_of_the_stacked_regressor_of_the_link_and_its_joint():
+    """Friction of the other joints is no part of it, whether it is estimated or not."""
+    rng = np.random.default_rng(4)
+    equations, names = arm_equations(rng, joints=3)
+    identifiability = analyse(rng, equations, names)
+    stacked = np.zeros((180, 16))
+    for j, (rows, columns) in enumerate(equations):
+        stacked[60 * j : 60 * (j + 1), columns] = rows
+    stacked = stacked[:, [*range(10), 14, 15]]
+    assert names[14:] == ("coulomb[joint2]", "viscous[joint2]")
+    scaled = stacked / np.linalg.norm(stacked, axis=0)
+    expected = np.linalg.cond(stacked), np.linalg.cond(scaled)
+    assert conditions(identifiability) == pytest.approx(expected, rel=1e-9)
+
+
+@given(arms.SEEDS, st.lists(st.floats(-4, 4), min_size=5, max_size=5))
+def test_units_do_not_decide_what_is_visible(seed, exponents):
+    """Units of mass, first moment, inertia and of each friction coefficient."""
+    rng = np.random.default_rng(seed)
+    information = terminal_information(rng, rng.normal(size=12))
+    triangle = information.joints[0].triangle[:, :-1]
+    space = visible_space(triangle)
+    units = 10.0 ** np.repeat(exponents, [1, 3, 6, 1, 1])
+    scaled_space = visible_space(triangle * units)
+    assert scaled_space.is_identified == space.is_identified
+    condition = scaled_space.singular[0] / scaled_space.singular[-1]
+    expected = space.singular[0] / space.singular[-1]
+    assert condition == pytest.approx(expected, rel=1e-6)
+
+
+@given(arms.SEEDS, st.integers(-14, 14), st.permutations(range(16)), st.integers(0, 4))
+def test_the_unit_of_torque_does_not_decide_what_is_visible(
+    seed, exponent, order, count
+):
+    """Also where some columns are nothing but rounding noise."""
+    rng = np.random.default_rng(seed)
+    equations, names = arm_equations(rng, joints=3)
+    for rows, columns in equations:
+        rows[:, np.isin(columns, order[:count])] *= 1e-13
+    scaled = [(rows * 10.0**exponent, columns) for rows, columns in equations]
+    truth = rng.normal(size=16)
+    expected, identifiability = (
+        analyse_information(information_of(rows, names, truth))
+        for rows in (equations, scaled)
+    )
+    assert identifiability.rank == expected.rank
+    assert identifiability.identified == expected.identified
+    assert conditions(identifiability) == pytest.approx(conditions(expected), rel=1e-6)
+
+
+# --- the visible space --------------------------------------------------------------------------
+
+
+@given(arms.SEEDS, st.integers(0, 30), st.booleans())
+def test_solution_and_inverse_are_those_of_least_squares_in_scaled_columns(
+    seed, count, hidden
+):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(count, 12)) * 10.0 ** rng.uniform(-2.0, 2.0, 12)
+    if hidden and count:
+        matrix[:, 11] = matrix[:, 10] * 3.0
+        matrix[:, 5] = 0.0
+    space = visible_space(matrix)
+    scale, is_zero = column_scale(matrix)
+    scaled = np.where(is_zero, 0.0, matrix * scale)
+    assert space.rank == (np.linalg.matrix_rank(scaled, tol=1e-8) if count else 0)
+    product = space.left * space.singular @ space.right.T
+    assert_allclose(product, scaled, rtol=0.0, atol=1e-13)
+    assert_allclose(scaled @ space.null, 0.0, atol=1e-12)
+    basis = np.column_stack((space.right, space.null))
+    assert_allclose(basis.T @ basis, np.eye(12), atol=1e-13)
+    if count == 0 or space.singular[0] / space.singular[-1] < 1e4:
+        pseudo = np.linalg.pinv(scaled, rcond=1e-8)
+        tau = rng.normal(size=count)
+        unit = 1.0 / (scale * (1.0 + np.max(np.abs(pseudo), initial=0.0)) ** 2)
+        solution = scale * (pseudo @ tau)
+        assert_allclose(space.solve(tau) * unit, solution * unit, rtol=0.0, atol=1e-10)
+        inverse = scale[:, None] * (pseudo @ pseudo.T) * scale
+        units = np.outer(unit, unit)
+        assert_allclose(space.inverse() * units, inverse * units, rtol=0.0, atol=1e-10)
+        root = space.inverse_root()
+        assert_allclose(root @ root.T, space.inverse())
+
+
+# --- in words -----------------------------------------------------------------------------------
+
+NAMES = (*spatial.PARAMETER_NAMES, "coulomb[tool]", "viscous[tool]", "offset[X]")
+
+
+@given(
+    arms.SEEDS,
+    st.permutations(range(len(NAMES))),
+    st.lists(st.integers(1, 4), max_size=6),
+)
+def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes):
+    """Directions that share no parameter: of all bases of their space this one is the sparse."""
+    rng = np.random.default_rng(seed)
+    sparse = []
+    for indices in np.split(order, np.cumsum(sizes))[: len(sizes)]:
+        if len(indices):
+            direction = np.zeros(len(NAMES))
+            signs = rng.choice([-1.0, 1.0], len(indices))
+            direction[indices] = signs * rng.uniform(0.2, 1.0, len(indices))
+            sparse.append(direction / np.linalg.norm(direction))
+    sparse = np.array(sparse).reshape(-1, len(NAMES))
+    turn = np.linalg.qr(rng.normal(size=(len(sparse), len(sparse))))[0]
+    basis = np.array(readable_basis(sparse.T @ turn)).reshape(-1, len(NAMES))
+    first_parameter = [np.flatnonzero(direction)[0] for direction in sparse]
+    expected = sparse[np.argsort(first_parameter)]
+    signs = np.sign(np.sum(basis * expected, axis=1))[:, None]
+    assert_allclose(basis, signs * expected, rtol=0.0, atol=1e-9)
+
+
+# --- against MuJoCo alone -----------------------------------------------------------------------
+# What joint torques show of a link by MuJoCo's inverse dynamics and an SVD. The torque is linear in
+# a body's ten parameters, so a difference of any size is exact.
+
+CUT = 1e-10
+"""Share of the largest singular value, and of a column's usual length, that is nothing."""
+BODY = np.array([2.0, 0.1, -0.2, 0.3, 0.4, 0.02, -0.03, 0.5, 0.01, 0.6])
+STEPS = np.array([0.5, *[0.1] * 3, *[0.1] * 6])
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """What a motion shows of the link's ten parameters and the last joint's two of friction.
+
+    Attributes:
+        matrix: (M, 12) scaled columns.
+        scale: (12,) factors of the columns; parameters of a unit share theirs.
+        null: (12, d) orthonormal basis of the hidden directions, in scaled coordinates.
+        ranks: least and largest rank that a cut ten times larger or smaller gives.
+    """
+
+    matrix: np.ndarray
+    scale: np.ndarray
+    null: np.ndarray
+    ranks: tuple[int, int]
+
+
+def mujoco_columns(robot, q, qd, qdd):
+    """Return each chain joint's torque per unit of each parameter (N, n, 12)."""
+    model = copy.copy(robot.mj_model)
+    columns = np.zeros((*q.shape, 12))
+    for k, step in enumerate(np.diag(STEPS)):
+        ahead = mujoco_torque(robot, model, BODY + step, q, qd, qdd)
+        behind = mujoco_torque(robot, model, BODY - step, q, qd, qdd)
+        columns[:, :, k] = (ahead - behind) / (2.0 * STEPS[k])
+    columns[:, -1, 10:] = np.column_stack((np.sign(qd[:, -1]), qd[:, -1]))
+    return columns
+
+
+def mujoco_torque(robot, model, theta, q, qd, qdd):
+    """Return inverse dynamics (N, n) with theta in the last body, without contacts and springs."""
+    arms.write_body(model, robot.body_id, theta)
+    data = mujoco.MjData(model)
+    tau = np.zeros((len(q), model.nv))
+    for k in range(len(q)):
+        data.qpos[:] = robot.reference_qpos
+        data.qvel[:] = 0.0
+        data.qacc[:] = 0.0
+        data.qpos[robot.qpos_index] = q[k]
+        data.qvel[robot.dof_index] = qd[k]
+        data.qacc[robot.dof_index] = qdd[k]
+        for step in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
+            step(model, data)
+        mujoco.mj_rne(model, data, 1, tau[k])
+    return tau[:, robot.dof_index]
+
+
+def visibility_of(columns):
+    """Return the visibility of stacked columns (N, joints, 12)."""
+    matrix = columns.reshape(-1, 12)
+    length = np.linalg.norm(matrix, axis=0)
+    starts = np.array([0, 1, 4, 10, 11])
+    scale = np.repeat(np.maximum.reduceat(length, starts), [1, 3, 6, 1, 1])
+    is_zero = scale <= CUT * np.max(length, initial=0.0)
+    scale = 1.0 / np.where(is_zero, 1.0, scale)
+    scaled = np.where(is_zero, 0.0, matrix * scale)
+    _, singular, tau = np.linalg.svd(scaled)
+    shares = np.zeros(12)
+    shares[: len(singular)] = singular / max(np.max(singular, initial=0.0), 1e-300)
+    cuts = CUT * np.array([[10.0], [1.0], [0.1]])
+    least, rank, largest = np.count_nonzero(shares > cuts, axis=1)
+    return Visibility(scaled, scale, tau[rank:].T, (least, largest))
+
+
+def random_states(robot, rng, joints, samples):
+    """Return (q, qd, qdd) of states in which some joints move and the others rest."""
+    q, qd, qdd = arms.random_motion(rng, robot.n_joints, samples)
+    moving = np.isin(np.arange(robot.n_joints), joints)
+    return np.where(moving, q, robot.reference), qd * moving, qdd * moving
+
+
+def information_of_states(robot, torques, q, qd, qdd):
+    """Return square-root information of the package's own equations for some states."""
+    friction = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
+    equations = Equations(robot, torques, friction)
+    measurement = Measurement(np.arange(len(q)) / 100.0, q, qd, np.zeros_like(q), qdd)
+    accumulator = InformationAccumulator(
+        equations.names, equations.joints, equations.columns
+    )
+    for joint, (rows, _) in enumerate(equations.rows(measurement)):
+        accumulator.add(joint, rows, np.zeros(len(rows)))
+    return accumulator.result()
+
+
+def assert_same(information, visibility):
+    """Compare rank, parameters and directions with those that MuJoCo shows.
+
+    Where a combination shows by about as much as the cut requires, another motion may decide
+    otherwise, and the rank alone is compared.
+    """
+    identifiability = analyse_information(information)
+    least, largest = visibility.ranks
+    assert identifiability.n_parameters == 12
+    assert least <= identifiability.rank <= largest
+    if least < largest:
+        return
+    is_identified = np.linalg.norm(visibility.null, axis=1) < 1e-6
+    assert_array_equal(identifiability.identified, is_identified)
+    assert len(identifiability.unidentifiable) == visibility.null.shape[1]
+    space = visible_space(information.equations()[0])
+    hidden = space.scale[:, None] * space.null / visibility.scale[:, None]
+    hidden /= np.linalg.norm(hidden, axis=0)
+    residual = np.linalg.norm(visibility.matrix @ hidden)
+    assert residual <= 1e-6 * max(np.linalg.norm(visibility.matrix), 1e-300)
+
+
+def _vector(rng, size=3):
+    return " ".join(f"{x:.6f}" for x in rng.normal(size=size))
+
+
+@st.composite
+def small_arms(draw):
+    """Return (robot, moving joints): one to five joints, simple or skew, under any gravity."""
+    rng = np.random.default_rng(draw(arms.SEEDS))
+    simple = draw(st.booleans())
+    gravity = draw(st.sampled_from(["0 0 -9.81", "0 0 0", "9.81 0 0", "3 -4 8"]))
+    axis = st.sampled_from([arms.X, arms.Y, arms.Z, None])
+    axes = draw(st.lists(axis, min_size=1, max_size=5))
+    last = len(axes) - 1
+    content = ""
+    for index in reversed(range(len(axes))):
+        slide = 'type="slide"' if rng.random() < 0.2 else ""
+        position = "0 0 0" if simple else _vector(rng)
+        attributes = f'{slide} pos="{position}"'
+        joint = arms.hinge(f"joint{index}", axes[index] or _vector(rng), attributes)
+        turn = "1 0 0 0" if simple else _vector(rng, 4)
+        inertial = arms.TIP if index == last else arms.LINK
+        content = arms.link(joint, content, "", ".1 .02 .25", turn, inertial)
+    robot = arms.robot_of(arms.world(content, f'gravity="{gravity}"'), f"joint{last}")
+    return robot, draw(st.sets(st.integers(0, last)))
+
+
+@given(small_arms(), st.sampled_from(["chain", "terminal"]), arms.SEEDS)
+def test_the_package_shows_what_mujoco_and_an_svd_show(arm, torques, seed):
+    """From differences of MuJoCo's inverse dynamics, at other states of the moving joints."""
+    robot, joints = arm
+    rng = np.random.default_rng(seed)
+    states, other_states = (
+        random_states(robot, rng, tuple(joints), 14) for _ in range(2)
+    )
+    columns = mujoco_columns(robot, *states)
+    visibility = visibility_of(columns if torques == "chain" else columns[:, -1:])
+    assert_same(information_of_states(robot, torques, *other_states), visibility)
