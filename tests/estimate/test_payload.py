@@ -1,0 +1,188 @@
+"""A payload: weighed rightly, refused where it is none, and compared between recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.estimate.identify import identify_payload
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.payload import (
+    contradiction,
+    payload_result,
+    payloads_by_recording,
+)
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.rows import Poses, Recording
+from robot_sysid.records import Flange, Measurement
+from robot_sysid.records.messages import Progress, with_error
+from robot_sysid.results.record import Verdict
+from tests.support.core_fits import ORIGIN, fit_recordings
+from tests.support.payload_logs import PAYLOAD, TrueArm, four_joint_arm
+
+ROBOT = four_joint_arm()
+FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
+
+
+def result_of(recordings, kept=None, **question):
+    """Return (result of recordings with a payload, the fit of its file)."""
+    question = Question(EstimationOptions(), loaded=True, **question)
+    fits = identify_payload(ROBOT, recordings, question, Progress(), kept)
+    return payload_result(*fits, FLANGE, ORIGIN), fits[-1]
+
+
+def test_a_payload_is_given_in_the_flange_frame_with_its_errors(recordings):
+    result, _ = result_of(recordings, kept=())
+    payload = result.payload
+    assert result.verdict is Verdict.OK
+    file = result.file
+    after = file.validation_after.relative_error
+    assert after < file.validation_before.relative_error
+    body = payload.body
+    theta = body.inertial.theta
+    assert np.max(np.abs(theta - FLANGE.to_flange(PAYLOAD)) / body.errors) < 4.0
+    assert body.errors[0] < 0.03 and result.body.inertial is body.inertial
+    difference = payload.total.inertial.theta - payload.link.inertial.theta
+    assert_allclose(FLANGE.to_flange(difference), theta, atol=1e-12)
+    names = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
+    assert payload.recordings == names and len(payload.scatter) == 4
+    assert payload.torque_scale == {} and "drift[joint0]" not in result.sensors
+
+
+@pytest.mark.parametrize("factor", [0.94, 1.06])
+def test_a_scale_of_all_torques_is_within_the_payloads_error(factor):
+    """Twice as large as scales usually are: 1.5 % for four joints of 3 % each."""
+    arm = TrueArm(ROBOT, 3, model_error=0.1, scale=np.full(4, factor))
+    fitted = fit_recordings(ROBOT, arm.abba(3, sigma=0.05), loaded=True)
+    mass = fitted.by_name["m(payload)"]
+    assert mass == pytest.approx(factor * PAYLOAD[0], rel=0.01)
+    error = fitted.errors[fitted.names.index("m(payload)")]
+    assert 0.014 < error / mass < 0.025
+
+
+def test_a_refused_payload_has_one_error_of_its_mass(recordings):
+    swapped = [replace(log, is_loaded=not log.is_loaded) for log in recordings]
+    result, _ = result_of(swapped)
+    body = result.payload.body
+    (reason,) = result.reasons
+    assert result.verdict is Verdict.SWAPPED
+    assert reason.endswith(with_error(body.inertial.mass, body.errors[0], "kg"))
+
+
+def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
+    """In the payload, in the link with it and in the file; a note has its errors."""
+    ball = spatial.aluminium_ball(0.4, np.array([0.03, -0.02, 0.08]))
+    arm = TrueArm(ROBOT, 0, model_error=0.03, payload=ball)
+    result, file = result_of(arm.abba(0, sigma=0.1), kept=())
+    payload = result.payload
+    theta = result.body.inertial.theta
+    assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.verdict.is_trustworthy
+    expected = spatial.aluminium_ball(theta[0], theta[1:4] / theta[0])
+    assert_allclose(theta, expected, atol=1e-12)
+    difference = payload.total.inertial.theta - payload.link.inertial.theta
+    carried = [file.fit.by_name[f"{name}(payload)"] for name in spatial.PARAMETER_NAMES]
+    for body in (difference, np.array(carried)):
+        assert_allclose(FLANGE.to_flange(body), theta, atol=1e-12)
+    for body in (payload.body, payload.total):
+        assert np.all(np.isinf(body.errors) == (np.arange(10) >= 4))
+    notes = [note for note in result.notes if "differ significantly from zero" in note]
+    assert len(notes) == 1 and notes[0].count("±") == 3
+
+
+def test_the_given_model_of_the_file_is_judged_with_its_own_rotors(recordings):
+    """Only the payload is on the arm in both: rotors that are found are the file's."""
+    _, file = result_of(recordings, kept=())
+    _, kept = result_of(recordings, kept=("rotors",))
+    assert file.before.relative_error == kept.before.relative_error
+    assert file.after.relative_error < kept.after.relative_error
+
+
+@pytest.mark.parametrize("is_right", [True, False])
+def test_a_known_mass_identifies_scales_unless_the_weight_contradicts_it(
+    recordings, is_right
+):
+    result, _ = result_of(recordings, known_mass=1.2 if is_right else 3.0)
+    if not is_right:
+        assert result.verdict is Verdict.WRONG_WEIGHT and result.failure
+        return
+    payload = result.payload
+    assert result.verdict is Verdict.OK and payload.known_mass == 1.2
+    assert result.body.inertial.mass == pytest.approx(1.2, rel=1e-4)
+    assert payload.scatter == ()
+    for name, scale in payload.torque_scale.items():
+        assert abs(scale.value - 1.0) < 3.0 * scale.error, name
+    # Joints along gravity show nothing of it.
+    assert min(scale.error for scale in payload.torque_scale.values()) < 0.01
+
+
+def test_resting_poses_show_mass_and_centre_of_mass_and_no_inertia():
+    arm = TrueArm(ROBOT, 2, model_error=0.03)
+    time = np.arange(30.0)
+    recordings = []
+    for is_loaded in (False, True):
+        q = np.random.default_rng(is_loaded).uniform(-1.0, 1.0, (30, 4))
+        zero = np.zeros_like(q)
+        tau = arm.torque(Measurement(time, q, zero, zero, zero), is_loaded)
+        noise = np.random.default_rng(is_loaded + 5).standard_normal(q.shape)
+        poses = Measurement(time, q, zero, tau + 0.02 * noise, zero)
+        name = "loaded" if is_loaded else "empty"
+        recordings.append(Recording(name, Poses(poses, q == q), is_loaded))
+    result, _ = result_of(recordings, resting=True)
+    assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.cutoff is None
+    notes = "the payload's inertia is not identifiable from these torques"
+    assert notes in result.notes
+    found = result.body.inertial.theta[:4]
+    assert_allclose(found, FLANGE.to_flange(PAYLOAD)[:4], rtol=0.1, atol=0.01)
+    assert np.all(np.isinf(result.payload.body.errors[4:]))
+
+
+# ---- recordings compared
+
+
+def test_every_recording_has_the_common_payload_within_its_errors(payload_fit):
+    mass = payload_fit.by_name["m(payload)"]
+    payloads = list(payloads_by_recording(payload_fit, FLANGE))
+    assert [payload.name for payload in payloads] == ["log0", "log3", "log1", "log2"]
+    assert [payload.is_loaded for payload in payloads] == [False, False, True, True]
+    # The centre of mass is given in the flange frame, 5 cm further out.
+    com = PAYLOAD[1:4] / PAYLOAD[0] - FLANGE.translation
+    for payload in payloads:
+        assert abs(payload.mass - mass) < 3.0 * payload.noise_error
+        assert payload.noise_error < payload.error < 0.1
+        assert payload.com == pytest.approx(com, abs=0.01)
+
+
+def half_turn(theta):
+    """Return a body turned by half a turn about the flange's axis."""
+    rotation = np.diag([-1.0, -1.0, 1.0])
+    mass, com, inertia = spatial.com_from_theta(theta)
+    return spatial.theta_from_com(mass, rotation @ com, rotation @ inertia @ rotation)
+
+
+@pytest.mark.parametrize(
+    ("index", "change", "names"),
+    [
+        (2, lambda theta: theta, ()),
+        (2, lambda theta: 1.01 * theta, ()),
+        (2, lambda theta: 1.3 * theta, ("log1", "log2")),
+        (2, half_turn, ("log1", "log2")),
+        (3, lambda theta: 0.2 * theta, ("log0", "log3")),
+    ],
+)
+def test_clear_differences_between_like_recordings_are_named(
+    recordings, index, change, names
+):
+    """One of the two loaded recordings carries something else, or an empty one anything."""
+    arm = TrueArm(ROBOT, 7, model_error=0.03, payload=change(PAYLOAD))
+    changed = arm.abba(7, sigma=0.05)
+    odd = replace(changed[index if index == 2 else 1], name=f"log{index}")
+    logs = [*recordings]
+    logs[index] = replace(odd, is_loaded=index == 2)
+    fitted = fit_recordings(ROBOT, logs, loaded=True)
+    message = contradiction(fitted, FLANGE)
+    assert bool(message) == bool(names)
+    assert all(name in message for name in names)
