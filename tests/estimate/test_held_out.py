@@ -94,9 +94,7 @@ def test_only_another_body_is_informative_where_a_joints_friction_is_unknown(
 ):
     """A link of another mass shows even if one joint stood still in the fitted log."""
     (recording,) = noisy_fit.recordings
-    fitted = fit_recordings(
-        robot, [without_rows(recording, [] if is_moving else [1])]
-    )
+    fitted = fit_recordings(robot, [without_rows(recording, [] if is_moving else [1])])
     is_informative = []
     for log in other_logs:
         test = predicted(fitted, filter_logs(robot, log), "other.csv")
