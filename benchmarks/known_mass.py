@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.real_arms import ARMS
 from benchmarks.payload_by_difference import recordings, rms, weigh
+from benchmarks.real_arms import ARMS
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.parser import load_robot_model

@@ -21,11 +21,7 @@ import numpy as np
 
 from benchmarks.real_arms import ARMS
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimate.identify import (
-    Piece,
-    identify_payload,
-    low_pass_recordings,
-)
+from robot_sysid.estimate.identify import Piece, identify_payload, low_pass_recordings
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.payload import payload_result
 from robot_sysid.estimate.questions import Question

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.support.estimates import identify
 
 from benchmarks.example_study import noise_study
 from robot_sysid.dynamics import spatial
 from robot_sysid.solver import identify_parameters
-from tests.support.estimates import identify
 from tests.support.synthetic_data import SmoothArm
 
 DRAWS = 200

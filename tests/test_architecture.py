@@ -27,7 +27,6 @@ LAYERS = (
     ("motion.expected_errors",),
     ("servo",),
     ("diagnosis",),
-    ("estimation",),
     ("estimate",),
     ("report",),
     ("export",),
@@ -50,7 +49,6 @@ LAYERS = (
     ("model",),
     ("mjcf",),
     ("solver",),
-    ("estimation.algebra",),
     ("estimate.bodies", "estimate.links", "estimate.triangles"),
     ("estimate.identifiability",),
     ("dynamics",),
@@ -72,15 +70,14 @@ LIBRARIES = {
         "motion",
         "results",
         "report",
-    }
-    | {"estimation.algebra"},  # its solver of quadratic programs
+    },
     "can": {"damiao.adapters"},
     "matplotlib": {"report", "api"},
     "jinja2": {"report", "results"},
     "rosbags": {"logs"},
     "pyarrow": {"logs"},
     "h5py": {"logs"},
-    "clarabel": {"estimation.algebra", "estimate.bodies"},
+    "clarabel": {"estimate.bodies"},
 }
 SLOW_TO_IMPORT = {"scipy", "sympy", *LIBRARIES} - {"mujoco"}
 MOST_FILES = 16

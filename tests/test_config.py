@@ -9,10 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
-from robot_sysid.dynamics.friction import FrictionModel, friction_model
+from robot_sysid.dynamics.friction import (
+    DEFAULT_MEASURED,
+    FrictionModel,
+    friction_model,
+)
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.question import (
-    CHOSEN,
+from robot_sysid.estimate.options import (
     DEFAULT_TERMINAL,
     EstimationOptions,
     Priors,
@@ -175,15 +178,13 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ({}, None),
-        ({"friction_model": CHOSEN}, None),
+        ({}, friction_model(DEFAULT_MEASURED)),
         ({"no_friction": True}, FrictionModel(())),
         ({"friction_model": "coulomb-load"}, friction_model("coulomb-load")),
-        # One row tells too little to choose by.
         ({"torques": "terminal"}, friction_model(DEFAULT_TERMINAL)),
     ],
 )
-def test_friction_is_chosen_by_the_data_unless_it_is_said(options, expected):
+def test_friction_has_the_usual_terms_unless_it_is_said(options, expected):
     assert EstimationOptions(**options).friction == expected
 
 

@@ -208,7 +208,7 @@ def test_a_run_starts_without_what_it_does_not_need_and_in_one_thread(tmp_path):
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-MUTABLE = {"ModelDocument", "SimulatedMotor", "ServiceReport", "Closest", "Fitter"}
+MUTABLE = {"ModelDocument", "SimulatedMotor", "ServiceReport", "Closest"}
 """Records with a state: nodes of XML files, simulated motors, searches and caches."""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robot_sysid.estimation.question import Priors
+from robot_sysid.estimate.options import Priors
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE
 from robot_sysid.records.option_fields import options_of
 from tests.support import option_tables

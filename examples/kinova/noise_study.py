@@ -14,11 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from validate_regressor import with_link
-
-from robot_sysid.dynamics.equations import Equations
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimation.algebra.identifiability import visible_space
 from robot_sysid.estimation.answer import Answer, estimate_of
 from robot_sysid.estimation.columns import Columns
@@ -26,6 +21,11 @@ from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, rms_torque
 from robot_sysid.estimation.errors import fit_errors
 from robot_sysid.estimation.fit import Fitter, evidence
 from robot_sysid.estimation.question import Choice, EstimationOptions, Priors, Question
+from validate_regressor import with_link
+
+from robot_sysid.dynamics.equations import Equations
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import (
     Estimate,

@@ -40,8 +40,8 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
 _LARGEST_DECAY = 200.0
-"""Exponent x beyond which exp(-x) is kept constant: arithmetic with numbers near 1e-308 takes a
-hundred times as long."""
+"""Exponent x beyond which exp(-x) is zero or kept constant: arithmetic with numbers near 1e-308 is
+a hundred times slower."""
 
 
 def _fading(qd: Array, qdd: Array, load: Array, fading_speed: float) -> Array:
@@ -64,8 +64,9 @@ SIGMOID_SPEED = 0.05
 
 def _stribeck(qd: Array, qdd: Array, load: Array) -> Array:
     """Return sign(qd) exp(-(qd / 0.1)^2) (N,), as a column of ``TERMS``."""
-    decay = np.minimum((qd / STRIBECK_SPEED) ** 2, _LARGEST_DECAY)
-    return np.asarray(np.sign(qd) * np.exp(-decay))
+    decay = (qd / STRIBECK_SPEED) ** 2
+    size = np.where(decay < _LARGEST_DECAY, np.exp(-decay), 0.0)
+    return np.asarray(np.sign(qd) * size)
 
 
 FADING_SPEEDS: Mapping[str, float] = {

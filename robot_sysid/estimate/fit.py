@@ -553,6 +553,7 @@ def expected(
     point: Point,
     sums: Sums,
     terms: Sequence[Term],
+    question: Question,
     values: Mapping[str, float],
     noise: Array,
 ) -> Fit:
@@ -580,6 +581,8 @@ def expected(
         np.zeros((0, len(given))),
         given,
         np.ones(len(given), dtype=bool),
+        (),
+        question,
     )
 
 

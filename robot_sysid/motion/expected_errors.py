@@ -29,7 +29,7 @@ from robot_sysid.estimate.questions import (
     friction_columns,
 )
 from robot_sysid.estimate.rows import Poses, Recording
-from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms, Term
+from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
 from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD
 from robot_sysid.motion.information import JOINT_TERMS, PriorKnowledge, design_criterion
@@ -89,20 +89,20 @@ def _arm_terms(
     return ArmTerms(problem.robot, options.torques, motors, friction, loaded, loaded)
 
 
-def _question_terms(
+def _question(
     arm: ArmTerms,
     options: EstimationOptions,
     torque: Array,
     loaded: bool = False,
     resting: bool = False,
-) -> list[Term]:
-    """Return the terms of an identification before there is a recording, with their priors.
+) -> Question:
+    """Return the question of an identification before there is a recording.
 
     ``torque`` (J,) is the root mean square of each joint's torque [N m].
     """
     dry = np.maximum(arm.robot.friction.coulomb[arm.indices], LEAST_DRY * torque)
     motors = tuple(motor.name for motor in arm.motors)
-    question = Question(
+    return Question(
         options,
         loaded,
         drifts=loaded and not resting,
@@ -111,7 +111,6 @@ def _question_terms(
         dry=tuple(dry.tolist()),
         motors=motors,
     )
-    return arm_question(arm, question, torque)
 
 
 def prior_knowledge(
@@ -139,7 +138,8 @@ def prior_knowledge(
     limits = problem.limits
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
     torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))[arm.indices]
-    for term in _question_terms(arm, options, torque):
+    question = _question(arm, options, torque)
+    for term in arm_question(arm, question, torque):
         if term.cause == LINKS and term.prior is not None:
             # Ten rows per link: from the order base to tool to the order tool to base.
             size = len(term.names)
@@ -262,8 +262,9 @@ def expected_fit(
     noise = problem.sigma / np.sqrt(samples_per_row)
     if loaded:
         noise = np.hypot(noise, UNMODELLED_TORQUE * torque)
-    terms = _question_terms(arm, options, torque, loaded, recording.resting)
-    return expected(arm, recordings, point, sums, terms, values, noise)
+    question = _question(arm, options, torque, loaded, recording.resting)
+    terms = arm_question(arm, question, torque)
+    return expected(arm, recordings, point, sums, terms, question, values, noise)
 
 
 def _processed_motion(

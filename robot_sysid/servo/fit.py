@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimation.algebra.priors import model_link_factor
+from robot_sysid.estimate.links import model_link_factor
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.servo.windows import MAX_DELAY_PERIODS, ServoProblem, smooth_states
 from robot_sysid.signals.resampling import sampling_period

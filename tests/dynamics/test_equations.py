@@ -19,7 +19,7 @@ from robot_sysid.dynamics.equations import (
     friction_per_joint,
 )
 from robot_sysid.errors import InputError
-from robot_sysid.estimation.algebra.identifiability import VisibleSpace, visible_space
+from robot_sysid.estimate.identifiability import VisibleSpace, visible_space
 from robot_sysid.model.bodies import composite_theta
 from robot_sysid.records import JointFriction
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse

@@ -21,7 +21,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
-from robot_sysid.estimation.choices import coupling, couplings_of_model
+from robot_sysid.estimate.choose import coupling, motors_of
 from robot_sysid.model.bodies import (
     body_theta,
     composite_theta,
@@ -347,7 +347,7 @@ RATIOS = np.array([0.0, 1.0, -2.0])
 
 def with_motor(robot, rng):
     """What a file holds: every link, every joint, and a motor that turns two joints."""
-    (motor,) = couplings_of_model(robot) or (coupling(robot, RATIOS),)
+    (motor,) = motors_of(robot, "chain")[0] or (coupling(robot, RATIOS),)
     joints = {
         **new_joints(robot, rng),
         motor.name: dict(new_joints(robot, rng)["joint1"]),
@@ -396,7 +396,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     # Written again, it is the same motor with other numbers.
     file = with_motor(reloaded, np.random.default_rng(8))
     path = write_and_compile(reloaded, result_of(reloaded, file=file)).path
-    (motor,) = couplings_of_model(load_robot_model(path))
+    (motor,) = motors_of(load_robot_model(path), "chain")[0]
     assert_array_equal(motor.model[0], file.joints[motor.name]["coulomb"].value)
 
 

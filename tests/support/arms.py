@@ -17,7 +17,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.model.compilation import CompiledModel
 from robot_sysid.parser import robot_from_compiled
-from robot_sysid.records import Motion
+from robot_sysid.records import Measurement, Motion
 
 X = "1 0 0"
 Y = "0 1 0"
@@ -260,9 +260,12 @@ def seeded_motion(seed, n_joints, n_samples=20):
 def rows_and_rest(robot, motion):
     """Rows (N, n, 10) of the terminal link and the torque (N, n) of the rest of the arm."""
     equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
-    samples = Motion(np.arange(len(motion[0])), *motion)
-    bodies = np.stack(list(equations.bodies(samples)), axis=1)
-    return bodies[..., :-1], bodies[..., -1]
+    q, qd, qdd = motion
+    still = Measurement(np.arange(len(q)), q, qd, np.zeros_like(q), qdd)
+    rows, right_sides = zip(*equations.rows(still))
+    # The right-hand side of a torque of zero is the torque that is known; friction is added to it.
+    rest = -np.stack(right_sides, axis=1) - robot.friction.torque(qd)
+    return np.stack(rows, axis=1), rest
 
 
 def random_rotation(rng):

@@ -14,7 +14,7 @@ from typing import Any
 
 from robot_sysid.commands import ConsoleOptions
 from robot_sysid.config import Config
-from robot_sysid.estimation.question import Priors
+from robot_sysid.estimate.options import Priors
 from robot_sysid.records.option_fields import Option, default_of, options_of
 
 # Values that cannot be made from the kind of value alone.

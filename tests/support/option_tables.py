@@ -21,7 +21,7 @@ from robot_sysid.config import (
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
-from robot_sysid.estimation.question import EstimationOptions, Priors
+from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions, PoseOptions, ViewOptions

@@ -141,7 +141,7 @@ def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
     bridged = np.zeros(len(motion.time), dtype=bool)
     turning = np.zeros(motion.q.shape, dtype=bool)
     series = motion.time, motion.q, motion.qd, motion.qdd, tau
-    signals = ProcessedSignals(*series, bridged, deadband, turning, low_pass)
+    signals = ProcessedSignals(*series, bridged, deadband, turning, UNFILTERED)
     return Recording(name, signals, is_loaded, place)
 
 

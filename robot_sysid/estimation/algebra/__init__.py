@@ -1,1 +1,0 @@
-"""From square-root information to estimates and what is known about their errors."""
