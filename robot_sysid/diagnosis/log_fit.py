@@ -103,11 +103,19 @@ class LogRows:
     def fit(
         self,
         terms: Sequence[Term],
-        like: Fit | None = None,
+        like: Fit,
         correlation: Array | None = None,
+        is_alike: bool = True,
     ) -> Fit:
-        """Return the fit of terms, with the noise estimated anew from that of a similar fit."""
-        if correlation is None and like is not None:
+        """Return the fit of terms to a question that has been asked before.
+
+        Args:
+            terms: of the question.
+            like: a fit of it; noise begins with its noise, where it ``is_alike``.
+            correlation: (J,) rows that count as one; those of ``like`` by default.
+            is_alike: whether the other fit's noise and correlation tell something of this one.
+        """
+        if correlation is None and is_alike:
             correlation = like.correlation
         return fit(
             self.arm,
@@ -115,10 +123,10 @@ class LogRows:
             self.point,
             self.sums,
             terms,
-            noise=None if like is None else like.noise,
+            noise=like.noise if is_alike else None,
             correlation=correlation,
             possible=False,
-            question=None if like is None else like.question,
+            question=like.question,
         )
 
 

@@ -413,7 +413,7 @@ def wrong_scales(
         undone = _divided(log, scale)
         rows = log_rows(arm, undone, point)
         terms = arm_question(arm, log.fit.question, rms_torque(rows.sums))
-        fitted = rows.fit(with_term(terms, wide))
+        fitted = rows.fit(with_term(terms, wide), log.fit, is_alike=False)
         at = fitted.at(widened)
         change = np.clip(1.0 + fitted.free[at], 0.2, 5.0)
         scale = scale * change
