@@ -310,7 +310,7 @@ def drawn_recording(seed, memory):
 @pytest.mark.parametrize("memory", [0.0, 10.0])
 def test_errors_are_as_large_as_is_stated_where_everything_is_as_the_priors_say(memory):
     ratios = {}
-    for seed in range(20):
+    for seed in range(14):
         arm, recording = drawn_recording(seed, memory)
         fitted = fit_recordings(ROBOT, [recording])
         off = (fitted.values - arm.values(fitted.names)) / fitted.errors

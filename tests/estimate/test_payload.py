@@ -35,8 +35,13 @@ def result_of(recordings, kept=None, **question):
     return payload_result(*fits, FLANGE, ORIGIN), fits[-1]
 
 
-def test_a_payload_is_given_in_the_flange_frame_with_its_errors(recordings):
-    result, _ = result_of(recordings, kept=())
+@pytest.fixture(scope="module")
+def result_and_file(recordings):
+    return result_of(recordings, kept=())
+
+
+def test_a_payload_is_given_in_the_flange_frame_with_its_errors(result_and_file):
+    result, _ = result_and_file
     payload = result.payload
     assert result.verdict is Verdict.OK
     file = result.file
@@ -93,9 +98,11 @@ def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
     assert len(notes) == 1 and notes[0].count("±") == 3
 
 
-def test_the_given_model_of_the_file_is_judged_with_its_own_rotors(recordings):
+def test_the_given_model_of_the_file_is_judged_with_its_own_rotors(
+    recordings, result_and_file
+):
     """Only the payload is on the arm in both: rotors that are found are the file's."""
-    _, file = result_of(recordings, kept=())
+    _, file = result_and_file
     _, kept = result_of(recordings, kept=("rotors",))
     assert file.before.relative_error == kept.before.relative_error
     assert file.after.relative_error < kept.after.relative_error

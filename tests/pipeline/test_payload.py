@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.pipeline.payload import (
     RawRecording,
     _moving_datasets,
@@ -12,8 +13,7 @@ from robot_sysid.pipeline.payload import (
     order_positions,
 )
 from robot_sysid.records import Measurement
-from tests.support.core_fits import filter_logs
-from tests.support.measured_logs import log_of, true_arm
+from tests.support.measured_logs import CUTOFF, log_of, true_arm
 
 
 def recording(is_loaded: bool, start: float) -> RawRecording:
@@ -58,7 +58,7 @@ def test_a_drift_needs_recordings_of_a_kind_at_several_times(order, is_identifia
 def test_parts_of_a_log_with_a_long_hole_are_one_log():
     arm = true_arm()
     log = log_of(arm, noise_torque=0.1)
-    _, options = filter_logs(arm, log)
+    options = EstimationOptions(cutoff=CUTOFF)
     recordings = [
         RawRecording("cut", log, False, pieces=(log, log)),
         RawRecording("complete", log, True, pieces=(log,)),
