@@ -23,7 +23,7 @@ from tests.support import arms
 
 RATE = 50.0
 DURATION = 12.0
-UNFILTERED = LowPass(20.0, RATE, np.ones(1), 1)
+UNFILTERED = LowPass(20.0, RATE, np.ones(1), 1, 1, np.ones(1))
 """A low-pass that passes everything: columns and torques agree to rounding."""
 PAYLOAD = spatial.theta_from_com(
     1.2,
