@@ -101,7 +101,7 @@ def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
 @pytest.mark.parametrize("offset", [0.0, 0.5])
 def test_links_and_sensor_offsets_are_not_confounded(plant, offset):
     """Both look alike where joints turn little; the file has to be right without the sensors."""
-    log = log_of(plant, plan_of(plant, 2, 5.0), 2, noise_torque=0.02)
+    log = log_of(plant, plan_of(plant, 2, 5.0), 2, noise_torque=0.002)
     recordings = filter_logs(plant, replace(log, tau=log.tau + offset * MIDDLE))
     file = file_of(plant, recordings)
     tolerance = 0.02 if offset else 1e-6
