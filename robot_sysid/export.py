@@ -265,9 +265,9 @@ FORMULAS = {
     "fading_fast": "sign(qd) * exp(-abs(qd) / 0.04)",
     "fading": "sign(qd) * exp(-abs(qd) / 0.13)",
     "fading_slow": "sign(qd) * exp(-abs(qd) / 0.4)",
-    "stribeck": "sign(qd) * exp(-(qd / stribeck_speed)**2)",
+    "stribeck": "sign(qd) * exp(-(qd / 0.1)**2)",
     "load": "sign(qd) * abs(load)",
-    "sigmoid": "tanh(qd / sigmoid_speed)",
+    "sigmoid": "tanh(qd / 0.05)",
 }
 """Friction term to its torque per unit of its coefficient."""
 

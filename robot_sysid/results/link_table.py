@@ -27,7 +27,6 @@ _TERM_HEADINGS = {
     "coulomb": "Coulomb",
     "armature": "rotor inertia",
     "stribeck": "Stribeck",
-    "stribeck_speed": "Stribeck velocity",
 }
 """Friction term to its name in a heading, where that is not the term's own."""
 

@@ -181,8 +181,7 @@ class JointEstimate:
     Attributes:
         friction_model: names of the friction terms joined by "-"; "none" where friction is not
             estimated.
-        terms: friction term ("coulomb", ...), or speed parameter of one ("stribeck_speed"), to its
-            value.
+        terms: friction term ("coulomb", ...) to its value.
         model_terms: terms that a model file holds, as in ``ModelFile.joints``, to their values in
             the model.
         noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.

@@ -7,15 +7,15 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from robot_sysid.dynamics.equations import Equations, other_links
+from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.friction import TERMS, FrictionModel
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.motion.information import (
     JOINT_TERMS,
     Criterion,
     InformationModel,
     PriorKnowledge,
 )
-from robot_sysid.records import Measurement
 from tests.support import arms
 from tests.support.arms import random_motion, robot_of
 from tests.support.excitation_arms import make_problem, slope
@@ -47,23 +47,18 @@ def schur_complement(robot, motion, torques, sigma, prior_deviations):
     """
     links = other_links(robot)
     (q, qd, qdd) = motion
-    equations = Equations(robot, torques, (FREE,) * robot.n_joints, links=links)
-    data = Measurement(np.arange(float(len(q))), q, qd, np.zeros_like(q), qdd)
+    moves = LinkDynamics(robot).motion(q, qd, qdd)
+    of_links = moves.columns([robot.n_joints - 1, *links])
     total = np.zeros((10 * (1 + len(links)),) * 2)
     theta = np.concatenate([robot.links[k].theta for k in (-1, *links)])
-    blocks = zip(
-        equations.rows(data), equations.columns, equations.joint_indices, sigma
-    )
-    for (rows, _), columns, joint, s in blocks:
-        bodies = np.zeros((len(q), len(total)))
-        first = np.flatnonzero(np.isin(columns, range(10)))
-        bodies[:, :10] = rows[:, first]
-        n_distal = 10 * sum(link >= joint for link in links)
-        bodies[:, len(total) - n_distal :] = rows[:, rows.shape[1] - n_distal :]
+    first_joint = 0 if torques == "chain" else robot.n_joints - 1
+    for joint, s in zip(range(first_joint, robot.n_joints), sigma):
+        bodies = of_links[:, joint]
         torque = bodies @ theta
+        friction = FREE.columns(qd[:, joint], qdd[:, joint], torque)
         load = TERMS["load"](qd[:, joint], qdd[:, joint], torque)
         root = TERMS["sqrt"](qd[:, joint], qdd[:, joint], torque)
-        nuisance = np.column_stack((rows[:, 10:14], torque, load, root))
+        nuisance = np.column_stack((friction, torque, load, root))
         has_prior = np.isfinite(prior_deviations)
         scaled = nuisance / s * np.where(has_prior, prior_deviations, 1.0)
         nuisance = np.vstack((scaled, np.diag(has_prior.astype(float))))
