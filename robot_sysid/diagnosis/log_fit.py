@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import link_names, names_of
+from robot_sysid.dynamics.equations import link_names, names_of, split_name
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Equations, Fit, correlation_times, fit, solve
@@ -180,11 +181,26 @@ def unbounded(fitted: Fit) -> tuple[Array, Array]:
     return values, np.sqrt(np.maximum(np.diag(inverse), 0.0))
 
 
+def coulomb_indices(fitted: Fit) -> NDArray[np.int64]:
+    """Return the indices of Coulomb friction; a joint that stands still has none."""
+    names = names_of("coulomb", fitted.arm.joints)
+    return fitted.at([name for name in names if name in fitted.names])
+
+
 def dry_friction(fitted: Fit) -> tuple[Array, Array]:
-    """Return Coulomb friction (J,) without its bound and its standard error [N m]."""
-    at = fitted.at(names_of("coulomb", fitted.arm.joints))
+    """Return Coulomb friction (J,) without its bound and its standard error [N m].
+
+    That of a joint that stands still is zero, its error infinite.
+    """
+    joints = fitted.arm.joints
+    dry = np.zeros(len(joints))
+    error = np.full(len(joints), np.inf)
     values, errors = unbounded(fitted)
-    return values[at], errors[at]
+    for k in coulomb_indices(fitted):
+        row = joints.index(split_name(fitted.names[k])[1])
+        dry[row] = values[k]
+        error[row] = errors[k]
+    return dry, error
 
 
 def evidence(fitted: Fit) -> float:

@@ -24,6 +24,7 @@ from robot_sysid.diagnosis.causes import mounting_text
 from robot_sysid.diagnosis.log_fit import (
     LogFit,
     LogRows,
+    coulomb_indices,
     evidence,
     gain_of,
     log_rows,
@@ -242,7 +243,7 @@ def _promise(log: LogFit, rows: LogRows) -> float:
     values = equations.usual + log.fit.inverse @ gradient
     squares = rows.sums.squared_residuals(equations.full(values))
     counts = np.maximum(np.sum(rows.sums.counts, axis=0), 1.0)
-    dry = log.fit.at(names_of("coulomb", log.fit.arm.joints))
+    dry = coulomb_indices(log.fit)
     errors = np.sqrt(np.diag(log.fit.inverse)[dry])
     driving = np.minimum(values[dry] / errors, 0.0)
     noise = np.log(np.maximum(squares / counts, log.fit.noise**2 * 1e-6))
