@@ -63,6 +63,12 @@ class LogRows:
         return np.asarray(torque[:, self.arm.indices])
 
     @property
+    def moving(self) -> list[int]:
+        """Numbers of the joints that move fast enough for some row to count."""
+        counts = np.sum(self.sums.counts, axis=0)
+        return [int(self.arm.indices[row]) for row in np.flatnonzero(counts)]
+
+    @property
     def held(self) -> Array:
         """Values (p,) of parameters that are not estimated: the model's."""
         return np.array([self.arm.model.get(name, 0.0) for name in self.sums.names])

@@ -145,10 +145,17 @@ class Relabelling:
         return corrected
 
 
-def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
-    """Yield every mistake in signs, order, units of angles and mounting that is tried."""
+def relabellings(
+    robot: RobotModel, moving: Sequence[int] | None = None
+) -> Iterator[Relabelling]:
+    """Yield every mistake in signs, order, units of angles and mounting that is tried.
+
+    ``moving`` are the numbers of the joints that move, all by default: columns of a joint that
+    stands still say nothing of whose they are.
+    """
     names = robot.joint_names
     n = len(names)
+    moving = range(n) if moving is None else moving
     for quantities in (("torque",), ("position",), ("position", "torque")):
         subject = " and ".join(quantities)
         verb = "has" if len(quantities) == 1 else "have"
@@ -162,12 +169,12 @@ def relabellings(robot: RobotModel) -> Iterator[Relabelling]:
         if n > 1 and quantities == ("torque",):
             text = "the torque of every joint has the opposite sign of the model's"
             yield _mistake("sign", text, quantities, names, factors=-np.ones(n))
-        for first, second in combinations(range(n), 2):
+        for first, second in combinations(moving, 2):
             order = list(range(n))
             order[first], order[second] = second, first
             text = f"joints {names[first]} and {names[second]} are exchanged{scope}"
             yield _mistake("order", text, quantities, names, order)
-        if n > 2:
+        if n > 2 and len(moving) == n:
             text = f"the order of the joints is reversed{scope}"
             yield _mistake("order", text, quantities, names, range(n)[::-1])
     to_radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
@@ -218,7 +225,7 @@ def wrong_torques(log: LogFit) -> Iterator[Correction]:
     rows = log.rows
     terms = log.fit.equations.terms
     candidates: list[tuple[float, int, Relabelling, LogRows]] = []
-    for mistake in relabellings(rows.arm.robot):
+    for mistake in relabellings(rows.arm.robot, rows.moving):
         if mistake.columns is not None and mistake.is_of_torques:
             corrected = rows.with_torque(mistake.columns.apply(rows.torque))
             candidates.append(
@@ -376,7 +383,9 @@ def corrections(
     # Another torque column may only make up for a position of the same joint.
     if is_far or any(each.gain > CLEAR for each in tried if each not in scaled):
         # Those of torques alone were tried on the whole log.
-        columns = [m for m in relabellings(robot) if not m.is_of_torques]
+        columns = [
+            m for m in relabellings(robot, log.rows.moving) if not m.is_of_torques
+        ]
         tried += wrong_columns(log, options, columns)
     if is_far or is_of_gravity:
         tried += wrong_columns(log, options, other_axes(robot), 1)
