@@ -34,7 +34,7 @@ _NAMES = {
         "SimulationError",
         "SysidError",
     ),
-    "estimation.question": ("Priors",),
+    "estimate.options": ("Priors",),
     "logs.column_map": ("ColumnMap",),
     "logs.reader": ("MeasurementLog",),
     "motion.checked": ("CheckedPlan",),

@@ -24,7 +24,7 @@ from robot_sysid.errors import InputError as InputError
 from robot_sysid.errors import ModelError as ModelError
 from robot_sysid.errors import SimulationError as SimulationError
 from robot_sysid.errors import SysidError as SysidError
-from robot_sysid.estimation.question import Priors as Priors
+from robot_sysid.estimate.options import Priors as Priors
 from robot_sysid.logs.column_map import ColumnMap as ColumnMap
 from robot_sysid.logs.reader import MeasurementLog as MeasurementLog
 from robot_sysid.motion.checked import CheckedPlan as CheckedPlan

@@ -14,26 +14,29 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from robot_sysid.estimation.algebra.identifiability import visible_space
-from robot_sysid.estimation.answer import Answer, estimate_of
-from robot_sysid.estimation.columns import Columns
-from robot_sysid.estimation.dataset import Dataset, DecimatedSamples, rms_torque
-from robot_sysid.estimation.errors import fit_errors
-from robot_sysid.estimation.fit import Fitter, evidence
-from robot_sysid.estimation.question import Choice, EstimationOptions, Priors, Question
 from validate_regressor import with_link
 
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimate.choose import rms_torque
+from robot_sysid.estimate.fit import fit
+from robot_sysid.estimate.identifiability import visible_space
+from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.questions import Question, arm_question
+from robot_sysid.estimate.result import common_result
+from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.terms import ArmTerms
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import (
+    DataOrigin,
     Estimate,
     MotionPlan,
     RobotModel,
+    Source,
     SquareRootInformation,
-    Validation,
 )
+from robot_sysid.results.record import LINK
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
@@ -118,8 +121,8 @@ class NoiseStudy:
         self.plan = plan or random_plan(self.robot, seed)
         self.signals = self.record()
         self.friction = (friction_model(DEFAULT_MEASURED),) * self.robot.n_joints
-        self.columns = Columns(self.robot, [Dataset("log", self.signals)])
-        (self.samples,) = self.columns.samples(self.columns.start())
+        self.recording = Recording("log", self.signals)
+        self.arm = ArmTerms(self.robot)
         self.names = self._equations().names
         self.truth = self._true_values()
 
@@ -159,27 +162,22 @@ class NoiseStudy:
         )
         return np.sqrt(np.diag(cramer_rao_bound(information, level)))
 
-    def noisy(self, noise: Noise, rng: np.random.Generator) -> DecimatedSamples:
-        """Return the equations with one draw of noise in their torques."""
+    def noisy(self, noise: Noise, rng: np.random.Generator) -> Recording:
+        """Return the recording with one draw of noise in its torques."""
         drawn = noise.draw(rng, len(self.signals), self.robot.n_joints)
-        added = self.signals.low_pass.decimate(drawn)
-        pairs = zip(self.samples.tau, added.T)
-        return replace(self.samples, tau=tuple(tau + extra for tau, extra in pairs))
+        return Recording("log", replace(self.signals, tau=self.signals.tau + drawn))
 
-    def identify(self, samples: DecimatedSamples) -> tuple[Estimate, Estimate]:
+    def identify(self, recording: Recording) -> tuple[Estimate, Estimate]:
         """Return the estimate of the command line, and that before it had to be possible."""
         question = Question(EstimationOptions(priors=KNOWN))
-        choice = Choice(self.friction)
-        start = self.columns.start()
-        torque = rms_torque(self.columns.datasets)
-        linearised = start, evidence((samples,), torque), (samples,)
-        fitter = Fitter(self.columns, torque, linearised=linearised)
-        fit = fitter.solve_around(start, question, choice)
-        fits = (fit, replace(fit, values=fit.free))
-        errors = fit_errors(fit)
-        untested = Validation("nothing", 0, np.nan, None, {}, {})
+        point = self.arm.start()
+        sums = self.arm.sums([recording], point)
+        terms = arm_question(self.arm, question, rms_torque(sums))
+        fitted = fit(self.arm, [recording], point, sums, terms, question)
+        origin = DataOrigin(Source.LOG, "", self.plan.duration, SAMPLE_RATE)
         possible, plain = (
-            estimate_of(Answer(solution, errors, untested)) for solution in fits
+            common_result(solution, origin, LINK).estimate
+            for solution in (fitted, replace(fitted, values=fitted.free))
         )
         return possible, plain
 

@@ -14,7 +14,6 @@ from pathlib import Path
 import gen3
 import numpy as np
 from numpy.typing import NDArray
-from robot_sysid.estimation.algebra.least_squares import InformationAccumulator
 from validate_regressor import with_link
 
 from robot_sysid.dynamics import spatial
@@ -25,6 +24,7 @@ from robot_sysid.dynamics.equations import (
     friction_per_joint,
 )
 from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.estimate.triangles import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, InertialParameters, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse

@@ -21,7 +21,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Motion, RobotModel
+from robot_sysid.records import Measurement, Motion, RobotModel
 
 Array = NDArray[np.float64]
 
@@ -79,8 +79,12 @@ def both_torques(
 ) -> tuple[Array, Array]:
     """Return torques (N, n) without friction: MuJoCo's, and known part + Y theta."""
     equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
-    blocks = np.stack([*equations.bodies(motion)], axis=1)
-    ours = blocks[..., :-1] @ theta + blocks[..., -1]
+    still = np.zeros_like(motion.q)
+    measured = Measurement(motion.time, motion.q, motion.qd, still, motion.qdd)
+    rows, right_sides = zip(*equations.rows(measured))
+    # Of a torque of zero, the right-hand side is the torque that is known, friction included.
+    known = -np.stack(right_sides, axis=1) - robot.friction.torque(motion.qd)
+    ours = np.stack(rows, axis=1) @ theta + known
     carrying = replace(robot, mj_model=with_link(robot, theta))
     return ArmDynamics(carrying).torque(motion.q, motion.qd, motion.qdd), ours
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics.friction import NONLINEAR_TERMS, TERMS
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.records.messages import (
     count_text,
     number_text,
@@ -78,6 +78,4 @@ def test_every_friction_term_has_a_unit_but_the_loss_per_load(is_slide):
         unit = term_unit(term, is_slide)
         assert (unit == "") == (term == "load")
         assert is_slide or not unit.startswith("N·s")
-    for term in NONLINEAR_TERMS:
-        assert term_unit(f"{term}_speed", is_slide) == f"{units[1]}/s"
     assert (term_unit("coulomb", is_slide), term_unit("zero", is_slide)) == units
