@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.equations import link_names, names_of, split_name
+from robot_sysid.dynamics.equations import names_of, split_name
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Equations, Fit, correlation_times, fit, solve
@@ -277,29 +277,39 @@ class LogFit:
         return np.asarray(np.sqrt(np.mean(torque**2, axis=0)))
 
     @property
-    def links_ratio(self) -> float:
-        """Median ratio, over loaded joints, of the torque of the fitted links to the model's.
+    def links_ratio(self) -> tuple[float, float]:
+        """Ratio of the torque of the fitted links to the model's, and its standard error.
 
-        The last link does not count: what is bolted to it may be heavy.
+        It is that of the median loaded joint. The last link does not count: what is bolted to it
+        may be heavy.
         """
-        arm = self.fit.arm
-        fitted, model = arm.robot.thetas, arm.robot.thetas
-        fitted[-1] = model[-1] = 0.0
-        free = dict(zip(self.fit.names, self.fit.free.tolist()))
-        for link in arm.others:
-            names = link_names(arm.robot, link)
-            fitted[link] = [free.get(n, m) for n, m in zip(names, model[link])]
+        sums = self.fit.sums
+        links = [term for term in self.fit.equations.terms if term.cause == LINKS]
+        if not links:
+            return 1.0, 0.0
+        names = links[0].names
+        at = self.fit.at(names)
+        model = np.array([self.fit.arm.model[name] for name in names])
+        places = [sums.names.index(name) for name in names]
         sizes = []
-        for thetas in (fitted, model):
-            torque = [
-                recording.links_torque(arm.robot, gravity_vector(arm.robot), thetas)
-                for recording in self.fit.recordings
-            ]
-            sizes.append(np.sqrt(np.mean(np.concatenate(torque) ** 2, axis=0)))
-        loaded = sizes[1] > LOADED * np.max(sizes[1])
-        if not np.any(loaded):
-            return 1.0
-        return float(np.median(sizes[0][loaded] / sizes[1][loaded]))
+        for columns, total in zip(sums.columns, sums.totals):
+            gram = np.zeros((len(sums.names), len(sums.names)))
+            gram[np.ix_(columns, columns)] = total[:-1, :-1]
+            gram = gram[np.ix_(places, places)]
+            pull = gram @ self.fit.free[at]
+            own = np.sqrt(max(float(self.fit.free[at] @ pull), 0.0))
+            size = np.sqrt(max(float(model @ gram @ model), 0.0))
+            error = np.sqrt(
+                max(float(pull @ self.fit.inverse[np.ix_(at, at)] @ pull), 0.0)
+            )
+            sizes.append((size, own, error / max(own, 1e-12)))
+        largest = max(sizes)[0]
+        ratios = []
+        for size, own, error in sizes:
+            if size > LOADED * largest:
+                ratios.append((own / size, error / size))
+        ratios.sort()
+        return ratios[len(ratios) // 2] if ratios else (1.0, 0.0)
 
     @property
     def torque_ratio(self) -> Array:
