@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 5468,
     "robot_sysid/commands": 13318,
     "robot_sysid/damiao": 43858,
-    "robot_sysid/diagnosis": 18793,
+    "robot_sysid/diagnosis": 19111,
     "robot_sysid/dynamics": 7106,
     "robot_sysid/estimate": 30055,
     "robot_sysid/logs": 21969,

@@ -224,7 +224,29 @@ def torque_scales(fitted: Fit) -> Iterator[Explanation]:
         "torques cannot tell these apart: weigh the arm, or a known mass (payload --known-mass)"
     )
     columns = partial(rigid, fitted.arm)
-    yield new_term("torque-scale", text, "all", columns, 0.5, unit="times", shift=1.0)
+    yield new_term(
+        "torque-scale",
+        text,
+        "all",
+        columns,
+        0.5,
+        unit="times",
+        shift=1.0,
+        is_possible=lambda v, e: bool(v[0] > -0.5),
+    )
+    text = (
+        "the torque has nothing of its motion but friction: this is an external torque, what is "
+        "left after the controller's model; record the measured joint torque"
+    )
+    yield new_term(
+        "gravity",
+        text,
+        "external",
+        columns,
+        0.5,
+        level=Level.REFUSE,
+        is_possible=lambda v, e: bool(-1.5 < v[0] < -0.5),
+    )
 
 
 def along(fitted: Fit, columns: Column) -> Column:

@@ -31,6 +31,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Fit, correlation_times
 from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array, RobotModel
@@ -63,6 +64,15 @@ ALL_LINKS = (
     "torques cannot tell these apart: weigh a link, or a known mass (payload --known-mass)"
 )
 """Text of the finding that all links are off alike."""
+ODD_LINKS = 7.25
+"""Factor on the stated uncertainty of links' masses, as the log shows it, above which the model is
+not of this arm: links that are off by 20 %, one by 40 %, reach 6.5, a KUKA LWR4+ 7.1, models of
+siblings 6.1 to 7.7."""
+ODD_MODEL = (
+    "the links contradict the model, by {} of their masses: it is probably wrong, the model of "
+    "another arm, a sibling, or with another link; check its masses and lengths"
+)
+"""Text of the finding that links are off as no usual arm's."""
 OTHER_ARM = 0.3
 """Share of unexplained torque above which the model is taken for that of another arm."""
 LIKE_GRAVITY = ("force", "gravity", "tilt", "payload-step")
@@ -184,7 +194,7 @@ class Contest:
         """Return the score of an explanation; both fits have the noise that it leaves."""
         terms = current.equations.terms
         wider_terms = with_term(terms, explanation.term)
-        wider = rows.fit(wider_terms, current)
+        wider = rows.fit(wider_terms, current, np.ones(len(current.noise)))
         correlation = correlation_times(rows.residuals(wider))
         correlation = np.minimum(correlation, current.correlation)
         wider = rows.fit(wider_terms, wider, correlation)
@@ -284,7 +294,7 @@ def findings(
     # An exchange of joints also gives one of them torque that is far too large for it.
     if odd_unit and not is_exchanged:
         return [odd_unit]
-    if corrected and is_better(corrected[0], winner):
+    if corrected and is_better(corrected[0], winner, best.is_plausible):
         return [corrected[0].finding]
     last = rounds[-1][0].log if rounds else log
     named = name_causes(rounds[:MOST_NAMES])
@@ -298,21 +308,23 @@ def findings(
     is_named = any(finding.level is not Level.NOTE for finding in named)
     if not is_named and off > (ALL_OFF - 1.0) / max(1.0, ALL_OFF * (ratio < 1.0)):
         return [*named, Finding("torque-scale", Level.WARN, ALL_LINKS.format(ratio))]
+    spread = log.fit.question.link_scales.mass
+    if not is_named and spread > ODD_LINKS:
+        share = percent(spread * PER_CENT * options.priors.link)
+        return [*named, Finding("model", Level.WARN, ODD_MODEL.format(share))]
     return named
 
 
-def is_better(correction: Correction, winner: Score | None) -> bool:
+def is_better(correction: Correction, winner: Score | None, is_plausible: bool) -> bool:
     """Return whether a correction explains the log better than the best explanation does.
 
-    An explanation of the correction's own check describes the same fault and is no rival, nor is
-    one with which links are not plausible.
+    An explanation of the correction's own check describes the same fault and is no rival. Where
+    links are not plausible without the correction, it need not be likelier.
     """
+    if not is_plausible:
+        return correction.gain > -CLEAR
     least = CLEAR
-    if (
-        winner is not None
-        and winner.log.is_plausible
-        and winner.explanation.term.cause != correction.finding.name
-    ):
+    if winner is not None and winner.explanation.term.cause != correction.finding.name:
         least = max(least, winner.gain - TIE)
     return correction.gain > least
 

@@ -362,4 +362,12 @@ def gain_of(log: LogFit, corrected: LogFit, density: Array | float = 0.0) -> flo
     )
     before = log.rows.fit(log.fit.equations.terms, log.fit, correlation)
     independent = np.sum(log.rows.sums.counts, axis=0) / correlation
-    return evidence(after) - evidence(before) - float(np.sum(independent * density))
+    volume = -float(np.sum(independent * density))
+    # A parameter without a prior is unknown in proportion to the torque, not in its unit.
+    of_joint = dict(zip(log.fit.arm.joints, np.broadcast_to(density, len(correlation))))
+    for term in after.equations.terms:
+        if term.prior is None:
+            for name in term.names:
+                joint = name.partition("[")[2].rstrip("]")
+                volume += float(of_joint.get(joint, np.mean(density)))
+    return evidence(after) - evidence(before) + volume

@@ -39,6 +39,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.estimate.choose import CLEAR, rms_torque
 from robot_sysid.estimate.fit import Equations, fit
+from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import arm_question
 from robot_sysid.estimate.rows import Recording
@@ -66,7 +67,7 @@ LARGER = 5.0
 lacks, makes at least one joint's weight no larger than 3.4 times."""
 WIDE = 0.7
 """Prior standard deviation of a scale's relative change in one round."""
-KNOWN = 0.3
+KNOWN = 0.4
 """Relative standard error from which a joint's scale is not identified."""
 SAME = 1.35
 """Ratio between the largest and smallest torque scale below which they have one common cause."""
@@ -77,12 +78,12 @@ COMMON_RANGE = 4.0
 OWN_RANGE = 0.4
 """Prior standard deviation of the logarithm of a joint's scale over the common one."""
 UNITS = {
-    1e3: "mN·m, or masses of the model in tonnes",
+    1e3: "mN·m",
     100.0: "N·cm",
     10.197: "kgf·cm",
     8.851: "lbf·in",
     141.6: "ozf·in",
-    1e-3: "kN·m, or masses of the model in grams",
+    1e-3: "kN·m",
 }
 """One newton metre in other units of torque, to the unit's name."""
 WEIGHING = (
@@ -417,12 +418,14 @@ def wrong_scales(
     term = Term(SCALES, widened, log.fit.arm.terms[SCALES].columns)
     wide = replace(term, prior=independent(np.full(len(names), WIDE)))
     arm = log.fit.arm
+    # Links that explain the scales as they are would leave none to find.
+    question = replace(log.fit.question, link_scales=AS_STATED)
     point = arm.start()
     fitted = log.fit
     for _ in range(_ROUNDS):
         undone = _divided(log, scale)
         rows = log_rows(arm, undone, point)
-        terms = arm_question(arm, log.fit.question, rms_torque(rows.sums))
+        terms = arm_question(arm, question, rms_torque(rows.sums))
         fitted = rows.fit(with_term(terms, wide), log.fit, is_alike=False)
         at = fitted.at(widened)
         change = np.clip(1.0 + fitted.free[at], 0.2, 5.0)
@@ -440,7 +443,10 @@ def wrong_scales(
     scale[~is_sure] = typical
     # Loss for scales that fit the data instead of being one: the prior's volume over that left.
     if np.ptp(own) < np.log(SAME):
-        scale[:] = typical
+        error = float(np.sum(precision)) ** -0.5
+        unit = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
+        is_close = abs(np.log(typical / unit)) < max(np.log(CLOSE), 3.0 * error)
+        scale[:] = unit if is_close else typical
         own = np.log([typical])
         covariance = np.array([[1.0 / np.sum(precision)]])
     prior = COMMON_RANGE**2 + OWN_RANGE**2 * np.eye(len(own))
@@ -497,17 +503,16 @@ def scale_finding(
     check = "torque-unit" if is_foreign else "torque-scale"
     if np.max(known) / np.min(known) > SAME:
         text += "a factor of its own for every joint, as motor currents or per cent of rated "
-        text += f"torque have, or the model of another arm; {WEIGHING}"
+        text += f"torque have, or all masses of the model are wrong; {WEIGHING}"
         return Finding(check, level, text, ("--torque-scale", start))
-    unit = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
-    cause = "motor currents, torques before the gear"
-    if abs(np.log(typical / unit)) < np.log(CLOSE):
-        cause = UNITS[unit]
-        start = ",".join(format(value, ".4g") for value in unit * divided)
-    text += f"either torques are in another unit ({cause}), or all masses of the model are in "
-    text += "another unit or of another density, or it is the model of another arm; torques cannot "
-    text += (
-        "tell these apart: weigh a link or a known mass; if the model is right, pass "
-    )
-    text += f"--torque-scale {start if np.ptp(divided) else start.split(',')[0]}"
+    torques = UNITS.get(typical, "motor currents, torques before the gear")
+    if np.ptp(divided) == 0.0:
+        start = start.partition(",")[0]
+    # Masses in another unit are refused where models are read.
+    if is_foreign and typical in UNITS:
+        text += f"as in {torques}; pass --torque-scale {start}"
+        return Finding(check, level, text, options=("--torque-scale", start))
+    text += f"either torques are in another unit ({torques}), or all masses of the model are wrong "
+    text += "by as much, or it is the model of another arm; torques cannot tell these apart: "
+    text += f"weigh a link or a known mass; if the model is right, pass --torque-scale {start}"
     return Finding(check, level, text)
