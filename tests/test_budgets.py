@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 43858,
     "robot_sysid/diagnosis": 19111,
     "robot_sysid/dynamics": 7106,
-    "robot_sysid/estimate": 30055,
+    "robot_sysid/estimate": 29940,
     "robot_sysid/logs": 21969,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 10146,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 7461,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12379,
-    "tests": 241142,
+    "tests": 241203,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -44,10 +44,7 @@ _SAME = 1.0 - 1e-9
 
 
 def solved(
-    robot: RobotModel,
-    recordings: Sequence[Recording],
-    question: Question,
-    progress: object = None,
+    robot: RobotModel, recordings: Sequence[Recording], question: Question
 ) -> Fit:
     """Return the fit of a question with all that the data decides about it.
 

@@ -61,8 +61,6 @@ USUAL_SCALE = 2.0
 LOADED_SCALE = 3.0
 """Default standard deviation of a joint's torque scale where a payload is weighed [%], whose mass
 depends on it alone: motor currents of a UR10e read 3 % low to 5 % high."""
-MOTOR = 1.0
-"""Prior standard deviation of a motor's friction and rotor, over the largest of the joints' own."""
 PER_CENT = 0.01
 """One per cent."""
 MILLI = 1e-3
@@ -137,7 +135,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
         terms.append(term)
     if not question.resting:
         terms += _unknown_friction(arm, question, torque)
-    terms += [motor_term(arm, name, torque) for name in question.motors]
+    terms += [arm.terms[name] for name in question.motors]
     scale = scale_spread(arm, options, question.loaded)
     sizes = {
         SCALES: scale,
@@ -243,14 +241,6 @@ def _unknown_friction(
             term = replace(arm.terms[name], cause=FURTHER_FRICTION, lower=-np.inf)
             prior = independent(deviations)
             yield replace(term, prior=prior, usual=None)
-
-
-def motor_term(arm: ArmTerms, name: str, torque: Array) -> Term:
-    """Return the term of a motor that turns several joints, without a prior.
-
-    ``torque`` is only there for the size of its prior where the motor is on trial.
-    """
-    return arm.terms[name]
 
 
 def scale_spread(arm: ArmTerms, options: EstimationOptions, loaded: bool) -> Array:

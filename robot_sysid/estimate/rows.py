@@ -343,14 +343,3 @@ class _JointSums:
         at = np.flatnonzero(is_noise)
         self.grams[:, at] = 0.0
         self.grams[:, :, at] = 0.0
-
-
-def without(recording: Recording, spans: Sequence[tuple[float, float]]) -> Recording:
-    """Return a recording whose rows within spans of time [s] are not used."""
-    used = recording.used.copy()
-    for start, end in spans:
-        time = recording.motion.time
-        used[(time >= start) & (time <= end)] = False
-    smaller = replace(recording)
-    smaller.__dict__["used"] = used
-    return smaller

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimate import rows as rows_module
-from robot_sysid.estimate.rows import Poses, Recording, block_numbers, without
+from robot_sysid.estimate.rows import Poses, Recording, block_numbers
 from robot_sysid.estimate.terms import ArmTerms
 from robot_sysid.records import Measurement
 from tests.support.arms import SEEDS
@@ -121,6 +121,17 @@ def test_sums_of_some_blocks_are_the_rest_without_the_others():
     only = sums.only(some)
     assert_allclose(normal_of(only), rest, atol=1e-12 * np.max(normal))
     assert only.logs == tuple(sums.logs[k] for k in some)
+
+
+def without(recording, spans):
+    """Return a recording whose rows within spans of time [s] are not used."""
+    used = recording.used.copy()
+    for start, end in spans:
+        time = recording.motion.time
+        used[(time >= start) & (time <= end)] = False
+    smaller = replace(recording)
+    smaller.__dict__["used"] = used
+    return smaller
 
 
 def test_rows_that_are_cut_out_do_not_count_and_those_of_others_stay():
