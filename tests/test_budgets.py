@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 43858,
     "robot_sysid/diagnosis": 19111,
     "robot_sysid/dynamics": 7106,
-    "robot_sysid/estimate": 29940,
+    "robot_sysid/estimate": 29948,
     "robot_sysid/logs": 21969,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 10146,

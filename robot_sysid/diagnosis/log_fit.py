@@ -332,13 +332,13 @@ class LogFit:
     def is_plausible(self) -> bool:
         """Whether the last link's mass is that of a link, and the others are near the model's.
 
-        The mass has to lie, within two standard errors, between zero and the larger of two limits:
+        The mass has to lie, within five standard errors, between zero and the larger of two:
         ``HEAVIEST`` of the arm's mass, and the model's mass plus 30 % of the arm's.
         """
         robot = self.fit.arm.robot
         largest = max(HEAVIEST * robot.mass, robot.prior.mass + 0.3 * robot.mass)
         mass, error = self.last_mass
-        is_possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < largest
+        is_possible = mass + 5.0 * error > 0.0 and mass - 5.0 * error < largest
         strain = 0.0
         for term, span in zip(self.fit.equations.terms, self.fit.equations.spans):
             if term.cause == LINKS and term.prior is not None:

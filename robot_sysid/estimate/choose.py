@@ -141,7 +141,7 @@ def choose_motors(
                 prior = _motor_prior(current, motor)
                 term = replace(arm.terms[motor.name], prior=prior)
                 trials.append((current.gain(term), len(trials), motor, term))
-        for first, _, motor, term in sorted(trials)[-2:]:
+        for first, _, motor, term in sorted(trials)[-4:]:
             if first < 0.5 * CLEAR:
                 continue
             wider = fit(
@@ -156,7 +156,7 @@ def choose_motors(
                 question=question,
             )
             # The opposite of a motor, with negative friction, explains as much as the motor.
-            if term.names[0] in wider.at_bound:
+            if len(set(term.names) & set(wider.at_bound)) > 1:
                 continue
             if wider.log_evidence - current.log_evidence > gain:
                 gain = wider.log_evidence - current.log_evidence
