@@ -19,13 +19,13 @@ BUDGETS = {
     "robot_sysid/api": 5468,
     "robot_sysid/commands": 13318,
     "robot_sysid/damiao": 43858,
-    "robot_sysid/diagnosis": 19111,
+    "robot_sysid/diagnosis": 19104,
     "robot_sysid/dynamics": 7106,
-    "robot_sysid/estimate": 29948,
+    "robot_sysid/estimate": 29914,
     "robot_sysid/logs": 21969,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 10146,
-    "robot_sysid/motion": 27697,
+    "robot_sysid/motion": 27694,
     "robot_sysid/pipeline": 6940,
     "robot_sysid/records": 9124,
     "robot_sysid/report": 8319,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 7461,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12379,
-    "tests": 241203,
+    "tests": 241200,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

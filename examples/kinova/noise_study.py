@@ -19,7 +19,6 @@ from validate_regressor import with_link
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimate.choose import rms_torque
 from robot_sysid.estimate.fit import fit
 from robot_sysid.estimate.identifiability import visible_space
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -172,7 +171,7 @@ class NoiseStudy:
         question = Question(EstimationOptions(priors=KNOWN))
         point = self.arm.start()
         sums = self.arm.sums([recording], point)
-        terms = arm_question(self.arm, question, rms_torque(sums))
+        terms = arm_question(self.arm, question, sums.rms_torque)
         fitted = fit(self.arm, [recording], point, sums, terms, question)
         origin = DataOrigin(Source.LOG, "", self.plan.duration, SAMPLE_RATE)
         possible, plain = (

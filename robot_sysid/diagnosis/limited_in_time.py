@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.log_fit import LogRows, log_rows
-from robot_sysid.estimate.choose import rms_torque
 from robot_sysid.estimate.fit import Equations, solve
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question, arm_question, friction_columns
@@ -136,7 +135,7 @@ def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
     The ordinary size is the standard deviation of a normal distribution with the same median.
     """
     typical = log.typical_torque
-    torque = rms_torque(log.sums)
+    torque = log.sums.rms_torque
     question = Question(options, dry=tuple((_DRY * torque).tolist()))
     terms = arm_question(log.arm, question, torque)
     equations = Equations(log.sums, terms, log.held)

@@ -200,7 +200,7 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     """
     joints = fitted.arm.joints
     dry = np.zeros(len(joints))
-    error = np.full(len(joints), np.inf)
+    error = dry + np.inf
     values, errors = unbounded(fitted)
     for k in coulomb_indices(fitted):
         row = joints.index(split_name(fitted.names[k])[1])
@@ -242,7 +242,9 @@ class LogFit:
         options: EstimationOptions,
     ) -> LogFit:
         """Return the fit of recordings with all that they decide on the question of the arm."""
-        fitted = solved(robot, recordings, Question(options))
+        # A log is judged with the friction that arms have, whatever is asked of it.
+        usual = replace(options, friction_model=None, no_friction=False)
+        fitted = solved(robot, recordings, Question(usual))
         return cls(fitted, log_rows(fitted.arm, recordings, fitted.point))
 
     @cached_property
@@ -332,13 +334,13 @@ class LogFit:
     def is_plausible(self) -> bool:
         """Whether the last link's mass is that of a link, and the others are near the model's.
 
-        The mass has to lie, within five standard errors, between zero and the larger of two:
+        The mass has to lie, within two standard errors, between zero and the larger of two limits:
         ``HEAVIEST`` of the arm's mass, and the model's mass plus 30 % of the arm's.
         """
         robot = self.fit.arm.robot
         largest = max(HEAVIEST * robot.mass, robot.prior.mass + 0.3 * robot.mass)
         mass, error = self.last_mass
-        is_possible = mass + 5.0 * error > 0.0 and mass - 5.0 * error < largest
+        is_possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < largest
         strain = 0.0
         for term, span in zip(self.fit.equations.terms, self.fit.equations.spans):
             if term.cause == LINKS and term.prior is not None:

@@ -37,7 +37,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
     with_gravity,
 )
-from robot_sysid.estimate.choose import CLEAR, rms_torque
+from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Equations, fit
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.options import EstimationOptions
@@ -273,7 +273,7 @@ def wrong_columns(
         corrected = [mistake.correct(recording) for recording in stretch]
         arm = ArmTerms(mistake.arm(robot), friction=log.fit.arm.friction)
         rows = log_rows(arm, corrected, arm.start())
-        torque = rms_torque(rows.sums)
+        torque = rows.sums.rms_torque
         fitted = fit(
             arm,
             corrected,
@@ -425,7 +425,7 @@ def wrong_scales(
     for _ in range(_ROUNDS):
         undone = _divided(log, scale)
         rows = log_rows(arm, undone, point)
-        terms = arm_question(arm, question, rms_torque(rows.sums))
+        terms = arm_question(arm, question, rows.sums.rms_torque)
         fitted = rows.fit(with_term(terms, wide), log.fit, is_alike=False)
         at = fitted.at(widened)
         change = np.clip(1.0 + fitted.free[at], 0.2, 5.0)

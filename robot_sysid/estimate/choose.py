@@ -29,7 +29,7 @@ from robot_sysid.estimate.questions import (
     friction_columns,
     is_stated,
 )
-from robot_sysid.estimate.rows import Recording, Sums
+from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import LINKS, ArmTerms, Prior, Term, independent
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
@@ -37,6 +37,8 @@ from robot_sysid.records import Array, RobotModel
 CLEAR = 15.0
 """Least gain in the log marginal likelihood at which something is named: a motor that turns two
 joints, or a fault. A Staubli TX40's wrist gives 114 to 148, 38 right logs 10 at most."""
+CLEARLY_THERE = 3.0
+"""Standard errors by which one of a motor's parameters has to exceed zero."""
 _ROUNDS = 3
 """Linearisations of a question with a payload, whose torque scales multiply it."""
 _SAME = 1.0 - 1e-9
@@ -67,7 +69,7 @@ def solved(
     question = replace(question, motors=tuple(motor.name for motor in stated))
     point = arm.start()
     sums = arm.sums(recordings, point)
-    torque = rms_torque(sums)
+    torque = sums.rms_torque
     noise = correlation = None
 
     def fitted(possible: bool = False) -> Fit:
@@ -106,12 +108,6 @@ def solved(
     return fitted(possible=True)
 
 
-def rms_torque(sums: Sums) -> Array:
-    """Return the root mean square (J,) of each joint's torque [N m]."""
-    counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
-    return np.asarray(np.sqrt(np.sum(sums.squared_torque, axis=0) / counts))
-
-
 def dry_friction(fitted: Fit) -> tuple[float, ...]:
     """Return the dry friction (J,) of a fit [N m]: root of the sum of squares of its terms.
 
@@ -128,10 +124,29 @@ def dry_friction(fitted: Fit) -> tuple[float, ...]:
 def choose_motors(
     fitted: Fit, offered: Sequence[Coupling], question: Question
 ) -> tuple[Coupling, ...]:
-    """Return the motors of a question and those of the offered ones that torques clearly show."""
+    """Return the motors of a question and those of the offered ones that torques clearly show.
+
+    A missing motor makes slow residuals, in which it would hide: each is judged with the noise that
+    it leaves, as the fit without it is.
+    """
     arm = fitted.arm
     present = [motor for motor in arm.motors if motor.name in question.motors]
     current = fitted
+
+    def solve(terms: Sequence[Term], like: Fit, correlation: Array) -> Fit:
+        """Return the fit of terms, the noise estimated anew from that of a similar fit."""
+        return fit(
+            arm,
+            current.recordings,
+            current.point,
+            current.sums,
+            terms,
+            question,
+            noise=like.noise,
+            correlation=correlation,
+            possible=False,
+        )
+
     while True:
         best, gain = None, CLEAR
         names = [motor.name for motor in present]
@@ -141,25 +156,20 @@ def choose_motors(
                 prior = _motor_prior(current, motor)
                 term = replace(arm.terms[motor.name], prior=prior)
                 trials.append((current.gain(term), len(trials), motor, term))
-        for first, _, motor, term in sorted(trials)[-4:]:
-            if first < 0.5 * CLEAR:
+        terms = current.equations.terms
+        for _, _, motor, term in sorted(trials)[-2:]:
+            wider = solve([*terms, term], current, current.correlation)
+            correlation = correlation_times(wider.residuals())
+            correlation = np.minimum(correlation, current.correlation)
+            wider = solve([*terms, term], wider, correlation)
+            # Evidence knows no bounds: negative friction or rotors, which no motor has, add to it.
+            at = wider.at(term.names)
+            errors = np.sqrt(np.diag(wider.inverse)[at])
+            if not np.any(wider.free[at] > CLEARLY_THERE * errors):
                 continue
-            wider = fit(
-                arm,
-                current.recordings,
-                current.point,
-                current.sums,
-                [*current.equations.terms, term],
-                noise=current.noise,
-                correlation=current.correlation,
-                possible=False,
-                question=question,
-            )
-            # The opposite of a motor, with negative friction, explains as much as the motor.
-            if len(set(term.names) & set(wider.at_bound)) > 1:
-                continue
-            if wider.log_evidence - current.log_evidence > gain:
-                gain = wider.log_evidence - current.log_evidence
+            before = solve(terms, current, correlation)
+            if wider.log_evidence - before.log_evidence > gain:
+                gain = wider.log_evidence - before.log_evidence
                 best = motor, wider
         if best is None:
             return tuple(present)
@@ -173,7 +183,7 @@ def _motor_prior(fitted: Fit, motor: Coupling) -> Prior:
     They make at least a share ``LEAST_DRY`` of a joint's root mean square torque.
     """
     arm = fitted.arm
-    torque = rms_torque(fitted.sums)
+    torque = fitted.sums.rms_torque
     sizes = []
     for name in arm.terms[motor.name].names:
         term = name.partition("[")[0]

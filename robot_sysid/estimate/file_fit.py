@@ -169,7 +169,6 @@ def _solved(estimate: Fit, terms: Sequence[Term], held: Mapping[str, float]) -> 
         estimate.sums,
         terms,
         held=held,
-        correlation=estimate.correlation,
         question=estimate.question,
     )
 

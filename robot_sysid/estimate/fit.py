@@ -369,11 +369,6 @@ class Fit:
             self, equations=Equations(sums, self.equations.terms, self.equations.held)
         )
 
-    @property
-    def squared_torque(self) -> Array:
-        """Sum of squares (B, J) of the measured torque [N^2 m^2]."""
-        return self.sums.squared_torque
-
     @cached_property
     def noise_per_joint(self) -> dict[str, float]:
         """Joint with data to the noise of its torque [N m]."""
@@ -384,9 +379,7 @@ class Fit:
     @cached_property
     def torque(self) -> dict[str, float]:
         """Joint to its root mean square torque [N m]."""
-        counts = np.maximum(np.sum(self.sums.counts, axis=0), 1.0)
-        rms = np.sqrt(np.sum(self.squared_torque, axis=0) / counts)
-        return dict(zip(self.sums.joints, rms.tolist()))
+        return dict(zip(self.sums.joints, self.sums.rms_torque.tolist()))
 
     @cached_property
     def independent_share(self) -> dict[str, float]:
@@ -492,8 +485,7 @@ def fit(
     """
     equations = _equations(arm, sums, terms, held or {})
     correlation = np.ones(len(sums.joints)) if correlation is None else correlation
-    counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
-    torque = np.sqrt(np.sum(sums.squared_torque, axis=0) / counts)
+    torque = sums.rms_torque
     least = max(_LEAST_NOISE * float(np.sqrt(np.mean(torque**2))), 1e-12)
     noise = np.maximum(0.05 * torque, least) if noise is None else noise
     for _ in range(_NOISE_ROUNDS):

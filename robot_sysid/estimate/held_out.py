@@ -32,7 +32,12 @@ _TINY = 1e-30
 
 def validation(fitted: Fit) -> Validation:
     """Return the held-out error of the recordings that were fitted."""
-    return _validation(fitted, range(len(fitted.sums.logs)), OWN_SOURCE)
+    blocks = range(len(fitted.sums.logs))
+    squares = np.sum(fitted.held_out, axis=0)
+    expected = np.sum(fitted.expected_held_out, axis=0)
+    record = _record(fitted, squares, blocks, OWN_SOURCE)
+    informative = _is_informative(fitted, squares, expected, blocks)
+    return replace(record, is_informative=informative)
 
 
 def held_out_logs(fitted: Fit) -> list[Validation]:
@@ -78,21 +83,12 @@ def predicted(fitted: Fit, recordings: Sequence[Recording], source: str) -> Vali
     )
 
 
-def _validation(fitted: Fit, blocks: Sequence[int], source: str) -> Validation:
-    """Return the held-out error of some blocks, each predicted from all others."""
-    squares = np.sum(fitted.held_out[list(blocks)], axis=0)
-    expected = np.sum(fitted.expected_held_out[list(blocks)], axis=0)
-    record = _record(fitted, squares, blocks, source)
-    informative = _is_informative(fitted, squares, expected, blocks)
-    return replace(record, is_informative=informative)
-
-
 def _record(
     fitted: Fit, squares: Array, blocks: Sequence[int], source: str
 ) -> Validation:
     """Return sums of squared errors (J,) over some blocks as a record."""
     sums = fitted.sums
-    torque = np.sum(fitted.squared_torque[list(blocks)], axis=0)
+    torque = np.sum(fitted.sums.squared_torque[list(blocks)], axis=0)
     counts = np.sum(sums.counts[list(blocks)], axis=0)
     return validation_of(sums.joints, squares, torque, counts, source)
 

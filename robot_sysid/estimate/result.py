@@ -496,7 +496,7 @@ def _offset_notes(file: FileFit) -> Iterator[str]:
             if abs(offset.value) > _CLEAR * offset.error:
                 squares += offset.value**2 * float(np.sum(fitted.sums.counts[:, row]))
                 phrases.append(f"{joint} {offset.value:.2g} N·m")
-    squared = squares / float(np.sum(fitted.squared_torque))
+    squared = squares / float(np.sum(fitted.sums.squared_torque))
     error = file.after.relative_error or 0.0
     if squared > max(HARMLESS, error) ** 2:
         yield (

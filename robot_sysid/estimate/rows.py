@@ -192,6 +192,12 @@ class Sums:
         return np.stack([gram[:, -1, -1] for gram in self.grams], axis=1)
 
     @cached_property
+    def rms_torque(self) -> Array:
+        """Root mean square (J,) of the right-hand sides [N m]; zero of a joint without rows."""
+        counts = np.maximum(np.sum(self.counts, axis=0), 1.0)
+        return np.asarray(np.sqrt(np.sum(self.squared_torque, axis=0) / counts))
+
+    @cached_property
     def nonzero(self) -> Mask:
         """Which parameters (p,) act in some row."""
         nonzero = np.zeros(len(self.names), dtype=bool)

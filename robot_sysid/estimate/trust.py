@@ -210,7 +210,7 @@ def missed_friction(fitted: Fit) -> str:
     joints = []
     for row, joint in enumerate(fitted.arm.joints):
         given = fitted.held_out[:, row]
-        least = NEGLIGIBLE**2 * np.sum(fitted.squared_torque[:, row])
+        least = NEGLIGIBLE**2 * np.sum(fitted.sums.squared_torque[:, row])
         if np.sum(given) > least and is_clearly_lower(complete.held_out[:, row], given):
             joints.append(joint)
     if not joints:
@@ -382,7 +382,7 @@ def _strangeness(name: str, model_theta: Array, theta: Array, size: float) -> st
 def noise_share(fitted: Fit) -> float:
     """Return the ratio of torque noise to measured torque in a fit, both root mean squares."""
     squares = float(np.sum(fitted.noise**2 * np.sum(fitted.sums.counts, axis=0)))
-    torque = float(np.sum(fitted.squared_torque))
+    torque = float(np.sum(fitted.sums.squared_torque))
     return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
 
 

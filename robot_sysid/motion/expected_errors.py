@@ -16,7 +16,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.estimate.choose import motors_of, rms_torque
+from robot_sysid.estimate.choose import motors_of
 from robot_sysid.estimate.fit import Fit, expected
 from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.links import EXPECTED
@@ -251,7 +251,7 @@ def expected_fit(
         point = replace(point, payload=typical_load(problem))
         values = dict(zip(PAYLOAD_NAMES, point.payload.tolist()))
     sums = arm.sums(recordings, point)
-    torque = rms_torque(sums)
+    torque = sums.rms_torque
     samples_per_row = 2.0  # a pose rests twice
     if processed.signals is not None:
         # Columns vary slowly along the rows, so that what counts is the density of the noise at low

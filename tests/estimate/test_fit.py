@@ -17,7 +17,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate import fit as fit_module
-from robot_sysid.estimate.choose import neighbours, rms_torque
+from robot_sysid.estimate.choose import neighbours
 from robot_sysid.estimate.fit import correlation_times, fit
 from robot_sysid.estimate.links import LinkScales, link_factor, link_lengths
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -254,7 +254,7 @@ def test_what_is_put_in_is_found_with_its_value_and_nothing_else_is(key, seed):
             torque = term.columns(part, point) @ (factor * sizes)
             logs.append(add_torque(recording, torque))
         sums = arm.sums(logs, point)
-        terms = arm_question(arm, QUESTION, rms_torque(sums))
+        terms = arm_question(arm, QUESTION, sums.rms_torque)
         arguments = arm, logs, point, sums
         base = fit(*arguments, terms, QUESTION, possible=False)
         gain = base.gain(term)

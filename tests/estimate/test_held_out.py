@@ -55,7 +55,7 @@ def test_each_block_is_predicted_from_the_others(noisy_fit):
     noise = noisy_fit.noise
     test = validation(noisy_fit)
     assert test.rmse == pytest.approx(np.sqrt(np.mean(noise**2)), rel=0.3)
-    squares = np.sum(noisy_fit.held_out) / np.sum(noisy_fit.squared_torque)
+    squares = np.sum(noisy_fit.held_out) / np.sum(noisy_fit.sums.squared_torque)
     assert test.relative_error == pytest.approx(np.sqrt(squares))
     assert test.is_informative
 
