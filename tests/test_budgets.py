@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 7461,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12379,
-    "tests": 241200,
+    "tests": 241169,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

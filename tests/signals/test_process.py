@@ -69,10 +69,13 @@ def test_smooth_functions_of_motion_need_few_samples(cutoff, rate, seed):
     def smooth(motion):
         return np.sin(motion.q) * motion.qdd, np.cos(motion.q) * motion.qd**2
 
+    # Second differences of positions of about 1 rad have rounding errors, which are not smooth.
+    rounding = np.finfo(float).eps * rate**2
     fast = signals.filter_columns(smooth, smooth=True)
     for few, full in zip(fast, signals.filter_columns(smooth)):
         assert few.shape == full.shape
-        assert root_mean_square(few - full) < 1e-8 * root_mean_square(full)
+        limit = 1e-8 * root_mean_square(full) + rounding
+        assert root_mean_square(few - full) < limit
     (signs,) = signals.filter_columns(lambda motion: (np.sign(motion.qd),))
     expected = signals.low_pass.decimate(np.sign(signals.qd))
     assert_close(signs, expected, atol=1e-12)

@@ -64,10 +64,3 @@ def seeded_log(plant, seed, duration=DURATION, **sensors):
 def equations_of(robot, torques="chain"):
     """Return equations with Coulomb, viscous friction and offset in every joint."""
     return Equations(robot, torques, (DEFAULT_FRICTION,) * robot.n_joints)
-
-
-def true_values(plant, names):
-    """Return the plant's values of the named parameters, 0 for those it does not have."""
-    equations = equations_of(plant)
-    value_of = dict(zip(equations.names, equations.prior))
-    return np.array([float(value_of.get(name, 0.0)) for name in names])
