@@ -118,19 +118,6 @@ class FrictionModel:
         """The terms joined by "-", or "none"."""
         return "-".join(self.terms) or "none"
 
-    @property
-    def non_negative(self) -> tuple[bool, ...]:
-        """Per term, whether a physical joint has a coefficient >= 0.
-
-        An offset may have either sign. The square-root term bends the curve of friction upwards or
-        downwards; beside it, the viscous coefficient may be negative too, as only the sum of both
-        terms has to oppose the motion.
-        """
-        free = ["offset", "sqrt"]
-        if "sqrt" in self.terms:
-            free.append("viscous")
-        return tuple(term not in free for term in self.terms)
-
     def parameter_names(self, joint: str) -> tuple[str, ...]:
         """Return the parameter name of each column, for instance ``coulomb[joint6]``."""
         return tuple(f"{term}[{joint}]" for term in self.terms)
@@ -201,15 +188,3 @@ class Coupling:
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the motor's parameters, such as ``coulomb[joint_5+joint_6]``."""
         return _COUPLED.parameter_names(self.name)
-
-    def columns(self, qd: Array, qdd: Array) -> Array:
-        """Return the motor's torque (N, len(terms)) per unit of each parameter.
-
-        The torque at a joint is this one times the joint's ratio.
-
-        Args:
-            qd: (N, n) velocities of the joints [rad/s].
-            qdd: (N, n) accelerations of the joints [rad/s^2].
-        """
-        speed = qd @ self.ratios
-        return _COUPLED.columns(speed, qdd @ self.ratios, np.zeros_like(speed))

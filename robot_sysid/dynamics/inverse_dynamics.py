@@ -46,7 +46,7 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import N_INERTIAL, cross, skew, symmetric_from_six
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.regressor import wrench_regressor
 
 MUJOCO_VERSION: str = mujoco.__version__
@@ -56,8 +56,6 @@ _ARRAY_SIZE = 1_000_000
 (``split_motion``): it bounds the memory for arms with many joints."""
 TILT_NAMES = ("tilt_1", "tilt_2")
 """Names of the two angles by which a base is tilted."""
-_TILT_CHUNK = 1000
-"""Largest number of samples whose torques ``tilt_columns`` computes at a time."""
 _OPPOSITE = 1e-12
 """Least 1 + cosine of the turn in ``tilt_axes``, which keeps the division defined where gravity is
 upside down; any axes perpendicular to it will do then."""
@@ -552,46 +550,3 @@ def tilt_angles(level: Array, gravity: Array) -> Array:
         return np.array([np.pi * is_opposite, 0.0])
     angle = np.arctan2(sine, level @ gravity)
     return angle / sine * (tilt_axes(level) @ turn)
-
-
-def tilt_columns(robot: RobotModel, thetas: Array, q: Array, level: Array) -> Array:
-    """Return the torque (N, n, 2) per radian of tilt of the base about each of two axes [N m/rad].
-
-    Args:
-        robot: the arm, under the gravity around which it is tilted.
-        thetas: (n, 10) inertial parameters of its links, base to terminal.
-        q: (N, n) joint positions [rad or m].
-        level: (3,) gravity of the level base, which defines the axes (``tilt_axes``) [m/s^2].
-    """
-    gravity = gravity_vector(robot)
-    axes = tilt_axes(level, gravity)
-    changes = np.cross(axes, gravity).T
-    columns = []
-    for chunk in np.array_split(q, len(q) // _TILT_CHUNK + 1):
-        count = len(chunk)
-        # Both changes of gravity in one computation, one after the other.
-        positions = np.tile(chunk, (2, 1))
-        zeros = np.zeros((2 * count, q.shape[1]))
-        dynamics = LinkDynamics(robot, np.repeat(changes, count, axis=1))
-        torque = dynamics.motion(positions, zeros, zeros).torque(thetas)
-        columns.append(np.split(torque, 2))
-    return np.moveaxis(np.concatenate(columns, axis=1), 0, -1)
-
-
-def zero_columns(robot: RobotModel, thetas: Array, motion: Motion) -> Array:
-    """Return the torque (N, n, n) per radian of encoder error [N m/rad].
-
-    Entry [:, i, j] is the torque of joint i per radian by which joint j's position is read too
-    large.
-
-    Args:
-        robot: the arm.
-        thetas: (n, 10) inertial parameters of its links, base to terminal.
-        motion: of N samples.
-    """
-    dynamics = LinkDynamics(robot)
-    columns = []
-    width = 12 * motion.q.shape[1] ** 2
-    for q, qd, qdd in split_motion(width, motion.q, motion.qd, motion.qdd):
-        columns.append(-dynamics.motion(q, qd, qdd).slopes(thetas, qd))
-    return np.concatenate(columns)

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import friction_model
 from robot_sysid.records import Source, Validation
 from robot_sysid.records.messages import Detail, percent
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
@@ -22,9 +21,6 @@ WORSE = 1.5
 differs by percents only between stretches of hundreds of samples."""
 PRIOR_SHARE = 0.5
 """Share of a value that comes from the data below which the model's prior dominates."""
-SURE = 3.0
-"""Standard errors from zero beyond which a sign is certain: noise alone reaches that once in 700
-times."""
 _USE_TEXTS = {
     Verdict.TORQUES_ONLY: "Only for torques of motions like the log's, not for the numbers",
     Verdict.AS_GOOD: "Usable, but the model was about as good before",
@@ -207,7 +203,6 @@ def limitations(result: Result) -> tuple[str, ...]:
 def _limitation_sentences(result: Result) -> Iterator[str]:
     """Yield the sentences of ``limitations`` on a measured result."""
     yield from _prior_conflicts(result)
-    yield from _negative_friction(result)
     yield from _worse_predictions(result)
 
 
@@ -229,23 +224,6 @@ def _prior_conflicts(result: Result) -> Iterator[str]:
             )
         else:
             yield Detail(f"{text}; the stated errors include this")
-
-
-def _negative_friction(result: Result) -> Iterator[str]:
-    """Yield a sentence where friction terms that must not be negative certainly are."""
-    findings = []
-    for name, joint in result.joints.items():
-        model = friction_model(joint.friction_model)
-        # Term to whether it must not be negative.
-        is_bounded = dict(zip(model.terms, model.non_negative))
-        for term, (value, error) in joint.terms.items():
-            if is_bounded.get(term) and value < -SURE * error:
-                findings.append(f"{term} {value:.2g} of {name}")
-    if findings:
-        yield (
-            f"friction that drives instead of brakes ({', '.join(findings)}): check the sign and "
-            "the scale of these torques"
-        )
 
 
 def _worse_predictions(result: Result) -> Iterator[str]:

@@ -49,11 +49,6 @@ def test_a_leading_plus_adds_to_the_default():
     assert friction_model("+armature+sqrt").terms == expected
 
 
-def test_square_root_frees_the_sign_of_the_viscous_term():
-    assert friction_model("coulomb-viscous-offset").non_negative == (True, True, False)
-    assert friction_model("coulomb-viscous-sqrt").non_negative == (True, False, False)
-
-
 @pytest.mark.parametrize(
     "name", ["colomb-viscous", "", "coulomb--viscous", "+", "auto"]
 )

@@ -11,7 +11,6 @@ from robot_sysid.records import PriorConflict
 from robot_sysid.records.messages import Detail
 from robot_sysid.results.record import Verdict
 from robot_sysid.results.verdict import (
-    SURE,
     WORSE,
     limitations,
     plan_conditions,
@@ -141,18 +140,6 @@ def test_a_conflict_with_the_model_is_a_detail_where_the_errors_allow_for_it(
     (sentence,) = limitations_of(conflicts=(conflict,))
     assert sentence.startswith("the model's numbers of other links do not fit this arm")
     assert isinstance(sentence, Detail) is is_detail
-
-
-@given(
-    st.sampled_from(["coulomb", "viscous"]), st.floats(-1.0, 1.0), st.floats(0.01, 1.0)
-)
-@example("coulomb", -0.5, 0.01)
-def test_negative_friction_is_reported_where_significant(term, value, error):
-    sentences = limitations_of(made.with_value(f"{term}[j5]", value, error))
-    assert len(sentences) == (value < -SURE * error)
-    for sentence in sentences:
-        assert f"{term} {value:.2g} of j5" in sentence
-        assert not isinstance(sentence, Detail)
 
 
 @given(st.floats(0.5, 5.0))
