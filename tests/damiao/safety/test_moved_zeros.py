@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -62,9 +60,10 @@ def finding(robot, run):
 
 def heavy(axes):
     """An arm whose links weigh enough to load its motors."""
-    robot = arms.robot_of(arms.serial_arm(axes))
-    links = tuple(replace(link, theta=10.0 * link.theta) for link in robot.links)
-    return replace(robot, links=links)
+    mj_model = arms.compile_xml(arms.serial_arm(axes))
+    mj_model.body_mass[:] *= 10.0
+    mj_model.body_inertia[:] *= 10.0
+    return arms.robot_of(mj_model)
 
 
 @pytest.fixture
