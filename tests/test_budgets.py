@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 5468,
     "robot_sysid/commands": 13318,
-    "robot_sysid/damiao": 43858,
+    "robot_sysid/damiao": 41878,
     "robot_sysid/diagnosis": 19104,
     "robot_sysid/dynamics": 6732,
     "robot_sysid/estimate": 29914,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 7461,
     "robot_sysid/simulation": 4626,
     "robot_sysid": 12379,
-    "tests": 241020,
+    "tests": 240570,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -44,7 +44,6 @@ from robot_sysid.damiao.recorder import (
 from robot_sysid.damiao.references import (
     FileHolding,
     HoldingCheck,
-    add_held_motors,
     trajectory_reference,
 )
 from robot_sysid.damiao.session import MotorSession
@@ -381,14 +380,10 @@ def run(
     """
     checks = [*preflight.plan_checks(plan), *preflight.bus_checks(plan, inspection)]
     preflight.require_no_stop(checks, "not played")
-    n = plan.trajectory.n_joints
-    held_joints = _held_joints(plan, inspection)
-    joints = (*plan.trajectory.joints, *held_joints)
+    joints = plan.trajectory.joints
     motors = [inspection.motors[joint.address] for joint in joints]
     scaling = Scaling(motor.limits for motor in motors)
-    held_positions = np.array([motor.position for motor in motors[n:]])
-    session = MotorSession(link, joints, scaling, plan.command_range(held_positions))
-    settings = _settings_with(plan, held_joints)
+    session = MotorSession(link, joints, scaling, plan.command_range)
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     try:
@@ -403,53 +398,19 @@ def run(
             holding = holding or FileHolding(plan.trajectory)
             player = Player(
                 session,
-                settings,
+                plan.settings,
                 stop,
                 recorder,
                 lambda text: console(partial(on_phase, text)),
                 lambda time: console.if_idle(partial(on_progress, time)),
                 holding,
             )
-            reference = trajectory_reference(plan.trajectory, settings.speed)
-            reference = add_held_motors(reference, held_positions)
+            reference = trajectory_reference(plan.trajectory, plan.settings.speed)
             report = player.play(reference, plan.duration)
     finally:
         console.finish()
     _require_complete(console, writer)
-    return replace(
-        report, missed=report.missed[:n], worst_tracking=report.worst_tracking[:n]
-    )
-
-
-def _held_joints(plan: Plan, inspection: Inspection) -> tuple[DamiaoJoint, ...]:
-    """Return a joint for each motor outside the trajectory that is to be held.
-
-    Its type is the first one whose scaling limits agree with the motor's registers; a motor of no
-    known type gets no joint.
-    """
-    if plan.settings.others != "hold":
-        return ()
-    joints = []
-    for motor in plan.other_motors(inspection):
-        types = matching_types(motor.limits)
-        if types:
-            bus, can_id = motor.address
-            ids = can_id, motor.master_id
-            joints.append(DamiaoJoint(types[0], *ids, bus=bus, channel=motor.channel))
-    return tuple(joints)
-
-
-def _settings_with(plan: Plan, held_joints: Sequence[DamiaoJoint]) -> PlaySettings:
-    """Return a plan's settings with held motors' default gains and limits after its joints'."""
-    settings = plan.settings
-    specs = [joint.spec for joint in held_joints]
-    held = PlaySettings(rate=settings.rate).for_motors(specs, plan.timing)
-    return replace(
-        settings,
-        kp=settings.kp + held.kp,
-        kd=settings.kd + held.kd,
-        max_torque_error=settings.max_torque_error + held.max_torque_error,
-    )
+    return report
 
 
 def _require_complete(console: Aside, writer: Aside) -> None:
@@ -480,7 +441,7 @@ def _open_recorder(
     if recording.record is None or recording.frames is None:
         yield None
         return
-    registers = [motor.registers for motor in motors[: played.n_joints]]
+    registers = [motor.registers for motor in motors]
     head = recording_header(played.joints, registers, plan.settings, played.path.name)
     names = [f"j{j}" for j in range(played.n_joints)]
     centring = Centring(plan.settings.period, plan.ripple)

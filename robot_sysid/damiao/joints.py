@@ -330,6 +330,16 @@ class JointSpace:
         p, v, t = self.to_joints(position, velocity, torque)
         return MitCommand(p, v, kp * self.ratio, kd * self.ratio, t)
 
+    def frame_limits(self, limits: Array) -> tuple[Array, Array, Array, Array]:
+        """Return what frames can carry: lower and upper position, velocity and torque (n,) each.
+
+        ``limits`` (n, 3) are the motors' PMAX, VMAX and TMAX [rad, rad/s, N m]. A motor that turns
+        opposite to its joint has its lowest position at the joint's upper end.
+        """
+        position, velocity, torque = limits.T
+        ends = self.joint_position(-position), self.joint_position(position)
+        return np.minimum(*ends), np.maximum(*ends), velocity, torque * self.ratio
+
     def joint_position(self, position: Array) -> Array:
         """Return the joint positions (n,) at motor positions (n,) [rad]."""
         return self.direction * (position - self.offset)

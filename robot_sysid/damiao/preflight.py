@@ -12,19 +12,15 @@ import numpy as np
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
-from robot_sysid.damiao.joints import (
-    DamiaoJoint,
-    JointSpace,
-    id_problems,
-    limits_agree,
-    matching_types,
-)
+from robot_sysid.damiao.joints import DamiaoJoint, JointSpace, id_problems, limits_agree
 from robot_sysid.damiao.protocol import Scaling
 from robot_sysid.damiao.references import (
+    PEAK_ACCELERATION,
+    PEAK_SPEED,
     FileHolding,
     HoldingCheck,
     torque_doubt,
-    transfer_rows,
+    transfer_time,
 )
 from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import (
@@ -33,7 +29,6 @@ from robot_sysid.damiao.settings import (
     Plan,
     PlaySettings,
 )
-from robot_sysid.damiao.velocity_check import velocity_mismatch
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
@@ -62,8 +57,6 @@ _SHAKING_SPEED = 0.3
 
 A judgement: a third of the speed error at which a run is stopped by default.
 """
-_FLOAT32_SLACK = 1e-6
-"""Relative excess of a frame's limit that is ignored, because registers hold float32."""
 
 
 @dataclass(frozen=True)
@@ -93,19 +86,26 @@ def limit_checks(plan: Plan, q: Array | None = None) -> list[Check]:
     """
     trajectory = plan.trajectory
     settings = plan.settings
+    bounds = motion.user_bounds(plan.limits, trajectory.n_joints)
     if q is None:
-        excesses = motion.limit_excesses(trajectory, settings.speed, plan.limits)
-        return list(map(_stop, excesses))
-    pace = settings.approach_speed, settings.approach_time
-    remedy = (
-        f"move it nearer by hand, or lower --approach-speed {settings.approach_speed:g}"
-    )
+        found = motion.excesses(trajectory, settings.speed, bounds)
+        return list(map(_stop, found))
     checks = []
     for name, begin, end in plan.transfers(q):
-        rows = transfer_rows(trajectory, begin, end, pace)
-        # ``rows`` have the speed of the transfer already.
-        for excess in motion.limit_excesses(rows, speed=1.0, limits=plan.limits):
-            checks.append(_stop(f"{name}, {excess}; {remedy}"))
+        line = np.abs(end - begin)
+        duration = transfer_time(line, settings.approach_speed, settings.approach_time)
+        for quantity, peaks, limits in (
+            ("rad/s", PEAK_SPEED * line / duration, bounds.velocity),
+            ("rad/s^2", PEAK_ACCELERATION * line / duration**2, bounds.acceleration),
+        ):
+            for j in np.flatnonzero(peaks > limits).tolist():
+                checks.append(
+                    _stop(
+                        f"{name}, {trajectory.joints[j].label}: {peaks[j]:.4g} {quantity} is "
+                        f"beyond your limit {limits[j]:g}; move it nearer by hand, or lower "
+                        f"--approach-speed {settings.approach_speed:g}"
+                    )
+                )
     return checks
 
 
@@ -167,16 +167,15 @@ def _motion_checks(plan: Plan) -> Iterator[Check]:
         )
     else:
         yield Check(OK, f"starts and ends at rest, {plan.duration:.1f} s")
-    mismatch = velocity_mismatch(trajectory.time, trajectory.q, trajectory.qd)
+    mismatch = motion.velocity_mismatch(trajectory)
     if mismatch is None:
         yield Check(OK, "velocities and positions agree")
         return
-    line = trajectory.line[mismatch.row]
-    label = trajectory.joints[mismatch.joint].label
+    row, joint, error = mismatch
     yield _stop(
-        f"line {line}: velocity {mismatch.stated:.4g} rad/s of {label}, but "
-        f"the positions change by {mismatch.slope:.4g} rad/s; export the file again, with at "
-        "least four decimals"
+        f"line {trajectory.line[row]}: positions of {trajectory.joints[joint].label} change by "
+        f"{error:.4g} rad/s more than its velocities say; export the file again, with at least "
+        "four decimals"
     )
 
 
@@ -238,9 +237,7 @@ def _frame_limit_checks(
 ) -> list[Check]:
     """Return a stop for each quantity of a joint beyond the range of its motor's frames.
 
-    The quantities are position, velocity, torque, and the slope of the positions; a slope has the
-    same size for joint and motor. If none is beyond, one check with
-    severity OK is returned.
+    If none is beyond, one check with severity OK is returned.
 
     Args:
         plan: plan of the run.
@@ -248,28 +245,12 @@ def _frame_limit_checks(
         owner: whose limits these are, in messages: "its type's" or "its registers'".
     """
     trajectory = plan.trajectory
-    speed = plan.settings.speed
-    # Quantities of the motors (rows, n) and their limits (n,).
     space = JointSpace.of(trajectory.joints)
-    position, velocity, torque = space.to_motors(
-        trajectory.q, speed * trajectory.qd, trajectory.tau
-    )
-    pmax, vmax, tmax = np.array(limits, dtype=float).T
+    lower, upper, velocity, torque = space.frame_limits(np.array(limits, dtype=float))
+    bounds = motion.Bounds(owner, lower, upper, velocity, torque=torque)
     checks = []
-    for quantity, unit, values, quantity_limits in (
-        ("position", "rad", position, pmax),
-        ("velocity", "rad/s", velocity, vmax),
-        ("torque", "N m", torque, tmax),
-        ("position step", "rad/s", speed * trajectory.slopes, vmax),
-    ):
-        largest = quantity_limits * (1.0 + _FLOAT32_SLACK)
-        for j, peak in motion.peaks_beyond(values, largest):
-            checks.append(
-                _stop(
-                    f"{trajectory.joints[j].label}: {quantity} {peak:.4g} {unit} is beyond "
-                    f"{owner} limit {quantity_limits[j]:g}; export a smaller trajectory"
-                )
-            )
+    for excess in motion.excesses(trajectory, plan.settings.speed, bounds):
+        checks.append(_stop(f"{excess}; export a smaller trajectory"))
     return checks or [Check(OK, f"the trajectory stays within {owner} limits")]
 
 
@@ -318,7 +299,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
         checks += _frame_limit_checks(plan, limits, "its registers'")
         checks += _answer_time_checks(inspection.round_trip, settings)
         checks += _start_checks(plan, plan.joint_positions(inspection))
-    return [*checks, *_other_motor_checks(plan, plan.other_motors(inspection))]
+    return [*checks, *_other_motor_checks(plan.other_motors(inspection))]
 
 
 def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
@@ -338,29 +319,13 @@ def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
         yield _stop(problem)
 
 
-def _other_motor_checks(
-    plan: Plan, motors: Sequence[InspectedMotor]
-) -> Iterator[Check]:
-    """Yield the checks of ``motors`` outside the trajectory, left limp or held as the plan says."""
-    if not motors:
-        return
-    names = ", ".join(motor.name for motor in motors)
-    if plan.settings.others == "limp":
-        yield _note(
-            f"not in the trajectory and left limp: {names} (--others hold holds them)"
-        )
-        for motor in motors:
-            yield from _limp_checks(motor)
-        return
-    yield _note(f"not in the trajectory and held where they are: {names}")
+def _other_motor_checks(motors: Sequence[InspectedMotor]) -> Iterator[Check]:
+    """Yield the checks of ``motors`` outside the trajectory, which are left limp."""
+    if motors:
+        names = ", ".join(motor.name for motor in motors)
+        yield _note(f"not in the trajectory and left limp: {names}")
     for motor in motors:
-        yield from _condition_checks(
-            motor, plan.settings, plan.permissions, taken_over=True
-        )
-        if not matching_types(motor.limits):
-            yield _stop(
-                f"{motor.name} is of no known type and cannot be held; use --others limp"
-            )
+        yield from _limp_checks(motor)
 
 
 def _limp_checks(motor: InspectedMotor) -> Iterator[Check]:
@@ -372,7 +337,7 @@ def _limp_checks(motor: InspectedMotor) -> Iterator[Check]:
     elif motor.feedback.status[0] == protocol.ENABLED:
         yield _stop(
             f"{motor.name} is enabled by another program and not in the trajectory; end that "
-            "program and power-cycle the motor, or take it over with --others hold"
+            "program and power-cycle the motor"
         )
 
 
@@ -381,7 +346,6 @@ def _condition_checks(
     settings: PlaySettings,
     permissions: Permissions,
     joint: DamiaoJoint | None = None,
-    taken_over: bool = False,
 ) -> Iterator[Check]:
     """Yield the checks of one motor's registers and state.
 
@@ -390,7 +354,6 @@ def _condition_checks(
         settings: settings of the run, with the cycle rate and the temperature at its start.
         permissions: deviations that the user allows; a watchdog time in them replaces the motor's.
         joint: joint that the motor drives, with which ids and scaling are compared, or None.
-        taken_over: whether the motor may be enabled already, and is then only noted.
     """
     name = joint.label if joint else motor.name
     registers = motor.registers
@@ -412,7 +375,7 @@ def _condition_checks(
     if watchdog is None:
         watchdog = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
     yield _watchdog_check(name, watchdog, settings)
-    yield from _state_checks(motor, settings, name, taken_over)
+    yield from _state_checks(motor, settings, name)
 
 
 def _id_register_checks(
@@ -486,23 +449,18 @@ def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
 
 
 def _state_checks(
-    motor: InspectedMotor, settings: PlaySettings, name: str, taken_over: bool
+    motor: InspectedMotor, settings: PlaySettings, name: str
 ) -> Iterator[Check]:
     """Yield a stop where a motor's state or temperature forbids to enable it.
 
-    ``name`` is the motor's name in messages; a motor that is ``taken_over`` may be enabled already,
-    and is then only noted.
+    ``name`` is the motor's name in messages.
     """
     feedback = motor.feedback
     if feedback is None:
         yield _stop(f"{name} does not tell its state; its firmware may be too old")
         return
     code = int(feedback.status[0])
-    if code == protocol.ENABLED and taken_over:
-        yield _note(
-            f"{name} is enabled by another program: it is taken over, and disabled at the end"
-        )
-    elif code == protocol.ENABLED:
+    if code == protocol.ENABLED:
         yield _stop(f"{name} is enabled already; end the program that uses it")
     elif code != protocol.DISABLED:
         fault = protocol.status_text(code)

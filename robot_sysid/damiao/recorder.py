@@ -217,7 +217,6 @@ class MeasurementRecorder:
     ) -> None:
         self._aside = aside
         self._frames = frames
-        self._n = len(labels)
         self._centring = centring
         columns = ["time"]
         for signals in (_MEASURED, _EXTRA):
@@ -267,7 +266,7 @@ class MeasurementRecorder:
         Args:
             time: time since the trajectory began [s].
             origin: time in the link's clock at which the trajectory began [s].
-            replies: replies of the joints in this cycle; joints after the recorded n are ignored.
+            replies: replies of the joints in this cycle.
             acted: command in force when the replies were sampled, in joint space.
         """
         self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
@@ -293,7 +292,7 @@ class MeasurementRecorder:
         """
         feedback = replies.feedback
         step, centre = self._centring.torques(replies, acted)
-        # Rows of these tables are joints, of which only the first n are recorded.
+        # Rows of these tables are joints.
         measured = np.column_stack(
             [feedback.position, feedback.velocity, feedback.torque + centre]
         )
@@ -301,10 +300,10 @@ class MeasurementRecorder:
         commanded = np.column_stack([replies.time - origin, *command])
         state = (feedback.status, feedback.temperature_mos, feedback.temperature_rotor)
         cells = [f"{time:.6f}"]
-        for values in measured[: self._n]:
+        for values in measured:
             cells += _numbers(values)
-        for j in range(self._n):
-            cells += _numbers(commanded[j])
+        for j, values in enumerate(commanded):
+            cells += _numbers(values)
             cells.append(str(int(replies.doubted[j])))
             for codes in state:
                 cells.append(str(codes[j]) if replies.answered[j] else "")
@@ -361,7 +360,7 @@ class SamplingRipple:
 
         Args:
             q: positions (n,) [rad].
-            acted: command in force at the samples; its first n joints are those of the arm.
+            acted: command in force at the samples.
             step: torque step (n,) of each joint at its time of sampling [N m].
             growth: growth (n,) of the step from one period to the next [N m].
             time: times of sampling (n,) [s].
@@ -377,8 +376,8 @@ class SamplingRipple:
 
         # The state, n positions and then n velocities, is a sum of 2n modes (columns), of which
         # each changes at its rate [1/s]; ``drive`` (2n, n) is what each joint's torque adds to it.
-        stiffness = mobility * acted.kp[:n]
-        damping = mobility * (acted.kd[:n] + self._viscous)
+        stiffness = mobility * acted.kp
+        damping = mobility * (acted.kd + self._viscous)
         system = np.block([[zero, np.eye(n)], [-stiffness, -damping]])
         rates, modes = np.linalg.eig(system)
         try:
@@ -448,17 +447,13 @@ class Centring:
         ``state`` (3, n) has positions [rad], times [s] and torque steps [N m]; the steps have grown
         by ``growth`` (n,) [N m] since the last cycle.
         """
-        torque = np.zeros(state.shape[1])
-        if self._ripple is None:
-            return torque
-        arm = slice(self._ripple.n_joints)
-        q, time, step = state[:, arm]
-        if np.all(np.isfinite(state[:, arm])):
-            position, velocity = self._ripple.motion(
-                q, acted, step, growth[arm], time, self._period
-            )
-            torque[arm] = acted.kp[arm] * position + acted.kd[arm] * velocity
-        return torque
+        if self._ripple is None or not np.all(np.isfinite(state)):
+            return np.zeros(state.shape[1])
+        q, time, step = state
+        position, velocity = self._ripple.motion(
+            q, acted, step, growth, time, self._period
+        )
+        return acted.kp * position + acted.kd * velocity
 
 
 def torque_step(replies: Replies, acted: MitCommand) -> Array:

@@ -11,7 +11,7 @@ torque, and the joint of a weak motor would fall. So ``CarriedStop`` keeps this 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, Optional
 
 import numpy as np
@@ -46,29 +46,33 @@ def trajectory_reference(
 ) -> ReferenceFunction:
     """Return a trajectory, interpolated between its rows, as a function of time.
 
-    The last row is held after the end. The feed-forward torque is that of the file: at reduced
+    The feed-forward torque is that of the file: at reduced
     speed its inertial share is too large, which the position control compensates.
 
     Args:
         trajectory: trajectory with at least two rows.
         speed: factor of the file's velocities; its times are divided by this factor.
     """
-    times = trajectory.time
-    values = np.hstack([trajectory.q, trajectory.qd, trajectory.tau])
+    start = trajectory.time[0]
 
     def reference(time: float) -> Reference:
         """Return the trajectory's state at ``time`` [s] of playing since its first row."""
-        file_time = times[0] + time * speed
-        later = int(np.searchsorted(times, file_time))
-        row = values[min(later, len(times) - 1)]
-        if 0 < later < len(times):
-            earlier = later - 1
-            share = (file_time - times[earlier]) / (times[later] - times[earlier])
-            row = values[earlier] + (row - values[earlier]) * share
-        position, velocity, torque = np.split(row, 3)
+        signals = trajectory.sampled(np.array([start + time * speed]))
+        position, velocity, torque = (signal[0] for signal in signals)
         return Reference(position, velocity * speed, torque)
 
     return reference
+
+
+PEAK_SPEED = 15.0 / 8.0
+"""Peak of a transfer's speed, relative to its mean speed."""
+PEAK_ACCELERATION = 5.774
+"""Peak of a transfer's acceleration, relative to its mean speed divided by its duration."""
+
+
+def transfer_time(line: Array, speed: float, shortest: float) -> float:
+    """Return the duration [s] of a transfer along a line (n,) [rad]: see ``transfer_reference``."""
+    return float(max(shortest, PEAK_SPEED * np.max(np.abs(line)) / speed))
 
 
 def transfer_reference(
@@ -93,7 +97,7 @@ def transfer_reference(
             equals the torques of ``start`` and ``target`` at the ends.
     """
     line = target.position - start.position
-    duration = float(max(shortest, 1.875 * np.max(np.abs(line)) / speed))
+    duration = transfer_time(line, speed, shortest)
     extra_at_start = start.torque - carries(start.position)
     extra_at_target = target.torque - carries(target.position)
 
@@ -109,54 +113,10 @@ def transfer_reference(
     return reference, duration
 
 
-TRANSFER_RATE = 100.0
-"""Rows per second of ``transfer_rows``, enough for motions of a second and more [Hz]."""
-
-
-def transfer_rows(
-    trajectory: DamiaoTrajectory, begin: Array, end: Array, pace: tuple[float, float]
-) -> DamiaoTrajectory:
-    """Return the motion from rest to rest between two poses as rows of a trajectory, torque zero.
-
-    Args:
-        trajectory: trajectory whose joints the result has.
-        begin: first pose (n,) [rad].
-        end: last pose (n,) [rad].
-        pace: largest velocity of a joint [rad/s] and least duration [s].
-    """
-    zero = np.zeros_like(begin)
-    start = Reference(begin, zero, zero)
-    target = Reference(end, zero, zero)
-    reference, duration = transfer_reference(start, target, *pace)
-    time = np.linspace(0.0, duration, int(np.ceil(duration * TRANSFER_RATE)) + 1)
-    # References stacked as (rows, 3, n): position, velocity and torque.
-    rows = np.array([reference(moment) for moment in time])
-    q, qd, tau = np.moveaxis(rows, 1, 0)
-    line = np.arange(len(time))
-    return replace(trajectory, line=line, time=time, q=q, qd=qd, tau=tau)
-
-
 def hold_reference(reference: Reference) -> ReferenceFunction:
     """Return a function of time that always returns a reference's position and torque, at rest."""
     at_rest = reference._replace(velocity=np.zeros_like(reference.velocity))
     return lambda time: at_rest
-
-
-def add_held_motors(
-    reference: ReferenceFunction, positions: Array
-) -> ReferenceFunction:
-    """Return a reference of n + m joints: n of ``reference``, then m at ``positions`` (m,) [rad].
-
-    The m joints are held there without velocity and feed-forward torque.
-    """
-    zero = np.zeros_like(positions)
-    held = Reference(positions, zero, zero)
-
-    def extended_reference(time: float) -> Reference:
-        """Return the n joints' reference at ``time`` [s] with the m held joints appended."""
-        return Reference(*map(np.append, reference(time), held))
-
-    return extended_reference
 
 
 _FULL_LOAD = 0.05
@@ -265,7 +225,6 @@ class HoldingCheck:
         watch: returns a new check of the motion of one run; None where there is none.
 
     Attributes:
-        n_joints: number n of joints that are judged; in longer arrays further motors follow them.
         doubt: torque (n,) that friction alone may explain [N m].
         is_model: as given.
         watch: as given.
@@ -284,7 +243,6 @@ class HoldingCheck:
         self._joints = joints
         self._source = source
         self.watch = watch
-        self.n_joints = len(joints)
         self.doubt = doubt + torque_doubt(joints)
         self.is_model = is_model
 
@@ -295,21 +253,16 @@ class HoldingCheck:
         return [joint for joint, bare in joints if bare and not joint.verified]
 
     def torque(self, q: Array) -> Array:
-        """Return the torque (n + m,) [N m] that should hold n joints and m other motors.
-
-        It is 0 for the m other motors, which follow the joints in q (n + m,) [rad].
-        """
-        n_others = len(q) - self.n_joints
-        return np.append(self._expected_torque(q[: self.n_joints]), np.zeros(n_others))
+        """Return the torque (n,) [N m] that should hold the arm at q (n,) [rad]."""
+        return self._expected_torque(q)
 
     def __call__(self, q: Array, tau: Array) -> None:
-        """Compare the torques tau (n + m,) [N m] of an arm that is held still at q (n + m,) [rad].
+        """Compare the torques tau (n,) [N m] of an arm that is held still at q (n,) [rad].
 
         HardwareAbort where a joint has a torque opposite to the expected one, or far less of it. A
         joint is only judged where more torque is expected than friction may explain.
         """
-        expected = self._expected_torque(q[: self.n_joints])
-        tau = tau[: self.n_joints]
+        expected = self._expected_torque(q)
         size = np.abs(expected)
         # Torque in the direction of the expected one.
         along = np.sign(expected) * tau
@@ -351,16 +304,16 @@ class FileHolding(HoldingCheck):
         self._carries_arm = bool(np.any(peaks > self.doubt))
 
     def __call__(self, q: Array, tau: Array) -> None:
-        """Compare the torques tau (n + m,) [N m] of an arm that is held still at q (n + m,) [rad].
+        """Compare the torques tau (n,) [N m] of an arm that is held still at q (n,) [rad].
 
         HardwareAbort where a joint has a torque opposite to the fed-forward one, or far less of it,
         and where a joint is loaded although the trajectory never feeds forward enough to carry an
         arm. More than 0.1 rad from the first point nothing is compared.
         """
-        if np.any(np.abs(q[: self.n_joints] - self._first) > _NEAR):
+        if np.any(np.abs(q - self._first) > _NEAR):
             return
         if not self._carries_arm:
-            is_loaded = np.abs(tau[: self.n_joints]) > _LOADED * self.doubt
+            is_loaded = np.abs(tau) > _LOADED * self.doubt
             for j in np.flatnonzero(is_loaded).tolist():
                 raise HardwareAbort(
                     f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m, and the "

@@ -156,15 +156,17 @@ class MotorSession:
         position_step, velocity_step, torque_step = scaling.steps
         self.steps = position_step, velocity_step, torque_step * self.space.ratio
         # A frame cannot command more than TMAX either.
-        sendable_torque = scaling.limits[:, 2] * self.space.ratio
-        self.peak_torque: Array = np.minimum(peak_torques(joints), sendable_torque)
+        *frame_range, torque = self.space.frame_limits(scaling.limits)
+        self.peak_torque: Array = np.minimum(peak_torques(joints), torque)
+        self._frame_range = CommandRange(*frame_range)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         self.last_replies: Replies | None = None
         # Command in force as the motors read it, in joint space; None before the first.
         self._command: protocol.MitCommand | None = None
-        scale = self._scale()
         # In a stop commands are limited to the range, which must not exceed what frames can carry.
-        sendable = scale if command_range is None else command_range.within(scale)
+        sendable = self._frame_range
+        if command_range is not None:
+            sendable = command_range.within(sendable)
         self._bounds = CommandBounds(sendable, self.peak_torque, *self.steps)
         self.sent_position = np.full(self.n_joints, np.nan)
         # Time of each joint's last command, and time that its last motion left unused [s].
@@ -185,16 +187,6 @@ class MotorSession:
             self._by_reply[joint.bus, joint.master_id] = j
             self._by_command[joint.address] = j
 
-    def _scale(self) -> CommandRange:
-        """Return the positions and speeds in joint space that frames can carry."""
-        position_limit, velocity_limit, _ = self.scaling.limits.T
-        at_lowest_code = self.space.joint_position(-position_limit)
-        at_highest_code = self.space.joint_position(position_limit)
-        # A motor that turns opposite to its joint has its lowest code at the joint's upper end.
-        lower = np.minimum(at_lowest_code, at_highest_code)
-        upper = np.maximum(at_lowest_code, at_highest_code)
-        return CommandRange(lower, upper, velocity_limit)
-
     @property
     def believed_motion(self) -> tuple[Array, Array]:
         """Positions and velocities (n,) [rad, rad/s] of the last answers that the filter believed.
@@ -213,9 +205,8 @@ class MotorSession:
 
         This is for lowering an arm without a model, whose end position is unknown.
         """
-        scale = self._scale()
-        lowered = self._bounds.including(scale.lower)
-        self._bounds = lowered.including(scale.upper)
+        lowered = self._bounds.including(self._frame_range.lower)
+        self._bounds = lowered.including(self._frame_range.upper)
 
     def is_off(self, motor: Address) -> bool:
         """Return whether the motor at an address was never enabled or confirmed to be disabled."""

@@ -137,12 +137,6 @@ class PlaySettings(OptionRecord):
         choices=("rest", "start"),
         default_text="disabled where it ends",
     )
-    others: str = option(
-        "limp",
-        "motors on the bus that are not in the trajectory: limp or hold (where they are)",
-        "HOW",
-        choices=("limp", "hold"),
-    )
     max_missed: int = 3
     max_lateness: float = 0.02
     ramp_time: float = 0.3
@@ -311,31 +305,19 @@ class Plan:
         """Time that the trajectory takes to play [s]: the file's time over the speed factor."""
         return float(np.ptp(self.trajectory.time)) / self.settings.speed
 
-    def command_range(self, held_positions: Array) -> CommandRange:
-        """Return the range of commands for the n joints and m further motors that are only held.
+    @property
+    def command_range(self) -> CommandRange:
+        """Range of commands for the n joints: the model's positions, or else the trajectory's.
 
-        The result has n + m values per field, the joints first. Joints keep to the model's range,
-        or else to that of the trajectory; the m held motors keep to their
-        ``held_positions`` (m,) [rad]. A joint's speed limit is a tenth above its largest speed in
-        the trajectory as played (by velocities and by slopes of positions), or above the approach
-        speed if that is larger; for held motors it is a tenth above the approach speed.
+        A joint's speed limit is a tenth above its largest speed in the trajectory as played (by
+        velocities and by slopes of positions), or above the approach speed if that is larger.
         """
         q = self.trajectory.q
-        if self.model_range is not None:
-            lower, upper = self.model_range
-        else:
-            lower = np.min(q, axis=0)
-            upper = np.max(q, axis=0)
+        lower, upper = self.model_range or (np.min(q, axis=0), np.max(q, axis=0))
         speeds = np.vstack([self.trajectory.slopes, self.trajectory.qd])
-        peak_speed = np.abs(speeds).max(axis=0)
-        approach_speed = self.settings.approach_speed
-        speed = np.maximum(self.settings.speed * peak_speed, approach_speed)
-        held_speed = np.full_like(held_positions, approach_speed)
-        return CommandRange(
-            np.append(lower, held_positions),
-            np.append(upper, held_positions),
-            _SPEED_MARGIN * np.append(speed, held_speed),
-        )
+        peak_speed = self.settings.speed * np.abs(speeds).max(axis=0)
+        speed = np.maximum(peak_speed, self.settings.approach_speed)
+        return CommandRange(lower, upper, _SPEED_MARGIN * speed)
 
     def transfers(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
         """Yield name, begin and end (n,) [rad] of the motions before and after the trajectory.

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, takewhile
 from pathlib import Path
-from typing import TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +90,25 @@ class DamiaoTrajectory:
     def n_joints(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+    def rows_at(self, time: Array) -> NDArray[np.int64]:
+        """Return the index (K,) of the row before each of the file's times (K,) [s]."""
+        row = np.searchsorted(self.time, time) - 1
+        return np.clip(row, 0, len(self.time) - 2)
+
+    def sampled(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return q, qd, tau (K, n) on the straight lines between rows at the file's times (K,) [s].
+
+        Motors are sent what stands on these lines. Outside of the file its first or last row holds.
+        """
+        row = self.rows_at(time)
+        since = (time - self.time[row]) / (self.time[row + 1] - self.time[row])
+        share = np.clip(since, 0.0, 1.0)[:, None]
+        q, qd, tau = (
+            signal[row] + share * (signal[row + 1] - signal[row])
+            for signal in (self.q, self.qd, self.tau)
+        )
+        return q, qd, tau
 
     @property
     def qdd(self) -> Array:
@@ -372,6 +391,8 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
 
 NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
 """The limits of a run for which the user gives none: 1e6 rad/s stops no motion."""
+_FLOAT32_SLACK = 1e-6
+"""Relative excess of a limit that is ignored, because registers hold float32."""
 MODEL_LIMITS = "workspace", "keep_out", "clearance"
 """The limits that can only be compared with a model of the arm."""
 LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
@@ -389,28 +410,105 @@ def peaks_beyond(values: Array, limits: Array) -> list[tuple[int, float]]:
     return [(j, peaks[j]) for j in np.flatnonzero(peaks > limits).tolist()]
 
 
-def limit_excesses(
-    trajectory: DamiaoTrajectory, speed: float, limits: LimitOptions
-) -> Iterator[str]:
-    """Yield a sentence for each joint and each limit of the options that a trajectory exceeds.
+class Bounds(NamedTuple):
+    """Limits of n joints in one unit each: (n,), or one number for all.
 
-    Compared are --max-velocity, --max-acceleration and --max-torque, with a tolerance for the
-    rounding of the file's numbers. ``speed`` is the factor of the file's speed at which it is
-    played.
+    Attributes:
+        owner: whose limits they are, in messages: "your", "the model's".
+        lower: least position [rad].
+        upper: greatest position [rad].
+        velocity: largest velocity [rad/s].
+        acceleration: largest acceleration [rad/s^2].
+        torque: largest torque [N m].
     """
-    # Rounding error of an acceleration, which is the difference of two velocities over a step.
-    slack = 2.0 * ROUNDING / np.diff(trajectory.time).min()
-    velocity = speed * trajectory.qd
-    acceleration = speed**2 * trajectory.qdd
-    torque = trajectory.tau
-    for values, limit, unit, flag, rounding in (
-        (velocity, limits.max_velocity, "rad/s", "--max-velocity", ROUNDING),
-        (acceleration, limits.max_acceleration, "rad/s^2", "--max-acceleration", slack),
-        (torque, limits.max_torque, "N m", "--max-torque", ROUNDING),
+
+    owner: str
+    lower: Any = -np.inf
+    upper: Any = np.inf
+    velocity: Any = np.inf
+    acceleration: Any = np.inf
+    torque: Any = np.inf
+
+
+def user_bounds(limits: LimitOptions, n_joints: int) -> Bounds:
+    """Return the limits of velocity, acceleration and torque that a user gives for n joints."""
+    values = {}
+    for name in ("velocity", "acceleration", "torque"):
+        limit = getattr(limits, f"max_{name}")
+        given = np.inf if limit is None else limit
+        values[name] = joint_values(given, n_joints, f"--max-{name}")
+    return Bounds("your", **values)
+
+
+def excesses(
+    trajectory: DamiaoTrajectory, speed: float, bounds: Bounds
+) -> Iterator[str]:
+    """Yield a sentence for each joint and each limit that a trajectory exceeds.
+
+    The slope of the positions from row to row counts as a velocity too. What the rounding of the
+    file's numbers may make is left to each quantity. ``speed`` is the factor of the file's speed at
+    which it is played.
+    """
+    step = np.diff(trajectory.time)[:, None]
+    velocity = np.abs(trajectory.qd)
+    slopes = np.abs(trajectory.slopes) - 2.0 * ROUNDING / step
+    velocity[:-1] = np.maximum(velocity[:-1], slopes)
+    change = 2.0 * ROUNDING / step.min()
+    for quantity, unit, values, bound, rounding in (
+        ("position", "rad", trajectory.q, bounds.upper, ROUNDING),
+        ("position", "rad", -trajectory.q, -bounds.lower, ROUNDING),
+        ("velocity", "rad/s", speed * velocity, bounds.velocity, ROUNDING),
+        (
+            *("acceleration", "rad/s^2", speed**2 * np.abs(trajectory.qdd)),
+            *(bounds.acceleration, change),
+        ),
+        ("torque", "N m", np.abs(trajectory.tau), bounds.torque, ROUNDING),
     ):
-        joint_limits = joint_values(
-            np.inf if limit is None else limit, trajectory.n_joints, flag
-        )
-        for j, peak in peaks_beyond(values, joint_limits + rounding):
-            name = trajectory.joints[j].label
-            yield f"{name}: {peak:.4g} {unit} is beyond {flag} {joint_limits[j]:g}"
+        largest = np.max(values, axis=0)
+        limit = bound + 0.0 * largest
+        slack = rounding + _FLOAT32_SLACK * np.abs(limit)
+        for j in np.flatnonzero(largest > limit + slack).tolist():
+            row = int(np.argmax(values[:, j]))
+            moment = (trajectory.time[row] - trajectory.time[0]) / speed
+            yield (
+                f"{trajectory.joints[j].label}: {quantity} {largest[j]:.4g} {unit} is beyond "
+                f"{bounds.owner} limit {limit[j]:g}, at {moment:.2f} s"
+            )
+
+
+_WINDOW = 0.1
+"""Length of a window in which velocities are compared with positions [s].
+
+Over this time 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
+"""
+_LEAST_ROWS = 4
+"""Least number of rows in a window."""
+
+
+def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | None:
+    """Return the first row and the joint of a window over which velocities do not add up to the
+    change of position, and by how much they are off [rad/s]; None where there is no such window.
+
+    A motor is commanded both; where they disagree it follows neither. Velocities may be those of
+    half a row earlier or later, as a difference quotient has them, and each printed number is
+    rounded by ``ROUNDING``.
+    """
+    time = trajectory.time
+    step = np.diff(time)[:, None]
+    qd = trajectory.qd
+    rows = np.arange(len(time))
+    # Windows lead from each row in ``starts`` to the row at the same index of ``ends``.
+    ends = np.maximum(np.searchsorted(time, time + _WINDOW), rows + _LEAST_ROWS)
+    # A file that is shorter has one window.
+    starts = rows[: max(np.count_nonzero(ends < len(time)), 1)]
+    ends = np.minimum(ends[starts], len(time) - 1)
+    integral, doubt = np.zeros((2, *qd.shape))
+    integral[1:] = np.cumsum(0.5 * (qd[1:] + qd[:-1]) * step, axis=0)
+    # Half a row, and a fifth more.
+    doubt[1:] = 0.6 * np.cumsum(np.abs(np.diff(qd, axis=0)) * step, axis=0)
+    duration = (time[ends] - time[starts])[:, None]
+    difference = (trajectory.q - integral)[ends] - (trajectory.q - integral)[starts]
+    tolerance = doubt[ends] - doubt[starts] + ROUNDING * (4.0 + duration)
+    for k, j in np.argwhere(np.abs(difference) > tolerance)[:1].tolist():
+        return int(starts[k]), j, float(difference[k, j] / duration[k, 0])
+    return None

@@ -283,7 +283,7 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused(
     path = arm_file(arms.serial_arm((arms.Z, arms.Y), joint=NARROW))
     first, second, *_ = refused_by(capsys, tmp_path, trajectory, path)
     assert first.startswith(
-        "joint joint0: position 0.98 rad is beyond the model's limit 0.3, at "
+        "motor 1 (joint joint0): position 0.98 rad is beyond the model's limit 0.3, at "
     )
     assert second.startswith(
         "joint joint1: position 0.98 rad is beyond the model's limit 0.3, at "
@@ -294,7 +294,7 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused(
 def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):
     """At 0.31 rad/s; planes only with a model."""
     err = fail(capsys, 3, "play", trajectory, *CAN0, "--yes", "--max-velocity", "0.3")
-    assert "rad/s is beyond --max-velocity 0.3" in err
+    assert "rad/s is beyond your limit 0.3" in err
     plane = "--keep-out", "0", "0", "1", "0"
     err = fail(capsys, 2, "play", trajectory, *CAN0, "--yes", *plane)
     assert "--keep-out is about a model; add --model" in err

@@ -52,6 +52,9 @@ def limited_robot(arm, share, peaks):
 def check_trajectory(folder, motion, speed, robot, limits=NO_LIMITS):
     """What a model says to a motion played at a share of its speed."""
     played = trajectory_file(folder, motion, MOTOR)
+    pairs = zip(played.joints, robot.joint_names)
+    joints = tuple(replace(joint, name=name) for joint, name in pairs)
+    played = replace(played, joints=joints)
     plan = Plan(played, PlaySettings(speed=speed), limits=limits)
     checks = model_checks(plan, Contacts(robot, limits))
     return [check for check in checks if check.severity != NOTE]
@@ -216,40 +219,3 @@ def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
         assert beyond.severity == STOP and "0.3 m" in beyond.text
         (stop,) = Contacts(robot, limits).transfer_checks("", np.zeros(1), np.ones(1))
         assert "0.3 m" in stop.text
-
-
-# --- a planned motion that an arm with another load is to play ----------------------------------
-
-
-def settings_file(folder, model, **values):
-    """Write what a plan leaves beside its motion."""
-    lines = [f'{key} = "{value}"' for key, value in {"path": model, **values}.items()]
-    (folder / "trajectory.toml").write_text("\n".join(lines))
-
-
-LIGHT = arms.THREE
-HEAVY = arms.THREE.replace('mass=".8"', 'mass="8"')
-
-
-@pytest.mark.parametrize(
-    ("purpose", "factor", "severity", "message"),
-    [
-        ("link", 1.0, STOP, "weigh the arm with a smaller motion first"),
-        ("weight", 1.0, NOTE, "the file is as its model has it, and weighs this arm"),
-        ("weight", -1.0, STOP, "export the file again for this arm"),
-    ],
-)
-def test_a_load_that_the_plan_did_not_know_is_told_from_a_wrong_file(
-    tmp_path, purpose, factor, severity, message
-):
-    """A mirrored torque is refused whatever the motion is for."""
-    model = tmp_path / "light.xml"
-    model.write_text(LIGHT)
-    settings_file(tmp_path, model, for_=purpose)
-    light, heavy = (arms.robot_of(xml, max_velocity=np.inf) for xml in (LIGHT, HEAVY))
-    played = trajectory_file(tmp_path, with_its_torque(light, 0, factor))
-    settings = PlaySettings().for_motors([j.spec for j in played.joints], BusTiming())
-    checks = [
-        c for c in torque_checks(played, settings, heavy) if "feeds forward " in c.text
-    ]
-    assert checks[0].severity == severity and message in checks[0].text

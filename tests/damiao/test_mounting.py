@@ -63,34 +63,21 @@ def gripper():
     return motor
 
 
-@pytest.mark.parametrize("treatment", ["limp", "hold"])
-def test_other_motors_are_left_limp_or_held_where_they_are(
-    tmp_path, gripper, treatment
-):
+def test_other_motors_are_left_limp(tmp_path, gripper):
     phases = []
-    run = rig(tmp_path, extra_motors=[gripper], others=treatment)
-    run.during(
-        "playing", 0.3, lambda r: phases.append((gripper.status, gripper.command))
-    ).run()
+    run = rig(tmp_path, extra_motors=[gripper])
+    run.during("playing", 0.3, lambda r: phases.append(gripper.status)).run()
     run.assert_played()
-    notes = [
-        check.text for check in run.checks if "not in the trajectory" in check.text
-    ]
-    assert len(notes) == 1 and treatment in notes[0].replace("held", "hold")
-    ((status, (position, _, kp, *_)),) = phases
-    assert (status, kp > 0.0) == ((1, True) if treatment == "hold" else (0, False))
-    if treatment == "hold":
-        assert position == pytest.approx(0.3, abs=1e-3)
+    assert "left limp: motor 8" in " ".join(check.text for check in run.checks)
+    assert phases == [DISABLED]
     assert run.recording.joint_values("pos").shape[1] == 2
 
 
-def test_a_motor_that_another_program_has_enabled_is_refused_or_taken_over_when_asked(
-    tmp_path, gripper
-):
+def test_a_motor_that_another_program_has_enabled_is_refused(tmp_path, gripper):
     """Left alone it would go on driving while the run says that all motors are disabled."""
     gripper.status = ENABLED
     gripper.registers[TIMEOUT] = 9e4
-    run = rig(tmp_path, extra_motors=[gripper], others="limp").run()
+    run = rig(tmp_path, extra_motors=[gripper]).run()
     assert "motor 8 is enabled by another program and not in the trajectory" in str(
         run.error
     )
@@ -100,26 +87,6 @@ def test_a_motor_that_another_program_has_enabled_is_refused_or_taken_over_when_
     assert (
         "motor 8 does not tell whether it is enabled"
         in stops(bus_checks(run.plan, silent))[0]
-    )
-    run = rig(tmp_path, extra_motors=[gripper], others="hold").run()
-    run.assert_played()
-    assert any(
-        "motor 8 is enabled by another program: it is taken" in c.text
-        for c in run.checks
-    )
-
-
-def test_an_unknown_motor_cannot_be_held_and_the_fault_of_a_held_one_stops_the_arm(
-    tmp_path, gripper
-):
-    run = rig(tmp_path, extra_motors=[gripper], others="hold")
-    run.during("playing", 0.1, lambda r: gripper.fail(0xA)).run()
-    assert "motor 8 reports status A" in str(run.error)
-    gripper.registers[21] = 3.0
-    run = rig(tmp_path, extra_motors=[gripper], others="hold").run()
-    assert (
-        "motor 8 is of no known type and cannot be held"
-        in [*map(str, stops(run.checks))][-1]
     )
 
 

@@ -27,7 +27,7 @@ from robot_sysid.records.option_fields import record_from
 
 # Beside the limit, so that rounding does not decide.
 SHARES = st.floats(0.01, 0.999) | st.floats(1.001, 4.0)
-WHAT = ("position", "velocity", "torque", "position step")
+WHAT = ("position", "velocity", "torque", "velocity")
 COUNTS_WITH_SPEED = (False, True, False, True)
 
 

@@ -109,11 +109,10 @@ def replies_of(q, qd, time, command=None, torque=0.0):
     return Replies(answered, time, feedback, answered, command)
 
 
-def test_rows_of_joints_that_are_played_are_in_the_file_before_the_run_ends(tmp_path):
-    """Two more motors are only held."""
+def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
     path = tmp_path / "measured.csv"
     recorder = recorder_for(path)
-    recorder.write(*one_cycle(3))
+    recorder.write(*one_cycle(1))
     recorder.end_cycle()
     recording = read_recording(path)
     assert len(recording.columns["time"]) == 1 and recording.ending == "cut short"

@@ -14,10 +14,11 @@ from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.damiao.trajectory import (
     NO_LIMITS,
+    excesses,
     export_damiao_trajectory,
-    limit_excesses,
     read_damiao_trajectory,
     rotor_problems,
+    user_bounds,
 )
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
@@ -184,16 +185,15 @@ def test_limits_that_are_asked_for_hold_joint_by_joint_at_the_speed_that_is_play
     top = float(shaken[0] / share[4])
     limits = LimitOptions(tuple(fast / share[:2]), top, tuple(strong / share[2:4]))
     due = [
-        *(("--max-velocity", j) for j in (0, 1) if share[j] > 1.0),
+        *(("velocity", j) for j in (0, 1) if share[j] > 1.0),
         # What four digits of the velocities make beside it.
-        *(("--max-acceleration", j) for j in (0, 1) if shaken[j] > top + 0.01),
-        *(("--max-torque", j) for j in (0, 1) if share[2 + j] > 1.0),
+        *(("acceleration", j) for j in (0, 1) if shaken[j] > top + 0.01),
+        *(("torque", j) for j in (0, 1) if share[2 + j] > 1.0),
     ]
-    findings = [text.split() for text in limit_excesses(swinging, speed, limits)]
-    assert [
-        (finding[-2], int(finding[1].rstrip(":")) - 1) for finding in findings
-    ] == due
-    assert list(limit_excesses(swinging, speed, NO_LIMITS)) == []
+    bounds = user_bounds(limits, 2)
+    findings = [text.split() for text in excesses(swinging, speed, bounds)]
+    assert [(words[2], int(words[1].rstrip(":")) - 1) for words in findings] == due
+    assert list(excesses(swinging, speed, user_bounds(NO_LIMITS, 2))) == []
 
 
 @pytest.fixture(scope="module")

@@ -252,7 +252,12 @@ class MovedZeroCheck:
         self._finding = self._finding or self._judge(time, slopes)
 
     def _update(
-        self, time: float, errors: Array, changes: Array, residual: Array, scatter: Array
+        self,
+        time: float,
+        errors: Array,
+        changes: Array,
+        residual: Array,
+        scatter: Array,
     ) -> None:
         """Update the model's errors x, the noise, and score and information of each change.
 

@@ -84,7 +84,7 @@ class Observer:
     """Checks the replies of n joints in every cycle; HardwareAbort names the first fault.
 
     Args:
-        joints: joints of the trajectory, base to terminal, then motors that are only held.
+        joints: joints of the trajectory, base to terminal.
         settings: settings of the run, with gains and torque limits for each of the n joints.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
         peak_torque: (n,) peak torque of each joint [N m].
@@ -395,11 +395,11 @@ class Observer:
         """Stop for a joint whose zero has moved, by the model's torques; none without a model."""
         if self._zero_check is None:
             return
-        n = self._holding.n_joints
-        time = float(np.mean(replies.time[:n]))
-        q = replies.feedback.position[:n]
-        qd = replies.feedback.velocity[:n]
-        finding = self._zero_check(time, q, qd, commanded[:n])
+        feedback = replies.feedback
+        time = float(np.mean(replies.time))
+        finding = self._zero_check(
+            time, feedback.position, feedback.velocity, commanded
+        )
         if finding is not None:
             self._raise(*finding)
 
