@@ -11,7 +11,7 @@ import numpy as np
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.records import Array, Measurement, Motion, RobotModel, Validation
+from robot_sysid.records import Array, Motion, RobotModel, Validation
 from robot_sysid.records.data import validation_of
 from robot_sysid.signals.process import ProcessedSignals
 
@@ -21,13 +21,6 @@ HELD_OUT_SHARE = 0.2
 """Share of each log, its end, that is held out; cross-validation leaves out as much."""
 LAST_FIFTH = "the last fifth of every log, which was not fitted for it"
 """Description of the pieces that ``HELD_OUT_SHARE`` holds out."""
-
-
-def split_time(signals: ProcessedSignals | Measurement) -> float:
-    """Return the time from which on the last fifth of a log is held out [s]."""
-    start = float(signals.time[0])
-    end = float(signals.time[-1])
-    return end - HELD_OUT_SHARE * (end - start)
 
 
 def torque_error(

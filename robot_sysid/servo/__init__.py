@@ -38,7 +38,7 @@ from robot_sysid.results.record import (
 )
 from robot_sysid.results.result_lines import folder_text, rollout_lines
 from robot_sysid.results.written_model import versions, write_joints
-from robot_sysid.servo.commands import commanded_pieces, is_moving
+from robot_sysid.servo.commands import commanded_pieces
 from robot_sysid.servo.fit import (
     LARGEST_ERROR,
     LINK_ERROR,
@@ -46,17 +46,21 @@ from robot_sysid.servo.fit import (
     ServoFit,
     fit_servos,
     loop_equations,
-    model_numbers,
     refine_played,
 )
-from robot_sysid.servo.held_out import (
+from robot_sysid.servo.windows import (
+    make_problem,
     play_servos,
     rollout_error,
     servo_fault,
+    split_pieces,
     worse_joints,
 )
-from robot_sysid.servo.windows import make_problem, split_pieces
-from robot_sysid.simulation.playback import ServoRollouts, chain_actuators
+from robot_sysid.simulation.playback import (
+    ServoRollouts,
+    chain_actuators,
+    servos_in_model,
+)
 
 SERVO_SCHEMA = "robot-sysid servo 2"
 """Name and version of the format of servo.json."""
@@ -120,30 +124,25 @@ class ServoIdentification:
     notes: tuple[str, ...] = ()
 
     @property
-    def has_servo(self) -> NDArray[np.bool_]:
-        """Whether the model has a position actuator that takes the gain (n,)."""
-        return np.isfinite(chain_actuators(self.robot).stiffness)
-
-    @property
     def joint_numbers(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Each joint's numbers: by the joint's name, then by a key of ``UNITS``.
 
         A number is a dict of "before" (NaN where the model has none), "value", "standard_error",
         "source" (``IDENTIFIED``, ``FROM_MODEL`` or ``ASSUMED``) and "unit".
         """
+        before = servos_in_model(self.robot).numbers
         value = self.fit.numbers
         error = self.fit.errors
         is_shown = self.fit.has_scale & (error < LARGEST_ERROR * value)
         source = np.where(is_shown, IDENTIFIED, ASSUMED)
         source = np.where(self.is_new, source, FROM_MODEL)
-        columns = np.stack((model_numbers(self.robot), value, error)).tolist()
         joints = {}
         for k, joint in enumerate(self.robot.joint_names):
             joints[joint] = {
                 name: {
-                    "before": columns[0][row][k],
-                    "value": columns[1][row][k],
-                    "standard_error": columns[2][row][k],
+                    "before": float(before[row, k]),
+                    "value": float(value[row, k]),
+                    "standard_error": float(error[row, k]),
                     "source": str(source[row, k]),
                     "unit": unit,
                 }
@@ -159,20 +158,17 @@ class ServoIdentification:
         g^2 times as large at the joint.
         """
         actuators = chain_actuators(self.robot)
-        numbers = self.fit.numbers
         joint_changes = []
         actuator_changes = []
         for k in np.flatnonzero(self.is_new).tolist():
-            stiffness, damping, friction, armature = numbers[:, k].tolist()
+            stiffness, damping, friction, armature = self.fit.numbers[:, k].tolist()
             kv = float(actuators.damping_share[k]) * damping
             name = self.robot.joint_names[k]
             joint_changes.append(JointChange(name, armature, damping - kv, friction))
-            if self.has_servo[k]:
+            if np.isfinite(actuators.stiffness[k]):
                 squared_gear = float(actuators.gear[k]) ** 2
+                motor_kv = kv / squared_gear if kv > 0.0 else None
                 index = int(actuators.index[k])
-                motor_kv = (
-                    kv / squared_gear if actuators.damping_share[k] > 0.0 else None
-                )
                 actuator_changes.append(
                     ActuatorChange(index, stiffness / squared_gear, motor_kv)
                 )
@@ -184,14 +180,12 @@ class ServoIdentification:
         It holds each joint's numbers with units, the delay, the comparison of the models before and
         after, and where all of it comes from.
         """
-        joints = {}
-        for k, (joint, numbers) in enumerate(self.joint_numbers.items()):
-            joints[joint] = {
-                **numbers,
-                "is_new": self.is_new[k],
-                "has_servo": self.has_servo[k],
-                "at_limit": self.limit_share[k],
-            }
+        has_servo = np.isfinite(chain_actuators(self.robot).stiffness)
+        joints: dict[str, dict[str, Any]] = self.joint_numbers
+        for numbers, *others in zip(
+            joints.values(), self.is_new, has_servo, self.limit_share
+        ):
+            numbers.update(zip(("is_new", "has_servo", "at_limit"), others))
         return {
             "schema": SERVO_SCHEMA,
             "torque": "none measured; from position error",
@@ -217,7 +211,12 @@ def servo_lines(result: ServoIdentification) -> list[str]:
         f"  delay of the commands: {with_error(1e3 * fit.delay, 1e3 * fit.delay_error, 'ms')}",
     ]
     for joint, numbers in result.joint_numbers.items():
-        texts = map(_number_text, numbers, numbers.values())
+        texts = []
+        for name, number in numbers.items():
+            is_new = number["source"] != FROM_MODEL and np.isfinite(number["before"])
+            old = f"{number['before']:.3g} -> " if is_new else ""
+            new = with_error(number["value"], number["standard_error"], number["unit"])
+            texts.append(f"{name} {old}{new}{_DOUBTS.get(number['source'], '')}")
         lines.append(f"  {joint}: {'; '.join(texts)}")
     lines += rollout_lines(result.rollout)
     errors = ", ".join(f"{error:.3g}" for error in result.goal_errors)
@@ -227,25 +226,17 @@ def servo_lines(result: ServoIdentification) -> list[str]:
     return lines
 
 
-def _number_text(name: str, number: dict[str, Any]) -> str:
-    """Return the text "name old -> new ± error unit" of one number of a joint.
-
-    ``number`` is a dict as in ``ServoIdentification.joint_numbers``, ``name`` a key of ``UNITS``.
-    """
-    is_changed = number["source"] != FROM_MODEL and np.isfinite(number["before"])
-    old = f"{number['before']:.3g} -> " if is_changed else ""
-    value = with_error(number["value"], number["standard_error"], number["unit"])
-    return f"{name} {old}{value}{_DOUBTS.get(number['source'], '')}"
-
-
-def servo_notes(result: ServoIdentification, moves: NDArray[np.bool_]) -> Iterator[str]:
-    """Yield sentences on the weak points of a result, given which joints (n,) move."""
-    limit = chain_actuators(result.robot).limit
+def servo_notes(result: ServoIdentification) -> Iterator[str]:
+    """Yield sentences on the weak points of a result."""
+    actuators = chain_actuators(result.robot)
     fit = result.fit
     for k, joint in enumerate(result.robot.joint_names):
         gain = fit.numbers[0, k]
-        if not moves[k]:
-            yield f"{joint} does not move in these logs: it keeps the model's numbers"
+        if not fit.is_known[k]:
+            yield (
+                f"{joint} moves too little or too slowly in these logs: it keeps the model's "
+                "numbers"
+            )
         elif not result.is_new[k]:
             yield (
                 f"the numbers found of {joint} predict held-out positions worse than the model's, "
@@ -262,16 +253,16 @@ def servo_notes(result: ServoIdentification, moves: NDArray[np.bool_]) -> Iterat
                 f"the gain of {joint} is {fit.gain_ratio[k]:.2g} times what those of the other "
                 "joints lead to expect; check that servo's settings, and the masses of the links"
             )
-        if moves[k] and not result.has_servo[k]:
+        if fit.is_known[k] and not np.isfinite(actuators.stiffness[k]):
             yield (
                 f"the model has no position actuator on {joint}: the gain of {gain:.3g} N·m/rad is "
                 "printed, but not written"
             )
         if result.limit_share[k] > OFTEN_LIMITED:
             yield (
-                f"the servo of {joint} asks for more than its limit of {limit[k]:.3g} N·m (the "
-                f"model's) in {100.0 * result.limit_share[k]:.0f} % of the time: what is found "
-                "rests on that limit"
+                f"the servo of {joint} asks for more than its limit of {actuators.limit[k]:.3g} "
+                f"N·m (the model's) in {100.0 * result.limit_share[k]:.0f} % of the time: what is "
+                "found rests on that limit"
             )
 
 
@@ -301,16 +292,58 @@ def run_servo(
     with locked_folder(folder, progress):
         result, poses = identify_servos(robot, logs, progress)
         progress.note(*result.notes)
+        fault = servo_fault(result.rollout, result.goal_errors)
+        failure = None
+        if fault is not None and "rollout" not in logs.accept:
+            failure = f"no model was written: {fault}; to write it all the same: --accept rollout"
         with file_access.atomic_files() as files:
             # No torque was measured, so there is no residual to state.
             target = ModelTarget(files, folder, poses, rmse=0.0, mesh_dir=mesh_dir)
-            outcome = _write_results(result, target, "rollout" in logs.accept)
-            model_files = read_document(robot.path).contents
-            protected = [*filter(None, input_files), *model_files]
-            notes = remove_earlier(files, folder, outcome.files, protected)
-    # The notes that were added when the model was written.
-    progress.note(*outcome.result.notes[len(result.notes) :], *notes)
-    return outcome
+            models: list[Path] = []
+            notes: list[str] = []
+            if failure is None:
+                try:
+                    _write_models(result, target, models, notes)
+                except ExportError as error:
+                    for model in models:
+                        files.withdraw(model)
+                    models.clear()
+                    failure = f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
+            result = replace(result, notes=(*result.notes, *notes))
+            path = folder / file_access.SERVO_NAME
+            files.write(path, json_text(result.json_content()))
+            written = (*models, path)
+            read = [*filter(None, input_files), *read_document(robot.path).contents]
+            notes += remove_earlier(files, folder, written, read)
+    progress.note(*notes)
+    lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
+    if failure is not None:
+        return Outcome(lines, (f"Not usable: {failure}",), failure, written, result)
+    judgement = f"Not usable, but written because of --accept rollout: {fault}"
+    if fault is None:
+        judgement = (
+            "Usable: position errors of the model, played on what was not fitted, are "
+            f"{result.rollout.score:.2g} times those before"
+        )
+    return Outcome(lines, (judgement, *use_lines(models[0])), None, written, result)
+
+
+def _write_models(
+    result: ServoIdentification,
+    target: ModelTarget,
+    models: list[Path],
+    notes: list[str],
+) -> None:
+    """Write the new model; append the paths of its files to ``models``, and notes for the user.
+
+    A URDF holds no rotor inertia, which the rollouts had: an MJCF is written, the URDF beside it.
+    ExportError where the numbers cannot be exported. The path of ``target`` is the folder.
+    """
+    for file_kind in dict.fromkeys(("mjcf", result.robot.kind)):
+        path = target.path / file_access.MODEL_NAMES[file_kind]
+        file = replace(target, path=path)
+        notes += write_joints(result.robot, *result.changes(), file, file_kind)
+        models.append(path)
 
 
 def identify_servos(
@@ -327,25 +360,23 @@ def identify_servos(
         logs: names the logs to fit, and the validation log if there is one.
         progress: receives each stage.
     """
-    measurement_logs = _open_logs(robot, logs.measurements, logs, progress)
-    pieces = commanded_pieces(measurement_logs, robot.joint_names)
-    fitted, held_out = split_pieces(pieces)
-    held_out_text = LAST_FIFTH
-    if logs.validation_measurements is not None:
-        fitted = pieces
-        paths = [logs.validation_measurements]
-        validation_logs = _open_logs(robot, paths, logs, progress)
-        refuse_fitted_log(validation_logs[0], measurement_logs)
-        held_out = commanded_pieces(validation_logs, robot.joint_names)
+    fitted_logs = _open_logs(robot, logs.measurements, logs, progress)
+    fitted = commanded_pieces(fitted_logs, robot.joint_names)
+    if logs.validation_measurements is None:
+        fitted, held_out = split_pieces(fitted)
+        held_out_text = LAST_FIFTH
+    else:
+        test_logs = _open_logs(robot, [logs.validation_measurements], logs, progress)
+        refuse_fitted_log(test_logs[0], fitted_logs)
+        held_out = commanded_pieces(test_logs, robot.joint_names)
         held_out_text = "the validation log"
     progress.stage("Searching for servos, friction and rotor inertia...")
-    moves = is_moving(fitted)
-    in_model = model_numbers(robot)
+    in_model = servos_in_model(robot).numbers
     equations = loop_equations(robot, fitted)
     goal_delay = equations.best_goal_delay()
     rollouts = ServoRollouts(robot)
     problem = make_problem(rollouts, fitted, _FITTED_WINDOWS, _WINDOW, _SETTLING_TIME)
-    found = refine_played(problem, fit_servos(robot, equations, moves), in_model)
+    found = refine_played(problem, fit_servos(robot, equations), in_model)
 
     # Where the model has no servo, its joint's damping is not that of both: what was found stands
     # for gain and damping.
@@ -353,7 +384,7 @@ def identify_servos(
     without = np.isnan(in_model[0])
     kept[:2, without] = found.numbers[:2, without]
     old = replace(found, numbers=kept)
-    is_new = moves
+    is_new = found.is_known
     while True:
         fit = replace(found, numbers=np.where(is_new, found.numbers, kept))
         pair = (old.servos, fit.servos)
@@ -361,8 +392,8 @@ def identify_servos(
             rollouts, held_out, pair, held_out_text, goal_delay
         )
         # Rollouts of what was fitted may only become worse where the equations miss something.
-        errors = (rollout_error(problem, pair), *rollout.errors)
-        is_worse = is_new & (worse_joints(errors[:1]) | worse_joints(errors[1:]))
+        is_worse = worse_joints([rollout_error(problem, pair)])
+        is_worse = is_new & (is_worse | worse_joints(rollout.errors))
         if "rollout" in logs.accept or not np.any(is_worse):
             break
         is_new = is_new & ~is_worse
@@ -372,13 +403,13 @@ def identify_servos(
         fit=fit,
         is_new=is_new,
         limit_share=np.mean(distance > chain_actuators(robot).limit, axis=0),
-        data=origin_of(measurement_logs),
+        data=origin_of(fitted_logs),
         rollout=rollout,
         goal_delay=goal_delay,
         goal_errors=goal_errors,
     )
-    notes = [note for log in measurement_logs for note in log.notes]
-    notes += servo_notes(result, moves)
+    notes = [note for log in fitted_logs for note in log.notes]
+    notes += servo_notes(result)
     q = equations.position[:: max(1, len(equations.position) // _POSES)]
     poses = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
     return replace(result, notes=tuple(dict.fromkeys(notes))), poses
@@ -394,54 +425,3 @@ def _open_logs(
         opened.append(open_log(robot, path, replace(logs, commanded=True), progress))
     refuse_repeated_logs((str(log.path), log.samples) for log in opened)
     return opened
-
-
-def _write_results(
-    result: ServoIdentification, target: ModelTarget, is_accepted: bool
-) -> Outcome:
-    """Write servo.json and the new model; return what was written, with the lines to print.
-
-    A URDF holds no rotor inertia, which the rollouts had: an MJCF is written, the URDF beside it.
-    The model is left out where the numbers are not usable and not accepted, or cannot be exported:
-    the outcome then has the reason, and its result the notes that were made while it was written.
-
-    Args:
-        result: the identification to write.
-        target: its path is the folder.
-        is_accepted: whether a model is written whatever held-out pieces say.
-    """
-    path = target.path / file_access.SERVO_NAME
-    fault = servo_fault(result.rollout, result.goal_errors)
-    failure = None
-    if fault is not None and not is_accepted:
-        failure = (
-            f"no model was written: {fault}; to write it all the same: --accept rollout"
-        )
-    models: list[Path] = []
-    if failure is None:
-        try:
-            for file_kind in dict.fromkeys(("mjcf", result.robot.kind)):
-                model = target.path / file_access.MODEL_NAMES[file_kind]
-                file = replace(target, path=model)
-                notes = write_joints(result.robot, *result.changes(), file, file_kind)
-                result = replace(result, notes=(*result.notes, *notes))
-                models.append(model)
-        except ExportError as error:
-            for model in models:
-                target.files.withdraw(model)
-            models = []
-            failure = (
-                f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
-            )
-    target.files.write(path, json_text(result.json_content()))
-    lines = (*servo_lines(result), f"Results saved to {folder_text(target.path)}")
-    verdict: tuple[str, ...] = (f"Not usable: {failure}",)
-    if failure is None:
-        judgement = f"Not usable, but written because of --accept rollout: {fault}"
-        if fault is None:
-            judgement = (
-                "Usable: position errors of the model, played on what was not fitted, are "
-                f"{result.rollout.score:.2g} times those before"
-            )
-        verdict = (judgement, *use_lines(models[0]))
-    return Outcome(lines, verdict, failure, (*models, path), result)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import MeasurementLog
@@ -40,20 +39,15 @@ def commanded_pieces(
     pieces = list[Measurement]()
     for log in logs:
         pieces += log.pieces
+        ranges = np.ptp(np.concatenate([piece.q for piece in log.pieces]), axis=0)
         commanded = [(p.q, p.command) for p in log.pieces if p.command is not None]
-        for joint in np.flatnonzero(is_moving(log.pieces)).tolist():
+        for joint in np.flatnonzero(ranges >= MOVING_RANGE).tolist():
             pairs = [(q[:, joint], command[:, joint]) for q, command in commanded]
             for fault in _command_faults(pairs):
                 raise InputError(
                     f"{log.path}: the commands of joint {joint_names[joint]} {fault}"
                 )
     return pieces
-
-
-def is_moving(pieces: Sequence[Measurement]) -> NDArray[np.bool_]:
-    """Return whether each joint (n,) moves in pieces of logs: by ``MOVING_RANGE`` at least."""
-    q = np.concatenate([piece.q for piece in pieces])
-    return np.asarray(np.ptp(q, axis=0) >= MOVING_RANGE)
 
 
 def _command_faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:

@@ -5,7 +5,7 @@ links' torque tau:
 
     K (command(t - delay) - q) = A qdd + D qd + f sign(qd) + tau(q, qd, qdd).
 
-Divided by K it is a list of terms of the position error: A/K, D/K, f/K and 1/K, errors of the
+Divided by K it is a list of terms of the position error: 1/K, D/K, f/K and A/K, errors of the
 links, and the delay. Each has columns and a prior, and one linear fit with bounds has them all. 1/K
 shows only where the links' torque is no small part. Elsewhere it comes from its prior: the gains of
 the other joints, because servos of one arm are alike. What is found of a joint stays together, so
@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.estimate.fit import solve
 from robot_sysid.estimate.links import model_link_factor
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.servo.windows import MAX_DELAY_PERIODS, ServoProblem, smooth_states
@@ -46,7 +47,12 @@ servos of one arm are of one kind, and set alike."""
 UNKNOWN_GAIN = 1.5
 """The same of all gains together, and of one about the others where the model has none."""
 LARGEST_ERROR = 1.0 / 3.0
-"""Relative standard error up to which a number is identified."""
+"""Relative standard error up to which a number is identified, and up to which a joint's resistance
+at ``USUAL_SPEED`` is known well enough for its numbers to be written."""
+USUAL_SPEED = 1.0
+"""Speed of joints in the motions that a model is used for [rad/s]."""
+CREEP = 0.1
+"""Speed below which dry friction creeps, in MuJoCo as on arms, and looks like damping [rad/s]."""
 DELAY_ERROR = 0.05
 """Standard error of the delay that sampling leaves, in sampling periods."""
 FAST_PRIOR = 1.0
@@ -75,70 +81,10 @@ _EVALUATIONS = 5
 
 _CENTRE = 5.0
 """Unknown of a number that is as in the model: far from zero, as relative steps need."""
-_SAME_DELAY = 1e-6
-"""Standard deviation of a joint's own delay about the common one [s]: none."""
 _DELAY_STEPS = 4
 """Number of fits that lead to the delay; each is linear in it."""
 _DEFAULT_RATE = 20.0
 """Bandwidth of a servo of which the model says nothing [rad/s]."""
-
-
-@dataclass(frozen=True)
-class Term:
-    """One cause of a joint's position error.
-
-    Attributes:
-        columns: (M, k) derivative of the position error [rad] by its values.
-        mean, deviation: (k,) their prior; an infinite deviation leaves them free.
-        lower: their lower bound.
-    """
-
-    columns: Array
-    mean: Array
-    deviation: Array
-    lower: float = 0.0
-
-
-def fit_terms(
-    terms: Sequence[Term], held: Array, error: Array, is_moving: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Return the values of terms (p,) that explain a position error, and their covariance.
-
-    Bounded least squares with priors, of the samples nearest to their commands first, then of all
-    that are no outliers.
-
-    Args:
-        terms: the causes.
-        held: (M, h) position error by one standard deviation of each cause that a model file cannot
-            hold: none of it is fitted, all of it is in the covariance [rad].
-        error: (M,) position error [rad].
-        is_moving: (M,) the samples in which the terms hold.
-    """
-    from scipy.optimize import lsq_linear
-
-    columns = np.hstack([term.columns for term in terms])
-    mean = np.hstack([term.mean for term in terms])
-    deviation = np.hstack([term.deviation for term in terms])
-    lower = np.hstack([np.full(len(term.mean), term.lower) for term in terms])
-    size = np.sqrt(np.mean(columns[is_moving] ** 2, axis=0)) + 1e-12
-    columns = columns / size
-    prior = np.column_stack((np.diag(1.0 / size), mean)) / deviation[:, None]
-    sure_error = np.quantile(np.abs(error[is_moving]), _SURE_SHARE)
-    is_used = is_moving & (np.abs(error) <= sure_error)
-    residual = float(np.sqrt(np.mean(error[is_used] ** 2))) + 1e-9
-    for _ in range(3):
-        weight = 1.0 / (residual * np.sqrt(_CORRELATED_SAMPLES))
-        rows = weight * np.column_stack((columns[is_used], error[is_used]))
-        _, triangle = np.linalg.qr(np.vstack((rows, prior)))
-        bounds = (lower * size, np.inf)
-        solution = lsq_linear(triangle[:, :-1], triangle[:, -1], bounds, "bvls").x
-        deviations = np.abs(error - columns @ solution)
-        residual = float(np.sqrt(np.mean(deviations[is_used] ** 2))) + 1e-9
-        by_held = rows[:, :-1].T @ held[is_used] * weight
-        is_used = is_moving & (deviations <= _OUTLIER * residual)
-    root = np.linalg.pinv(triangle[:, :-1])
-    spread = np.hstack((root, root @ root.T @ by_held)) / size[:, None]
-    return solution / size, spread @ spread.T
 
 
 @dataclass(frozen=True)
@@ -153,7 +99,6 @@ class LoopEquations:
         is_moving: (M, n) whether a joint moves, so that its friction has the sign of its velocity;
             never in the beginning of a piece, whose commands are not known.
         link_columns: (M, n, L) torque by one standard deviation of each of L link errors [N m].
-        inertia: (n,) of the links at each joint [kg m^2].
     """
 
     pieces: tuple[Measurement, ...]
@@ -162,7 +107,6 @@ class LoopEquations:
     columns: Array
     is_moving: NDArray[np.bool_]
     link_columns: Array
-    inertia: Array
 
     def distances(self, delay: float) -> Array:
         """Return the distance (M, n) from each position to its command of ``delay`` [s] before."""
@@ -195,30 +139,25 @@ def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEqua
         q, _ = smooth_states(piece)
         # A central difference is the mean velocity over two samples: the other terms are averaged
         # over them as well, once for each difference.
-        qd = _average(np.gradient(q, piece.time, axis=0))
-        qdd = np.gradient(np.gradient(q, piece.time, axis=0), piece.time, axis=0)
+        slope = np.gradient(q, piece.time, axis=0)
+        qd = _average(slope)
+        qdd = np.gradient(slope, piece.time, axis=0)
         q = _average(_average(q))
         motion = dynamics.motion(q, qd, qdd)
         torque = motion.torque(robot.thetas)
-        inertial = torque - dynamics.motion(q, qd, 0.0 * qdd).torque(robot.thetas)
         columns = np.stack((torque, qd, np.sign(qd), qdd), axis=-1)
         is_inner = np.arange(len(q)) >= MAX_DELAY_PERIODS
-        rows.append((q, columns, is_inner, motion.columns(links) @ factor, inertial))
-    position, columns, is_inner, link_columns, inertial = map(
-        np.concatenate, zip(*rows)
-    )
+        rows.append((q, columns, is_inner, motion.columns(links) @ factor))
+    position, columns, is_inner, link_columns = map(np.concatenate, zip(*rows))
     speed = np.abs(columns[:, :, 1])
-    is_fast = speed > 0.1 * np.sqrt(np.mean(speed**2, axis=0))
-    qdd = columns[:, :, 3]
-    inertia = np.sum(inertial * qdd, axis=0) / (np.sum(qdd**2, axis=0) + 1e-12)
+    least = np.maximum(0.1 * np.sqrt(np.mean(speed**2, axis=0)), CREEP)
     return LoopEquations(
         pieces=commanded,
         period=float(np.median([sampling_period(piece.time) for piece in commanded])),
         position=position,
         columns=columns,
-        is_moving=is_fast & (is_inner[:, None] > 0),
+        is_moving=(speed > least) & (is_inner[:, None] > 0),
         link_columns=link_columns,
-        inertia=np.maximum(inertia, 1e-6),
     )
 
 
@@ -227,6 +166,46 @@ def _average(values: Array) -> Array:
     from scipy.ndimage import convolve1d
 
     return np.asarray(convolve1d(values, [0.25, 0.5, 0.25], axis=0, mode="nearest"))
+
+
+def fit_joint(
+    columns: Array, mean: Array, deviation: Array, links: Array, error: Array
+) -> tuple[Array, Array]:
+    """Return the values (p,) of terms that explain a joint's position error, and their covariance.
+
+    They are solved from the samples nearest to their commands first, then from all that are no
+    outliers. The first is that of torque; all but the last are not negative.
+
+    Args:
+        columns: (M, p) derivative of the position error by the values [rad].
+        mean, deviation: (p,) what is known of the values.
+        links: (M, L) torque by one standard deviation of each link error [N m], which the model
+            file keeps: none of it is fitted, all of it is in the covariance.
+        error: (M,) position error [rad].
+    """
+    prior = np.column_stack((np.eye(len(mean)), mean)) / deviation[:, None]
+    rows = np.column_stack((columns, error))
+    is_used = np.abs(error) <= np.quantile(np.abs(error), _SURE_SHARE)
+    noise = _rms(error[is_used])
+    for _ in range(3):
+        weight = 1.0 / (noise * np.sqrt(_CORRELATED_SAMPLES))
+        weighted = weight * rows[is_used]
+        normal = weighted.T @ weighted + prior.T @ prior
+        is_kept = np.ones(len(mean), dtype=bool)
+        for _ in mean:
+            values, inverse = solve(normal, np.where(is_kept, mean, 0.0), is_kept)
+            is_kept[:-1] &= values[:-1] > 0.0
+        by_links = weight * values[0] * links[is_used]
+        spread = inverse @ weighted[:, :-1].T @ by_links
+        residual = np.abs(error - columns @ values)
+        noise = _rms(residual[is_used])
+        is_used = residual <= _OUTLIER * noise
+    return values, inverse + spread @ spread.T
+
+
+def _rms(values: Array) -> float:
+    """Return the root mean square of values, a little more than zero."""
+    return float(np.sqrt(np.mean(values**2))) + 1e-9
 
 
 @dataclass(frozen=True)
@@ -240,6 +219,7 @@ class ServoFit:
         gain_ratio: (n,) gain over what the other joints lead to expect.
         has_scale: (n,) whether the links' torque shows the gain.
         is_fast: (n,) whether the samples do not resolve the motion of the servo.
+        is_known: (n,) whether a joint moves enough to show its numbers.
     """
 
     numbers: Array
@@ -249,77 +229,68 @@ class ServoFit:
     gain_ratio: Array
     has_scale: NDArray[np.bool_]
     is_fast: NDArray[np.bool_]
+    is_known: NDArray[np.bool_]
 
     @property
     def servos(self) -> ServoParameters:
         """The numbers and the delay, as a model is played with them."""
-        return ServoParameters.from_vector(np.append(self.numbers, self.delay))
+        stiffness, damping, frictionloss, armature = self.numbers
+        return ServoParameters(stiffness, damping, frictionloss, armature, self.delay)
 
 
-def model_numbers(robot: RobotModel) -> Array:
-    """Return the model's numbers (4, n), as in ``ServoFit``; NaN gains without a servo."""
-    return servos_in_model(robot).vector()[:-1].reshape(4, -1)
-
-
-def fit_servos(
-    robot: RobotModel, equations: LoopEquations, moves: NDArray[np.bool_]
-) -> ServoFit:
+def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
     """Return the servo numbers that solve the equations best, with one delay for all joints.
 
     The delay is found first. Links then show the gains of the joints that carry them, and the
     others' are taken to be like these. Joints that do not move keep the model's numbers.
-
-    Args:
-        robot: the arm as in the model file.
-        equations: the equations of all joints.
-        moves: (n,) which joints move.
     """
-    in_model = model_numbers(robot)
+    in_model = servos_in_model(robot).numbers
+    inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature
     has_gain = np.isfinite(in_model[0])
-    usual = np.median(equations.inertia) * _DEFAULT_RATE**2
+    usual = np.median(inertia) * _DEFAULT_RATE**2
     if np.any(has_gain):
         usual = np.median(in_model[0, has_gain])
     gain = np.where(has_gain, in_model[0], usual)
-    # Of each joint 1/K, D/K, f/K, A/K, and the error of the delay while that is free.
+    moves = np.any(equations.is_moving, axis=0)
+    # Of each joint 1/K, D/K, f/K, A/K, and its delay beyond the common one.
     values = np.zeros((len(moves), 5))
     covariances = np.zeros((len(moves), 5, 5))
-    delay_error = DELAY_ERROR * equations.period
+    period = equations.period
 
-    def fit_joints(delay: float, deviation: float, gain_error: Array) -> None:
-        """Set values and covariances of the joints that move, with own delays or one for all."""
+    def fit_joints(delay: float, own_delay: float, gain_error: Array) -> None:
+        """Set values and covariances of the joints that move, by what is known of two of them."""
         distances = equations.distances(delay)
-        step = 0.25 * equations.period
+        step = 0.25 * period
         slopes = (equations.distances(delay + step) - distances) / step
         for k in np.flatnonzero(moves).tolist():
-            columns = equations.columns[:, k]
-            mean = np.append(1.0, in_model[1:, k]) / gain[k]
+            at = equations.is_moving[:, k]
+            columns = np.column_stack((equations.columns[at, k], slopes[at, k]))
+            error = distances[at, k]
+            mean = np.array([1.0, *in_model[1:, k], 0.0]) / gain[k]
             # Beside the gain, a term may be as large as the whole distance.
-            widths = np.std(distances[:, k]) / (np.std(columns, axis=0) + 1e-12) + mean
-            widths[0] = gain_error[k] / gain[k]
-            terms = (
-                Term(columns, mean, widths),
-                Term(slopes[:, [k]], np.zeros(1), np.full(1, deviation), -np.inf),
-            )
-            by_links = values[k, 0] * equations.link_columns[:, k]
-            held = np.column_stack((delay_error * slopes[:, k], by_links))
-            values[k], covariances[k] = fit_terms(
-                terms, held, distances[:, k], equations.is_moving[:, k]
+            deviation = np.std(error) / (np.std(columns, axis=0) + 1e-12) + mean
+            deviation[0] = gain_error[k] / gain[k]
+            deviation[-1] = own_delay
+            links = equations.link_columns[at, k]
+            values[k], covariances[k] = fit_joint(
+                columns, mean, deviation, links, error
             )
 
-    delay = equations.period
+    delay = period
     free = np.full(len(moves), np.inf)
     for _ in range(_DELAY_STEPS):
         fit_joints(delay, np.inf, free)
         shift = float(np.median(values[moves, 4]))
-        delay = min(max(delay - shift, 0.0), MAX_DELAY_PERIODS * equations.period)
-    fit_joints(delay, _SAME_DELAY, free)
+        delay = min(max(delay - shift, 0.0), MAX_DELAY_PERIODS * period)
+    delay_error = DELAY_ERROR * period
+    fit_joints(delay, delay_error, free)
     inverse = values[:, 0]
     has_scale = moves & (np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * inverse)
     gain_error = np.full(len(moves), UNKNOWN_GAIN)
     if np.any(has_scale):
         gain *= np.median(1.0 / (inverse * gain)[has_scale])
         gain_error[has_gain] = OWN_GAIN
-    fit_joints(delay, _SAME_DELAY, gain_error)
+    fit_joints(delay, delay_error, gain_error)
 
     found = 1.0 / np.maximum(values[:, 0], 1e-9)
     numbers = found * values[:, :4].T
@@ -328,7 +299,11 @@ def fit_servos(
     slopes = found[:, None, None] * np.eye(4, 5)
     slopes[:, :, 0] = -(numbers * found).T
     variance = np.einsum("kij,kjl,kil->ik", slopes, covariances, slopes)
-    turn = equations.period * np.sqrt(found / (numbers[3] + equations.inertia))
+    turn = period * np.sqrt(found / (numbers[3] + inertia))
+    is_fast = moves & (turn > LARGEST_TURN)
+    # Over the gain, by which all numbers of the joint are off alike.
+    at_speed = np.array([0.0, USUAL_SPEED, 1.0, 0.0, 0.0])
+    doubt = np.sqrt(at_speed @ covariances @ at_speed)
     return ServoFit(
         numbers=np.where(moves, numbers, in_model),
         errors=np.where(moves, np.sqrt(variance), 0.0),
@@ -336,7 +311,8 @@ def fit_servos(
         delay_error=delay_error,
         gain_ratio=found / gain,
         has_scale=has_scale,
-        is_fast=moves & (turn > LARGEST_TURN),
+        is_fast=is_fast,
+        is_known=is_fast | (moves & (doubt < LARGEST_ERROR * (values @ at_speed))),
     )
 
 

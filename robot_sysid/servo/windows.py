@@ -1,5 +1,9 @@
 """Windows of an arm's logs, played with a model's servos: how far off are the positions?
 
+Played are windows that are fitted, and held-out pieces, by the servos before and after: the
+judgement of what is written. A model that predicts positions no better than "position equals the
+command of some time before" is of no use, however much better than the model before it is.
+
 n is the number of joints, M the number of samples in all windows.
 """
 
@@ -9,12 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
-from robot_sysid.results.prediction import split_time
+from robot_sysid.results.prediction import HELD_OUT_SHARE, HORIZONS
+from robot_sysid.results.record import RolloutError, RolloutTest
 from robot_sysid.signals.resampling import sampling_period, slice_samples
 from robot_sysid.simulation.playback import (
+    MAX_WINDOWS,
     STEP,
     ServoParameters,
     ServoRollouts,
@@ -26,6 +33,17 @@ SMOOTHING_TIME = 0.12
 """Length of the parabolas that give the start state from encoder steps [s]."""
 MAX_DELAY_PERIODS = 10
 """Largest delay of the commands that is searched for, in sampling periods."""
+ROLLOUT_INPUT = (
+    "the log's commands through the model's servos, both late by the delay that was "
+    "found"
+)
+"""What drives the rollouts that compare two models, as printed."""
+WORSE = 1.05
+"""Error of a joint over that before, from which on it became worse: encoder steps alone, which both
+errors hold, make them differ by less."""
+
+FLOOR = 5e-4
+"""Error that encoder steps hide: a third of a step of 4096 a turn [rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -49,18 +67,12 @@ class ServoProblem:
         Where a rollout has diverged the error is pi.
         """
         starts = [window for window, _, _ in self.windows]
-        _, times, measured = zip(*self.windows)
-        # Index of each sample's window, and of the step before it.
-        window = np.repeat(np.arange(len(times)), list(map(len, times)))
-        # The rollout is interpolated linearly between its steps.
-        step_count = np.concatenate(times) / (self.edges[1] - self.edges[0])
-        step = np.minimum(step_count.astype(int), len(self.edges) - 2)
-        fraction = (step_count - step)[:, None]
-        target = np.concatenate(measured)
         errors = []
         for q in self.rollouts.positions(candidates, starts, self.edges):
-            played = (1.0 - fraction) * q[window, step] + fraction * q[window, step + 1]
-            errors.append(np.nan_to_num(played - target, nan=np.pi))
+            parts = []
+            for played, (_, times, measured) in zip(q, self.windows):
+                parts.append(interpolate(times, self.edges, played) - measured)
+            errors.append(np.nan_to_num(np.concatenate(parts), nan=np.pi))
         return np.stack(errors)
 
     def goal_errors(self, delay: float) -> Array:
@@ -139,7 +151,97 @@ def split_pieces(
     fitted = []
     held_out = []
     for piece in pieces:
-        index = int(np.searchsorted(piece.time, split_time(piece), "right"))
+        index = round((1.0 - HELD_OUT_SHARE) * len(piece))
         fitted.append(slice_samples(piece, 0, index))
         held_out.append(slice_samples(piece, index, len(piece)))
     return fitted, held_out
+
+
+def play_servos(
+    rollouts: ServoRollouts,
+    pieces: Sequence[Measurement],
+    pair: Sequence[ServoParameters],
+    held_out: str,
+    goal_delay: float,
+) -> tuple[RolloutTest, tuple[float, ...]]:
+    """Return the position errors of two sets of servo parameters that play held-out pieces of logs,
+    and those of positions that equal the commands of ``goal_delay`` before, one per horizon [rad].
+
+    The pieces are cut into windows of each length of ``HORIZONS``. A length for which no piece with
+    commands is long enough (the InputError of ``make_problem``) is left out, with a note.
+
+    Args:
+        rollouts: play the windows on the arm's model; they are left with the last parameters.
+        pieces: pieces of logs that were not fitted.
+        pair: the parameters before and after identification.
+        held_out: name of these pieces in printed lines.
+        goal_delay: time by which positions lag behind commands [s].
+    """
+    errors = []
+    goal_errors = []
+    notes = []
+    for horizon in HORIZONS:
+        try:
+            problem = make_problem(rollouts, pieces, MAX_WINDOWS, horizon)
+        except InputError:  # the only reason: no window fits into a piece with commands
+            notes.append(f"no held-out piece has commands for {horizon:g} s")
+            continue
+        errors.append(rollout_error(problem, pair))
+        goal_errors.append(
+            float(np.sqrt(np.mean(problem.goal_errors(goal_delay) ** 2)))
+        )
+    names = rollouts.robot.joint_names
+    test = RolloutTest(names, held_out, ROLLOUT_INPUT, tuple(errors), tuple(notes))
+    return test, tuple(goal_errors)
+
+
+def rollout_error(
+    problem: ServoProblem, pair: Sequence[ServoParameters]
+) -> RolloutError:
+    """Return the root mean square errors of two sets of servo parameters in windows."""
+    old, new = np.sqrt(np.mean(problem.errors(pair) ** 2, axis=1))
+    horizon = float(problem.edges[-1])
+    return RolloutError(horizon, len(problem.windows), old, new)
+
+
+def worse_joints(errors: Sequence[RolloutError]) -> NDArray[np.bool_]:
+    """Return whether the positions of each joint (n,) are predicted worse than before.
+
+    By the geometric mean over all errors; none is worse without any.
+    """
+    excess: Array | float = 0.0
+    for error in errors:
+        ratio = (error.errors_after + FLOOR) / (error.errors_before + FLOOR)
+        excess = excess + np.log(ratio / WORSE)
+    return np.asarray(excess) > 0.0
+
+
+def servo_fault(test: RolloutTest, goal_errors: Sequence[float]) -> str | None:
+    """Return why identified servos are not usable, or None.
+
+    They must predict held-out positions better than the model before and than the delayed commands
+    themselves, over every horizon that was played, and no joint's worse.
+
+    Args:
+        test: the models before and after, played on held-out pieces.
+        goal_errors: errors of the prediction by the commands, one per horizon [rad].
+    """
+    if not test.errors:
+        return f"nothing could be played on held-out pieces ({'; '.join(test.notes)})"
+    faults = []
+    for error, goal_error in zip(test.errors, goal_errors):
+        old_error, new_error = error.overall
+        rivals = {"the model before": old_error, "the delayed commands": goal_error}
+        for name, rival_error in rivals.items():
+            if new_error >= rival_error:
+                faults.append(
+                    f"{new_error:.3g} rad over {error.horizon:g} s, {name} {rival_error:.3g}"
+                )
+    for k in np.flatnonzero(worse_joints(test.errors)):
+        faults.append(f"{test.joint_names[k]} is predicted worse than before")
+    if not faults:
+        return None
+    return (
+        "on held-out pieces the new model does not predict positions better than what is there "
+        f"without it ({'; '.join(faults)})"
+    )

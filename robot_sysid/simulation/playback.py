@@ -219,16 +219,10 @@ class ServoParameters:
     armature: Array
     delay: float
 
-    def vector(self) -> Array:
-        """Return all numbers as one vector (4 n + 1,), in the order of the attributes."""
-        return np.hstack(astuple(self))
-
-    @staticmethod
-    def from_vector(vector: Array) -> ServoParameters:
-        """Return the parameters that a vector (4 n + 1,) from ``vector()`` holds."""
-        stiffness, damping, frictionloss, armature = np.split(vector[:-1], 4)
-        delay = float(vector[-1])
-        return ServoParameters(stiffness, damping, frictionloss, armature, delay)
+    @property
+    def numbers(self) -> Array:
+        """All numbers but the delay (4, n), in the order of the attributes."""
+        return np.stack(astuple(self)[:-1])
 
 
 @dataclass(frozen=True)

@@ -167,7 +167,7 @@ def test_servos_are_the_same_beside_other_actuators_and_as_pid_controllers(servo
     plain = robot_of(XML)
     other = robot_of(XML.replace(SERVOS, servos))
     models = [playback.servos_in_model(robot) for robot in (plain, other)]
-    np.testing.assert_array_equal(models[0].vector(), models[1].vector())
+    np.testing.assert_array_equal(models[0].numbers, models[1].numbers)
     for candidate in (models[0], TRUTH):
         expected = play(plain, candidate)[0]
         np.testing.assert_allclose(play(other, candidate)[0], expected, atol=1e-9)
