@@ -24,8 +24,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
 from robot_sysid.servo import UNITS, run_servo
 from robot_sysid.servo.commands import commanded_pieces
-from robot_sysid.servo.windows import play_servos
-from robot_sysid.servo.windows import split_pieces
+from robot_sysid.servo.windows import play_servos, split_pieces
 from robot_sysid.simulation.playback import ServoRollouts, servos_in_model
 from tests.support.places import MODELS
 

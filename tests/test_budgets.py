@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 6940,
     "robot_sysid/records": 9124,
     "robot_sysid/report": 8319,
-    "robot_sysid/results": 14831,
-    "robot_sysid/servo": 7022,
+    "robot_sysid/results": 14784,
+    "robot_sysid/servo": 6522,
     "robot_sysid/signals": 7461,
-    "robot_sysid/simulation": 4626,
+    "robot_sysid/simulation": 4577,
     "robot_sysid": 12379,
-    "tests": 240570,
+    "tests": 240596,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
