@@ -30,7 +30,7 @@ BUDGETS = {
     "robot_sysid/records": 9124,
     "robot_sysid/report": 8319,
     "robot_sysid/results": 14784,
-    "robot_sysid/servo": 6522,
+    "robot_sysid/servo": 6529,
     "robot_sysid/signals": 7461,
     "robot_sysid/simulation": 4577,
     "robot_sysid": 12379,

@@ -302,13 +302,7 @@ def run_servo(
             models: list[Path] = []
             notes: list[str] = []
             if failure is None:
-                try:
-                    _write_models(result, target, models, notes)
-                except ExportError as error:
-                    for model in models:
-                        files.withdraw(model)
-                    models.clear()
-                    failure = f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
+                failure = _write_models(result, target, models, notes)
             result = replace(result, notes=(*result.notes, *notes))
             path = folder / file_access.SERVO_NAME
             files.write(path, json_text(result.json_content()))
@@ -333,17 +327,24 @@ def _write_models(
     target: ModelTarget,
     models: list[Path],
     notes: list[str],
-) -> None:
+) -> str | None:
     """Write the new model; append the paths of its files to ``models``, and notes for the user.
 
     A URDF holds no rotor inertia, which the rollouts had: an MJCF is written, the URDF beside it.
-    ExportError where the numbers cannot be exported. The path of ``target`` is the folder.
+    Returned is why the numbers cannot be exported, or None. The path of ``target`` is the folder.
     """
     for file_kind in dict.fromkeys(("mjcf", result.robot.kind)):
         path = target.path / file_access.MODEL_NAMES[file_kind]
         file = replace(target, path=path)
-        notes += write_joints(result.robot, *result.changes(), file, file_kind)
+        try:
+            notes += write_joints(result.robot, *result.changes(), file, file_kind)
+        except ExportError as error:
+            for model in models:
+                target.files.withdraw(model)
+            models.clear()
+            return f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
         models.append(path)
+    return None
 
 
 def identify_servos(
