@@ -5,22 +5,20 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
-import pkgutil
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import InputError, ModelError, error_text
-from robot_sysid.model.actuators import has_own_friction
-from robot_sysid.model.bodies import arm_links, subtree_bodies
+from robot_sysid.model.bodies import arm_links, count_moving_joints, subtree_bodies
 from robot_sysid.model.chain import (
     arm_without_base,
     body_label,
@@ -94,7 +92,6 @@ def robot_from_compiled(
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
     bodies = subtree_bodies(mj_model, qpos, body)
-    mending_notes = _mending_notes(compiled, path, chain)
     speeds = [compiled.velocity_limits.get(name) for name in names]
     robot = RobotModel(
         path=path,
@@ -113,15 +110,20 @@ def robot_from_compiled(
         bodies=bodies,
         friction=joint_friction(mj_model, dofs),
         links=arm_links(mj_model, qpos, chain),
-        notes=(
-            *compiled.notes,
-            *mending_notes,
-            *(_jaw_notes(mj_model, terminal) if joint is None else ()),
-            *_notes(mj_model, keyframe_id, carriers, chain),
-        ),
+        notes=compiled.notes,
     )
     refuse_cad_units(robot)
-    return replace(robot, notes=(*robot.notes, *_damping_notes(robot)))
+    notes = [*robot.notes, *_mending_notes(robot, compiled.inertia_increases)]
+    if joint is None:
+        notes += _jaw_notes(mj_model, terminal)
+    if keyframe_id is None and mj_model.nkey:
+        keyframes = ", ".join(_keyframe_names(mj_model))
+        none = "of several keyframes none is called home, so all joints start at their zero"
+        notes.append(f"{none}; --keyframe chooses one of {keyframes}")
+    base = ", ".join(joint_label(mj_model, j) for j in carriers if j not in chain)
+    if base:
+        notes.append(f"{base} drive a mobile base, which is taken to stand still")
+    return replace(robot, notes=(*notes, *_notes_on_what_is_left_out(robot)))
 
 
 def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
@@ -165,44 +167,37 @@ _ROUNDING = 1e-5
 and by which moments are raised without a word."""
 
 
-def _mending_notes(
-    compiled: CompiledModel, path: Path, chain: tuple[int, ...]
-) -> tuple[str, ...]:
-    """Return a sentence on links whose impossible moments of inertia were raised, if any.
+def _mending_notes(robot: RobotModel, increases: Mapping[str, float]) -> Iterator[str]:
+    """Yield a sentence on links whose impossible moments of inertia were raised, if any.
 
-    Args:
-        compiled: the model; its ``inertia_increases`` names the links.
-        path: of the model file, for the error.
-        chain: ids of the arm's joints, base to terminal.
+    ModelError where the arm moves such a link, so that its inertia counts.
 
-    Raises:
-        ModelError: a joint of the arm moves such a link, so that its inertia counts.
+    ``increases``: link to what was added to its moments of inertia [kg m^2].
     """
-    mj_model = compiled.mj_model
-    moved_by_arm = subtree(mj_model, int(mj_model.jnt_bodyid[chain[0]]))
-    names = {body_label(mj_model, body) for body in moved_by_arm}
-    remedies = []
-    mended_links = []
-    for name, increase in compiled.inertia_increases.items():
-        if increase <= _ROUNDING * np.max(mj_model.body(name).inertia):
-            continue
-        if name in names:
-            remedies.append(f"add {increase:g} to ixx, iyy and izz of link '{name}'")
-        else:
-            mended_links.append(f"'{name}'")
-    if remedies:
-        raise ModelError(
-            f"{path}: no body has the moments of inertia that links of the arm have here, and "
-            f"MuJoCo refuses them; correct their <inertia>, or {', '.join(remedies)} [kg m^2], "
-            "which is the nearest possible"
+    model = robot.mj_model
+    raised = []
+    for name, increase in increases.items():
+        if increase > _ROUNDING * np.max(model.body(name).inertia):
+            raised.append(name)
+    moved = subtree(model, robot.links[0].body_id)
+    of_arm = [name for name in raised if model.body(name).id in moved]
+    if of_arm:
+        remedies = ", ".join(
+            f"add {increases[name]:g} to ixx, iyy and izz of link '{name}'"
+            for name in of_arm
         )
-    if not mended_links:
-        return ()
-    return (
-        f"no body has the moments of inertia of link {', '.join(mended_links)}, and MuJoCo refuses "
-        "them; the arm moves none of these links, so the nearest possible ones are used, in a "
-        "written model too",
-    )
+        raise ModelError(
+            f"{robot.path}: no body has the moments of inertia that links of the arm have here, "
+            f"and MuJoCo refuses them; correct their <inertia>, or {remedies} [kg m^2], which is "
+            "the nearest possible"
+        )
+    if raised:
+        listed = "', '".join(raised)
+        yield (
+            f"no body has the moments of inertia of link '{listed}', and MuJoCo refuses them; the "
+            "arm moves none of these links, so the nearest possible ones are used, in a written "
+            "model too"
+        )
 
 
 def _jaw_notes(mj_model: Any, terminal: int) -> Iterator[str]:
@@ -216,46 +211,21 @@ def _jaw_notes(mj_model: Any, terminal: int) -> Iterator[str]:
         )
 
 
-def _notes(
-    mj_model: Any,
-    keyframe_id: int | None,
-    carriers: tuple[int, ...],
-    chain: tuple[int, ...],
-) -> Iterator[str]:
-    """Yield sentences on assumptions, and on parts of the model that the analysis leaves out.
-
-    Args:
-        keyframe_id: index of the keyframe at rest, or None.
-        carriers: ids of all joints from the world to the terminal one.
-        chain: those of them that belong to the arm.
-    """
-    if keyframe_id is None and mj_model.nkey:
-        names = ", ".join(_keyframe_names(mj_model))
-        none = "of several keyframes none is called home, so all joints start at their zero"
-        yield f"{none}; --keyframe chooses one of {names}"
-    base = ", ".join(joint_label(mj_model, j) for j in carriers if j not in chain)
-    if base:
-        yield f"{base} drive a mobile base, which is taken to stand still"
+def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
+    """Yield sentences on parts of the model that the analysis leaves out."""
+    mj_model = robot.mj_model
     is_joint_equality = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
     partners = np.stack((mj_model.eq_obj1id, mj_model.eq_obj2id))[:, is_joint_equality]
-    coupled = [joint_label(mj_model, joint) for joint in chain if joint in partners]
+    joints = mj_model.dof_jntid[robot.dof_index].tolist()
+    coupled = [joint_label(mj_model, joint) for joint in joints if joint in partners]
     if coupled:
         ignored = f"equality constraints on {', '.join(coupled)} are ignored"
         yield f"{ignored}: every chain joint is taken to be driven by itself"
-    if any(_closes_a_loop(mj_model, chain, eq) for eq in range(mj_model.neq)):
+    link_of_body = count_moving_joints(robot)
+    if any(one != other for one, other in link_of_body[_tied_bodies(mj_model)]):
         yield "connect or weld constraints that make the arm a closed loop are ignored"
-    rubbing = [joint_label(mj_model, j) for j in chain if has_own_friction(mj_model, j)]
-    if rubbing:
-        yield (
-            f"friction of the actuators on {', '.join(rubbing)} (lugre) is left out: all friction "
-            "that a log shows becomes the joint's, so remove theirs from a written model"
-        )
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
-
-
-def _damping_notes(robot: RobotModel) -> Iterator[str]:
-    """Yield a sentence where joints have nonlinear damping, which is not identified."""
     is_nonlinear = np.any(robot.nonlinear_damping, axis=1)
     if np.any(is_nonlinear):
         names = ", ".join(robot.joint_names[k] for k in np.flatnonzero(is_nonlinear))
@@ -265,28 +235,15 @@ def _damping_notes(robot: RobotModel) -> Iterator[str]:
         )
 
 
-def _closes_a_loop(mj_model: Any, chain: tuple[int, ...], eq: int) -> bool:
-    """Return whether a constraint ties a link of the arm to a body off that link.
-
-    Args:
-        mj_model: the compiled model.
-        chain: ids of the arm's joints.
-        eq: id of the equality constraint.
-    """
+def _tied_bodies(mj_model: Any) -> NDArray[np.int64]:
+    """Return the ids of the two bodies (k, 2) that each connect or weld constraint ties."""
     types = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
-    if int(mj_model.eq_type[eq]) not in types:
-        return False
-    bodies = [int(mj_model.eq_obj1id[eq]), int(mj_model.eq_obj2id[eq])]
+    tied = np.column_stack((mj_model.eq_obj1id, mj_model.eq_obj2id))
     # Releases before 3.2 know no other objects than bodies here.
-    site = int(mujoco.mjtObj.mjOBJ_SITE)
-    if hasattr(mj_model, "eq_objtype") and int(mj_model.eq_objtype[eq]) == site:
-        bodies = [int(mj_model.site_bodyid[site_id]) for site_id in bodies]
-    links = {int(mj_model.jnt_bodyid[joint]) for joint in chain}
-    for index in range(2):
-        # The link of the arm that the body belongs to or hangs on; the world for none.
-        while bodies[index] > 0 and bodies[index] not in links:
-            bodies[index] = int(mj_model.body_parentid[bodies[index]])
-    return bodies[0] != bodies[1]
+    if hasattr(mj_model, "eq_objtype"):
+        of_sites = mj_model.eq_objtype == int(mujoco.mjtObj.mjOBJ_SITE)
+        tied[of_sites] = mj_model.site_bodyid[tied[of_sites]]
+    return tied[np.isin(mj_model.eq_type, types)]
 
 
 _PACKAGE = "robot_descriptions"
@@ -310,28 +267,15 @@ def _model_file(path: Path) -> Path:
     if not _NAME.fullmatch(name) or os.path.lexists(path):
         return path
     try:
-        package = importlib.import_module(_PACKAGE)
-    except ImportError:
-        remedy = install_hint(_PACKAGE, "descriptions")
-        raise InputError(
-            f"there is no file {name}; a model by that name {remedy}"
-        ) from None
-    names = [module.name for module in pkgutil.iter_modules(package.__path__)]
-    if name not in names:
-        matches = get_close_matches(name, names, n=3)
-        hint = "its page lists those it has"
-        if matches:
-            hint = f"did you mean {' or '.join(matches)}?"
-        raise InputError(
-            f"there is no file {name}, and no such model in {_PACKAGE}; {hint}"
-        )
-    try:
         with contextlib.redirect_stdout(sys.stderr):  # it reports its downloads
             description = importlib.import_module(f"{_PACKAGE}.{name}")
     except Exception as error:
         # Without a network or git, the package raises git's errors, of many types.
-        fault = f"{_PACKAGE} cannot fetch {name}: {error_text(error)}"
-        raise InputError(f"{fault}; check the network, or give a model file") from None
+        fault = (
+            f"there is no file {name}, and no model by that name: {error_text(error)}"
+        )
+        remedy = install_hint(_PACKAGE, "descriptions")
+        raise InputError(f"{fault}; a name {remedy}") from None
     for attribute in ("MJCF_PATH", "URDF_PATH"):
         model_path = getattr(description, attribute, None)
         if model_path:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -210,103 +210,87 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
     Raises:
         ModelError: no frame, or several, could be meant, or it moves against the terminal body.
     """
-    sites, bodies = _fixed_frames(robot)
+    frames = list(_fixed_frames(robot))
     if text is None:
-        return _guess_flange(robot, sites, bodies)
+        return _guess_flange(robot, frames)
     name = text.strip()
-    frames = {**bodies, **sites}
-    if name in frames:
-        return frames[name]
+    for frame_name, frame in frames:
+        if frame_name == name:
+            return frame
     if "," in name:
         return _parse_flange(robot, name)
+    model = robot.mj_model
+    ids = [mujoco.mj_name2id(model, int(kind), name) for kind in _OBJECTS.values()]
     fault = "no such site or body"
-    for object_type, mj_type in _OBJECTS.items():
-        if mujoco.mj_name2id(robot.mj_model, int(mj_type), name) >= 0:
-            fault = f"{object_type} '{name}' moves against the terminal body, or stands before it"
-    listed = _list_names([*sites.values(), *bodies.values()])
+    if max(ids) >= 0:
+        fault = f"'{name}' moves against the terminal body, or stands before it"
+    listed = _list_names(frames)
     remedy = f"fixed to body '{robot.body_name}' are: {listed}; or give x,y,z in metres"
     raise ModelError(f"flange {name}: {fault}; {remedy}")
 
 
-def _list_names(flanges: Sequence[Flange]) -> str:
-    """Return the names of frames, separated by commas."""
-    return ", ".join(flange.name for flange in flanges)
-
-
-def place_in_carrier(robot: RobotModel, flange: Flange) -> tuple[Array, Array]:
-    """Return (rotation (3, 3), translation (3,)) of a flange in the frame of its carrier [m]."""
-    _, bodies = _fixed_frames(robot)
-    fixed = bodies.values()
-    carrier = next(frame for frame in fixed if frame.carrier == flange.carrier)
-    rotation = carrier.rotation.T @ flange.rotation
-    translation = carrier.rotation.T @ (flange.translation - carrier.translation)
-    # A distance that is left after adding and subtracting it is no distance.
-    return np.round(rotation, 15), np.round(translation, 15)
-
-
 _OBJECTS = {"site": mujoco.mjtObj.mjOBJ_SITE, "body": mujoco.mjtObj.mjOBJ_BODY}
 """What a flange may be named after, to MuJoCo's type of object."""
-_Frames = Mapping[str, Flange]
-"""Name of a site or body to its frame."""
+_Frames = Sequence[tuple[str, Flange]]
+"""Names of sites and bodies, and their frames."""
 
 
-def _fixed_frames(robot: RobotModel) -> tuple[_Frames, _Frames]:
-    """Return the frames of all sites, and of all bodies, that are fixed to the terminal body.
+def _list_names(frames: _Frames) -> str:
+    """Return what frames are called, separated by commas."""
+    return ", ".join(flange.name for _, flange in frames)
 
-    The terminal body is one of the bodies. A frame's carrier is the id of its site's body, or of
-    itself.
+
+def _fixed_frames(robot: RobotModel) -> Iterator[tuple[str, Flange]]:
+    """Yield name and frame of all sites, then bodies, that are fixed to the terminal body.
+
+    The terminal body is the first of the bodies.
     """
     mj_model = robot.mj_model
-    terminal = robot.body_id
     data = data_at_pose(mj_model, robot.reference_qpos)
-    axes = data.xmat[terminal].reshape(3, 3)
-    origin = data.xpos[terminal]
+    axes = data.xmat[robot.body_id].reshape(3, 3)
+    origin = data.xpos[robot.body_id]
     fixed = {body.body_id: body.name for body in robot.bodies if body.welded}
-
-    def frame(label: str, carrier: int, pose: Any) -> Flange:
-        """Return the frame of a site or body; MuJoCo's ``pose`` has its xpos and xmat in the world.
-
-        ``carrier``: id of the site's body, or of the body itself.
-        """
+    frames = []
+    for site, body in enumerate(mj_model.site_bodyid.tolist()):
+        name = mj_model.site(site).name
+        if name and body in fixed:
+            frames.append(("site", name, data.site(site)))
+    for body, name in fixed.items():
+        frames.append(("body", name, data.body(body)))
+    for kind, name, pose in frames:
         rotation = axes.T @ pose.xmat.reshape(3, 3)
         translation = axes.T @ (pose.xpos - origin)
-        return Flange(label, rotation, translation, robot.body_name, carrier)
-
-    sites = {}
-    for site, carrier in enumerate(mj_model.site_bodyid.tolist()):
-        name = mj_model.site(site).name
-        if name and carrier in fixed:
-            sites[name] = frame(f"site '{name}'", carrier, data.site(site))
-    bodies = {}
-    for body, name in fixed.items():
-        bodies[name] = frame(f"body '{name}'", body, data.body(body))
-    return sites, bodies
+        label = f"{kind} '{name}'"
+        yield name, Flange(label, rotation, translation, robot.body_name)
 
 
-def _guess_flange(robot: RobotModel, sites: _Frames, bodies: _Frames) -> Flange:
+def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
     """Return the frame that is called like a flange, else the terminal body's, with a note on it.
 
     A note is a sentence for the user. ModelError where several different frames are called so.
     """
-    others = {**bodies}
-    terminal = others.pop(robot.body_name)
+    own_label = f"body '{robot.body_name}'"
+    terminal = next(frame for _, frame in frames if frame.name == own_label)
+    others = [(name, frame) for name, frame in frames if frame is not terminal]
     for pattern in _PATTERNS:
+        matches = [item for item in others if pattern.fullmatch(item[0])]
         # A site counts more than a body.
-        frames = sites if any(map(pattern.fullmatch, sites)) else others
-        matches = list(map(frames.__getitem__, filter(pattern.fullmatch, frames)))
+        sites = [item for item in matches if item[1].name.startswith("site")]
+        matches = sites or matches
         if not matches:
             continue
         # Several names of one and the same frame are no ambiguity.
-        poses = [np.column_stack((f.rotation, f.translation)) for f in matches]
+        poses = [np.column_stack((f.rotation, f.translation)) for _, f in matches]
         if not np.allclose(poses, poses[0], rtol=0.0, atol=1e-9):
             listed = _list_names(matches)
             raise ModelError(
                 f"{listed} could each be the flange; choose one by its name"
             )
-        note = f"{matches[0].name} was taken for the flange, because of its name"
+        flange = matches[0][1]
+        note = f"{flange.name} was taken for the flange, because of its name"
         note += _DOUBT if pattern is _PATTERNS[-1] else ""
-        return replace(matches[0], note=note)
-    listed = _list_names([*sites.values(), *others.values()]) or "none"
+        return replace(flange, note=note)
+    listed = _list_names(others) or "none"
     note = (
         f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
         f"the frame of that body is taken; others that can be named: {listed}"
@@ -331,7 +315,7 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
     angles = np.radians(numbers[3:] or [0.0] * 3)
     rotation = spatial.rotation_of_angles(angles)
     name = text.replace(" ", "")
-    return Flange(name, rotation, translation, robot.body_name, robot.body_id)
+    return Flange(name, rotation, translation, robot.body_name)
 
 
 _POSITIONS = 7
@@ -404,58 +388,41 @@ def update_contacts(mj_model: Any, data: Any) -> None:
         ) from None
 
 
-class ContactFinder:
-    """Finds which bodies touch by design; pairs are of body ids, the lower one first."""
+def touching_by_design(
+    robot: RobotModel, pairs: Collection[tuple[int, int]]
+) -> set[tuple[int, int]]:
+    """Return those of some touching pairs of body ids that touch by the model's design.
 
-    def __init__(self, robot: RobotModel) -> None:
-        self._robot = robot
-        self._model: Any = robot.mj_model
-        self._data = data_at_pose(self._model, robot.reference_qpos)
-        self._joint_counts = count_moving_joints(robot)
+    One carries the other, or they touch whatever the joints between them do (MuJoCo takes the
+    convex hull of a mesh): no position would avoid it. A pair of the arm and something beside it is
+    not by design. In a pair the lower id is first.
+    """
+    is_adjacent = adjacent_bodies(robot.mj_model)
+    return {pair for pair in pairs if is_adjacent[pair] or _never_part(robot, pair)}
 
-    def by_design(self, pairs: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
-        """Return those of some touching pairs of body ids that touch by the model's design.
 
-        One carries the other, or they touch whatever the joints between them do (MuJoCo takes the
-        convex hull of a mesh): no position would avoid it. A pair of the arm and something
-        beside it is not by design.
-        """
-        is_adjacent = adjacent_bodies(self._model)
-        return {pair for pair in pairs if is_adjacent[pair] or self._never_part(pair)}
+def _never_part(robot: RobotModel, pair: tuple[int, int]) -> bool:
+    """Return whether two bodies touch at every tried position of the chain joints between them, a
+    grid of ``_POSITIONS`` per joint over their ranges; the other joints are at reference.
 
-    def _never_part(self, pair: tuple[int, int]) -> bool:
-        """Return whether two bodies touch at every tried position of the chain joints between them,
-        a grid of ``_POSITIONS`` per joint over their ranges; the other joints are at reference.
-
-        False without a try for a pair of the arm and something beside it (MuJoCo's root body
-        differs), and for a pair with more than ``_MAX_JOINTS_BETWEEN`` joints between. Changes the
-        configuration in ``self._data``, which stays at the last tried position.
-        """
-        # The chain joints first, ..., last - 1 are between the two bodies.
-        first, last = sorted(self._joint_counts[list(pair)].tolist())
-        first_root, second_root = self._model.body_rootid[list(pair)]
-        if last - first > _MAX_JOINTS_BETWEEN or first_root != second_root:
-            return False
-        lowest, highest = joint_ranges(self._robot)
-        grid = np.linspace(lowest[first:last], highest[first:last], _POSITIONS)
-        q = self._robot.reference.copy()
-        for positions in product(*grid.T):
-            q[first:last] = positions
-            self._data.qpos[self._robot.qpos_index] = q
-            if pair not in self._touching():
-                return False
-        return True
-
-    def _touching(self) -> set[tuple[int, int]]:
-        """Return the pairs that touch now, without those that the same chain joints move."""
-        update_contacts(self._model, self._data)
-        if not self._data.ncon:
-            return set()
-        geoms = self._data.contact.geom[self._data.contact.dist <= 0.0]
+    False without a try for a pair of the arm and something beside it (MuJoCo's root body differs),
+    and for a pair with more than ``_MAX_JOINTS_BETWEEN`` joints between.
+    """
+    model = robot.mj_model
+    # The chain joints first, ..., last - 1 are between the two bodies.
+    first, last = sorted(count_moving_joints(robot)[list(pair)].tolist())
+    first_root, second_root = model.body_rootid[list(pair)]
+    if last - first > _MAX_JOINTS_BETWEEN or first_root != second_root:
+        return False
+    data = data_at_pose(model, robot.reference_qpos)
+    lowest, highest = joint_ranges(robot)
+    grid = np.linspace(lowest[first:last], highest[first:last], _POSITIONS)
+    for positions in product(*grid.T):
+        data.qpos[robot.qpos_index[first:last]] = positions
+        update_contacts(model, data)
+        geoms = data.contact.geom[data.contact.dist <= 0.0].reshape(-1, 2)
         # A flexible body's contact has the geom -1.
         geoms = geoms[np.all(geoms >= 0, axis=1)]
-        bodies = np.sort(self._model.geom_bodyid[geoms], axis=1)
-        counts = self._joint_counts[bodies]
-        # Bodies that the same joints move keep their distance.
-        moving = bodies[counts[:, 0] != counts[:, 1]]
-        return set(map(tuple, moving.tolist()))
+        if list(pair) not in np.sort(model.geom_bodyid[geoms], axis=1).tolist():
+            return False
+    return True

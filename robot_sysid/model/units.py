@@ -49,8 +49,6 @@ _LEAST_LINKS = 3
 """Least number of links from which units of masses and inertias are judged."""
 _LONGEST = 30.0
 """Longest arm: a crane [m]."""
-_N_NAMES = 3
-"""Number of links that an error names."""
 
 
 def refuse_cad_units(robot: RobotModel) -> None:
@@ -113,27 +111,20 @@ def _refuse_units(
     units = _likely_units(share, compactness)
     if units is None:
         return
-    mass_factor = _MASSES[units[0]]
-    inertia_factor = _INERTIAS[units[1]]
+    mass_unit, inertia_unit = units
     faults = []
-    remedies = []
-    if mass_factor != 1.0:
-        faults.append(f"masses fit {units[0]}, not kg")
-        remedies.append(f"masses by {mass_factor:g}")
-    if inertia_factor != 1.0:
-        faults.append(f"inertias fit {units[1]}, not kg m2")
-        remedies.append(f"inertias by {inertia_factor:g}")
-    listed = ", ".join(names[:_N_NAMES])
-    if len(names) > _N_NAMES:
-        listed += f" and {len(names) - _N_NAMES} more"
+    if mass_unit != "kg":
+        factor = _MASSES[mass_unit]
+        faults.append(f"masses fit {mass_unit}, not kg: divide them by {factor:g}")
+    if inertia_unit != "kg m2":
+        factor = _INERTIAS[inertia_unit]
+        faults.append(
+            f"inertias fit {inertia_unit}, not kg m2: divide them by {factor:g}"
+        )
     middle = int(np.argsort(radii)[len(radii) // 2])
-    mass = masses[middle]
-    radius = radii[middle]
-    new_radius = radius * (mass_factor / inertia_factor) ** 0.5
     raise ModelError(
-        f"{robot.path}: {', and '.join(faults)} (of links {listed}): {names[middle]} has "
-        f"{mass:.3g} kg and a radius of gyration of {radius:.3g} m, in these units "
-        f"{mass / mass_factor:.3g} kg and {new_radius:.3g} m; divide {' and '.join(remedies)}"
+        f"{robot.path}: {'; '.join(faults)} (link {names[middle]} has {masses[middle]:.3g} kg and "
+        f"a radius of gyration of {radii[middle]:.3g} m)"
     )
 
 

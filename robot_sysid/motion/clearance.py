@@ -28,9 +28,9 @@ import numpy as np
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.dynamics.spatial import cross
 from robot_sysid.model.bodies import (
-    ContactFinder,
     count_moving_joints,
     joint_ranges,
+    touching_by_design,
     update_contacts,
 )
 from robot_sysid.model.chain import body_label
@@ -241,9 +241,7 @@ class Clearance:
                 pair = (min(int(a), int(b)), max(int(a), int(b)))
                 distances[pair] = min(distances.get(pair, np.inf), float(distance))
         touching = [pair for pair, distance in distances.items() if distance <= 0.0]
-        by_design = set()
-        if touching:
-            by_design = ContactFinder(self._robot).by_design(touching)
+        by_design = touching_by_design(self._robot, touching)
         self._required[link[:, None] == link] = -np.inf
         collisions = []
         for (a, b), distance in distances.items():

@@ -167,7 +167,6 @@ class Flange:
         name: of the site or body, or the numbers it was given by.
         rotation, translation: (3, 3), (3,) its axes and origin in the terminal body's frame [m].
         terminal: name of the terminal body.
-        carrier: MuJoCo id of the body it belongs to.
         note: how it was chosen, where nobody named it.
     """
 
@@ -175,7 +174,6 @@ class Flange:
     rotation: Array
     translation: Array
     terminal: str = "terminal body"
-    carrier: int = 0
     note: str | None = None
 
     def __post_init__(self) -> None:

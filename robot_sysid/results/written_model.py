@@ -33,8 +33,7 @@ from robot_sysid.mjcf.updated_model import (
     WeldedBody,
     changed_model_text,
 )
-from robot_sysid.model.bodies import body_theta, link_bodies, place_in_carrier
-from robot_sysid.model.chain import body_label
+from robot_sysid.model.bodies import body_theta, link_bodies
 from robot_sysid.model.compilation import mjcf_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
@@ -312,21 +311,20 @@ def _body_changes(
 def _payload_body(
     robot: RobotModel, payload: Payload, name: str, text: str
 ) -> WeldedBody:
-    """Return a new body for a payload, fixed to the body that carries the flange.
+    """Return a new body for a payload, in the flange frame, fixed to the terminal body.
 
     Args:
         robot: the arm.
-        payload: its parameters are in the flange frame, which becomes the frame of the body.
+        payload: its parameters are in the flange frame.
         name: name of the new body.
         text: describes the payload in a comment of the file.
     """
     flange = payload.flange
-    rotation, translation = place_in_carrier(robot, flange)
-    carrier = body_label(robot.mj_model, flange.carrier)
     empty_body = SubtreeBody(body_id=0, name=name, theta=np.zeros(10), welded=True)
     theta = plan_write_back(payload.body.inertial.theta, [empty_body]).theta
     comment = f"{text} at {flange.name}"
-    return WeldedBody(name, carrier, rotation, translation, theta, comment)
+    pose = flange.rotation, flange.translation
+    return WeldedBody(name, robot.body_name, *pose, theta, comment)
 
 
 def _write(

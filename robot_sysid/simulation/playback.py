@@ -44,7 +44,7 @@ from robot_sysid.model.actuators import (
     control_rows,
     gear_ratio,
     is_static,
-    output_range,
+    output_ranges,
     output_row,
     servo_gains,
 )
@@ -249,12 +249,13 @@ class ChainActuators:
 def chain_actuators(robot: RobotModel) -> ChainActuators:
     """Return each chain joint's actuator: the first position actuator on it, or else the first."""
     rows = [_joint_actuator(robot.mj_model, int(j)) for j in _chain_joints(robot)]
-    index, gear, stiffness, damping, limit = map(np.array, zip(*rows))
-    limit = np.minimum(limit, robot.limits.torque)
+    index, gear, stiffness, damping = map(np.array, zip(*rows))
+    # An index of -1, which stands for no actuator, finds the last value.
+    largest = np.max(np.abs(output_ranges(robot.mj_model)), axis=1)
+    limit = np.minimum(np.append(largest, np.inf)[index], robot.limits.torque)
     kv = np.nan_to_num(damping)
     total_damping = kv + robot.mj_model.dof_damping[robot.dof_index]
     share = kv / np.maximum(total_damping, 1e-300)
-    index = index.astype(np.int64)
     return ChainActuators(index, gear, stiffness, damping, limit, share)
 
 
@@ -263,10 +264,10 @@ def _chain_joints(robot: RobotModel) -> NDArray[np.int64]:
     return np.asarray(robot.mj_model.dof_jntid[robot.dof_index])
 
 
-def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float, float]:
-    """Return (id, gear, Kp, kv, limit) of the actuator that drives a joint.
+def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
+    """Return (id, gear, Kp, kv) of the actuator that drives a joint.
 
-    They are as in ``ChainActuators``; without a usable actuator, gear 1 and no gains or limit.
+    They are as in ``ChainActuators``; without a usable actuator, gear 1 and no gains.
 
     Args:
         model: compiled MuJoCo model.
@@ -281,13 +282,12 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float, f
         if is_usable and gear_ratio(model, actuator) != 0.0:
             usable.append(actuator)
     if not usable:
-        return NO_ACTUATOR, 1.0, np.nan, np.nan, np.inf
+        return NO_ACTUATOR, 1.0, np.nan, np.nan
     servos = [k for k in usable if servo_gains(model, k) is not None]
     actuator = (servos or usable)[0]
     gear = gear_ratio(model, actuator)
-    limit = float(np.max(np.abs(output_range(model, actuator))))
     kp, kv = servo_gains(model, actuator) or (np.nan, np.nan)
-    return actuator, gear, gear**2 * kp, gear**2 * kv, limit
+    return actuator, gear, gear**2 * kp, gear**2 * kv
 
 
 def servos_in_model(robot: RobotModel) -> ServoParameters:

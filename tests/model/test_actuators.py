@@ -120,7 +120,6 @@ def commanded_actuators(draw):
         kinds += [
             f'<pid {common} kp="100" kv="2" input="pos ff" forcerange="-9 7"/>',
             f'<pid {common} kp="100" kv="2" input="pos vel ff" forcerange="-7 9"/>',
-            f'<pid {common} kp="{gain}" input="ff" ffrange="-3 {gain}"/>',
         ]
     return draw(st.sampled_from(kinds))
 

@@ -52,10 +52,12 @@ def test_units_are_named_with_what_to_divide_by(tmp_path, mass_unit, inertia_uni
     with pytest.raises(ModelError) as caught:
         load_robot_model(path)
     message = str(caught.value)
-    assert "'l1', 'l2', 'l3' and 1 more" in message and "\n" not in message
+    assert "\n" not in message
     assert (f"masses fit {mass_unit}, not kg" in message) == (mass != 1.0)
     assert (f"inertias fit {inertia_unit}, not kg m2" in message) == (inertia != 1.0)
-    remedies = re.findall(r"(masses|inertias) by (\S+)", message.rpartition(";")[2])
+    remedies = re.findall(
+        r"(masses|inertias) fit [^:]*: divide them by ([\d.e+-]+)", message
+    )
     factors = {"masses": mass, "inertias": inertia}
     assert {name: float(x) for name, x in remedies} == {
         name: factor for name, factor in factors.items() if factor != 1.0
