@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from robot_sysid.signals.cutoff import acceleration_spectra, choose_cutoff
+from robot_sysid.signals.cutoff import choose_cutoff
 from robot_sysid.signals.filters import derivatives, design_low_pass
 
 OMEGA = 2.0 * np.pi * np.array([0.13, 0.29, 0.43, 0.59])
@@ -62,9 +62,7 @@ def main() -> None:
             time, q, exact = motion(rate, np.random.default_rng(0))
             readings = np.round(q / resolution) * resolution if resolution else q
             cutoff = (
-                choose_cutoff(acceleration_spectra(readings[:, None], rate))[0]
-                if resolution
-                else 10.0
+                choose_cutoff(readings[:, None], rate).cutoff if resolution else 10.0
             )
             inner = (time > EDGE) & (time < DURATION - EDGE)
             print(f"{rate:g} Hz, encoder {resolution:g} rad, cut-off {cutoff:.1f} Hz")

@@ -306,7 +306,7 @@ def _busiest(recordings: Sequence[Recording]) -> Recording:
     relative = np.abs(signals.qd) / np.maximum(np.max(np.abs(signals.qd), axis=0), 1e-9)
     total = np.cumsum(np.sum(relative, axis=1))
     start = int(np.argmax(total[count:] - total[:-count]))
-    names = ("time", "q", "qd", "qdd", "tau", "bridged", "turning")
+    names = ("time", "q", "qd", "qdd", "tau", "bridged")
     cut = {name: getattr(signals, name)[start : start + count] for name in names}
     return Recording(best.name, replace(signals, **cut))
 

@@ -68,11 +68,9 @@ def low_pass_recordings(
     notes: dict[str, dict[str, None]] = {}
     processed: defaultdict[str, list[ProcessedSignals]] = defaultdict(list)
     for piece, log, required in zip(pieces, resampled, cutoffs):
-        given, reason = cutoff, "as given"
-        if required > min(cutoffs):
-            given, reason = min(cutoffs), "as another recording asks for"
+        given = min(cutoffs) if required > min(cutoffs) else cutoff
         with prefix_input_errors(piece.name):
-            signals = process(log, robot.joint_names, given, reason)
+            signals = process(log, robot.joint_names, given)
         processed[piece.name].append(signals)
         recordings.append(Recording(piece.name, signals, piece.is_loaded, piece.order))
         notes.setdefault(piece.name, {}).update(dict.fromkeys(signals.notes))

@@ -104,8 +104,7 @@ class Recording:
             if signals is None:
                 self._kept[key] = make(self.motion)
             else:
-                (columns,) = signals.filter_columns(lambda motion: (make(motion),))
-                self._kept[key] = columns
+                self._kept[key] = signals.filter_columns(make)
         return np.asarray(self._kept[key])
 
     def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:

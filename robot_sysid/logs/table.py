@@ -279,7 +279,7 @@ def read_rows(
         expected = cleaner.n_read / max(block.share_read, 1e-9)
         is_enough = len(pending) >= BLOCK or block.share_read >= 1.0
         if thinning is None and is_enough and len(pending) > 1:
-            thinning = Thinning.of(pending[:, 1], expected)
+            thinning = Thinning(pending[:, 1], expected)
         if thinning is not None:
             chunks.append(thinning.push(pending))
             pending = pending[:0]

@@ -43,7 +43,7 @@ from robot_sysid.results.prediction import torque_error
 from robot_sysid.results.record import ModelTarget, Result, Verdict
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.results.written_model import write_model
-from robot_sysid.signals.resampling import MOST_ROWS_KEPT, condense_run
+from robot_sysid.signals.resampling import join_measurements, piece_notes, split_at_gaps
 from robot_sysid.simulation.plant import PlantSimulation, load_plant
 from robot_sysid.trajectory import CHUNK, sample_count
 
@@ -120,16 +120,14 @@ def identify_plant(
     n_samples = sample_count(plan.duration, rate)
     n_chunks = math.ceil(n_samples / CHUNK)
     chunks = progress.track(iter(simulation), "Collecting measurements", n_chunks)
-    stretches, cut_notes = condense_run(chunks, n_samples)
+    run = join_measurements(chunks)
     if arm.save_measurements is not None:
-        samples = simulation if n_samples > MOST_ROWS_KEPT else stretches
-        write_measurement_csv(arm.save_measurements, robot.joint_names, samples)
-        del samples
+        write_measurement_csv(arm.save_measurements, robot.joint_names, [run])
     name = str(arm.plant_model)
     origin = DataOrigin(Source.SIMULATED_ARM, name, plan.duration, rate, seed)
+    stretches = split_at_gaps(run)
     pieces = [Piece(name, samples) for samples in stretches]
-    del stretches
-    notes = (*plant.notes, *cut_notes)
+    notes = (*plant.notes, *piece_notes(run, stretches))
     identification = _identify_pieces(config, robot, pieces, origin, notes, progress)
     traces = partial(_traces_with_truth, identification.traces, plant.prior)
     return replace(identification, traces=traces)

@@ -46,13 +46,12 @@ def torque_error(
     dynamics = ArmDynamics(robot, compiled)
     friction = joint_friction(compiled, robot.dof_index)
 
-    def smooth_torque(motion: Motion) -> tuple[Array]:
-        """Return (torque (K, n) along a motion without dry friction [N m],)."""
+    def torque(motion: Motion) -> Array:
+        """Return the torque (K, n) along a motion [N m]."""
         rigid = dynamics.torque(motion.q, motion.qd, motion.qdd)
-        return (rigid + friction.viscous * motion.qd,)
+        return rigid + friction.torque(motion.qd)
 
-    (predicted,) = signals.filter_columns(smooth_torque, smooth=True)
-    predicted += signals.low_pass.decimate(friction.dry(signals.qd))
+    predicted = signals.filter_columns(torque)
     tau = signals.low_pass.decimate(signals.tau)
     usable = signals.usable()
     counts = np.count_nonzero(usable, axis=0)

@@ -14,11 +14,13 @@ which the arm moves, because torques above them hold more and more that is not m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.messages import percent
 from robot_sysid.signals.filters import design_low_pass
@@ -49,54 +51,6 @@ _TRIMMED_SHARE = 0.2
 # Fewest readings of a log that a spectrum is made from; the bound on the length of its segments, of
 # which there are at least four, is no smaller either (chosen).
 _SHORTEST_SEGMENT = 64
-# Largest share of rows with a new reading at which rows count as more frequent than the readings of
-# the encoders.
-_FRESH_SHARE = 0.6
-# Largest standard deviation of the time between new readings, over its mean, for which the readings
-# count as regular.
-_REGULARITY = 0.5
-
-
-@dataclass(frozen=True)
-class Spectra:
-    """Power spectra of the joints' accelerations at F frequencies, split into motion and noise.
-
-    Attributes:
-        rate: sample rate of the readings [Hz].
-        count: number of readings.
-        length: number of samples of each averaged segment.
-        frequency: (F,) [Hz].
-        motion: (F,) power density of the motion's acceleration, summed over all joints.
-        noise: (F,) power density of the acceleration's noise, summed over all joints.
-        level: (n,) power density of the white noise of each joint's position [rad^2/Hz].
-    """
-
-    rate: float
-    count: int
-    length: int
-    frequency: Array
-    motion: Array
-    noise: Array
-    level: Array
-
-    @property
-    def position_noise(self) -> Array:
-        """Standard deviation (n,) of the noise of the readings [rad]."""
-        return np.sqrt(self.level * self.rate / 2.0)
-
-    @property
-    def noise_share(self) -> float:
-        """Root mean square of the acceleration's noise, over that of the motion's acceleration."""
-        motion = np.sum(self.motion)
-        return float(np.sqrt(np.sum(self.noise) / motion)) if motion > 0.0 else np.inf
-
-    @property
-    def fastest(self) -> float:
-        """Highest frequency at which the arm moves [Hz]; the highest of all for an arm at rest."""
-        speed = np.cumsum(self.motion / self.frequency**2)
-        if not np.any(speed):
-            return float(self.frequency[-1])
-        return float(self.frequency[np.searchsorted(speed, _MOTION_SHARE * speed[-1])])
 
 
 class CutoffChoice(NamedTuple):
@@ -106,105 +60,106 @@ class CutoffChoice(NamedTuple):
         cutoff: for all joints [Hz].
         expected_error: root mean square error of the acceleration, over the acceleration's root
             mean square.
+        noise_share: root mean square of the acceleration's noise over all frequencies, over that
+            of the motion's acceleration.
         reason: a sentence on why this cut-off was chosen.
     """
 
     cutoff: float
     expected_error: float
+    noise_share: float
     reason: str
 
 
-def choose_cutoff(spectra: Spectra) -> CutoffChoice:
+def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
     """Return the highest cut-off whose expected error of the acceleration is small.
 
     It is at most a fifth of the sample rate and 15 times the highest frequency at which the arm
     moves, and so high that the filters take at most a fifth of the log at its ends.
-    """
-    rate = spectra.rate
-    highest = 0.2 * rate
-    # The half width [s] is inversely proportional to the cut-off; the low-pass of positions and
-    # that of regressor columns lose one half width each at both ends.
-    half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
-    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED_SHARE * spectra.count / rate)
-    candidates = np.geomspace(min(lowest, highest), highest, 40)
-    bound = max(candidates[0], _LARGEST_CUTOFF_RATIO * spectra.fastest)
-    candidates = candidates[candidates <= bound]
-    errors = np.array([_squared_error(cutoff, spectra) for cutoff in candidates])
-    largest_error = max(_HARMLESS_ERROR, _ERROR_TOLERANCE * errors.min())
-    index = np.flatnonzero(errors <= largest_error)[-1]
-    cutoff = float(candidates[index])
-    expected = float(np.sqrt(errors[index]))
-    sigma = spectra.position_noise
-    reason = (
-        f"cut-off {cutoff:.3g} Hz chosen from the data: position noise {sigma.min():.2g} to "
-        f"{sigma.max():.2g} rad, expected error of the acceleration {percent(expected)}"
-    )
-    return CutoffChoice(cutoff, expected, reason)
-
-
-def _squared_error(cutoff: float, spectra: Spectra) -> float:
-    """Return the expected squared error of the acceleration at a cut-off [Hz], over the mean square
-    of the acceleration; where nothing moves, the squared error itself [rad^2/s^4].
-    """
-    kernel = design_low_pass(cutoff, spectra.rate).kernel
-    gain = np.abs(np.fft.rfft(kernel, spectra.length))[1:]
-    total = np.sum(spectra.motion)
-    error = (1.0 - gain) ** 2 @ spectra.motion + gain**2 @ spectra.noise
-    return float(error / total) if total > 0.0 else float(error)
-
-
-def acceleration_spectra(q: Array, rate: float) -> Spectra | None:
-    """Return the spectra of all joints' accelerations; None where there are too few samples.
 
     Args:
         q: (N, n) positions on a uniform grid [rad].
         rate: of the grid [Hz].
+
+    Raises:
+        InputError: there are too few samples.
     """
-    q, rate = _drop_repeated_readings(q, rate)
     if len(q) < _SHORTEST_SEGMENT:
-        return None
+        raise InputError(
+            f"{len(q)} samples are too few to choose a cut-off from; record longer"
+        )
     longest = max(_SHORTEST_SEGMENT, round(_LONGEST_SEGMENT * rate))
     # At least four segments; the second difference has two samples less.
     length = min((len(q) - 2) // 4, longest)
-    frequency, power = _second_difference_spectrum(q, rate, length)
-    phase = 2.0 * np.pi * frequency[:, None] / rate
-    # Power density where positions are white noise of unit density.
-    shape = ((2.0 - 2.0 * np.cos(phase)) * rate**2) ** 2
+    frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))[1:]
+    motion, noise = _acceleration_spectra(q, length, frequency / rate)
+    highest = 0.2 * rate
+    # The half width [s] is inversely proportional to the cut-off; the low-pass of positions and
+    # that of regressor columns lose one half width each at both ends.
+    half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
+    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED_SHARE * len(q) / rate)
+    candidates = np.geomspace(min(lowest, highest), highest, 40)
+    speed = np.cumsum(motion / frequency**2)
+    fastest = frequency[np.searchsorted(speed, _MOTION_SHARE * speed[-1])]
+    bound = max(candidates[0], _LARGEST_CUTOFF_RATIO * fastest)
+    candidates = candidates[candidates <= bound]
+    # The expected squared error of the acceleration, over its mean square.
+    errors = np.empty(len(candidates))
+    for k, candidate in enumerate(candidates):
+        kernel = design_low_pass(candidate, rate).kernel
+        gain = np.abs(np.fft.rfft(kernel, length))[1:]
+        errors[k] = (1.0 - gain) ** 2 @ motion + gain**2 @ noise
+    largest_error = max(_HARMLESS_ERROR, _ERROR_TOLERANCE * errors.min())
+    index = np.flatnonzero(errors <= largest_error)[-1]
+    cutoff = float(candidates[index])
+    expected = float(np.sqrt(errors[index]))
+    reason = (
+        f"cut-off {cutoff:.3g} Hz chosen from the data: expected error of the acceleration "
+        f"{percent(expected)}"
+    )
+    return CutoffChoice(cutoff, expected, np.sqrt(np.sum(noise)), reason)
+
+
+def _acceleration_spectra(
+    q: Array, length: int, frequency: Array
+) -> tuple[Array, Array]:
+    """Return power spectra (F,) of the motion's acceleration, which adds up to one, and of the
+    acceleration's noise, each summed over all joints.
+
+    Args:
+        q: (N, n) positions on a uniform grid [rad].
+        length: number of samples of each segment over which spectra are averaged.
+        frequency: (F,) those of a segment, zero left out, over the sample rate.
+    """
+    power = _second_difference_spectrum(q, length)
+    # Power where positions are white noise of unit power.
+    shape = (2.0 - 2.0 * np.cos(2.0 * np.pi * frequency[:, None])) ** 2
     # Frequencies that count as noise alone: from half of the Nyquist frequency to just below it.
-    high = (frequency > 0.25 * rate) & (frequency < 0.475 * rate)
+    high = (frequency > 0.25) & (frequency < 0.475)
     # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
     level = 1.05 * np.median(power[high] / shape[high], axis=0)
     noise = level * shape
     motion = np.where(power > _MOTION_TO_NOISE * noise, power - noise, 0.0)
     motion[_valley(frequency, power, motion) :] = 0.0
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
-    return Spectra(
-        rate=rate,
-        count=len(q),
-        length=length,
-        frequency=frequency,
-        motion=np.sum(motion, axis=1),
-        noise=np.sum(noise, axis=1),
-        level=level,
-    )
+    total = max(float(np.sum(motion)), 1e-99)
+    return np.sum(motion, axis=1) / total, np.sum(noise, axis=1) / total
 
 
 def _valley(frequency: Array, power: Array, motion: Array) -> int:
     """Return the index from which on power is no motion: behind the lowest power above the motion.
 
-    The search begins at the frequency below which half of the squared speed of the lower half of
-    all octaves lies, where power is motion for certain; the last tenth of the spectrum is not
-    searched.
+    The search begins where the arm moves fastest, in the lower half of all octaves; the last tenth
+    of the spectrum is not searched.
 
     Args:
-        frequency: (F,) [Hz].
+        frequency: (F,), in any unit.
         power: (F, n) spectrum of the acceleration.
         motion: (F, n) what of it stands above white noise.
     """
-    speed = np.cumsum(np.sum(motion, axis=1) / frequency**2)
+    speed = np.sum(motion, axis=1) / frequency**2
     # On a logarithmic scale of evenly spaced frequencies the square root is half way.
-    lower_half = speed[int(np.sqrt(len(speed)))]
-    start = int(np.searchsorted(speed, 0.5 * lower_half))
+    start = int(np.argmax(speed[: math.isqrt(len(speed))]))
     end = max(start + 1, int(0.9 * len(power)))
     # Averaged over a band around each frequency, as wide as a quarter of the frequency.
     index = np.arange(start, end)
@@ -216,63 +171,23 @@ def _valley(frequency: Array, power: Array, motion: Array) -> int:
     return start + int(np.argmin(smooth)) + 1
 
 
-def _second_difference_spectrum(
-    q: Array, rate: float, length: int
-) -> tuple[Array, Array]:
-    """Return the spectrum of the second difference of positions, an acceleration.
+def _second_difference_spectrum(q: Array, length: int) -> Array:
+    """Return the power spectrum (F, n) of the second difference of positions, an acceleration.
 
     It is the mean over segments of the squared Fourier transform under a Blackman-Harris window,
     after subtraction of the segment's mean (Welch, IEEE Trans. Audio Electroacoust. 15, 1967;
-    Harris, Proc. IEEE 66, 1978).
+    Harris, Proc. IEEE 66, 1978). The frequency zero is left out.
 
     Args:
         q: (N, n) positions on a uniform grid [rad].
-        rate: of the grid [Hz].
         length: samples of a segment.
-
-    Returns:
-        Frequencies (F,) [Hz], zero left out, and power densities (F, n).
     """
     angle = 2.0 * np.pi / length * np.arange(length)
     window = np.cos(np.outer(angle, range(4))) @ _BLACKMAN_HARRIS
-    last_start = len(q) - 2 - length
     # Successive segments overlap by three quarters.
-    starts = range(0, last_start + 1, length - 3 * length // 4)
-    frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))
-    power = np.zeros((len(frequency), q.shape[1]))
-    for start in starts:
-        segment = np.diff(q[start : start + length + 2], 2, axis=0) * rate**2
-        deviation = segment - np.mean(segment, axis=0)
-        transform = np.fft.rfft(deviation * window[:, None], axis=0)
-        power += transform.real**2 + transform.imag**2
-    power *= 2.0 / (rate * np.sum(window**2) * len(starts))
-    if length % 2 == 0:
-        # The Nyquist frequency, which an even length has, is the one bin without a mirror image.
-        power[-1] *= 0.5
-    return frequency[1:], power[1:]
-
-
-def _drop_repeated_readings(q: Array, rate: float) -> tuple[Array, float]:
-    """Return positions (M, n) and the mean rate [Hz] of the M new readings alone, interpolated at
-    even intervals.
-
-    A reading that is held for several rows has images at multiples of its own rate, which look like
-    noise at every frequency. Where most rows are new, or new readings are few or come irregularly,
-    the arguments are returned unchanged.
-
-    Args:
-        q: (N, n) positions on a uniform grid [rad].
-        rate: of the grid [Hz].
-    """
-    is_new = np.any(np.diff(q, axis=0), axis=1)
-    new_rows = np.concatenate(([0], np.flatnonzero(is_new) + 1))
-    share = len(new_rows) / len(q)
-    if share > _FRESH_SHARE or len(new_rows) < _SHORTEST_SEGMENT:
-        return q, rate
-    waits = np.diff(new_rows)
-    if np.std(waits) > _REGULARITY * np.mean(waits):
-        # An encoder that creeps from step to step.
-        return q, rate
-    even = np.linspace(0.0, len(q) - 1.0, len(new_rows))
-    fresh = [np.interp(even, new_rows, reading[new_rows]) for reading in q.T]
-    return np.column_stack(fresh), rate * share
+    segments = sliding_window_view(np.diff(q, 2, axis=0), length, axis=0)
+    powers = []
+    for segment in segments[:: length - 3 * length // 4]:
+        deviation = segment - np.mean(segment, axis=-1, keepdims=True)
+        powers.append(np.abs(np.fft.rfft(deviation * window)) ** 2)
+    return np.mean(powers, axis=0).T[1:]

@@ -26,13 +26,8 @@ _ATTENUATION = 90.0
 """Attenuation [dB]. The gain is within 1e-4 of one below 0.4 times the cut-off and below 1e-4 above
 1.6 times. That is 80 dB; the other 10 make up for the formulas being approximate for short kernels.
 """
-_FINE_ATTENUATION = 170.0
-"""Attenuation of what is removed before a signal gets the coarse rate [dB]: smooth signals do not
-pass it."""
 _TRANSITION = 1.2
 """Width of the transition band over the cut-off."""
-_COARSE_RATE = 24.0
-"""Rate that a smooth signal needs, over the cut-off."""
 _LOWEST_CUTOFF = 1e-3
 """Lowest cut-off [Hz]; no log that is filtered in one piece is long enough for a lower one."""
 HIGHEST_CUTOFF = 0.3
@@ -48,17 +43,12 @@ class LowPass:
         rate: of the samples [Hz].
         kernel: (2 M + 1,) symmetric weights that add up to one.
         step: number of input samples per decimated sample.
-        stride: spacing of the samples that suffice for a smooth signal, without power above twenty
-            cut-offs.
-        coarse: (2 m + 1,) weights of these samples: ``kernel`` without what they do not need.
     """
 
     cutoff: float
     rate: float
     kernel: Array
     step: int
-    stride: int
-    coarse: Array
 
     @property
     def half_width(self) -> int:
@@ -67,36 +57,18 @@ class LowPass:
 
     def filter(self, values: Array) -> Array:
         """Return (N - 2 M, ...) filtered samples of values (N, ...): all but M at each end."""
-        # scipy.signal does the same, and costs more to import than the filter takes.
-        from scipy.fft import irfft, next_fast_len, rfft
-
-        if len(values) < len(self.kernel):
-            return values[:0]
-        size = next_fast_len(len(values), real=True)
-        gain = rfft(self.kernel, size).reshape(-1, *(1,) * (np.ndim(values) - 1))
-        convolution = irfft(gain * rfft(values, size, axis=0), size, axis=0)
-        return np.asarray(convolution[len(self.kernel) - 1 : len(values)])
+        return _weighted_sums(values, self.kernel)
 
     def decimate(self, values: Array) -> Array:
         """Return (K, ...) filtered samples of values (N, ...), one per ``step`` samples."""
-        return _decimate(values, self.kernel, self.step)
-
-    def decimate_smooth(self, values: Array) -> Array:
-        """Return ``decimate`` of a smooth signal, of which every ``stride``-th sample is given,
-        from the first that ``coarse`` needs (``window``).
-        """
-        return _decimate(values, self.coarse, self.step // self.stride)
-
-    def window(self, start: int, count: int, smooth: bool) -> slice:
-        """Return the samples that ``count`` decimated samples need, from number ``start`` on: all
-        of them, or those that are enough for a smooth signal.
-        """
-        first = start * self.step
-        last = first + (count - 1) * self.step + len(self.kernel)
-        if not smooth:
-            return slice(first, last)
-        margin = self.half_width - len(self.coarse) // 2 * self.stride
-        return slice(first + margin, last - margin, self.stride)
+        if len(values) < len(self.kernel):
+            return np.zeros((0, *np.shape(values)[1:]))
+        # Successive samples side by side in memory: up to eight times as fast as otherwise.
+        samples = np.ascontiguousarray(np.moveaxis(values, 0, -1), dtype=float)
+        windows = sliding_window_view(samples, len(self.kernel), axis=-1)
+        # Not by BLAS, so that a column's digits depend neither on the columns beside it nor on
+        # the number of threads.
+        return np.einsum("...kt,t->k...", windows[..., :: self.step, :], self.kernel)
 
     def weight_shares(self, is_marked: NDArray[np.bool_]) -> Array:
         """Return (K, ...) the share of each decimated sample's weight that lies on marked samples
@@ -116,8 +88,8 @@ class LowPass:
 def design_low_pass(cutoff: float, rate: float) -> LowPass:
     """Return the low-pass with a cut-off [Hz] at a sample rate [Hz].
 
-    The rate of decimated samples is about twice the cut-off, so that white noise stays nearly white
-    and the number of rows measures the information in the data.
+    It is a sinc times a Kaiser window. The rate of decimated samples is about twice the cut-off, so
+    that white noise stays nearly white and the number of rows measures the information in the data.
 
     Args:
         cutoff: frequency that is passed with half its amplitude [Hz].
@@ -126,54 +98,28 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
     Raises:
         InputError: the cut-off is too high for the rate, or its kernel longer than any log.
     """
-    if not 0.0 < cutoff <= HIGHEST_CUTOFF * rate:
-        remedy = f"choose a cut-off between 0 and {HIGHEST_CUTOFF * rate:g} Hz"
+    if not _LOWEST_CUTOFF <= cutoff <= HIGHEST_CUTOFF * rate:
         raise InputError(
-            f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; {remedy}"
+            f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; choose a cut-off between "
+            f"{_LOWEST_CUTOFF:g} and {HIGHEST_CUTOFF * rate:g} Hz"
         )
-    if cutoff < _LOWEST_CUTOFF:
-        raise InputError(
-            f"cut-off {cutoff:g} Hz would average over {4.0 / cutoff:.3g} s, longer than any log; "
-            "choose a higher cut-off"
-        )
-    stride = max(1, int(rate / (_COARSE_RATE * cutoff)))
-    transition = _TRANSITION * cutoff
-    coarse = _sinc_kernel(cutoff, transition, rate / stride, _ATTENUATION)
-    kernel = coarse
-    if stride > 1:
-        # What lies around multiples of the coarse rate is removed first.
-        spread = np.zeros(stride * (len(coarse) - 1) + 1)
-        spread[::stride] = coarse
-        middle = 0.5 * _COARSE_RATE * cutoff
-        width = (_COARSE_RATE - 2.0) * cutoff - transition
-        fine = _sinc_kernel(middle, width, rate, _FINE_ATTENUATION)
-        kernel = np.convolve(spread, fine)
-    step = stride * max(1, int(rate / stride / (2.0 * cutoff)))
-    return LowPass(cutoff, rate, kernel, step, stride, coarse)
-
-
-def _sinc_kernel(
-    cutoff: float, transition: float, rate: float, attenuation: float
-) -> Array:
-    """Return the weights of a low-pass with a cut-off and a transition band around it [Hz], for a
-    sample rate [Hz] and an attenuation [dB].
-    """
-    half = math.ceil((attenuation - 8.0) / (2.285 * 4.0 * math.pi * transition / rate))
+    band = 4.0 * math.pi * _TRANSITION * cutoff / rate
+    half = math.ceil((_ATTENUATION - 8.0) / (2.285 * band))
     ideal = np.sinc(2.0 * cutoff / rate * np.arange(-half, half + 1))
-    kernel = ideal * np.kaiser(2 * half + 1, 0.1102 * (attenuation - 8.7))
-    return np.asarray(kernel / np.sum(kernel))
+    kernel = ideal * np.kaiser(2 * half + 1, 0.1102 * (_ATTENUATION - 8.7))
+    step = max(1, int(rate / (2.0 * cutoff)))
+    return LowPass(cutoff, rate, kernel / np.sum(kernel), step)
 
 
-def _decimate(values: Array, kernel: Array, step: int) -> Array:
-    """Return (K, ...) filtered samples of values (N, ...), one per ``step`` samples."""
-    if len(values) < len(kernel):
-        return np.zeros((0, *np.shape(values)[1:]))
-    # Successive samples side by side in memory: up to eight times as fast as otherwise.
-    samples = np.ascontiguousarray(np.moveaxis(values, 0, -1), dtype=float)
-    windows = sliding_window_view(samples, len(kernel), axis=-1)[..., ::step, :]
-    # Not by BLAS, so that a column's digits depend neither on the columns beside it nor on the
-    # number of threads.
-    return np.einsum("...kt,t->k...", windows, kernel)
+def _weighted_sums(values: Array, weights: Array) -> Array:
+    """Return (N - 2 M, ...) sums of values (N, ...) with weights (2 M + 1,) around each sample that
+    has M neighbours on both sides.
+    """
+    from scipy.ndimage import correlate1d
+
+    half = len(weights) // 2
+    last = max(half, len(values) - half)
+    return np.asarray(correlate1d(values, weights, axis=0)[half:last])
 
 
 REACH = 8
@@ -184,23 +130,21 @@ def derivatives(values: Array, rate: float) -> tuple[Array, Array]:
     """Return the first and second time derivatives (N - 2 REACH, ...) of values (N, ...) sampled at
     a rate [Hz].
 
-    They are central differences of order 2 r, r = REACH: the samples k steps later and earlier have
-    the weights w_k / k and -w_k / k in the first one and 2 w_k / k^2 in the second one, where
+    They are central differences of order 2 r, r = REACH: the sample k steps later, or earlier for
+    a negative k, has the weights w_k / k in the first one and 2 w_k / k^2 in the second one, where
     w_k = (-1)^(k + 1) C(2 r, r - k) / C(2 r, r) (Fornberg, "Generation of finite difference
     formulas", Math. Comp. 51, 1988); the weight of the middle sample makes their sum zero.
     """
-    from scipy.ndimage import correlate1d
+    from scipy.special import comb
 
-    ahead = np.arange(1.0, REACH + 1.0)
-    binomials = [math.comb(2 * REACH, REACH - int(k)) for k in ahead]
-    weights = -((-1.0) ** ahead) * binomials / math.comb(2 * REACH, REACH)
-    slope = weights / ahead
-    curvature = 2.0 * weights / ahead**2
-    first = np.concatenate((-slope[::-1], [0.0], slope))
-    middle = [-2.0 * np.sum(curvature)]
-    second = np.concatenate((curvature[::-1], middle, curvature))
-    inner = slice(REACH, len(values) - REACH)
+    steps = np.arange(-REACH, REACH + 1.0)
+    weights = -((-1.0) ** steps) * comb(2 * REACH, REACH - steps)
+    weights /= comb(2 * REACH, REACH)
+    steps[REACH] = np.inf
+    first = weights / steps
+    second = 2.0 * first / steps
+    second[REACH] = -np.sum(second)
     return (
-        rate * correlate1d(values, first, axis=0)[inner],
-        rate**2 * correlate1d(values, second, axis=0)[inner],
+        rate * _weighted_sums(values, first),
+        rate**2 * _weighted_sums(values, second),
     )

@@ -19,8 +19,10 @@ _JUMP = 3.0
 
 def true_runs(mask: NDArray[np.bool_]) -> Iterator[slice]:
     """Yield the slices of consecutive true elements of a mask (N,)."""
-    edges = np.flatnonzero(np.diff(np.pad(mask.view(np.int8), 1)))
-    yield from map(slice, edges[::2].tolist(), edges[1::2].tolist())
+    from scipy.ndimage import find_objects, label
+
+    for (run,) in find_objects(label(mask)[0]):
+        yield run
 
 
 def equal_runs(time: Array, values: Array) -> Iterator[slice]:

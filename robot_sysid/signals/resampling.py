@@ -11,15 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
-from robot_sysid.records.messages import count_text
 from robot_sysid.signals.filters import design_low_pass
 
 GAP_STEPS = 1.75
@@ -35,7 +32,7 @@ class UniformSignals:
     """Positions and torques of N samples and n joints on a uniform grid.
 
     Attributes:
-        start: time of the first sample [s].
+        time: (N,) [s].
         rate: samples per second [Hz].
         q: (N, n) positions [rad].
         tau: (N, n) torques [N m].
@@ -44,7 +41,7 @@ class UniformSignals:
         notes: what a reader should know of the resampling.
     """
 
-    start: float
+    time: Array
     rate: float
     q: Array
     tau: Array
@@ -64,17 +61,21 @@ def resample_uniformly(measurement: Measurement) -> UniformSignals:
         raise InputError(
             f"only {len(time)} samples; a log of several seconds is needed"
         )
-    has_joint_time = measurement.joint_time is not None
-    if has_joint_time or not is_even(time):
-        reason = "each joint at its own" if has_joint_time else "uneven"
-        reason = f"{reason} time stamps, cubic splines"
-        return _interpolate(measurement, 1.0 / sampling_period(time), reason)
+    rate = 1.0 / sampling_period(time)
+    grid, q, tau = time, measurement.q, measurement.tau
     gap = np.zeros(len(time))
+    notes: tuple[str, ...] = ()
+    stamps = measurement.joint_time
+    if stamps is not None or not is_even(time):
+        reason = "uneven" if stamps is None else "each joint at its own"
+        notes = (
+            f"resampled to a uniform {rate:.6g} Hz ({reason} time stamps, cubic splines)",
+        )
+        grid, q, tau = _interpolate(measurement, rate)
+        gap = _bridged_gap(time, grid, rate)
     if measurement.left_out is not None:
-        gap[measurement.left_out] = np.inf
-    rate = (len(time) - 1) / float(time[-1] - time[0])
-    start = float(time[0])
-    return UniformSignals(start, rate, measurement.q, measurement.tau, gap, notes=())
+        gap[np.interp(grid, time, measurement.left_out) > 0.0] = np.inf
+    return UniformSignals(grid, rate, q, tau, gap, notes)
 
 
 def sampling_period(time: Array) -> float:
@@ -85,68 +86,53 @@ def sampling_period(time: Array) -> float:
 
 
 def is_even(time: Array) -> bool:
-    """Return whether time stamps (N,) [s] are evenly spaced, up to their number of digits."""
-    line = np.linspace(time[0], time[-1], len(time))
-    period = float(time[-1] - time[0]) / (len(time) - 1)
-    tolerance = max(_CLOCK_ERROR * period, 1.01 * _last_decimal(time))
-    return bool(np.max(np.abs(time - line)) <= tolerance)
+    """Return whether time stamps (N,) [s] are evenly spaced, up to their number of digits.
 
-
-def _last_decimal(time: Array) -> float:
-    """Return the weight of the last decimal of time stamps (N,), at most a millisecond [s]; zero
-    where they have more than six decimals.
+    The last digit counts from milliseconds to microseconds; stamps of more digits are exact.
     """
-    for digits in (3, 4, 5, 6):
-        scaled = (time - time[0]) * 10.0**digits
-        if np.all(np.abs(scaled - np.round(scaled)) < 1e-3):
-            return 10.0**-digits
-    return 0.0
+    even = np.linspace(time[0], time[-1], len(time))
+    tolerance = _CLOCK_ERROR * (even[1] - even[0])
+    for unit in (1e-6, 1e-5, 1e-4, 1e-3):
+        ticks = (time - time[0]) / unit
+        if np.all(np.abs(ticks - np.round(ticks)) < 1e-3):
+            tolerance = max(tolerance, 1.01 * unit)
+    return bool(np.max(np.abs(time - even)) <= tolerance)
 
 
-def _interpolate(measurement: Measurement, rate: float, reason: str) -> UniformSignals:
-    """Return a log interpolated by cubic splines at a rate [Hz], with the reason in its note."""
+def _interpolate(measurement: Measurement, rate: float) -> tuple[Array, Array, Array]:
+    """Return the instants (K,) of a grid at a rate [Hz], and positions and torques (K, n) there, by
+    cubic splines through each joint's samples.
+    """
     from scipy.interpolate import CubicSpline
 
     time = measurement.time
-    joint_time = measurement.joint_time
-    start = float(time[0])
-    end = float(time[-1])
-    if joint_time is not None:
-        start = float(max(start, joint_time[0].max()))
-        end = float(min(end, joint_time[-1].min()))
+    stamps = measurement.joint_time
+    if stamps is None:
+        stamps = np.broadcast_to(time[:, None], measurement.q.shape)
+    start = max(time[0], stamps[0].max())
+    end = min(time[-1], stamps[-1].min())
     # A last sample that rounding puts just beyond the end is still on the grid.
     count = math.floor((end - start) * rate + 1e-6) + 1
     grid = np.minimum(start + np.arange(count) / rate, end)
-    q, tau = np.empty((2, count, measurement.q.shape[1]))
-    for joint in range(q.shape[1]):
-        stamps = time if joint_time is None else joint_time[:, joint]
-        is_new = is_new_sample(stamps)
-        columns = np.column_stack((measurement.q[:, joint], measurement.tau[:, joint]))
-        spline = CubicSpline(stamps[is_new], columns[is_new])
-        q[:, joint], tau[:, joint] = spline(grid).T
-    note = f"resampled to a uniform {rate:.6g} Hz ({reason})"
-    gap = _bridged_gap(time, grid, rate)
-    if measurement.left_out is not None:
-        gap[np.interp(grid, time, measurement.left_out) > 0.0] = np.inf
-    return UniformSignals(start, rate, q, tau, gap, (note,))
+    signals = np.empty((2, count, measurement.q.shape[1]))
+    samples = np.stack((measurement.q, measurement.tau))
+    for joint, its_time in enumerate(stamps.T):
+        is_new = np.diff(its_time, prepend=-np.inf) > 0.0
+        spline = CubicSpline(its_time[is_new], samples[:, is_new, joint], axis=1)
+        signals[:, :, joint] = spline(grid)
+    return grid, signals[0], signals[1]
 
 
 def _bridged_gap(time: Array, grid: Array, rate: float) -> Array:
     """Return (K,) the length of the hole between the time stamps (N,) of a log that each instant of
     a grid (K,) at a rate [Hz] lies in [s]; zero outside holes and next to a time stamp.
     """
-    index = np.clip(np.searchsorted(time, grid) - 1, 0, len(time) - 2)
-    earlier = time[index]
-    later = time[index + 1]
-    step = later - earlier
-    nearest = np.minimum(np.abs(grid - earlier), np.abs(grid - later))
-    is_bridged = (step > GAP_STEPS / rate) & (nearest >= 1e-3 / rate)
-    return np.where(is_bridged, step, 0.0)
-
-
-def is_new_sample(stamps: Array) -> NDArray[np.bool_]:
-    """Return (N,) whether each row holds a new sample of a joint with these time stamps (N,)."""
-    return np.concatenate(([True], np.diff(stamps) > 0.0))
+    margin = 1e-3 / rate
+    # Next to a time stamp these are two steps of time, elsewhere one.
+    ends = np.searchsorted(time, (grid - margin, grid + margin))
+    steps = np.diff(time)[np.clip(ends, 1, len(time) - 1) - 1]
+    gap = np.min(steps, axis=0)
+    return np.where(gap > GAP_STEPS / rate, gap, 0.0)
 
 
 SPLITTING_GAP = 0.5
@@ -157,8 +143,6 @@ RECORDING_SEPARATION = 10.0
 """Time that is put between recordings with separate clocks [s]: longer than any filter."""
 SHORTEST_PIECE = 4.0
 """Length below which a piece is not worth filtering, as its ends are cut off (chosen) [s]."""
-MOST_PIECE_ROWS = 100_000
-"""Rows of a piece beyond which it is cut into several, so that filtering takes little memory."""
 MOST_TIME = 600.0
 """Length of a log beyond which pieces of it, spread evenly, stand for the entire log [s]: half a
 minute holds nearly as much information about the link as an hour (docs/logs.md)."""
@@ -175,31 +159,23 @@ def splitting_gap(period: float) -> float:
 
 
 def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
-    """Return the pieces of a log between its gaps, cut to at most ``MOST_PIECE_ROWS`` rows; those
-    shorter than ``SHORTEST_PIECE`` are left out.
+    """Return the pieces of a log between its gaps; those shorter than ``SHORTEST_PIECE`` are left
+    out.
 
     A log longer than ``MOST_TIME`` is cut to pieces of about ``PIECE_TIME``; of those in which a
     joint moves, as many as fit into ``MOST_TIME`` are returned, spread evenly. Pieces are views. A
     log that is not cut is its only piece, and so is one whose pieces are all too short.
     """
     step = np.diff(samples.time)
-    if not len(step):
-        return (samples,)
-    period = float(np.median(step))
-    cuts = np.flatnonzero(step > splitting_gap(period)) + 1
-    edges = [0, *cuts.tolist(), len(samples)]
-    most_rows = MOST_PIECE_ROWS
+    cuts = np.flatnonzero(step > splitting_gap(float(np.median(step)))) + 1
+    stretches = np.split(np.arange(len(samples)), cuts)
     if _duration(samples) > MOST_TIME:
-        most_rows = min(most_rows, round(PIECE_TIME / period))
-    pieces: list[Measurement] = []
-    for first, last in zip(edges, edges[1:]):
-        if last - first > 1:
-            # Pieces of equal length.
-            count = math.ceil((last - first) / most_rows)
-            ends = np.linspace(first, last, count + 1).astype(int).tolist()
-            pieces += map(partial(slice_samples, samples), ends, ends[1:])
-    if len(pieces) == 1:
-        return (samples,)
+        parts = []
+        for rows in stretches:
+            count = math.ceil(np.ptp(samples.time[rows]) / PIECE_TIME)
+            parts += np.array_split(rows, max(count, 1))
+        stretches = parts
+    pieces = [slice_samples(samples, rows[0], rows[-1] + 1) for rows in stretches]
     long = [piece for piece in pieces if _duration(piece) >= SHORTEST_PIECE]
     return tuple(_select_pieces(long)) or (samples,)
 
@@ -213,18 +189,12 @@ def piece_notes(
     samples: Measurement, pieces: tuple[Measurement, ...]
 ) -> tuple[str, ...]:
     """Return a sentence on how a log was split into pieces; none where it was not."""
-    n_used = sum(len(piece) for piece in pieces)
-    if len(pieces) == 1 and n_used == len(samples):
+    used = sum(map(len, pieces))
+    if len(pieces) == 1 and used == len(samples):
         return ()
-    omission = ""
-    if n_used < len(samples):
-        rows = count_text(len(samples) - n_used, "row")
-        omission = f", without {rows} of other pieces"
-        if sum(map(_duration, pieces)) > 0.5 * MOST_TIME:
-            omission += ", as the log is longer than any result needs"
     return (
         f"the log is filtered in {len(pieces)} pieces of at least {SHORTEST_PIECE:g} s, cut at "
-        f"gaps, between recordings or by length{omission}",
+        f"gaps, between recordings or by length; they hold {used} of {len(samples)} rows",
     )
 
 
@@ -235,23 +205,36 @@ def _select_pieces(pieces: list[Measurement]) -> list[Measurement]:
     if sum(map(_duration, pieces)) <= MOST_TIME:
         return pieces
     ranges = np.array([np.ptp(piece.q, axis=0) for piece in pieces])
-    largest = np.maximum(np.max(ranges, axis=0), 1e-12)
-    moved = np.max(ranges / largest, axis=1)
+    moved = np.max(ranges / np.maximum(np.max(ranges, axis=0), 1e-12), axis=1)
     moving = [pieces[k] for k in np.flatnonzero(moved > _MOVING_SHARE)] or pieces
-    total = sum(map(_duration, moving))
-    count = max(1, int(len(moving) * min(1.0, MOST_TIME / total)))
-    numbers = np.linspace(0, len(moving) - 1, count).round()
-    return [moving[int(number)] for number in numbers]
+    share = min(1.0, MOST_TIME / sum(map(_duration, moving)))
+    count = max(1, int(share * len(moving)))
+    numbers = np.linspace(0, len(moving) - 1, count).round().astype(int)
+    return [moving[number] for number in numbers]
+
+
+def _columns(samples: Measurement) -> dict[str, Any]:
+    """Return the name and the values of each column that a log has."""
+    columns = {
+        field.name: getattr(samples, field.name) for field in fields(Measurement)
+    }
+    return {name: values for name, values in columns.items() if values is not None}
 
 
 def slice_samples(samples: Measurement, start: int, stop: int) -> Measurement:
     """Return the consecutive samples from index ``start`` to before ``stop`` of a log, as views."""
-    columns = {}
-    for field in fields(Measurement):
-        values = getattr(samples, field.name)
-        if values is not None:
-            columns[field.name] = values[start:stop]
-    return replace(samples, **columns)
+    columns = _columns(samples).items()
+    return replace(samples, **{name: values[start:stop] for name, values in columns})
+
+
+def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
+    """Return consecutive chunks of a log as one measurement; all have the same columns."""
+    columns = list(map(_columns, chunks))
+    # ``qd`` has no default: it is None unless the chunks have velocities.
+    joined: dict[str, Any] = {"qd": None}
+    for name in columns[0]:
+        joined[name] = np.concatenate([chunk[name] for chunk in columns])
+    return Measurement(**joined)
 
 
 MOST_ROWS_KEPT = 300_000
@@ -263,101 +246,44 @@ _CUTOFF_SHARE = 0.45
 and aliases fold back to frequencies above that."""
 
 
-def condense_run(
-    chunks: Iterable[Measurement], count: int
-) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
-    """Return the pieces of a simulated run, and sentences for the user on how it was cut.
-
-    A run of more than ``MOST_ROWS_KEPT`` samples is decimated and cut as a log is. It then has no
-    velocities and accelerations, which no estimate takes from a recording.
-
-    Args:
-        chunks: consecutive chunks of the run; an iterator is used up.
-        count: number of its samples.
-    """
-    if count <= MOST_ROWS_KEPT:
-        return (join_measurements(chunks),), ()
-    thinning = None
-    blocks = []
-    for chunk in chunks:
-        # The first chunk determines the sampling period.
-        thinning = thinning or Thinning.of(chunk.time, count)
-        # The time takes the column of line numbers, which a run does not have.
-        rows = np.column_stack((chunk.time, chunk.time, chunk.q, chunk.tau))
-        blocks.append(thinning.push(rows)[:, 1:])
-    table = np.concatenate(blocks)
-    n_joints = (table.shape[1] - 1) // 2
-    time, q, tau = np.split(table, (1, 1 + n_joints), axis=1)
-    samples = Measurement(time[:, 0].copy(), q.copy(), qd=None, tau=tau.copy())
-    pieces = split_at_gaps(samples)
-    return pieces, piece_notes(samples, pieces)
-
-
-def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
-    """Return consecutive chunks of a log as one measurement; the first chunk determines which
-    optional columns it has.
-    """
-    measurements = list(chunks)
-    # ``qd`` has no default: it is None unless the chunks have velocities.
-    columns: dict[str, Any] = {"qd": None}
-    for field in fields(Measurement):
-        if getattr(measurements[0], field.name) is not None:
-            values = [getattr(chunk, field.name) for chunk in measurements]
-            columns[field.name] = np.concatenate(values)
-    return Measurement(**columns)
-
-
 class Thinning:
     """Low-passes and decimates the rows of a log that arrive in blocks.
 
+    It leaves about ``MOST_ROWS_KEPT`` rows of a log, and at least ``LEAST_RATE`` per second.
+
     Args:
+        time: (N,) first time stamps of the log [s].
+        expected: estimated number of rows of the log.
+
+    Attributes:
         every: number of rows that become one; 1 leaves the rows as they are.
-        period: sampling period of the log [s].
     """
 
-    def __init__(self, every: int, period: float) -> None:
-        self.every = every
+    def __init__(self, time: Array, expected: float) -> None:
+        period = sampling_period(time)
+        coarsest = max(1.0, 1.0 / (period * LEAST_RATE))
+        self.every = int(min(math.ceil(expected / MOST_ROWS_KEPT), coarsest))
         self._longest_step = splitting_gap(period)
-        self._last_time = np.nan
-        if every > 1:
+        if self.every > 1:
             rate = 1.0 / period
-            low_pass = design_low_pass(_CUTOFF_SHARE * rate / every, rate)
-            self._low_pass = replace(low_pass, step=every)
+            low_pass = design_low_pass(_CUTOFF_SHARE * rate / self.every, rate)
+            self._low_pass = replace(low_pass, step=self.every)
         # The latest rows, which later decimated rows need.
         self._waiting: Array | None = None
-
-    @classmethod
-    def of(cls, time: Array, expected: float) -> Thinning:
-        """Return the thinning that leaves about ``MOST_ROWS_KEPT`` rows of a log.
-
-        It leaves more rows where there would be fewer than ``LEAST_RATE`` per second.
-
-        Args:
-            time: (N,) first time stamps of the log [s].
-            expected: estimated number of rows of the log.
-        """
-        period = sampling_period(time)
-        coarsest = 1
-        if period > 0.0:
-            coarsest = max(1, math.floor(1.0 / (period * LEAST_RATE)))
-        return cls(min(math.ceil(expected / MOST_ROWS_KEPT), coarsest), period)
 
     def push(self, rows: Array) -> Array:
         """Take the next rows (N, 2 + C) of the log and return the decimated rows (K, 2 + C).
 
         The first column is the number of the line in the file, the second the time [s].
         """
-        if self.every == 1 or not len(rows):
+        if self.every == 1:
             return rows
-        step = np.diff(rows[:, 1], prepend=self._last_time)
-        self._last_time = rows[-1, 1]
-        decimated = []
-        # The first block is empty where a gap lies just before these rows.
-        first, *others = np.split(rows, np.flatnonzero(step > self._longest_step))
         if self._waiting is not None:
-            first = np.concatenate((self._waiting, first))
+            rows = np.concatenate((self._waiting, rows))
+        decimated = []
         # The filter does not reach over a gap.
-        for block in (first, *others):
+        gaps = np.flatnonzero(np.diff(rows[:, 1]) > self._longest_step)
+        for block in np.split(rows, gaps + 1):
             decimated.append(self._low_pass.decimate(block))
             self._waiting = block[len(decimated[-1]) * self.every :].copy()
         return np.concatenate(decimated)

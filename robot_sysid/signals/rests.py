@@ -8,12 +8,14 @@ as large both ways), so that gravity alone remains.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
+from robot_sysid.signals.frozen import true_runs
 
 STILL = 2e-3
 """How far a joint may move while it rests: several steps of a coarse encoder (chosen) [rad]."""
@@ -45,64 +47,65 @@ def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]
         InputError: there are fewer than ``FEWEST_POSES`` poses, or no joint approaches a pose from
             both sides.
     """
-    n_joints = samples.q.shape[1]
-    # Reshaped for a log without rests, of which numpy cannot know the number of columns.
-    rests = np.array(list(_rests(samples)))
-    rests = rests.reshape(-1, 1 + 3 * n_joints)
-    time, q, tau, direction = np.split(rests, 1 + n_joints * np.arange(3), axis=1)
-    is_same_pose = np.max(np.abs(np.diff(q, axis=0)), axis=1) < SAME_POSE
-    count = np.count_nonzero(is_same_pose)
-    if count < FEWEST_POSES:
+    rests = list(_rests(samples))
+    pairs = []
+    for first, second in zip(rests, rests[1:]):
+        if np.max(np.abs(second.q - first.q)) < SAME_POSE:
+            pairs.append((first, second))
+    if len(pairs) < FEWEST_POSES:
         raise InputError(
-            f"the log rests {len(rests)} times, and {count} poses were approached from both "
+            f"the log rests {len(rests)} times, and {len(pairs)} poses were approached from both "
             f"sides; --static needs {FEWEST_POSES}: play what robot-sysid plan --for payload "
             "--static writes"
         )
-    q = 0.5 * (q[:-1] + q[1:])[is_same_pose]
-    tau = 0.5 * (tau[:-1] + tau[1:])[is_same_pose]
+    time = np.array([first.time for first, _ in pairs])
+    q = np.array([0.5 * (first.q + second.q) for first, second in pairs])
+    tau = np.array([0.5 * (first.tau + second.tau) for first, second in pairs])
     # The joint came from opposite sides.
-    is_balanced = (direction[:-1] * direction[1:])[is_same_pose] < 0.0
-    is_balanced &= np.isfinite(tau)
+    is_balanced = np.array([a.direction * b.direction < 0.0 for a, b in pairs])
     if not np.any(is_balanced):
         raise InputError(
             "no joint approaches its poses from both sides; --static needs that"
         )
     zeros = np.zeros_like(q)
     tau = np.where(is_balanced, tau, 0.0)
-    poses = Measurement(time[:-1][is_same_pose, 0], q, zeros, tau, zeros)
-    return poses, is_balanced
+    return Measurement(time, q, zeros, tau, zeros), is_balanced
 
 
-def _rests(samples: Measurement) -> Iterator[Array]:
-    """Yield a row (1 + 3 n,) for each stretch of a log in which the arm rests.
+class Rest(NamedTuple):
+    """A stretch of a log in which the arm rests.
 
-    A row holds the time at which the rest begins [s], the mean position (n,) [rad], the mean torque
-    (n,) [N m], and the direction (n,) from which each joint came: 1, -1, or 0 for a joint that had
-    hardly moved.
+    Attributes:
+        time: at which it begins [s].
+        q: (n,) mean position [rad].
+        tau: (n,) mean torque [N m].
+        direction: (n,) from which each joint came: 1, -1, or 0 for one that had hardly moved.
     """
+
+    time: float
+    q: Array
+    tau: Array
+    direction: Array
+
+
+def _rests(samples: Measurement) -> Iterator[Rest]:
+    """Yield each stretch of a log in which the arm rests."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
     time = samples.time
     q = samples.q
-    # The ends of each run of samples around which all joints stay within STILL.
-    is_still = np.concatenate(([False], _is_still(time, q), [False])).astype(int)
-    for first, end in np.flatnonzero(np.diff(is_still)).reshape(-1, 2).tolist():
-        if time[end - 1] - time[first] < LEAST_REST:
+    width = max(round(WINDOW / float(np.median(np.diff(time)))), 2)
+    span = maximum_filter1d(q, width, axis=0) - minimum_filter1d(q, width, axis=0)
+    for still in true_runs(np.all(span < STILL, axis=1)):
+        begin = float(time[still.start])
+        end = float(time[still.stop - 1])
+        if end - begin < LEAST_REST:
             continue
-        settled = [time[first] + SETTLING, time[end - 1] - SETTLING]
-        start, stop = np.searchsorted(time, settled).tolist()
-        earlier = int(np.searchsorted(time, time[first] - APPROACH))
+        earlier, start, stop = np.searchsorted(
+            time, (begin - APPROACH, begin + SETTLING, end - SETTLING)
+        )
         resting = slice(start, stop + 1)
         mean = np.mean(q[resting], axis=0)
         moved = mean - q[earlier]
         direction = np.where(np.abs(moved) < LEAST_APPROACH, 0.0, np.sign(moved))
-        tau = np.mean(samples.tau[resting], axis=0)
-        yield np.hstack([time[first], mean, tau, direction])
-
-
-def _is_still(time: Array, q: Array) -> NDArray[np.bool_]:
-    """Return (N,) whether all joints stay within ``STILL`` around each sample of q (N, n)."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
-    step = float(np.median(np.diff(time)))
-    width = max(int(round(WINDOW / step)), 2)
-    span = maximum_filter1d(q, width, axis=0) - minimum_filter1d(q, width, axis=0)
-    return np.all(span < STILL, axis=1)
+        yield Rest(begin, mean, np.mean(samples.tau[resting], axis=0), direction)

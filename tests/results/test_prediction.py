@@ -26,9 +26,8 @@ def error_on(model, robot, motion, tau, usable=None):
         usable = np.ones(tau.shape, bool)
     signals = SimpleNamespace(
         tau=tau,
-        qd=motion.qd,
         low_pass=SimpleNamespace(decimate=np.asarray),
-        filter_columns=lambda columns, smooth: columns(motion),
+        filter_columns=lambda make: make(motion),
         usable=lambda: usable,
     )
     return torque_error(model, robot, signals, "a log")

@@ -10,28 +10,28 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from robot_sysid.records import Measurement
-from robot_sysid.signals.cutoff import acceleration_spectra, choose_cutoff
+from robot_sysid.signals.cutoff import choose_cutoff
 from robot_sysid.signals.process import process
 from tests.support.swing import FREQUENCIES, Swing, seconds
 
 
 def cutoff_of(q, rate):
     """Return the chosen cut-off [Hz] of positions q (N, n) at a sample rate [Hz]."""
-    return choose_cutoff(acceleration_spectra(q, rate))[0]
+    return choose_cutoff(q, rate).cutoff
 
 
 @pytest.mark.parametrize(
     ("seed", "rate", "sigma"), [(0, 200.0, 1e-3), (1, 500.0, 3e-5)]
 )
-def test_the_encoder_noise_is_estimated_from_the_spectrum(seed, rate, sigma):
-    rng = default_rng(seed)
-    q = Swing(seed).q(seconds(10.0, rate))
-    q = q + sigma * rng.normal(size=q.shape)
-    spectra = acceleration_spectra(q, rate)
-    # Over 1500 seeds it scatters by 1.31 / sqrt(N) and is 0.4 % too high; six of the former.
-    tolerance = 0.005 + 6.0 * 1.31 / np.sqrt(len(q))
-    assert_allclose(np.sqrt(spectra.level * rate / 2.0), sigma, rtol=tolerance)
-    assert 1.4 < choose_cutoff(spectra)[0] < 25.0
+def test_the_expected_error_is_that_of_the_acceleration(seed, rate, sigma):
+    swing = Swing(seed)
+    log = swing.measurement(seconds(20.0, rate))
+    noise = sigma * default_rng(seed).normal(size=log.q.shape)
+    signals = process(replace(log, q=log.q + noise))
+    true = swing.q(signals.time, 2)
+    error = np.linalg.norm(signals.qdd - true) / np.linalg.norm(true)
+    assert_allclose(signals.acceleration_error, error, rtol=0.15)
+    assert 1.4 < signals.cutoff < 25.0
 
 
 def test_a_fast_small_motion_beside_a_slow_large_one_is_kept():
@@ -105,6 +105,6 @@ def test_positions_repeated_over_rows_keep_their_cutoff():
     time = np.arange(15000) / 1000.0
     q = np.column_stack([np.sin(2.0 * np.pi * f * time) for f in (0.2, 0.5, 0.9)])
     rows = q[held * (np.arange(len(q)) // held)]
-    slow, error, _ = choose_cutoff(acceleration_spectra(rows, 1000.0))
-    assert error < 1e-2
-    assert 0.5 * cutoff_of(q, 1000.0) < slow < 1.5 * cutoff_of(q, 1000.0)
+    slow = choose_cutoff(rows, 1000.0)
+    assert slow.expected_error < 1e-2
+    assert 0.5 * cutoff_of(q, 1000.0) < slow.cutoff < 1.5 * cutoff_of(q, 1000.0)

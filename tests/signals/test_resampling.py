@@ -16,11 +16,9 @@ from robot_sysid.records import Measurement
 from robot_sysid.signals import resampling
 from robot_sysid.signals.resampling import (
     Thinning,
-    condense_run,
     is_even,
     piece_notes,
     resample_uniformly,
-    slice_samples,
     split_at_gaps,
 )
 from tests.support.arms import SEEDS
@@ -38,16 +36,16 @@ def uneven_times(seed, jitter):
 
 def assert_equals_swing(uniform, swing):
     """Check resampled positions and torques against the exact ones on the grid."""
-    grid = uniform.start + np.arange(len(uniform.q)) / uniform.rate
-    assert_close(uniform.q, swing.q(grid), atol=1e-7)
-    assert_close(uniform.tau, swing.tau(grid), atol=1e-6)
+    assert_close(np.diff(uniform.time), 1.0 / uniform.rate, atol=1e-12)
+    assert_close(uniform.q, swing.q(uniform.time), atol=1e-7)
+    assert_close(uniform.tau, swing.tau(uniform.time), atol=1e-6)
 
 
 def test_an_even_log_is_unchanged():
     log = Swing().measurement(5.0 + seconds(3.0, 200.0))
     uniform = resample_uniformly(log)
     assert_array_equal(uniform.q, log.q)
-    assert (uniform.start, uniform.notes, np.max(uniform.gap)) == (5.0, (), 0.0)
+    assert (uniform.time[0], uniform.notes, np.max(uniform.gap)) == (5.0, (), 0.0)
     assert abs(uniform.rate - 200.0) < 1e-9
 
 
@@ -112,19 +110,6 @@ def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
     assert uniform.notes == ()
 
 
-def test_a_long_simulated_run_is_thinned(monkeypatch):
-    log = Swing().measurement(seconds(8.0, 500.0))
-    starts = range(0, len(log), 700)
-    chunks = [slice_samples(log, start, start + 700) for start in starts]
-    (full,), notes = condense_run(chunks, len(log))
-    assert_array_equal(full.q, log.q)
-    assert notes == ()
-    monkeypatch.setattr(resampling, "MOST_ROWS_KEPT", 1000)
-    (thinned,), notes = condense_run(chunks, len(log))
-    assert 700 < len(thinned) <= len(log) / 5.0 and notes == ()
-    assert_allclose(thinned.q, Swing().q(thinned.time), atol=1e-3)
-
-
 def log(time: np.ndarray) -> Measurement:
     """Return a log of two joints at the times (N,) [s]."""
     q = np.column_stack((np.sin(time), np.cos(0.7 * time)))
@@ -154,14 +139,6 @@ def test_a_log_is_split_at_gaps(lengths_and_gaps):
     assert bool(piece_notes(recording, pieces)) == (len(times) > 1)
 
 
-def test_a_long_log_is_cut_into_equal_parts(monkeypatch):
-    monkeypatch.setattr(resampling, "MOST_PIECE_ROWS", 1000)
-    recording = log(np.arange(0.0, 25.0, 0.01))
-    pieces = split_at_gaps(recording)
-    assert [len(piece) for piece in pieces] == [833, 833, 834]
-    assert "filtered in 3 pieces" in piece_notes(recording, pieces)[0]
-
-
 def test_a_log_of_hours_keeps_the_minutes_that_move():
     time = np.arange(0.0, 7200.0, 0.1)
     moves = (time > 3000.0) & (time < 3600.0)
@@ -178,12 +155,17 @@ def test_a_log_of_hours_keeps_the_minutes_that_move():
     assert [piece.time[0] for piece in still] == [piece.time[0] for piece in always]
 
 
+def thinning_of(every: int) -> Thinning:
+    """Return a thinning that makes one row of so many, of a log at 1 kHz."""
+    return Thinning(np.arange(100) / 1000.0, every * resampling.MOST_ROWS_KEPT)
+
+
 @given(st.lists(st.integers(1, 900), max_size=4))
 def test_thinning_does_not_depend_on_the_blocks(cuts):
     time = np.arange(4000) / 1000.0
     rows = np.column_stack((np.arange(4000), time, np.sin(3.0 * time)))
-    at_once = Thinning(8, 1e-3).push(rows)
-    other = Thinning(8, 1e-3)
+    at_once = thinning_of(8).push(rows)
+    other = thinning_of(8)
     blocks = np.split(rows, np.cumsum(cuts))
     assert_close(
         np.concatenate([other.push(block) for block in blocks]), at_once, atol=1e-12
@@ -197,7 +179,7 @@ def test_thinning_does_not_depend_on_the_blocks(cuts):
 def test_thinning_does_not_reach_over_a_gap(block_size):
     time = np.concatenate((np.arange(2000), 5000 + np.arange(2000))) / 1000.0
     rows = np.column_stack((np.arange(4000), time, np.where(time < 3.0, 1.0, -1.0)))
-    thinning = Thinning(8, 1e-3)
+    thinning = thinning_of(8)
     blocks = np.split(rows, range(block_size, 4000, block_size))
     thinned = np.concatenate([thinning.push(block) for block in blocks])
     assert_allclose(np.abs(thinned[:, 2]), 1.0, atol=1e-12)
@@ -205,8 +187,7 @@ def test_thinning_does_not_reach_over_a_gap(block_size):
 
 
 def test_the_thinning_factor_follows_the_number_of_rows():
+    assert [thinning_of(every).every for every in (1, 4)] == [1, 4]
     time = np.arange(1000) / 1000.0
-    assert Thinning.of(time, resampling.MOST_ROWS_KEPT).every == 1
-    assert Thinning.of(time, 4.0 * resampling.MOST_ROWS_KEPT).every == 4
-    assert Thinning.of(time, 1e9).every == 1000 // resampling.LEAST_RATE
-    assert Thinning.of(np.arange(100) / 20.0, 1e9).every == 1
+    assert Thinning(time, 1e9).every == 1000 // resampling.LEAST_RATE
+    assert Thinning(np.arange(100) / 20.0, 1e9).every == 1

@@ -23,7 +23,7 @@ from tests.support import arms
 
 RATE = 50.0
 DURATION = 12.0
-UNFILTERED = LowPass(20.0, RATE, np.ones(1), 1, 1, np.ones(1))
+UNFILTERED = LowPass(20.0, RATE, np.ones(1), 1)
 """A low-pass that passes everything: columns and torques agree to rounding."""
 PAYLOAD = spatial.theta_from_com(
     1.2,
@@ -139,9 +139,8 @@ def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
     """Return a recording whose velocities and accelerations are exact and whose rows all count."""
     deadband = np.zeros(motion.q.shape[1])
     bridged = np.zeros(len(motion.time), dtype=bool)
-    turning = np.zeros(motion.q.shape, dtype=bool)
     series = motion.time, motion.q, motion.qd, motion.qdd, tau
-    signals = ProcessedSignals(*series, bridged, deadband, turning, UNFILTERED)
+    signals = ProcessedSignals(*series, bridged, deadband, UNFILTERED)
     return Recording(name, signals, is_loaded, place)
 
 
