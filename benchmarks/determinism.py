@@ -47,7 +47,7 @@ def _search(path: Path) -> None:
     import numpy as np
 
     from robot_sysid.api.results import one_thread
-    from robot_sysid.motion.design_search import design_excitation
+    from robot_sysid.motion.search import design_excitation
     from robot_sysid.motion.trajectories import save_trajectory
     from tests.support.excitation_arms import TUBES_AND_POST, make_design
 

@@ -35,8 +35,6 @@ from robot_sysid.estimate.links import own_errors
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import LINKS
 from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion.design import Design
-from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.expected_errors import (
     RecordingPlan,
     centre_slopes,
@@ -44,6 +42,7 @@ from robot_sysid.motion.expected_errors import (
     prior_knowledge,
 )
 from robot_sysid.motion.problem import build_problem
+from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DELAY_NAME, Measurement
 from robot_sysid.records.messages import Progress

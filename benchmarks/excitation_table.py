@@ -22,13 +22,11 @@ import mujoco
 import numpy as np
 
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion import design as design_module
-from robot_sysid.motion.design import Design
-from robot_sysid.motion.design_search import design_excitation
+from robot_sysid.motion import ExcitationOptions, LimitOptions, search
 from robot_sysid.motion.expected_errors import centre_slopes, prior_knowledge
-from robot_sysid.motion.information import random_information
+from robot_sysid.motion.information import Criterion, random_motion
 from robot_sysid.motion.problem import build_problem
+from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import (
@@ -69,18 +67,17 @@ NAMES = ("mass", "centre", "Izz", "ten", "mean")
 def left_by(design, plan):
     """Return standard deviations of mass, centre of mass, Izz and the ten, and the mean axis."""
     motion = plan.evaluate(design.grid)
-    information = design.information_of((motion.q, motion.qd, motion.qdd)).information
-    return figures(design, information)
+    return figures(design, design.criterion, (motion.q, motion.qd, motion.qdd))
 
 
-def figures(design, information):
-    """Return standard deviations of mass, centre of mass, Izz and the ten, from information."""
-    covariance = design.criterion.covariance(information)
+def figures(design, criterion, motion):
+    """Return standard deviations of mass, centre of mass, Izz and the ten, and the mean axis."""
+    covariance = criterion.covariance(motion)
     standard_errors = np.sqrt(np.diag(covariance))
     scale = design.problem.scale
     slopes = centre_slopes(design.problem.robot.prior.theta)
     centre = np.sqrt(np.trace(slopes @ covariance @ slopes.T))
-    mean = np.exp(design.criterion.evaluate(information)[0])
+    mean = np.exp(criterion.evaluate(motion))
     median = np.median(standard_errors / scale)
     return np.array([standard_errors[0], centre, standard_errors[9], median, mean])
 
@@ -129,8 +126,7 @@ def line(path, joint, seeds, budget):
     robot = load_robot_model(path, joint=joint)
     motion = TrajectoryOptions()
     options = ExcitationOptions()
-    top = options.basis(motion.duration).top_frequency_hz
-    problem = build_problem(robot, LimitOptions(), top_frequency_hz=top)
+    problem = build_problem(robot, LimitOptions())
     prior = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, options, motion, prior)
     torque = ArmTorque(robot)
@@ -139,7 +135,8 @@ def line(path, joint, seeds, budget):
         plan = generate_excitation_trajectory(robot, rng, 15.0, torque)[0]
         rows.append(left_by(design, plan))
     sines = np.median(rows, axis=0)
-    least = figures(design, random_information(problem, prior, 1e-6))
+    exact = Criterion(problem, prior, 1e12)
+    least = figures(design, exact, random_motion(problem))
     began = time.process_time()
     ratios = []
     for seed in seeds:
@@ -158,7 +155,7 @@ def line(path, joint, seeds, budget):
     text += f"  real {1e3 * real:6.1f} mm  tool {check.largest[-1]:4.2f} m/s  {spent:4.1f} s"
     if budget is None:
         return text
-    design_module.clock = time.process_time
+    search.clock = time.process_time
     longer = Design(problem, replace(options, time_budget=budget), motion, prior)
     longest_plan = design_excitation(longer, np.random.default_rng(seeds[-1]))
     return f"{text}  {100.0 * longest_plan.objective / result.objective:.0f} % after {budget:g} s"

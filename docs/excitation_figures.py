@@ -17,10 +17,9 @@ import numpy as np
 
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion.design import Design
-from robot_sysid.motion.design_search import design_excitation
 from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.problem import build_problem
+from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, MotionPlan, RobotModel
 from robot_sysid.simulator import ArmTorque

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Callable
 
 import numpy as np
@@ -86,20 +87,32 @@ class SineTrajectory:
         """Return the trajectory with each joint's amplitudes times ``factor`` (n,) or a number."""
         return replace(self, amplitude=self.amplitude * np.reshape(factor, (-1, 1)))
 
+    @cached_property
+    def _waves(self) -> tuple[Array, Array, Array]:
+        """Frequencies (F,) [rad/s], and factors (F, n) of their sines and cosines [rad].
+
+        Joints may share frequencies: a sinusoid is a sine and a cosine.
+        """
+        used = np.nonzero(self.amplitude)
+        omega, row = np.unique(
+            2.0 * np.pi * self.frequency_hz[used], return_inverse=True
+        )
+        sines, cosines = np.zeros((2, len(omega), len(self.center)))
+        at = np.ravel(row), used[0]
+        np.add.at(sines, at, self.amplitude[used] * np.cos(self.phase[used]))
+        np.add.at(cosines, at, self.amplitude[used] * np.sin(self.phase[used]))
+        return omega, sines, cosines
+
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
         time = np.asarray(time, dtype=float)
-        # The S sinusoids with an amplitude, and a matrix (S, n) of 0 and 1 that sums them by joint.
-        used = np.nonzero(self.amplitude)
-        omega = 2.0 * np.pi * self.frequency_hz[used]
-        joints = np.eye(len(self.center))[used[0]]
-        angle = np.outer(time, omega) + self.phase[used]
-        size = self.amplitude[used]
-        sine = size * np.sin(angle)
-        cosine = size * np.cos(angle)
-        s = sine @ joints
-        ds = (omega * cosine) @ joints
-        dds = -(omega**2 * sine) @ joints
+        omega, sines, cosines = self._waves
+        angle = np.outer(time, omega)
+        sine = np.sin(angle)
+        cosine = np.cos(angle)
+        s = sine @ sines + cosine @ cosines
+        ds = (omega * cosine) @ sines - (omega * sine) @ cosines
+        dds = -(omega**2 * sine) @ sines - (omega**2 * cosine) @ cosines
         edge = window(time, self.duration, self.fade)
         s, ds, dds = apply_window(edge, (s, ds, dds))
         return Motion(time, self.center + s, ds, dds)

@@ -198,7 +198,7 @@ def test_a_run_starts_without_what_it_does_not_need_and_in_one_thread(tmp_path):
         f"code = robot_sysid.cli.main([{str(ROOT / EXAMPLE)!r}, '--duration', '1']); "
         f"told = [os.environ.get(name) for name in {names}]; "
         "slow = {'scipy', 'sympy', 'matplotlib', 'can', 'clarabel', 'robot_sysid.report.page', "
-        "'robot_sysid.damiao', 'robot_sysid.motion.design_search', 'glfw'} & set(sys.modules); "
+        "'robot_sysid.damiao', 'robot_sysid.motion.search', 'glfw'} & set(sys.modules); "
         "wrong = early or slow or told != ['1'] * 3; "
         "sys.exit(code or (f'{early}, {told}, {slow}' if wrong else 0))"
     )
@@ -208,8 +208,8 @@ def test_a_run_starts_without_what_it_does_not_need_and_in_one_thread(tmp_path):
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-MUTABLE = {"ModelDocument", "SimulatedMotor", "ServiceReport", "Closest"}
-"""Records with a state: nodes of XML files, simulated motors, searches and caches."""
+MUTABLE = {"ModelDocument", "SimulatedMotor", "ServiceReport"}
+"""Records with a state: nodes of XML files, simulated motors and reports of a running session."""
 
 
 def test_records_cannot_be_changed():

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_sysid.motion.design import Design
+from robot_sysid.motion.search import Design
 from robot_sysid.parser import load_robot_model
 from tests.support import arms
 from tests.support.driver_logs import (
@@ -54,7 +54,7 @@ def folder(tmp_path, monkeypatch):
 def short_search(monkeypatch):
     """Plans are hardly searched for: only what is printed counts."""
 
-    few = {"draws": 3, "starts": 1, "rounds": 1, "iterations": 3, "evaluations": 30}
+    few = {"draws": 3, "rounds": 1, "iterations": 3}
     whole = Design.__init__
 
     def shortened(self, problem, options, *others):

@@ -24,11 +24,10 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.model.bodies import body_theta, composite_theta
-from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions, LimitOptions
-from robot_sysid.motion.design import Design
-from robot_sysid.motion.design_search import design_excitation
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.problem import build_problem
+from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
@@ -193,7 +192,7 @@ def violations(robot, plan):
 def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
     robot = load_robot_model(MODELS / model, joint=joint)
     options = ExcitationOptions(**FEW_DRAWS)
-    problem = build_problem(robot, LimitOptions(), top_frequency_hz=TOP_FREQUENCY_HZ)
+    problem = build_problem(robot, LimitOptions())
     knowledge = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, options, TrajectoryOptions(), knowledge)
     result = design_excitation(design, np.random.default_rng(1))

@@ -22,8 +22,6 @@ from robot_sysid.damiao.trajectory import (
 from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import (
-    FourierBasis,
-    FourierTrajectory,
     LineTrajectory,
     at_speed,
     load_trajectory,
@@ -51,13 +49,11 @@ def _texts() -> tuple[Any, ...]:
     """Return every kind of trajectory as JSON."""
     two = np.ones((2, 2))
     sines = SineTrajectory(np.zeros(2), 0.1 * two, two, two, 1.0, 0.25)
-    basis = FourierBasis(1.0, 1.0, 3, 0.25)
     points = np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]])
     moves = np.array([0.5, 0.5])
     plans = (
         sines,
         at_speed(sines, 0.5),
-        FourierTrajectory(basis, np.zeros(2), 0.01 * np.ones((2, 7))),
         LineTrajectory(points, moves, np.array([0.1, 0.2, 0.1])),
         LineTrajectory(points, moves, np.zeros(len(points)), 0.4 * moves),
     )

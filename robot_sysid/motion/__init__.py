@@ -17,7 +17,6 @@ from robot_sysid.records.option_fields import (
 )
 
 if TYPE_CHECKING:
-    from robot_sysid.motion.trajectories import FourierBasis
     from robot_sysid.records import Array
 
 EXCITATIONS = ("sines", "optimal")
@@ -32,18 +31,9 @@ LOADED = "B"
 PAYLOAD_ORDER = "ABBA"
 """Order in which a motion planned for a payload is recorded: it separates a drift of friction from
 the payload."""
-LONGEST_FADE = 1.5
-"""Longest time in which a designed trajectory leaves its start, and in which it returns [s]. To
-leave by 1 rad in this time takes 7.5 / 1.5^2 = 3.3 rad/s^2, a quarter of the acceleration of a
-sinusoid of 1 rad at 0.6 Hz."""
 TOP_FREQUENCY_HZ = 0.6
 """Largest frequency of a designed trajectory [Hz], the upper end of the band of random sinusoids.
 Where no acceleration limit is given, the limit is what full speed at this frequency needs."""
-FEWEST_HARMONICS = 3
-"""Least number of harmonics of a designed trajectory, however short it is."""
-LONGEST_PERIOD = 60.0
-"""Longest period of a designed trajectory [s]; a longer trajectory repeats itself, so that the time
-of a search grows only in proportion to its duration."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +72,7 @@ class LimitOptions(OptionRecord):
         None,
         "acceleration limit of hinge joints",
         "A [rad/s²] > 0",
-        default_text="none; for a new motion, what full speed at 0.6 Hz needs, or at its top "
-        "frequency if lower",
+        default_text="none; for a new motion, what full speed at 0.6 Hz needs",
     )
     max_torque: PerJoint | None = option(
         None,
@@ -217,11 +206,8 @@ class ExcitationOptions(OptionRecord):
         kind: "sines" for random sinusoids, "optimal" for a designed trajectory.
         time_budget: duration of the search [s]; None to search until a round hardly gains.
         draws: number of random trajectories to begin with.
-        starts: number of the best random trajectories that are improved by one round; only the best
-            of these gets more rounds.
         rounds: largest number of rounds by which a random trajectory is improved.
         iterations: largest number of iterations of the optimiser per round.
-        evaluations: largest number of evaluations of the objective per round.
     """
 
     kind: str = option(
@@ -238,21 +224,8 @@ class ExcitationOptions(OptionRecord):
         default_text="until it hardly gets better",
     )
     draws: int = 60
-    starts: int = 2
     rounds: int = 20
     iterations: int = 60
-    evaluations: int = 15000
-
-    def basis(self, duration: float) -> FourierBasis:
-        """Return the Fourier basis of a designed trajectory of this duration [s]."""
-        from robot_sysid.motion.trajectories import FourierBasis
-
-        n_periods = max(1, math.ceil(duration / LONGEST_PERIOD))
-        base = n_periods / duration
-        # A quotient that rounding puts just below a whole number counts as that number.
-        harmonics = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
-        fade = min(LONGEST_FADE, 0.25 * duration)
-        return FourierBasis(duration, base, harmonics, fade)
 
 
 @dataclass(frozen=True)

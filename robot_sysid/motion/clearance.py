@@ -1,7 +1,7 @@
 """How far the arm is from itself, from the scene and from forbidden half-spaces, by MuJoCo.
 
 MuJoCo finds every pair of geoms nearer than a margin, with distance, point and normal; half-spaces
-are tested against the extreme point of each geom. The gradient of a distance is the relative
+are tested against the extreme point of each body. The gradient of a distance is the relative
 velocity of the two nearest points along the normal, per unit joint rate.
 
 Links next to each other that overlap at rest, and links that overlap whatever the joints between
@@ -18,7 +18,7 @@ link lengths in between plus the outer body's own extent.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -35,7 +35,7 @@ from robot_sysid.model.bodies import (
 )
 from robot_sysid.model.chain import body_label
 from robot_sysid.motion import HalfSpace
-from robot_sysid.motion.solids import HalfSpaces, pass_filters
+from robot_sysid.motion.solids import Solid, pass_filters, solids_of
 from robot_sysid.records import Array, RobotModel
 
 HORIZON = 0.05
@@ -47,18 +47,16 @@ DEEPEST_TOUCH = 1e-3
 deeper they collide, and no motion may start there."""
 _TOUCH_ROOM = 1e-4
 """How much deeper than at rest a touching pair may get [m]: the error of MuJoCo's depths."""
-_NEIGHBOUR_POSTURES = 181
+_NEIGHBOUR_POSTURES = 361
 """Number of positions, evenly spread over a joint's range, at which the distance of the bodies on
 its two sides is computed."""
-_FINE_POSTURES = 41
-"""Number of further positions around the one at which these bodies came nearest."""
 MOST_GROUPS = 31
 """Largest number of groups of geoms in ``drop_pairs``: MuJoCo has 31 bits for them."""
 _UNLIMITED_TRAVEL = 1.0
 """Travel assumed for a slide joint without limits [m]."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Closest:
     """The tightest pair of bodies in one configuration.
 
@@ -75,27 +73,41 @@ class Closest:
     time: float = 0.0
 
 
-class _Nearest:
-    """The tightest pair of each of N configurations: the pair with the least slack.
+@dataclass(frozen=True)
+class _Wall:
+    """The boundary of a half-space for a body: ``required`` is the height to keep above it [m]."""
 
-    A new instance holds no pair; ``Clearance`` writes each pair that it finds into the arrays.
+    space: HalfSpace
+    solid: Solid
+    required: float
+
+
+class _Near(NamedTuple):
+    """C pairs of bodies, or of a half-space and a body, that are near each other.
 
     Attributes:
-        slack: (N,) distance minus required distance of the pair; ``HORIZON`` without a pair [m].
-        distance: (N,) of the pair; infinite without a pair [m].
-        normal: (N, 3) unit vector from the first body to the second, in the world.
-        point: (N, 3) where the two bodies are nearest, in the world [m].
-        bodies: (N, 2) MuJoCo ids; 0 (the world) and a body where the pair is a body and the
-            boundary of a half-space.
-        space: (N,) index of that half-space, -1 for a pair of two bodies.
+        posture: (C,) index of the configuration.
+        bodies: (C, 2) MuJoCo ids; 0 (the world) and a body for a half-space.
+        distance: (C,) [m].
+        slack: (C,) distance minus required distance [m].
+        normal: (C, 3) unit vector from the first body to the second, in the world.
+        point: (C, 3) where the two are nearest, in the world [m].
+        wall: (C,) index of the half-space's boundary, -1 for a pair of two bodies.
     """
 
-    def __init__(self, count: int) -> None:
-        self.slack = np.full(count, HORIZON)
-        self.distance = np.full(count, np.inf)
-        self.normal, self.point = np.zeros((2, count, 3))
-        self.bodies = np.zeros((count, 2), dtype=int)
-        self.space = np.full(count, -1)
+    posture: Any
+    bodies: Any
+    distance: Array
+    slack: Array
+    normal: Array
+    point: Array
+    wall: Any
+
+    def tightest(self) -> _Near:
+        """Return the pair with the least slack of each configuration that has one."""
+        order = np.lexsort((self.slack, self.posture))
+        _, first = np.unique(self.posture[order], return_index=True)
+        return _Near(*(values[order[first]] for values in self))
 
 
 class Slack(NamedTuple):
@@ -120,9 +132,8 @@ class Clearance:
         half_spaces: half-spaces that their ``bodies`` have to stay in.
 
     Attributes:
-        is_solid: whether the model has collision geometry.
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most;
-            one row per pair of links, and a last row for every pair (``approach_rates``).
+            one row per pair of links (``approach_rates``).
         collisions: descriptions of the pairs of bodies that are inside each other at rest, but not
             by design and deeper than ``DEEPEST_TOUCH``.
         outside_at_rest: (half-space, name of the body, distance outside [m]) of each body that is
@@ -141,29 +152,16 @@ class Clearance:
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = data_at_pose(model, robot.reference_qpos)
         self._joints = model.dof_jntid[robot.dof_index]
-        self._body_of_geom = np.array(model.geom_bodyid)
-        self._required = np.full((model.nbody, model.nbody), clearance)
-        self._set_configuration(start)
+        self._walls: list[_Wall] = []
         self._link_of_body = link_of_body = count_moving_joints(robot)
-        self.is_solid = bool(
-            np.any(model.geom_contype | model.geom_conaffinity) or model.npair
-        )
-        # With nothing to touch, bodies need not be treated as approaching at all.
-        has_obstacles = self.is_solid or bool(half_spaces)
-        self.rates = approach_rates(robot, self._data, link_of_body) * has_obstacles
+        self.rates, rows = approach_rates(robot, self._data, link_of_body)
         # (nbody, nbody) the row of ``rates`` of each pair of bodies.
-        self._rows = link_of_body[:, None] * (robot.n_joints + 1) + link_of_body
-        # (P,) slack of each row of ``rates`` where no pair is within the horizon; the last row,
-        # which stands for every pair, has no more slack than the horizon then.
-        self._free = np.append(np.full(len(self.rates) - 1, np.inf), HORIZON)
-        self.collisions = self._set_required_distances(clearance)
+        self._rows = rows[link_of_body[:, None], link_of_body]
+        self._required = np.full((model.nbody, model.nbody), clearance)
+        self.collisions = self._set_required_distances(start, clearance)
         self._ignore_harmless_neighbours(start)
         drop_pairs(model, link_of_body, np.isneginf(self._required))
-        self._set_configuration(start)
-        self._spaces = HalfSpaces(model, half_spaces) if half_spaces else None
-        self.outside_at_rest = []
-        if self._spaces is not None:
-            self.outside_at_rest = self._set_required_heights(self._spaces)
+        self.outside_at_rest = self._set_required_heights(start, half_spaces)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments of the constructor: another process makes its own MuJoCo data."""
@@ -172,74 +170,140 @@ class Clearance:
     def slack(self, q: Array) -> Slack:
         """Return the slack, with its gradient, at joint positions q (N, n) [rad or m]."""
         frames = np.empty((2, len(q), self._model.njnt, 3))
-        nearest = self._nearest(q, frames=frames)
-        # Component first, (3, N, n): a cross product by hand costs a tenth of numpy's.
-        axes, anchors = frames[:, :, self._joints].transpose(0, 3, 1, 2)
-        normal = nearest.normal.T[:, :, None]
-        point = nearest.point.T[:, :, None]
+        near = self._near(q, frames).tightest()
+        near = _Near(*(values[near.slack < HORIZON] for values in near))
+        value = np.full(len(q), HORIZON)
+        value[near.posture] = near.slack
+        # Component first, (3, C, n): a cross product by hand costs a tenth of numpy's.
+        axes, anchors = frames[:, near.posture][:, :, self._joints].transpose(
+            0, 3, 1, 2
+        )
+        normal = near.normal.T[:, :, None]
+        point = near.point.T[:, :, None]
         lever = np.where(self._robot.is_slide, normal, cross(point - anchors, normal))
         rates = np.sum(axes * lever, axis=0)
         # A joint changes the distance only if it moves one body and not the other.
-        links = self._link_of_body[nearest.bodies]
+        links = self._link_of_body[near.bodies]
         joint = np.arange(q.shape[1])
-        moves_first = joint < links[:, :1]
-        moves_second = joint < links[:, 1:]
-        side = moves_second.astype(float) - moves_first
-        return Slack(nearest.slack, side * rates)
+        side = (joint < links[:, 1:]).astype(float) - (joint < links[:, :1])
+        gradient = np.zeros(q.shape)
+        gradient[near.posture] = side * rates
+        return Slack(value, gradient)
 
-    def slack_at(self, q: Array) -> tuple[float, Array]:
-        """Return the slack at one configuration q (n,) [m], and the slack (P,) of each row of
-        ``rates``: the smallest among its pairs, infinite where none is within the horizon;
-        ``HORIZON`` in the last row, which bounds all other pairs.
+    def slacks(self, q: Array) -> Array:
+        """Return the slack (N, P) of each row of ``rates``, at most ``HORIZON``, at joint positions
+        q (N, n) [m]: the smallest among its pairs.
         """
-        budget = self._free.copy()
-        nearest = self._nearest(q[None], budget)
-        return float(nearest.slack[0]), budget
+        near = self._near(q)
+        slacks = np.full((len(q), len(self.rates)), HORIZON)
+        rows = self._rows[near.bodies[:, 0], near.bodies[:, 1]]
+        np.minimum.at(slacks, (near.posture, rows), near.slack)
+        return slacks
 
     def closest(self, q: Array) -> Closest:
         """Return the pair of bodies, or body and half-space, with the least slack at one
         configuration q (n,) [rad or m].
         """
-        nearest = self._nearest(q[None])
-        label = ""
-        first, second = nearest.bodies[0].tolist()
-        if nearest.space[0] >= 0 and self._spaces is not None:
-            space = self._spaces.spaces[nearest.space[0]]
+        near = self._near(q[None]).tightest()
+        if not np.any(near.slack < HORIZON):
+            return Closest(HORIZON)
+        first, second = near.bodies[0].tolist()
+        label = self._label(first, second)
+        if near.wall[0] >= 0:
+            space = self._walls[near.wall[0]].space
             label = f"{body_label(self._model, second)} and {space.label}"
-        elif np.isfinite(nearest.distance[0]):
-            label = self._label(first, second)
-        return Closest(float(nearest.slack[0]), float(nearest.distance[0]), label)
+        return Closest(float(near.slack[0]), float(near.distance[0]), label)
 
     def _label(self, first: int, second: int) -> str:
         """Return the names of two bodies, given by MuJoCo ids, joined by "and"."""
         return f"{body_label(self._model, first)} and {body_label(self._model, second)}"
 
-    def _set_configuration(self, q: Array) -> None:
-        """Set joint positions q (n,) in ``self._data`` and compute frames and contacts there."""
-        self._data.qpos[self._robot.qpos_index] = q
-        update_contacts(self._model, self._data)
+    def _near(self, q: Array, frames: Array | None = None) -> _Near:
+        """Return all pairs that are near each other at configurations q (N, n).
 
-    def _contact_bodies(self) -> tuple[Array, Any]:
-        """Return distances (C,) [m] and body ids (C, 2) of the contacts that MuJoCo has found."""
-        contact = self._data.contact
-        bodies = self._body_of_geom[contact.geom.reshape(-1, 2)]
-        if not self._model.nflex:
-            return contact.dist, bodies
-        # A contact of a deformable body has no geom, so no body here: its distance is infinite.
-        return np.where(np.all(contact.geom >= 0, axis=1), contact.dist, np.inf), bodies
+        ``frames`` (2, N, joints of the model, 3) is filled with the joints' axes and anchors.
+        """
+        data = self._data
+        n_bodies = self._model.nbody
+        positions = np.empty((len(q), n_bodies, 3))
+        rotations = np.empty((len(q), n_bodies, 9))
+        counts = np.zeros(len(q), dtype=int)
+        found: list[tuple[Any, ...]] = [
+            (
+                np.zeros((0, 2), dtype=int),
+                np.zeros(0),
+                np.zeros((0, 9)),
+                np.zeros((0, 3)),
+            )
+        ]
+        for k, configuration in enumerate(q):
+            data.qpos[self._robot.qpos_index] = configuration
+            update_contacts(self._model, data)
+            counts[k] = data.ncon
+            if data.ncon:
+                contact = data.contact
+                geoms = contact.geom.reshape(-1, 2)
+                fields = (geoms, contact.dist, contact.frame, contact.pos)
+                found.append(tuple(map(np.array, fields)))
+            # Entire arrays: choosing bodies in each posture takes ten times as long.
+            if self._walls:
+                positions[k] = data.xpos
+                rotations[k] = data.xmat
+            if frames is not None:
+                frames[:, k] = data.xaxis, data.xanchor
+        geoms, distance, frame, point = map(np.concatenate, zip(*found))
+        bodies = self._model.geom_bodyid[geoms]
+        # A contact of a deformable body has no geom, so no body here.
+        distance = np.where(np.all(geoms >= 0, axis=1), distance, np.inf)
+        slack = distance - self._required[bodies[:, 0], bodies[:, 1]]
+        posture = np.repeat(np.arange(len(q)), counts)
+        wall = np.full(len(posture), -1)
+        pairs = _Near(posture, bodies, distance, slack, frame[:, :3], point, wall)
+        parts = [pairs, *self._near_walls(positions, rotations)]
+        return _Near(*map(np.concatenate, zip(*parts)))
 
-    def _set_required_distances(self, clearance: float) -> Sequence[str]:
+    def _near_walls(self, positions: Array, rotations: Array) -> Iterator[_Near]:
+        """Yield for each boundary the postures in which its body is near it.
+
+        Args:
+            positions: (N, nbody, 3) MuJoCo's xpos of all bodies in N postures [m].
+            rotations: (N, nbody, 9) MuJoCo's xmat of all bodies.
+        """
+        for number, wall in enumerate(self._walls):
+            normal = wall.space.normal
+            least = wall.required + HORIZON
+            # The ball around the body's origin that contains it tells most postures apart.
+            height = positions[:, wall.solid.body] @ normal - wall.space.offset
+            posture = np.flatnonzero(height - wall.solid.reach < least)
+            lowest = wall.solid.lowest(positions[posture], rotations[posture], normal)
+            height = lowest @ normal - wall.space.offset
+            is_near = height < least
+            posture = posture[is_near]
+            height = height[is_near]
+            count = len(posture)
+            yield _Near(
+                posture,
+                np.tile([0, wall.solid.body], (count, 1)),
+                height,
+                height - wall.required,
+                np.tile(normal, (count, 1)),
+                lowest[is_near],
+                np.full(count, number),
+            )
+
+    def _set_required_distances(self, start: Array, clearance: float) -> list[str]:
         """Set ``self._required``, in place, to the distance that each pair has to keep, from its
-        distance in the configuration that ``self._data`` has; return ``collisions``.
+        distance at joint positions ``start`` (n,); return ``collisions``.
 
         ``clearance`` is the distance of pairs that are farther apart there [m].
         """
         distances = dict[tuple[int, int], float]()
         link = self._link_of_body
-        for distance, (a, b) in zip(*self._contact_bodies()):
+        near = self._near(start[None])
+        for distance, (a, b) in zip(near.distance.tolist(), near.bodies.tolist()):
             if link[a] != link[b]:  # else they do not move against each other
-                pair = (min(int(a), int(b)), max(int(a), int(b)))
-                distances[pair] = min(distances.get(pair, np.inf), float(distance))
+                pair = (min(a, b), max(a, b))
+                distances[pair] = min(distances.get(pair, np.inf), distance)
         touching = [pair for pair, distance in distances.items() if distance <= 0.0]
         by_design = touching_by_design(self._robot, touching)
         self._required[link[:, None] == link] = -np.inf
@@ -259,22 +323,25 @@ class Clearance:
         return collisions
 
     def _set_required_heights(
-        self, spaces: HalfSpaces
+        self, start: Array, half_spaces: Sequence[HalfSpace]
     ) -> list[tuple[HalfSpace, str, float]]:
-        """Let bodies near a boundary in the configuration that ``self._data`` has keep half of
-        their height above it, in place in ``spaces.required``; return ``outside_at_rest``.
+        """Set the boundaries of half-spaces; return ``outside_at_rest``.
+
+        Bodies near a boundary at joint positions ``start`` (n,) keep half of their height above it.
         """
         outside = []
-        # One posture: (1, nbody, 3) and (1, nbody, 9).
-        frames = self._data.xpos[None], self._data.xmat[None]
-        for number, _, (height,), _ in spaces.heights(*frames):
-            # (K,) heights above all half-spaces, and the heights that this body has to keep.
-            required = spaces.required[number]
-            name = body_label(self._model, spaces.solids[number].body)
-            is_outside = (height <= 0.0) & np.isfinite(required)
-            for k in np.flatnonzero(is_outside).tolist():
-                outside.append((spaces.spaces[k], name, -float(height[k])))
-            required[:] = np.minimum(required, np.maximum(0.0, KEPT_SHARE * height))
+        data = self._data
+        data.qpos[self._robot.qpos_index] = start
+        mujoco.mj_kinematics(self._model, data)
+        for space in half_spaces:
+            for solid in solids_of(self._model, space.bodies):
+                lowest = solid.lowest(data.xpos[None], data.xmat[None], space.normal)
+                height = float(lowest[0] @ space.normal) - space.offset
+                if height <= 0.0:
+                    name = body_label(self._model, solid.body)
+                    outside.append((space, name, -height))
+                required = min(space.clearance, max(0.0, KEPT_SHARE * height))
+                self._walls.append(_Wall(space, solid, required))
         return outside
 
     def _ignore_harmless_neighbours(self, start: Array) -> None:
@@ -284,128 +351,18 @@ class Clearance:
         To ignore a pair, its entry in ``self._required`` is set to minus infinity.
         """
         # Links next to each other are always near; to know that this is harmless saves most tests.
-        # Least distance of two bodies, the one with the smaller id in the row.
-        least = np.full_like(self._required, np.inf)
+        is_harmless = np.zeros(self._required.shape, dtype=bool)
         for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
-            positions = np.linspace(low, high, _NEIGHBOUR_POSTURES)
-            nearest = self._sweep(start, joint, positions, least)
-            step = (high - low) / _NEIGHBOUR_POSTURES
-            around = nearest + step * np.linspace(-1.0, 1.0, _FINE_POSTURES)
-            self._sweep(start, joint, np.clip(around, low, high), least)
-        is_harmless = np.isfinite(least) & np.isfinite(self._required)
-        is_harmless &= least >= self._required
-        self._required[is_harmless | is_harmless.T] = -np.inf
-
-    def _sweep(self, start: Array, joint: int, positions: Array, least: Array) -> float:
-        """Return the position of a joint, of ``positions`` (K,), at which the bodies on its two
-        sides are nearest, or ``start[joint]`` where they are near at none; the other joints stay at
-        ``start`` (n,).
-
-        Lowers ``least`` (nbody, nbody), in place, to the distances of these bodies.
-        """
-        q = start.copy()
-        smallest = np.inf
-        nearest = float(start[joint])
-        for position in positions:
-            q[joint] = position
-            self._set_configuration(q)
-            distance, bodies = self._contact_bodies()
-            links = np.sort(self._link_of_body[bodies], axis=1)
+            q = np.tile(start, (_NEIGHBOUR_POSTURES, 1))
+            q[:, joint] = np.linspace(low, high, _NEIGHBOUR_POSTURES)
+            near = self._near(q)
+            links = np.sort(self._link_of_body[near.bodies], axis=1)
             is_neighbour = (links[:, 0] == joint) & (links[:, 1] == joint + 1)
-            first, second = np.sort(bodies[is_neighbour], axis=1).T
-            np.minimum.at(least, (first, second), distance[is_neighbour])
-            least_distance = float(np.min(distance[is_neighbour], initial=np.inf))
-            if least_distance < smallest:
-                smallest = least_distance
-                nearest = float(q[joint])
-        return nearest
-
-    def _nearest(
-        self, q: Array, budget: Array | None = None, frames: Array | None = None
-    ) -> _Nearest:
-        """Return the tightest pair, among contacts and half-spaces, at configurations q (N, n).
-
-        Args:
-            q: the configurations.
-            budget: (P,) is lowered, in place, to the least slack of the pairs of each row of
-                ``rates``.
-            frames: (2, N, joints of the model, 3) is filled with the joints' axes and anchors.
-        """
-        nearest = _Nearest(len(q))
-        spaces = self._spaces
-        data = self._data
-        positions = np.empty((len(q), self._model.nbody, 3))
-        rotations = np.empty((len(q), self._model.nbody, 9))
-        for k, configuration in enumerate(q):
-            self._set_configuration(configuration)
-            if data.ncon:
-                self._note_contact(nearest, k, budget)
-            # Entire arrays: choosing bodies in each posture takes ten times as long.
-            if spaces is not None:
-                positions[k] = data.xpos
-                rotations[k] = data.xmat
-            if frames is not None:
-                frames[:, k] = data.xaxis, data.xanchor
-        if spaces is not None:
-            self._note_spaces(spaces, positions, rotations, nearest, budget)
-        return nearest
-
-    def _note_contact(
-        self, nearest: _Nearest, index: int, budget: Array | None
-    ) -> None:
-        """Write the tightest contact of ``self._data`` into row ``index`` of ``nearest``, if it is
-        tighter than the pair there; lower ``budget`` (P,), in place, to the slacks of all contacts.
-        """
-        distance, bodies = self._contact_bodies()
-        first, second = bodies.T
-        slack = distance - self._required[first, second]
-        if budget is not None:
-            np.minimum.at(budget, self._rows[first, second], slack)
-        k = int(slack.argmin())
-        if slack[k] < nearest.slack[index]:
-            contact = self._data.contact[k]
-            nearest.slack[index] = slack[k]
-            nearest.distance[index] = distance[k]
-            nearest.bodies[index] = bodies[k]
-            nearest.normal[index] = contact.frame[:3]
-            nearest.point[index] = contact.pos
-
-    def _note_spaces(
-        self,
-        spaces: HalfSpaces,
-        positions: Array,
-        rotations: Array,
-        nearest: _Nearest,
-        budget: Array | None,
-    ) -> None:
-        """Write into ``nearest`` the half-spaces that are tighter than the pairs there.
-
-        Args:
-            spaces: the half-spaces.
-            positions: (N, nbody, 3) MuJoCo's xpos of all bodies in N configurations [m].
-            rotations: (N, nbody, 9) MuJoCo's xmat of all bodies.
-            nearest: pairs of these N configurations; changed in place.
-            budget: (P,) least slack per row of ``rates`` [m]; lowered in place.
-        """
-        heights = spaces.heights(positions, rotations, HORIZON)
-        for number, postures, height, lowest in heights:
-            body = spaces.solids[number].body
-            slack = height - spaces.required[number]
-            tightest = np.argmin(slack, axis=1)
-            least = slack[np.arange(len(postures)), tightest]
-            if budget is not None:
-                # Half-spaces rest, as the world does, which is body 0.
-                row = self._rows[0, body]
-                budget[row] = min(budget[row], np.min(least))
-            nearer = np.flatnonzero(least < nearest.slack[postures])
-            index = postures[nearer]
-            space = tightest[nearer]
-            nearest.slack[index] = least[nearer]
-            nearest.distance[index] = height[nearer, space]
-            nearest.space[index] = space
-            nearest.normal[index] = spaces.normals[space]
-            nearest.point[index] = lowest[nearer, space]
-            nearest.bodies[index] = 0, body
+            first, second = np.sort(near.bodies[is_neighbour], axis=1).T
+            least = np.full(self._required.shape, np.inf)
+            np.minimum.at(least, (first, second), near.slack[is_neighbour])
+            is_harmless |= np.isfinite(least) & (least >= 0.0)
+        self._required[is_harmless | is_harmless.T] = -np.inf
 
 
 def _with_margin(mj_model: Any, margin: float) -> Any:
@@ -465,12 +422,11 @@ def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:
             np.bitwise_or.at(of_bodies, body, bits.astype(of_bodies.dtype))
 
 
-def approach_rates(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
+def approach_rates(
+    robot: RobotModel, data: Any, link_of_body: Any
+) -> tuple[Array, Any]:
     """Return bounds (P, n) on how fast the links of one arm can approach each other, per unit joint
-    speed [m/rad, or 1 for slides]; P = (n + 1)^2 + 1.
-
-    Row a (n + 1) + b bounds the approach of links a and b [m/s] as rates @ abs(qd); the last row
-    bounds that of every pair.
+    speed [m/rad, or 1 for slides], and the row (n + 1, n + 1) of each pair of links.
 
     Args:
         robot: the arm.
@@ -480,13 +436,13 @@ def approach_rates(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
     """
     n = robot.n_joints
     reach = _reach(robot, data, link_of_body)
+    rows = np.zeros((n + 1, n + 1), dtype=int)
+    low, high = np.triu_indices(n + 1, 1)
+    rows[low, high] = rows[high, low] = np.arange(len(low))
+    # The joints between two links move the outer one, of the higher number, about their axes.
     joint = np.arange(n)
-    pairs = []
-    for low, high in map(sorted, np.ndindex(n + 1, n + 1)):
-        # The joints between two links move the outer one, of the higher number, about their axes.
-        is_between = (low <= joint) & (joint < high)
-        pairs.append(np.where(is_between, reach[:, high], 0.0))
-    return np.vstack((pairs, np.max(pairs, axis=0)))
+    is_between = (low[:, None] <= joint) & (joint < high[:, None])
+    return np.where(is_between, reach[:, high].T, 0.0), rows
 
 
 def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:

@@ -32,7 +32,7 @@ from robot_sysid.estimate.rows import Poses, Recording
 from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
 from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD
-from robot_sysid.motion.information import JOINT_TERMS, PriorKnowledge, design_criterion
+from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
 from robot_sysid.motion.prediction import Prediction, invisible_combinations
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import LineTrajectory
@@ -176,7 +176,6 @@ def predict(
     """
     robot = problem.robot
     knowledge = prior_knowledge(problem, recording.options, recording.target)
-    criterion = design_criterion(problem, knowledge)
     names: tuple[str, ...] = PARAMETER_NAMES
     recordings = "Recorded once"
     subject = robot.body_name
@@ -215,7 +214,7 @@ def predict(
         errors=fitted.errors[at],
         by_cause=by_cause,
         link_mass_errors=link_errors,
-        invisible=invisible_combinations(problem, criterion),
+        invisible=invisible_combinations(problem, Criterion(problem, knowledge)),
     )
 
 

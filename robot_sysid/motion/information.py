@@ -1,52 +1,59 @@
-"""Information about the arm's bodies that a motion will give, and its gradient.
+"""What a motion will tell, as the number that a search minimises, with its gradient.
 
 Joint j delivers equations tau_j = Y_j theta + Z_j x_j, theta the parameters of all links and x_j
-the unknowns of this joint alone (``JOINT_TERMS``). Its friction and the inertia of its rotor are
-free; the error of its torque scale and the friction terms that the friction model lacks have the
-prior x ~ N(0, s^2), which is one more row of unit variance. The information about theta after
-eliminating x_j is the Schur complement
+the unknowns of this joint alone (``JOINT_TERMS``), with the priors of the one fit
+(``expected_errors.prior_knowledge``). In units in which each prior has variance one, the inverse
+covariance of all unknowns is H = A^T A + P, A the equations over their noise and P a one for each
+unknown with a prior. The value is that of C = H^-1 for the parameters of the target:
 
-    L = sum_j E_j^T E_j / sigma_j^2 + C_j^T D C_j,   E_j = Y_j - Z_j C_j,
-    C_j = (Z_j^T Z_j / sigma_j^2 + D)^-1 Z_j^T Y_j / sigma_j^2,
+    ln det C / 2r,   dA = -A G / r,   G = C[:, t] (C[t, t])^-1 C[t, :],
 
-D the prior precision of x_j. With the prior precision P of the other links' parameters,
-(L + P)^-1 is the covariance of the estimate (``expected_errors`` computes P and s).
+the logarithm of the geometric mean of the standard deviations along the axes of the confidence
+ellipsoid: a change of 0.01 is one of about 1 % (Bayesian D-optimality; Chaloner, Verdinelli,
+"Bayesian experimental design: a review", Statistical Science 10(3), 1995).
+
 Encoder zeros, gravity's direction and a delay are part of the predicted errors (``prediction``) but
-not of this criterion: for two arms they are less than a twentieth of any variance.
+not of this number: for two arms they are less than a twentieth of any variance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robot_sysid.dynamics.inverse_dynamics import LinksMotion, bracket_transposed
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
-from robot_sysid.regressor import wrench_regressor
+from robot_sysid.trajectory import Series
 
 _RIDGE = 1e-10
 """Share of the trace of Z^T Z that is added to its diagonal: x_j can then be eliminated too where a
 joint stands still and its friction columns are zero."""
-_STILL = 1e-9
-"""Least divisor in the derivative of sqrt(abs(qd)) [(rad/s)^0.5]: it keeps the derivative finite at
-zero speed."""
 _INVISIBLE = 1e-9
 """Information along a direction, over the largest along any, up to which the direction is not
 identifiable."""
-JOINT_TERMS = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
-"""Unknowns of one joint's equations alone: friction terms, rotor inertia, torque scale."""
-_N_TERMS = len(JOINT_TERMS)
+_SINGULAR = 1e-14
+"""Smallest squared pivot, of an inverse covariance with a unit diagonal, that is no rounding."""
 _RANDOM_SIZE = 400_000
 """Largest number of samples of random motion times the square of the number of joints: bounds the
 memory for arms with many joints (50 MB for 60 joints)."""
+JOINT_TERMS = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
+"""Unknowns of one joint's equations alone: friction terms, rotor inertia, torque scale."""
+_N_TERMS = len(JOINT_TERMS)
+SMOOTHING_SHARE = 0.03
+"""Share of the speed limit below which the search rounds off Coulomb friction's jump.
 
-Gradient = tuple[Array, Array, Array]
-"""Gradient of a scalar with respect to q, qd and qdd, (N, n) each."""
+It changes no predicted standard deviation by more than 3 %
+(``test_the_grid_is_fine_enough_for_the_band``).
+"""
+_STEP = 1e-6
+"""Step of finite differences [rad, rad/s and rad/s^2]: torques are exact to 1e-13, so their
+derivatives to 1e-7."""
+_MOST_TOGETHER = 30_000
+"""Cube of the numbers of a sample up to which all of their steps are taken together: bounds the
+memory for arms with many joints."""
 
 
 @dataclass(frozen=True)
@@ -67,347 +74,212 @@ class PriorKnowledge:
     target: str = "link"
 
 
-class Information(NamedTuple):
-    """Information of a motion about the parameters of all L links with mass.
+class Criterion:
+    """The number that a design minimises, over all combinations of parameters that can be told.
 
-    Attributes:
-        information: (10 L, 10 L) inverse covariance of the parameters, priors of links not
-            included; the terminal link first, then towards the base.
-        vjp: takes G (10 L, r) and returns the gradient, by q, qd and qdd (N, n) each, of a scalar
-            whose derivative with respect to the information is -G G^T.
-    """
-
-    information: Array
-    vjp: Callable[[Array], Gradient]
-
-
-class InformationModel:
-    """Maps motions to the information that torques along them hold about all links with mass.
+    A combination counts if random motion has information about it: no trajectory of these joints
+    can show more than unrelated random positions, velocities and accelerations do.
 
     Args:
         problem: the arm, and its joints whose torque is used.
-        sigma: (rows,) standard deviation of the torque noise of each used joint [N m].
-        knowledge: priors of the joint terms.
+        knowledge: priors.
+        samples: number of samples of the recording that each sample of a motion stands for.
         smoothing: share of the speed limits below which Coulomb friction's jump is rounded off.
+
+    Attributes:
+        visible: (10, r) directions in the space of the terminal link's parameters that are
+            identifiable by some motion, in units of the typical sizes of the parameters.
     """
 
     def __init__(
         self,
         problem: ExcitationProblem,
-        sigma: Array,
         knowledge: PriorKnowledge,
-        smoothing: float = 0.0,
+        samples: float = 1.0,
+        smoothing: float = SMOOTHING_SHARE,
     ) -> None:
-        self._dynamics = problem.dynamics
-        self._links = list(problem.links)
-        self._theta = np.ravel([problem.robot.links[k].theta for k in self._links])
-        self._joints = list(problem.rows)
-        self._sigma = sigma
-        # (rows, 1) speed below which sign(qd) is rounded off to tanh [rad/s]; 0 for none.
-        smooth_speed = smoothing * problem.limits.velocity[self._joints]
-        self._smooth_speed = smooth_speed[:, None]
-        self._joint_deviations = knowledge.joint_deviations
-        # Number of link parameters in each used joint's equation: ten per link that it moves.
-        n_moved = np.less_equal.outer(self._joints, self._links).sum(axis=1)
-        self._n_carried = (10 * n_moved).tolist()
-
-    def evaluate(self, q: Array, qd: Array, qdd: Array) -> Information:
-        """Return the information of a motion with one sample per row of q, qd, qdd (N, n).
-
-        ``Information.vjp`` keeps the arrays of this motion in memory.
-        """
-        motion = self._dynamics.motion(q, qd, qdd)
-        joints = self._joints
-        links = self._links
-        velocity = np.stack(motion.velocity, axis=1)[:, links]
-        acceleration = np.stack(motion.acceleration, axis=1)[:, links]
-        # (N, 6, 10 L): of each sample, the wrench regressors of all links in the base's frame.
-        in_link_frame = body_wrench(velocity, acceleration).transpose(2, 3, 0, 1)
-        to_base = motion.to_links[links].swapaxes(-1, -2)
-        wrench = to_base @ in_link_frame
-        wrench = wrench.transpose(1, 2, 0, 3).reshape(len(q), 6, -1)
-        # Y (rows, N, 10 L): the power of each wrench along the twist of each used joint.
-        joint_twists = motion.joint_twists[:, joints]
-        rows = np.empty((len(joints), len(q), len(self._theta)))
-        np.matmul(joint_twists.transpose(2, 1, 0), wrench, out=rows.swapaxes(0, 1))
-        self._clear_uncarried(rows)
-        torque = rows @ self._theta
-        terms, slopes = self._joint_terms(qd[:, joints].T, qdd[:, joints].T, torque)
-        weight = 1.0 / self._sigma[:, None, None]
-        rows *= weight
-        terms *= weight
-        # C (rows, 7, 10 L): the regression of each joint's rows on the terms of this joint alone.
-        transposed = terms.transpose(0, 2, 1)
-        normal = transposed @ terms
-        ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None]
-        # A term with a prior is in units of its standard deviation, so that its precision is 1.
-        ridge = ridge + np.isfinite(self._joint_deviations).T
-        precision = normal + ridge[:, None] * np.eye(_N_TERMS)
-        gain = np.linalg.solve(precision, transposed @ rows)
-        residual = rows - terms @ gain
-        # Y^T E / sigma^2 equals the two terms of L, as E is the residual of a regression.
-        information = np.zeros((len(self._theta), len(self._theta)))
-        for row, joint_residual, count in zip(rows, residual, self._n_carried):
-            block = row[:, :count].T @ joint_residual[:, :count]
-            information[:count, :count] += block
-        residual *= weight
-        vjp = partial(
-            self._vjp, motion, (qd, qdd), velocity, wrench, slopes, gain, residual
+        self._problem = problem
+        self._knowledge = knowledge
+        self._theta = np.ravel([problem.robot.links[k].theta for k in problem.links])
+        self._joints = slice(problem.rows[0], None)
+        self._smooth_speed = smoothing * problem.limits.velocity[self._joints]
+        deviations = knowledge.joint_deviations.T
+        self._has_prior = np.isfinite(deviations)
+        self._unit = np.where(self._has_prior, deviations, 1.0)
+        scale = np.diag(problem.scale)
+        # All directions at first, and the noise of one torque [N m]: only shares count.
+        self.visible = scale
+        self._sigma = np.ones(len(problem.rows))
+        information = self._information(self._rows(*random_motion(problem)))
+        cross = information[:10, 10:]
+        precision = information[:10, :10] - cross @ np.linalg.solve(
+            information[10:, 10:], cross.T
         )
-        return Information(0.5 * (information + information.T), vjp)
+        values, vectors = np.linalg.eigh(precision)
+        self.visible = scale @ vectors[:, values > _INVISIBLE * values[-1]]
+        self._sigma = problem.sigma / np.sqrt(samples)
 
-    def _clear_uncarried(self, rows: Array) -> None:
-        """Set to zero the columns of rows (joints, N, 10 L) of links that a joint does not move."""
-        for block, count in zip(rows, self._n_carried):
-            block[:, count:] = 0.0
+    def covariance(self, motion: Series) -> Array:
+        """Return the covariance (10, 10) of the terminal link's parameters that a motion and the
+        priors leave; zero along directions that no motion shows.
 
-    def _joint_terms(
-        self, qd: Array, qdd: Array, torque: Array
-    ) -> tuple[Array, list[Array]]:
-        """Return the columns Z (rows, N, 7) of ``JOINT_TERMS``, in units of their prior standard
-        deviations where these are finite, and a list of their derivatives (rows, N, 7) by speed,
-        acceleration and torque.
+        ``motion`` has q, qd and qdd, (N, n) each.
+        """
+        inverse = np.linalg.inv(self._information(self._rows(*motion)))
+        count = self.visible.shape[1]
+        return np.asarray(self.visible @ inverse[:count, :count] @ self.visible.T)
+
+    def evaluate(self, motion: Series) -> float:
+        """Return the value of a motion q, qd and qdd, (N, n) each; infinite if singular."""
+        return self._solve(self._rows(*motion))[0]
+
+    def with_gradient(self, motion: Series) -> tuple[float, Series]:
+        """Return the value of a motion and its gradient by q, qd and qdd, (N, n) each."""
+        rows = self._rows(*motion)
+        value, weight = self._solve(rows)
+        n_links = rows.shape[2] - _N_TERMS
+        adjoint = np.empty((len(self._sigma), len(self._change), len(rows)))
+        for joint, sigma in enumerate(self._sigma):
+            at = self._columns_of(joint, n_links)
+            by_row = -rows[:, joint] @ weight[np.ix_(at, at)]
+            adjoint[joint] = self._change @ by_row.T / sigma
+        by_links = adjoint[:, :-_N_TERMS]
+        by_terms = self._unit[:, :, None] * adjoint[:, -_N_TERMS:]
+
+        def total(q: Array, qd: Array, qdd: Array) -> Array:
+            """Return the sums (m, N) of all columns times their derivatives of the value."""
+            links, terms = self._raw_columns(q, qd, qdd)
+            links = links.reshape(*links.shape[:2], -1, len(rows))
+            terms = terms.reshape(*terms.shape[:2], -1, len(rows))
+            sums = np.einsum("jkmn,jkn->mn", links, by_links)
+            return np.asarray(sums + np.einsum("jkmn,jkn->mn", terms, by_terms))
+
+        return value, gradient_of(total, motion)
+
+    @property
+    def _change(self) -> Array:
+        """The raw columns (10 L + 7) per unit of each unknown of a joint's equations."""
+        factor = self._knowledge.link_factor
+        n_visible = self.visible.shape[1]
+        n_others = len(factor)
+        n_links = n_visible + n_others
+        change = np.zeros((len(self._theta) + _N_TERMS, n_links + _N_TERMS))
+        change[:10, :n_visible] = self.visible
+        change[10 : 10 + n_others, n_visible:n_links] = factor
+        change[-_N_TERMS:, -_N_TERMS:] = np.eye(_N_TERMS)
+        return change
+
+    def _columns_of(self, joint: int, n_links: int) -> NDArray[np.int64]:
+        """Return the indices, among all unknowns, of those in a joint's equations."""
+        own = n_links + joint * _N_TERMS + np.arange(_N_TERMS)
+        return np.append(np.arange(n_links), own)
+
+    def _raw_columns(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+        """Return the columns (rows, 10 L, N) of the links' parameters, and (rows, 7, N) of each
+        joint's own terms.
+        """
+        problem = self._problem
+        columns = problem.dynamics.motion(q, qd, qdd).columns(problem.links)
+        links = columns.transpose(1, 2, 0)[self._joints]
+        load = self._theta @ links
+        return links, self._joint_terms(qd.T[self._joints], qdd.T[self._joints], load)
+
+    def _rows(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the equations (N, rows, k) in units of the unknowns, over the noise."""
+        links, terms = self._raw_columns(q, qd, qdd)
+        columns = np.concatenate((links, self._unit[:, :, None] * terms), axis=1)
+        rows = columns.transpose(2, 0, 1) @ self._change
+        return np.asarray(rows / self._sigma[:, None])
+
+    def _joint_terms(self, qd: Array, qdd: Array, load: Array) -> Array:
+        """Return the columns (rows, 7, N) of ``JOINT_TERMS``.
 
         Args:
             qd: (rows, N) speeds of the used joints [rad/s].
             qdd: (rows, N) accelerations [rad/s^2].
-            torque: (rows, N) torques of the model's links [N m].
+            load: (rows, N) torques of the model's links [N m].
         """
-        speed = self._smooth_speed
-        divisor = np.where(speed > 0.0, speed, 1.0)
-        smooth = np.tanh(qd / divisor)
-        sign = np.where(speed > 0.0, smooth, np.sign(qd))
-        slope = np.where(speed > 0.0, (1.0 - smooth**2) / divisor, 0.0)
-        root = np.sqrt(np.abs(qd))
-        one = np.ones_like(qd)
-        zero = np.zeros_like(qd)
-        root_slope = 0.5 * np.abs(sign) / np.maximum(root, _STILL)
-        is_prior = np.isfinite(self._joint_deviations)
-        unit = np.where(is_prior, self._joint_deviations, 1.0).T[:, None]
-        load = np.abs(torque)
-        # In the order of ``JOINT_TERMS``: the terms, their derivatives by speed, by acceleration
-        # and by torque.
-        tables = (
-            (sign, qd, one, qdd, torque, sign * load, sign * root),
-            (slope, one, zero, zero, zero, slope * load, slope * root + root_slope),
-            (zero, zero, zero, one, zero, zero, zero),
-            (zero, zero, zero, zero, one, sign * np.sign(torque), zero),
-        )
-        terms, *slopes = (unit * np.stack(columns, axis=2) for columns in tables)
-        return terms, slopes
+        speed = self._smooth_speed[:, None]
+        sign = np.tanh(qd / speed) if np.all(speed > 0.0) else np.sign(qd)
+        root = sign * np.sqrt(np.abs(qd))
+        # In the order of ``JOINT_TERMS``.
+        columns = (sign, qd, np.ones_like(qd), qdd, load, sign * np.abs(load), root)
+        return np.stack(columns, axis=1)
 
-    def _vjp(
-        self,
-        motion: LinksMotion,
-        rates: tuple[Array, Array],
-        velocity: Array,
-        wrench: Array,
-        slopes: list[Array],
-        gain: Array,
-        residual: Array,
-        factor: Array,
-    ) -> Gradient:
-        """Return the gradient of a scalar with the derivative -G G^T by the information, G being
-        ``factor`` (10 L, r), with respect to q, qd and qdd (N, n) each, in reverse mode.
+    def _information(self, rows: Array) -> Array:
+        """Return H (P, P), the inverse covariance of all unknowns: links, then each joint's."""
+        joints = len(self._sigma)
+        n_links = rows.shape[2] - _N_TERMS
+        size = n_links + joints * _N_TERMS
+        information = np.zeros((size, size))
+        prior = range(self.visible.shape[1], n_links)
+        information[prior, prior] = 1.0
+        for joint in range(joints):
+            at = self._columns_of(joint, n_links)
+            equations = rows[:, joint]
+            normal = equations.T @ equations
+            ridge = _RIDGE * np.trace(normal[n_links:, n_links:])
+            own = range(n_links, n_links + _N_TERMS)
+            normal[own, own] += ridge + self._has_prior[joint]
+            information[np.ix_(at, at)] += normal
+        return information
 
-        The regression C_j (``gain``) needs no derivative: it minimises the residual.
-
-        Args:
-            motion: of all links.
-            rates: qd and qdd, (N, n) each.
-            velocity: (6, L, N) twists of the links with mass, in their frames.
-            wrench: (N, 6, 10 L) wrench regressors in the base's frame.
-            slopes: derivatives (rows, N, 7) of the joint terms by speed, acceleration and torque.
-            gain: (rows, 7, 10 L) C_j.
-            residual: (rows, N, 10 L) E_j over the variance of the torque noise.
-            factor: (10 L, r) G.
-        """
-        # An x_adjoint is the scalar's gradient with respect to x: of the rows Y and the terms Z.
-        rows_adjoint = (-2.0 * residual @ factor) @ factor.T
-        terms_adjoint = -rows_adjoint @ gain.transpose(0, 2, 1)
-        adjoints = [np.sum(terms_adjoint * slope, axis=2) for slope in slopes]
-        by_qd, by_qdd, by_torque = adjoints
-        rows_adjoint += by_torque[:, :, None] * self._theta
-        self._clear_uncarried(rows_adjoint)
-        # Each row is a product of a joint's twist and a link's wrench, both in the base's frame.
-        joints = self._joints
-        links = self._links
-        sample_adjoint = rows_adjoint.swapaxes(0, 1)
-        by_screws, by_turns, *by_motion = np.zeros((4, *motion.joint_twists.shape))
-        screw_adjoint = sample_adjoint @ wrench.swapaxes(1, 2)
-        by_screws[:, joints] = screw_adjoint.transpose(2, 1, 0)
-        twists = motion.joint_twists[:, joints].transpose(2, 0, 1)
-        shape = (len(wrench), 6, len(links), 10)
-        by_wrench = (twists @ sample_adjoint).reshape(shape).transpose(1, 2, 3, 0)
-        wrench = wrench.reshape(shape).transpose(1, 2, 3, 0)
-        # A turn of a link turns its wrenches.
-        by_turns[:, links] = np.sum(bracket_transposed(by_wrench, wrench), axis=2)
-        in_link_frame = motion.to_links[links] @ by_wrench.transpose(1, 3, 0, 2)
-        gradients = _wrench_vjp(velocity, in_link_frame.transpose(2, 3, 0, 1))
-        for by_twist, gradient in zip(by_motion, gradients):
-            by_twist[:, links] = gradient
-        total = motion.gradient(rates, by_screws, by_motion, by_turns)
-        # The joint terms depend on qd and qdd directly too.
-        total[1][:, joints] += by_qd.T
-        total[2][:, joints] += by_qdd.T
-        return total
-
-
-@lru_cache(maxsize=1)
-def _coefficients() -> tuple[Array, Array]:
-    """Return A (60, 6) and B (60, 6, 6), symmetric in its last two axes, of the wrench regressor as
-    a function of acceleration V' and twist V: Y6 = A V' + B V V, with the (6, 10) entries of Y6 as
-    60 rows. Computed once and cached: do not change the arrays.
-    """
-    # From values of ``wrench_regressor`` (polarisation), so that its formula is written only once.
-    unit = np.eye(6)
-    zero = np.zeros((6, 6))
-    linear = wrench_regressor(zero, unit).reshape(60, 6)
-    sums = (unit[:, None] + unit).reshape(36, 6)
-    of_sums = wrench_regressor(sums, np.zeros_like(sums)).reshape(60, 6, 6)
-    of_units = wrench_regressor(unit, zero).reshape(60, 6)
-    return linear, 0.5 * (of_sums - of_units[:, :, None] - of_units[:, None, :])
-
-
-def body_wrench(velocity: Array, acceleration: Array) -> Array:
-    """Return the wrench regressor Y6 (6, 10, ...) for twists (6, ...) and spatial accelerations
-    minus gravity (6, ...), as ``regressor.wrench_regressor`` does for one body.
-    """
-    linear, quadratic = _coefficients()
-    products = (velocity[:, None] * velocity[None, :]).reshape(36, -1)
-    wrench = linear @ acceleration.reshape(6, -1) + quadratic.reshape(60, 36) @ products
-    return wrench.reshape(6, 10, *velocity.shape[1:])
-
-
-def _wrench_vjp(velocity: Array, wrench_adjoint: Array) -> tuple[Array, Array]:
-    """Return the gradients (6, ...) of a scalar with respect to the twist and the acceleration that
-    are given to ``body_wrench``.
-
-    Args:
-        velocity: (6, ...) the twist.
-        wrench_adjoint: (6, 10, ...) gradient of the scalar with respect to the wrench regressor.
-    """
-    linear, quadratic = _coefficients()
-    adjoint = wrench_adjoint.reshape(60, -1)
-    by_products = quadratic.reshape(60, 36).T @ adjoint
-    by_products = by_products.reshape(6, 6, *velocity.shape[1:])
-    by_velocity = 2.0 * np.sum(by_products * velocity, axis=1)
-    return by_velocity, (linear.T @ adjoint).reshape(velocity.shape)
-
-
-_SINGULAR = 1e-14
-"""Smallest eigenvalue, of a precision with a unit diagonal, that is more than rounding."""
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """The number that a design minimises: the logarithm of the mean standard deviation that a
-    motion leaves of the parameters it is to identify.
-
-    Attributes:
-        visible: (10, r) directions in the space of the terminal link's parameters that are
-            identifiable by some motion, in units of the typical sizes of the parameters.
-        link_factor: (10 L, 10 L), see ``PriorKnowledge``.
-        target: "link", "arm" or "payload", see ``PriorKnowledge``.
-    """
-
-    visible: Array
-    link_factor: Array
-    target: str
-
-    def eliminate(self, information: Array, count: int) -> tuple[Array, Array]:
-        """Return (T (10 L, count), S (count, count)) with all but the first ``count`` unknowns
-        eliminated.
-
-        The unknowns are the coordinates of theta in ``visible``, then those of the other links in
-        ``link_factor``. S is the precision of the first ``count`` unknowns x, priors included;
-        theta = T x where the other unknowns have the values that fit best with x.
-
-        Args:
-            information: (10 L, 10 L) of a motion, the terminal link first.
-            count: number of unknowns that stay.
-        """
-        n_visible = self.visible.shape[1]
-        n_others = len(self.link_factor)
-        # theta = change @ unknowns; the unknowns of the other links have unit prior covariance.
-        change = np.zeros((len(information), n_visible + n_others))
-        change[:10, :n_visible] = self.visible
-        change[10 : 10 + n_others, n_visible:] = self.link_factor
-        precision = change.T @ information @ change
-        prior = range(n_visible, n_visible + n_others)
-        precision[prior, prior] += 1.0
-        cross = precision[:count, count:]
-        best = np.linalg.solve(precision[count:, count:], cross.T)
-        directions = change[:, :count] - change[:, count:] @ best
-        return directions, precision[:count, :count] - cross @ best
-
-    def evaluate(self, information: Array) -> tuple[float, Array]:
-        """Return (ln det C / 2r, G (10 L, r)) of information (10 L, 10 L); infinite if singular.
-
-        C (r, r) is the covariance of the target's parameters, all others eliminated. The value is
-        the logarithm of the geometric mean of the standard deviations along the axes of the
-        confidence ellipsoid: a change of 0.01 is one of about 1 % (Bayesian D-optimality; Chaloner,
-        Verdinelli, "Bayesian experimental design: a review", Statistical Science 10(3), 1995). The
-        derivative of the value with respect to the information is -G G^T.
-        """
-        singular = np.inf, np.zeros((len(information), 0))
-        if not np.all(np.isfinite(information)):
+    def _solve(self, rows: Array) -> tuple[float, Array]:
+        """Return the value, and G / r (P, P); (infinite, zeros) where equations are singular."""
+        information = self._information(rows)
+        singular = np.inf, np.zeros_like(information)
+        length = np.sqrt(np.diag(information))
+        if not np.all(np.isfinite(length) & (length > 0.0)):
             return singular
+        scaled = information / np.outer(length, length)
+        try:
+            pivots = np.diag(np.linalg.cholesky(scaled))
+        except np.linalg.LinAlgError:
+            return singular
+        if np.min(pivots) ** 2 <= _SINGULAR:
+            return singular
+        covariance = np.linalg.inv(scaled) / np.outer(length, length)
         count = self.visible.shape[1]
-        if self.target == "arm":
-            count += len(self.link_factor)
-        change, precision = self.eliminate(information, count)
-        root = np.sqrt(np.maximum(np.diag(precision), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(precision / np.outer(root, root))
-        if values[0] <= _SINGULAR:
-            return singular
-        scale = np.sqrt(0.5 / count)
-        factor = scale * (change / root) @ (vectors / np.sqrt(values))
-        return -0.5 * float(np.sum(np.log(values * root**2))) / count, factor
-
-    def covariance(self, information: Array) -> Array:
-        """Return the covariance (10, 10) of the terminal link's parameters that information
-        (10 L, 10 L) and the priors leave; zero along directions that no motion shows.
-        """
-        change, precision = self.eliminate(information, self.visible.shape[1])
-        return change[:10] @ np.linalg.solve(precision, change[:10].T)
+        if self._knowledge.target == "arm":
+            count += len(self._knowledge.link_factor)
+        of_target = covariance[:count, :count]
+        value = 0.5 * float(np.linalg.slogdet(of_target)[1]) / count
+        weight = covariance[:, :count] @ np.linalg.solve(of_target, covariance[:count])
+        return value, weight / count
 
 
-def design_criterion(
-    problem: ExcitationProblem, knowledge: PriorKnowledge
-) -> Criterion:
-    """Return the criterion that a design minimises, over all identifiable parameter combinations.
-
-    A combination counts as identifiable if ``random_information`` has information about it: no
-    trajectory of these joints can show more than unrelated random positions, velocities and
-    accelerations do.
-    """
-    scale = np.diag(problem.scale)
-    information = random_information(problem, knowledge)
-    # All ten directions at first, in units of the typical sizes of the parameters.
-    criterion = Criterion(
-        visible=scale, link_factor=knowledge.link_factor, target=knowledge.target
-    )
-    _, precision = criterion.eliminate(information, count=10)
-    values, vectors = np.linalg.eigh(precision)
-    visible = scale @ vectors[:, values > _INVISIBLE * values[-1]]
-    return replace(criterion, visible=visible)
-
-
-def random_information(
-    problem: ExcitationProblem, knowledge: PriorKnowledge, noise: float = 1.0
-) -> Array:
-    """Return the information (10 L, 10 L) about all L links with mass, the terminal one first, of
-    unrelated random positions, velocities and accelerations, which are the same in every call.
-
-    Args:
-        problem: the arm; its position limits bound the positions.
-        knowledge: priors of the joint terms.
-        noise: standard deviation of the torque noise of all joints [N m].
+def random_motion(problem: ExcitationProblem) -> Series:
+    """Return unrelated random positions within the limits, velocities and accelerations, (N, n)
+    each, which are the same in every call.
     """
     rng = np.random.default_rng(0)
     count = min(400, _RANDOM_SIZE // problem.n_joints**2)
     q, qd, qdd = rng.normal(size=(3, count, problem.n_joints))
     q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
-    sigma = np.full(len(problem.rows), noise)
-    return InformationModel(problem, sigma, knowledge).evaluate(q, qd, qdd).information
+    return q, qd, qdd
+
+
+def gradient_of(
+    total: Callable[[Array, Array, Array], Array], motion: Series
+) -> Series:
+    """Return the gradient of the sum of a function over the samples of a motion, by one-sided
+    differences, exact to a millionth: the derivatives by q, qd and qdd, (N, n) each.
+
+    Args:
+        total: returns a number per sample (m, N) of m motions q, qd and qdd, (m N, n) each, one
+            after the other; depends on each sample alone.
+        motion: q, qd and qdd, (N, n) each.
+    """
+    # Dry friction jumps where a joint reverses; a step across the jump would be noise.
+    states = np.concatenate(motion, axis=1)
+    step = np.where(states < 0.0, -_STEP, _STEP)
+    size = states.shape[1]
+    # A step of each number in turn, at last none: (number that is moved, sample, number).
+    moved = np.repeat(states[None], size + 1, axis=0)
+    moved[range(size), :, range(size)] += step.T
+    sums = []
+    for part in np.array_split(moved, 1 + size**3 // _MOST_TOGETHER):
+        sums.append(total(*np.split(part.reshape(-1, size), 3, axis=1)))
+    values = np.concatenate(sums)
+    q, qd, qdd = np.split((values[:-1] - values[-1]).T / step, 3, axis=1)
+    return q, qd, qdd

@@ -2,26 +2,25 @@
 
 Positions, velocities, accelerations and torques are compared with their limits at 1 kHz or more.
 Clearance is checked between samples as well: two bodies approach each other no faster than
-sum_j |qd_j| rate_j, so a configuration with slack s shows that the motion is free until that sum,
-integrated over time, has used up s; only there is the next collision test needed (conservative
-advancement, Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, ch. 2).
-
-Of a motion that repeats itself, one period and both ends are checked.
+sum_j |qd_j| rate_j, so between two configurations with slacks s1 and s2 the slack is at least half
+of s1 + s2 less that sum, integrated over the time between them. Where that is not enough, the
+configuration in the middle is tested, and so on (conservative advancement from both sides; Mirtich,
+"Impulse-based dynamic simulation of rigid body systems", 1996, ch. 2).
 
 The check is for one serial chain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robot_sysid.motion.clearance import Clearance, Closest
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
-from robot_sysid.records import Array, Motion, MotionPlan
-from robot_sysid.trajectory import SineTrajectory, sample_times
+from robot_sysid.records import Array, MotionPlan
+from robot_sysid.trajectory import SineTrajectory, motion_chunks, sample_times
 
 LEAST_RATE_HZ = 1000.0
 """Lowest rate at which a motion is checked [Hz]."""
@@ -43,17 +42,8 @@ at 1 kHz 1 - cos(pi 0.6 / 1000) = 2e-6 is missed; a window bends ten times more.
 FINEST_RATE_HZ = 4000.0
 """Highest rate of collision tests, where bodies are near each other [Hz]: a body at 2 m/s moves
 0.5 mm between two tests."""
-MOST_TOGETHER = 64
-"""Largest number of samples in one collision test; tested together, each takes a quarter of the
-time."""
-WORTH_SKIPPING = 4
-"""Number of samples that have to be skipped after a test for the next test to be of one sample; the
-number of samples per test doubles otherwise."""
-WHOLE = 1e-9
-"""How near the number of samples in a period must be to a whole number for all periods to have
-equal samples."""
-SHORTEST_PERIOD = 1.0
-"""Shortest period of a motion that repeats of which one period is checked for all [s]."""
+FIRST_STEP = 64
+"""Samples of the highest rate between the first tests of a motion."""
 
 
 @dataclass(frozen=True)
@@ -214,45 +204,18 @@ def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | Non
     return closest if closest.slack < 0.0 else None
 
 
-def _spans(plan: MotionPlan, rate: float = 0.0) -> tuple[tuple[float, float], ...]:
-    """Return the spans of time (start, end) [s] that have to be checked: for a motion that repeats,
-    the first period with the rise before it, and the fall at the end; else the entire motion.
-
-    Args:
-        plan: the motion.
-        rate: of the samples [Hz]; 0 where the check does not depend on samples.
-    """
-    # Only a Fourier series has a cycle.
-    period, ends = getattr(plan, "cycle", (np.inf, 0.0))
-    is_repeated = SHORTEST_PERIOD <= period < plan.duration - 2.0 * ends
-    # Where a period holds no whole number of samples, the samples of two periods differ.
-    if not is_repeated or abs(period * rate - round(period * rate)) > WHOLE:
-        return ((0.0, plan.duration),)
-    return (0.0, period + ends), (plan.duration - ends, plan.duration)
-
-
-def _motions(
-    plan: MotionPlan, rate: float, spans: tuple[tuple[float, float], ...]
-) -> Iterator[Motion]:
-    """Yield the motion in chunks, sampled at a rate [Hz] over spans (start, end) of time [s]."""
-    for span in spans:
-        for time in sample_times(plan.duration, rate, *span):
-            yield plan.evaluate(time)
-
-
 def _peaks(
     problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False
 ) -> Peaks:
     """Return the largest values of limited quantities along a motion sampled at a rate [Hz].
 
-    Of a motion that repeats itself, one period and both ends are evaluated (``_spans``). The tool's
-    speed is computed where it has a limit or ``tool`` is true; it is zero otherwise.
+    The tool's speed is computed where it has a limit or ``tool`` is true; it is zero otherwise.
     """
     columns = np.arange(4 * problem.n_joints + 1)
     largest, time = np.zeros((2, len(columns)))
     lowest = np.full(problem.n_joints, np.inf)
     highest = -lowest
-    for motion in _motions(plan, rate, _spans(plan, rate)):
+    for motion in motion_chunks(plan, rate):
         magnitudes = np.abs(problem.signals(motion, torque=True, tool=tool))
         peak_samples = np.argmax(magnitudes, axis=0)
         peaks = magnitudes[peak_samples, columns]
@@ -288,127 +251,39 @@ def _tightest(
         obstacles: distances of the arm.
         plan: the motion.
         resolution: largest error of the least slack [m]; infinite where only contacts matter.
-        stop_below: the search ends at the first slack below this [m].
+        stop_below: the search ends after a stretch of the motion with a slack below this [m].
     """
-    spans = _spans(plan)
-    start = plan.evaluate(np.zeros(1))
-    tightest = _Tightest(start.q[0])
-    if resolution < np.inf:
-        # A tight configuration from coarse samples lets the search skip all that is less tight.
-        for motion in _motions(plan, FEW_RATE_HZ, spans):
-            tightest.update(motion, first=0, slacks=obstacles.slack(motion.q).value)
-    limits = _NOTHING_TESTED
-    tested_until = 0.0
-    for motion in _motions(plan, FINEST_RATE_HZ, spans):
-        approach = _Approach(np.abs(motion.qd), obstacles.rates)
-        if motion.time[0] > tested_until + 2.0 / FINEST_RATE_HZ:  # another span
-            limits = _NOTHING_TESTED
-        sample = approach.first_beyond(limits)
-        batch = 1
-        while sample < len(motion.time) and tightest.slack >= stop_below:
-            # Up to ``batch`` samples are tested; how far pairs may move on follows from the last.
-            last = min(sample + batch, len(motion.time)) - 1
-            slacks = obstacles.slack(motion.q[sample:last]).value
-            last_slack, row_slacks = obstacles.slack_at(motion.q[last])
-            tightest.update(motion, sample, np.append(slacks, last_slack))
+    least = np.inf
+    for time in sample_times(plan.duration, FINEST_RATE_HZ):
+        # Up to the first sample of the next stretch.
+        end = min(time[-1] + 1.0 / FINEST_RATE_HZ, plan.duration)
+        motion = plan.evaluate(np.append(time, end))
+        # How far the pairs of each row of ``rates`` may have approached since the first sample.
+        speed = np.abs(motion.qd) @ obstacles.rates.T
+        steps = np.maximum(speed[1:], speed[:-1]) / FINEST_RATE_HZ
+        path = np.vstack((0.0 * speed[:1], np.cumsum(steps, axis=0)))
+        tested = np.append(np.arange(0, len(time), FIRST_STEP), len(time))
+        slacks = obstacles.slacks(motion.q[tested])
+        while True:
+            best = int(np.argmin(np.min(slacks, axis=1)))
+            if np.min(slacks[best]) < least:
+                least = float(np.min(slacks[best]))
+                tightest = motion.q[tested[best]], float(motion.time[tested[best]])
             # Slack above the floor may be used up untested: no contact and no lower minimum is
             # missed by it.
-            floor = tightest.slack - resolution
-            if tightest.slack >= -TOUCH:
+            floor = least - resolution
+            if least >= -TOUCH:
                 floor = max(-TOUCH, floor)
-            limits = approach.limits(last, row_slacks - floor)
-            sample = max(last + 1, approach.first_beyond(limits))
-            is_near = sample - last <= WORTH_SKIPPING
-            batch = min(2 * batch, MOST_TOGETHER) if is_near else 1
-        limits = approach.remaining(limits)
-        tested_until = motion.time[-1]
-    return replace(obstacles.closest(tightest.q), time=tightest.time)
-
-
-class _Tightest:
-    """The configuration with the least slack of all that were tested.
-
-    Attributes:
-        q: (n,) joint positions.
-        slack: the slack there [m]; infinite before the first test.
-        time: when the motion is there [s].
-    """
-
-    def __init__(self, q: Array) -> None:
-        self.q = q
-        self.slack = np.inf
-        self.time = 0.0
-
-    def update(self, motion: Motion, first: int, slacks: Array) -> None:
-        """Take the sample with the least of ``slacks`` (K,), if that is less than ``self.slack``.
-
-        The slacks [m] are those of K samples of the motion, the first one with index ``first``.
-        """
-        least = int(np.argmin(slacks))
-        if slacks[least] < self.slack:
-            self.slack = float(slacks[least])
-            self.time = float(motion.time[first + least])
-            self.q = motion.q[first + least]
-
-
-_NOTHING_TESTED = {-1: -np.inf}
-"""Limits as ``_Approach.limits`` returns them, before the first test: row -1, the last one, bounds
-all pairs, and its path is beyond minus infinity at the first sample."""
-
-
-class _Approach:
-    """Bounds on how far pairs of bodies approach each other along N samples of a motion.
-
-    The path of a row of ``rates`` is how far its pairs may have approached since the sample before
-    the first [m]. Paths are computed when they are needed and cached.
-
-    Args:
-        speed: (N, n) absolute joint speeds at ``FINEST_RATE_HZ``.
-        rates: (P, n) approach bounds, see ``Clearance.rates``.
-    """
-
-    def __init__(self, speed: Array, rates: Array) -> None:
-        self._speed = speed
-        self._rates = rates
-        self._paths: dict[int, Array] = {}
-
-    def limits(self, sample: int, slacks: Array) -> dict[int, float]:
-        """Return, for each row with a finite slack, how long its path may get before it has used up
-        the slack it has at a sample: the path at this sample plus the slack [m].
-
-        Args:
-            sample: index of the sample.
-            slacks: (P,) of the rows [m]; infinite where no pair is near.
-        """
-        limits = {}
-        for row in np.flatnonzero(np.isfinite(slacks)).tolist():
-            slack = max(0.0, float(slacks[row]))
-            limits[row] = float(self._path(row)[sample]) + slack
-        return limits
-
-    def first_beyond(self, limits: Mapping[int, float]) -> int:
-        """Return the index of the first sample at which the path of a row reaches its limit [m]; N
-        if no path does.
-        """
-        first = len(self._speed)
-        for row, limit in limits.items():
-            reached = np.searchsorted(self._path(row), limit)
-            first = min(first, int(reached))
-        return first
-
-    def remaining(self, limits: Mapping[int, float]) -> dict[int, float]:
-        """Return the limits [m] for an ``_Approach`` of the samples that follow, whose paths begin
-        at zero: the limit of each row less its path along all N samples.
-        """
-        remaining = {}
-        for row, limit in limits.items():
-            remaining[row] = limit - float(self._path(row)[-1])
-        return remaining
-
-    def _path(self, row: int) -> Array:
-        """Return the path (N,) of a row of ``rates`` [m]."""
-        if row not in self._paths:
-            speed = self._speed @ self._rates[row]
-            previous = np.concatenate((speed[:1], speed[:-1]))
-            self._paths[row] = np.cumsum(np.maximum(speed, previous)) / FINEST_RATE_HZ
-        return self._paths[row]
+            approach = np.diff(path[tested], axis=0)
+            room = 0.5 * np.min(slacks[:-1] + slacks[1:] - approach, axis=1)
+            is_open = (room < floor) & (np.diff(tested) > 1)
+            if least < stop_below or not np.any(is_open):
+                break
+            middle = (tested[:-1] + tested[1:])[is_open] // 2
+            at = np.flatnonzero(is_open) + 1
+            tested = np.insert(tested, at, middle)
+            slacks = np.insert(slacks, at, obstacles.slacks(motion.q[middle]), axis=0)
+        if least < stop_below:
+            break
+    q, instant = tightest
+    return replace(obstacles.closest(q), time=instant)

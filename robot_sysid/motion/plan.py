@@ -222,9 +222,8 @@ def _designed_plan(
 
     Arguments are as in ``make_plan``; ``rng`` draws the motions with which the search begins.
     """
-    from robot_sysid.motion.design import Design
-    from robot_sysid.motion.design_search import design_excitation
     from robot_sysid.motion.expected_errors import prior_knowledge
+    from robot_sysid.motion.search import Design, design_excitation
 
     problem = _problem(request, robot)
     knowledge = prior_knowledge(problem, request.estimation, request.poses.target)
@@ -245,7 +244,7 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     """Return the arm with all its limits; for the purpose "weight" with half of the torque limits
     and low speeds.
 
-    For a new motion (not from a file) the top frequency of its band limits the accelerations too,
+    For a new motion (not from a file) the top frequency of the band limits the accelerations too,
     and the start is a pose that touches nothing and that the motors can hold.
 
     Raises:
@@ -255,17 +254,13 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     from robot_sysid.motion.static import gentle_problem, startable
 
     is_new = request.trajectory.file is None
-    top_frequency_hz = None
-    if is_new:
-        basis = request.excitation.basis(request.trajectory.duration)
-        top_frequency_hz = basis.top_frequency_hz
     estimation = request.estimation
     problem = build_problem(
         robot,
         request.limits,
         torques=estimation.torques,
         noise_torque=estimation.priors.noise or DEFAULT_NOISE_TORQUE,
-        top_frequency_hz=top_frequency_hz,
+        shakes_gently=is_new,
         link_uncertainty=estimation.priors.link,
     )
     if request.poses.purpose == WEIGHT:

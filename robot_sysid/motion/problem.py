@@ -128,36 +128,10 @@ class Tool:
 
     def speed(self, twist: Array) -> Array:
         """Return the speed (N,) of the fastest point at twists (6, N) of the body [m/s]."""
-        speeds, _ = self._speeds(twist)
-        return np.max(speeds, axis=0)
-
-    def speed_vjp(self, twist: Array, weight: Array) -> Array:
-        """Return the gradient (6, N) of sum(weight * speed) with respect to the twists (6, N); the
-        weight (N,) is that of each sample.
-        """
-        speeds, velocity = self._speeds(twist)
-        fastest = np.argmax(speeds, axis=0)
-        samples = np.arange(twist.shape[1])
-        # The speed |v + w x p| + radius |w| of the fastest point, by w and by v.
-        direction = _unit(velocity[:, fastest, samples])
-        spin = _unit(twist[:3]) * self.radius[fastest]
-        by_omega = spatial.cross(self.points[fastest].T, direction) + spin
-        return weight * np.concatenate((by_omega, direction))
-
-    def _speeds(self, twist: Array) -> tuple[Array, Array]:
-        """Return the largest speed (P, N) in the ball about each corner, and the velocity (3, P, N)
-        of the corner itself [m/s], at twists (6, N) of the body.
-        """
         turned = spatial.cross(twist[:3, None, :], self.points.T[:, :, None])
-        velocity = twist[3:, None, :] + turned
+        speeds = np.linalg.norm(twist[3:, None, :] + turned, axis=0)
         spin = np.linalg.norm(twist[:3], axis=0)
-        return np.linalg.norm(velocity, axis=0) + self.radius[:, None] * spin, velocity
-
-
-def _unit(vectors: Array) -> Array:
-    """Return vectors (3, ...) divided by their lengths; zero vectors as they are."""
-    length = np.linalg.norm(vectors, axis=0)
-    return vectors / np.where(length > 0.0, length, 1.0)
+        return np.max(speeds + self.radius[:, None] * spin, axis=0)
 
 
 @dataclass(frozen=True)
@@ -310,7 +284,7 @@ def build_problem(
     limits: LimitOptions,
     torques: str = "chain",
     noise_torque: PerJoint = DEFAULT_NOISE_TORQUE,
-    top_frequency_hz: float | None = TOP_FREQUENCY_HZ,
+    shakes_gently: bool = True,
     link_uncertainty: float = 0.0,
 ) -> ExcitationProblem:
     """Return the problem of a motion of an arm: its limits, obstacles and dynamics.
@@ -320,15 +294,14 @@ def build_problem(
         limits: options that limit its motion.
         torques: "chain" or "terminal": which joint torques will be used.
         noise_torque: standard deviation of the torque noise [N m], one number or one per joint.
-        top_frequency_hz: where no acceleration limit is given, the one that full speed at this
-            frequency needs [Hz], or at that of the usual band where this is higher: a motion with
-            faster harmonics shall not shake the arm harder. None leaves accelerations free.
+        shakes_gently: where no acceleration limit is given, whether there is the one that full
+            speed at the top of the usual band needs.
         link_uncertainty: how far the links may be off [%]; torque is reserved for that.
 
     Raises:
         InputError: the arm breaks a limit already at rest; says which.
     """
-    motion_limits, assumed = _limits(robot, limits, top_frequency_hz)
+    motion_limits, assumed = _limits(robot, limits, shakes_gently)
     start_pose = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
     moved = []
     for name, q, reference in zip(robot.joint_names, start_pose, robot.reference):
@@ -379,17 +352,15 @@ def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
 
 
 def _limits(
-    robot: RobotModel, options: LimitOptions, top_frequency_hz: float | None
+    robot: RobotModel, options: LimitOptions, shakes_gently: bool
 ) -> tuple[MotionLimits, Mapping[str, NDArray[np.bool_]]]:
     """Return the limits of a motion, and which of them are assumed (``ExcitationProblem.assumed``).
 
-    ``top_frequency_hz`` is as in ``build_problem``.
+    ``shakes_gently`` is as in ``build_problem``.
     """
     model_limits = robot.limits
     is_slide = robot.is_slide
-    top = np.inf
-    if top_frequency_hz is not None:
-        top = min(top_frequency_hz, TOP_FREQUENCY_HZ)
+    top = TOP_FREQUENCY_HZ if shakes_gently else np.inf
     # The acceleration of a sinusoid of this frequency that reaches the speed limit.
     natural = 2.0 * np.pi * top * model_limits.velocity
     lower, upper = _position_limits(robot)

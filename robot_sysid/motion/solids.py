@@ -1,14 +1,16 @@
 """How far the convex shapes of bodies reach, in any direction or beyond forbidden planes.
 
-A body is a set of points, the corners of its geoms, and what is round about each of them: the balls
-at both ends of a capsule, the rims of a cylinder, an ellipsoid about its middle. The farthest point
-along a direction is then the farthest corner plus the farthest point of its round part. MuJoCo
-tells distances between geoms, but not from planes that are no part of a model.
+A body is a set of balls: the corners of its boxes and meshes with radius zero, both ends of its
+capsules, spheres. Cylinders and ellipsoids are polyhedra about them, at most 2 % larger. The
+farthest point along a direction is then that of the farthest ball. MuJoCo tells distances between
+geoms, but not from planes that are no part of a model.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -18,7 +20,6 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.model.chain import body_label
-from robot_sysid.motion import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom
@@ -27,6 +28,8 @@ _CORNERS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0
 """Corners (8, 3) of a cube with half sides of one."""
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 """Ends (2, 3) of a capsule's or cylinder's axis with a half length of one."""
+_SIDES = 24
+"""Number of sides of the polygon about a circle."""
 _HULL_POINTS = 60
 """Corners beyond which a convex hull takes less time than it saves."""
 MARKER_MASS = 5e-3
@@ -35,96 +38,108 @@ MARKER_SIZE = 0.02
 """Radius up to which a light part is small [m]: larger ones are the shell of a link."""
 
 
+def _circle(count: int) -> Array:
+    """Return the corners (count, 2) of a regular polygon about the unit circle."""
+    angle = 2.0 * np.pi * np.arange(count) / count
+    return np.column_stack((np.cos(angle), np.sin(angle))) / np.cos(np.pi / count)
+
+
+_RING = _circle(_SIDES)
+"""Corners (P, 2) of the polygon that stands for a circle."""
+_GLOBE = np.vstack(
+    [np.column_stack((across * _RING, np.full(_SIDES, up))) for up, across in _RING]
+)
+"""Corners (P, 3) of the polyhedron that stands for a ball: turned polygons."""
+
+
+@dataclass(frozen=True)
 class Solid:
     """The shape of one body: its geoms that collide; without any, its visible geoms; without any
     geom, its origin.
 
     Attributes:
-        points: (P, 3) corners in the body's frame [m]; none of a body that is a plane.
-        spread: (P, 3, 3) matrix that maps the unit ball to the ellipsoid about each corner [m].
-        radius: (P,) largest half axis of this ellipsoid [m].
-        center: (3,) centre of a ball that contains the body, in the body's frame [m].
-        bound: radius of that ball [m].
         body: MuJoCo id of the body.
-
-    Args:
-        mj_model: compiled MuJoCo model.
-        body: MuJoCo id of the body.
+        points: (P, 3) middles of balls, in the body's frame [m].
+        radius: (P,) of these balls [m].
     """
 
-    def __init__(self, mj_model: Any, body: int) -> None:
-        self.body = body
-        geoms = np.flatnonzero(mj_model.geom_bodyid == body)
-        solid = mj_model.geom_contype[geoms] | mj_model.geom_conaffinity[geoms]
-        shape_geoms = geoms[solid != 0] if np.any(solid) else geoms
-        # The origin stands for a body without geoms.
-        n_origins = int(len(shape_geoms) == 0)
-        points = [np.zeros((n_origins, 3))]
-        spreads = [np.zeros((n_origins, 3, 3))]
-        for geom in shape_geoms.tolist():
-            corners, axes = _shape(mj_model, geom)
-            matrix = np.zeros(9)
-            mujoco.mju_quat2Mat(matrix, mj_model.geom_quat[geom])
-            turn = matrix.reshape(3, 3)
-            points.append(mj_model.geom_pos[geom] + corners @ turn.T)
-            spreads.append(np.tile(turn * axes, (len(corners), 1, 1)))
-        corners = np.concatenate(points)
-        spread = np.concatenate(spreads)
-        radius = np.max(np.linalg.norm(spread, axis=1), axis=1)
-        on_hull = _on_the_hull(corners, radius)
-        self.points = corners[on_hull]
-        self.spread = spread[on_hull]
-        self.radius = radius[on_hull]
-        self._spreads = self.spread.transpose(1, 0, 2).reshape(3, -1)
-        extent = self.points if len(self.points) else np.zeros((1, 3))
-        self.center = 0.5 * (np.min(extent, axis=0) + np.max(extent, axis=0))
-        reach = np.linalg.norm(self.points - self.center, axis=1) + self.radius
-        self.bound = float(np.max(reach, initial=0.0))
+    body: int
+    points: Array
+    radius: Array
+
+    @cached_property
+    def reach(self) -> float:
+        """Distance of the farthest point from the body's origin [m]."""
+        return float(np.max(np.linalg.norm(self.points, axis=1) + self.radius))
 
     def farthest(self, directions: Array) -> Array:
         """Return the points (K, 3) [m] farthest along unit directions (K, 3), both in the body's
         frame.
         """
-        # (K, P) heights of corners along the directions, plus those of the ellipsoids about them:
-        # an ellipsoid that is the image A b of the unit ball reaches |A^T d| along d, at
-        # b = A^T d / |A^T d|.
-        heights = directions @ self.points.T
-        if np.any(self.radius):
-            turned = (directions @ self._spreads).reshape(len(directions), -1, 3)
-            heights += np.sqrt(np.einsum("kpb,kpb->kp", turned, turned))
-        best = np.argmax(heights, axis=1)
-        spread = self.spread[best]
-        around = np.einsum("ka,kab->kb", directions, spread)
-        length = np.sqrt(np.einsum("kb,kb->k", around, around))[:, None]
-        around /= np.where(length > 0.0, length, 1.0)
-        return np.asarray(self.points[best] + np.einsum("kab,kb->ka", spread, around))
+        best = np.argmax(directions @ self.points.T + self.radius, axis=1)
+        return self.points[best] + self.radius[best, None] * directions
+
+    def lowest(self, positions: Array, rotations: Array, up: Array) -> Array:
+        """Return the lowest points (N, 3) of the body in N postures, in the world [m].
+
+        Args:
+            positions: (N, nbody, 3) of all bodies, MuJoCo's xpos [m].
+            rotations: (N, nbody, 9) of all bodies, MuJoCo's xmat.
+            up: (3,) unit vector in the world.
+        """
+        turns = rotations[:, self.body].reshape(-1, 3, 3)
+        corner = self.farthest(-up @ turns)
+        return positions[:, self.body] + np.einsum("nab,nb->na", turns, corner)
 
 
 def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
     """Return the shapes of bodies, given by MuJoCo ids, without those that are planes alone."""
-    solids = [Solid(mj_model, int(body)) for body in bodies]
+    solids = [_solid(mj_model, int(body)) for body in bodies]
     return [solid for solid in solids if len(solid.points)]
 
 
-def _shape(mj_model: Any, geom: int) -> tuple[Array, Array]:
-    """Return corners (P, 3) of a geom in its own frame, and the half axes (3,) of the ellipsoid
-    about each corner [m]: zero for a box or a mesh. P is 0 for a plane.
+def _solid(mj_model: Any, body: int) -> Solid:
+    """Return the shape of a body; it has no points where it is a plane."""
+    geoms = np.flatnonzero(mj_model.geom_bodyid == body)
+    is_solid = mj_model.geom_contype[geoms] | mj_model.geom_conaffinity[geoms]
+    geoms = geoms[is_solid != 0] if np.any(is_solid) else geoms
+    if not len(geoms):
+        return Solid(body, np.zeros((1, 3)), np.zeros(1))
+    points = []
+    radius = []
+    for geom in geoms.tolist():
+        corners, size = _shape(mj_model, geom)
+        matrix = np.zeros(9)
+        mujoco.mju_quat2Mat(matrix, mj_model.geom_quat[geom])
+        points.append(mj_model.geom_pos[geom] + corners @ matrix.reshape(3, 3).T)
+        radius.append(np.full(len(corners), size))
+    return Solid(body, *_on_the_hull(np.concatenate(points), np.concatenate(radius)))
+
+
+def _shape(mj_model: Any, geom: int) -> tuple[Array, float]:
+    """Return points (P, 3) of a geom in its own frame, and the radius of the ball about each [m].
+
+    P is 0 for a plane.
     """
     geom_type = int(mj_model.geom_type[geom])
     size = mj_model.geom_size[geom]
-    axes = np.zeros(3)
     if geom_type == _TYPES.mjGEOM_PLANE:
-        return np.zeros((0, 3)), axes
+        return np.zeros((0, 3)), 0.0
     if geom_type in (_TYPES.mjGEOM_MESH, _TYPES.mjGEOM_SDF):
-        return _hull_vertices(mj_model, int(mj_model.geom_dataid[geom])), axes
+        return _hull_vertices(mj_model, int(mj_model.geom_dataid[geom])), 0.0
     if geom_type == _TYPES.mjGEOM_BOX:
-        return size * _CORNERS, axes
-    # MuJoCo's size is the half axes of an ellipsoid, else a radius and a half length.
-    axes[:] = size if geom_type == _TYPES.mjGEOM_ELLIPSOID else size[0]
+        return size * _CORNERS, 0.0
+    if geom_type == _TYPES.mjGEOM_ELLIPSOID:
+        return size * _GLOBE, 0.0
+    # MuJoCo's size is a radius and a half length.
     if geom_type == _TYPES.mjGEOM_CYLINDER:
-        axes[2] = 0.0
-    is_long = geom_type in (_TYPES.mjGEOM_CAPSULE, _TYPES.mjGEOM_CYLINDER)
-    return size[1] * _ENDS if is_long else np.zeros((1, 3)), axes
+        rims = [
+            np.column_stack((size[0] * _RING, [z] * _SIDES))
+            for z in (-size[1], size[1])
+        ]
+        return np.vstack(rims), 0.0
+    is_long = geom_type == _TYPES.mjGEOM_CAPSULE
+    return size[1] * _ENDS if is_long else np.zeros((1, 3)), float(size[0])
 
 
 def _hull_vertices(mj_model: Any, mesh: int) -> Array:
@@ -138,70 +153,6 @@ def _hull_vertices(mj_model: Any, mesh: int) -> Array:
     # For each mesh: P, F, P addresses, P vertex numbers, ...
     hull = int(mj_model.mesh_graph[graph])
     return vertices[mj_model.mesh_graph[graph + 2 + hull : graph + 2 + 2 * hull]]
-
-
-class HalfSpaces:
-    """Heights of the lowest points of bodies above the boundaries of half-spaces.
-
-    Args:
-        mj_model: compiled MuJoCo model.
-        spaces: the K half-spaces, with the bodies that have to stay in each.
-
-    Attributes:
-        spaces: the half-spaces.
-        solids: shapes of the B bodies that some half-space binds.
-        normals: (K, 3) unit vectors in the world that point into the half-spaces.
-        required: (B, K) height that each body has to keep [m]; minus infinity where a half-space
-            does not bind the body. ``Clearance`` lowers it for bodies that are nearer in the start
-            pose.
-    """
-
-    def __init__(self, mj_model: Any, spaces: Sequence[HalfSpace]) -> None:
-        self.spaces = tuple(spaces)
-        bodies = set[int]().union(*(space.bodies for space in spaces))
-        self.solids = solids_of(mj_model, sorted(bodies))
-        frames = [(solid.body, *solid.center, solid.bound) for solid in self.solids]
-        table = np.array(frames).reshape(-1, 5)
-        self._bodies = table[:, 0].astype(int)
-        self._centers = table[:, 1:4]
-        self._bounds = table[:, 4:]
-        boundaries = np.array([(*space.normal, space.offset) for space in spaces])
-        self.normals, offsets = np.split(boundaries.reshape(-1, 4), [3], axis=1)
-        self._offsets = offsets[:, 0]
-        self.required = np.full((len(self.solids), len(spaces)), -np.inf)
-        for k, space in enumerate(spaces):
-            self.required[np.isin(self._bodies, space.bodies), k] = space.clearance
-
-    def heights(
-        self, positions: Array, rotations: Array, margin: float = np.inf
-    ) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
-        """Yield per body its index in ``solids``, the indices (M,) of the postures in which it is
-        near a boundary, its heights (M, K) [m] above all K boundaries in these postures, and
-        its points (M, K, 3) in the world [m] that are nearest to the boundaries.
-
-        A body that is near no boundary in any posture is left out.
-
-        Args:
-            positions: (N, nbody, 3) of the bodies in N postures, MuJoCo's xpos [m].
-            rotations: (N, nbody, 9) of the bodies, MuJoCo's xmat.
-            margin: a posture is left out where the ball around the body is higher than required
-                above every boundary by more than this [m].
-        """
-        positions = positions[:, self._bodies]
-        rotations = rotations[:, self._bodies].reshape(*positions.shape, 3)
-        middle = positions + (rotations @ self._centers[:, :, None])[..., 0]
-        least_height = middle @ self.normals.T - self._offsets - self._bounds
-        is_near = np.any(least_height - self.required < margin, axis=2)
-        for body in np.flatnonzero(np.any(is_near, axis=0)).tolist():
-            postures = np.flatnonzero(is_near[:, body])
-            turn = rotations[postures, body]
-            directions = (-self.normals @ turn).reshape(-1, 3)
-            corner = (
-                self.solids[body].farthest(directions).reshape(len(postures), -1, 3)
-            )
-            lowest = positions[postures, body, None] + corner @ turn.transpose(0, 2, 1)
-            heights = np.sum(lowest * self.normals, axis=2) - self._offsets
-            yield body, postures, heights, lowest
 
 
 def mounting_height(
@@ -237,9 +188,8 @@ def mounting_height(
         """Return a dict from each body that is no plane to the height of its lowest point [m]."""
         heights = {}
         for solid in solids_of(model, bodies.tolist()):
-            turn = data.xmat[solid.body].reshape(3, 3)
-            lowest = turn @ solid.farthest(-up[None] @ turn)[0]
-            heights[solid.body] = float(up @ (data.xpos[solid.body] + lowest))
+            lowest = solid.lowest(data.xpos[None], data.xmat[None], up)
+            heights[solid.body] = float(lowest[0] @ up)
         return heights
 
     corners = []
@@ -360,24 +310,21 @@ def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
         corners = data.xpos[solid.body] + solid.points @ turns[solid.body].T
         points.append((corners - data.xpos[body]) @ turns[body])
         radius.append(solid.radius)
-    all_points = np.vstack(points)
-    all_radius = np.concatenate(radius)
-    on_hull = _on_the_hull(all_points, all_radius)
-    return all_points[on_hull], all_radius[on_hull]
+    return _on_the_hull(np.vstack(points), np.concatenate(radius))
 
 
-def _on_the_hull(points: Array, radius: Array) -> Any:
-    """Return the indices, ascending, of points (P, 3) that have a radius (P,) above zero or are
-    corners of the convex hull of those without one; all indices where at most ``_HULL_POINTS`` are
-    without one, or all of these lie in a plane.
+def _on_the_hull(points: Array, radius: Array) -> tuple[Array, Array]:
+    """Return those of points (P, 3), with their radius (P,), that are round or corners of the
+    convex hull of the others; all of them where few are sharp, or all of these lie in a plane.
     """
     sharp = np.flatnonzero(radius == 0.0)
     if len(sharp) <= _HULL_POINTS:
-        return np.arange(len(points))
+        return points, radius
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         outer = sharp[ConvexHull(points[sharp]).vertices]
     except QhullError:  # All in one plane.
-        return np.arange(len(points))
-    return np.sort(np.concatenate((outer, np.flatnonzero(radius > 0.0))))
+        return points, radius
+    kept = np.concatenate((np.sort(outer), np.flatnonzero(radius > 0.0)))
+    return points[kept], radius[kept]

@@ -220,7 +220,7 @@ def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
     load = np.max(_torque_share(problem, poses), axis=1)
     distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
     for k in np.lexsort((distance, load > EASY_SHARE)):
-        if load[k] < 1.0 and problem.obstacles.slack_at(poses[k])[0] >= 0.0:
+        if load[k] < 1.0 and problem.obstacles.closest(poses[k]).slack >= 0.0:
             yield poses[k]
 
 

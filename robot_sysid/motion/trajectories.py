@@ -1,10 +1,4 @@
-"""Kinds of trajectories, at any speed and as files: sines, Fourier series, and straight lines.
-
-Of a Fourier series joint j follows q_j(t) = r_j + w(t) (o_j + sum_k a_jk sin(k W t) + b_jk cos(k W
-t)), W = 2 pi f0, as in Swevers, Ganseman, Tukel, De Schutter, Van Brussel, "Optimal robot
-excitation and identification", IEEE Trans. Robotics and Automation 13(5), 1997, eq. 5, under a
-window w that rises smoothly from 0 to 1 and falls back (``trajectory.window``). Because q is linear
-in (o, a, b), so are velocity and acceleration, and all joints share one matrix of basis functions.
+"""Motions along straight lines, and trajectories of any kind at any speed and as files.
 
 Poses and sweeps follow straight lines in joint space; poses rest, sweeps keep their speed.
 
@@ -16,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
@@ -25,14 +19,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, MotionPlan, check_arrays
 from robot_sysid.records.file_access import atomic_file, read_json
-from robot_sysid.trajectory import (
-    Series,
-    SineTrajectory,
-    apply_window,
-    motion_chunks,
-    smooth_step,
-    window,
-)
+from robot_sysid.trajectory import Series, SineTrajectory, motion_chunks, smooth_step
 
 PEAK_SPEED = 2.1875
 """Largest first derivative of ``smooth_step`` from 0 to 1 in unit time: 35 / 16."""
@@ -47,102 +34,6 @@ FORMAT = "robot-sysid trajectory"
 """Name of the file format of trajectories, in each file."""
 VERSION = 1
 """Version of that format in written files, and the only one that is read."""
-
-
-@dataclass(frozen=True)
-class FourierBasis:
-    """The functions a Fourier series trajectory is made of: 1, sin(k W t), cos(k W t), k = 1..K.
-
-    Attributes:
-        duration: length [s].
-        base_frequency_hz: frequency f0 of the first harmonic [Hz].
-        harmonics: number of harmonics K.
-        fade: time the window takes to rise, and to fall [s]; 0 for no window, in files of earlier
-            releases whose coefficients begin and end at rest by themselves.
-
-    Raises:
-        InputError: duration or base frequency is not finite and positive, or the fade is negative
-            or longer than half of the duration.
-    """
-
-    duration: float
-    base_frequency_hz: float
-    harmonics: int
-    fade: float
-
-    def __post_init__(self) -> None:
-        if not (0.0 < self.duration < np.inf and 0.0 < self.base_frequency_hz < np.inf):
-            raise InputError(
-                "a Fourier series needs a finite positive duration and base frequency"
-            )
-        if not 0.0 <= 2.0 * self.fade <= self.duration:
-            raise InputError(
-                f"fade {self.fade} s does not fit twice into {self.duration} s"
-            )
-
-    @property
-    def size(self) -> int:
-        """Number of functions 2 K + 1."""
-        return 2 * self.harmonics + 1
-
-    @property
-    def top_frequency_hz(self) -> float:
-        """Frequency of the last harmonic [Hz]."""
-        return self.harmonics * self.base_frequency_hz
-
-    def evaluate(self, time: Array) -> Series:
-        """Return the values of the functions at times (N,) [s] and their first and second
-        derivatives with respect to time, (N, 2 K + 1) each.
-        """
-        time = np.asarray(time, dtype=float)
-        base = 2j * np.pi * self.base_frequency_hz
-        # exp(i k W t) = cos(k W t) + i sin(k W t), by products, which are far cheaper than sines.
-        waves = np.vander(np.exp(base * time), self.harmonics + 1, increasing=True)
-        rates = base * np.arange(self.harmonics + 1.0)
-        functions = []
-        for order in range(3):
-            wave = waves * rates**order
-            columns = (wave.real[:, :1], wave.imag[:, 1:], wave.real[:, 1:])
-            functions.append(np.hstack(columns))
-        s, ds, dds = functions
-        if self.fade == 0.0:
-            return s, ds, dds
-        return apply_window(window(time, self.duration, self.fade), (s, ds, dds))
-
-
-@dataclass(frozen=True)
-class FourierTrajectory:
-    """A Fourier series per joint that starts and ends at rest in one configuration.
-
-    Attributes:
-        basis: the 2 K + 1 functions of time.
-        rest: (n,) configuration at both ends [rad or m].
-        coefficients: (n, 2 K + 1) offset, K sine and K cosine coefficients [rad or m].
-    """
-
-    basis: FourierBasis
-    rest: Array
-    coefficients: Array
-
-    def __post_init__(self) -> None:
-        check_arrays(self, rest=(None,), coefficients=(len(self.rest), self.basis.size))
-
-    @property
-    def duration(self) -> float:
-        """Length [s]."""
-        return self.basis.duration
-
-    @property
-    def cycle(self) -> tuple[float, float]:
-        """Period of the motion [s], and the time at each end, the fade, in which it does not repeat
-        itself [s].
-        """
-        return 1.0 / self.basis.base_frequency_hz, self.basis.fade
-
-    def evaluate(self, time: Array) -> Motion:
-        """Return position, velocity and acceleration at times (N,) [s]."""
-        s, ds, dds = (f @ self.coefficients.T for f in self.basis.evaluate(time))
-        return Motion(np.asarray(time, dtype=float), self.rest + s, ds, dds)
 
 
 @dataclass(frozen=True)
@@ -256,59 +147,64 @@ def _cruise(elapsed: Array, length: Array, ramp: Array) -> Series:
     )
 
 
-_KINDS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
-    "sines": (
-        SineTrajectory,
-        ("duration", "fade", "center", "amplitude", "frequency_hz", "phase"),
-    ),
-    "fourier": (FourierTrajectory, ("rest", "coefficients")),
-    "poses": (LineTrajectory, ("points", "moves", "dwells")),
-    "sweeps": (LineTrajectory, ("points", "moves", "ramps")),
-}
-"""Type of a trajectory in files to its class and the names of the numbers that define it; a Fourier
-series is defined by its basis too."""
-_BASIS = ("duration", "base_frequency_hz", "harmonics", "fade")
-"""Names of the numbers that define a ``FourierBasis``, in the order of its attributes."""
-_TIMES = ("duration", "fade", "moves", "dwells", "ramps")
-"""Numbers that grow where a trajectory is slowed down; frequencies fall."""
+_KINDS = ("sines", "fourier", "poses", "sweeps")
+"""Types of trajectories in files."""
 _Plan = TypeVar("_Plan", bound=MotionPlan)
 
 
-def _coefficients(plan: MotionPlan) -> tuple[str, dict[str, Any]]:
-    """Return a trajectory's type, a key of ``_KINDS``, and a dict from names to the numbers that
-    define it; raises InputError for a trajectory of another class.
-    """
-    # Backwards, because poses and sweeps have one class: only sweeps have ramps.
-    for plan_type, (trajectory_class, names) in reversed(list(_KINDS.items())):
-        if isinstance(plan, trajectory_class) and getattr(plan, names[-1]) is not None:
-            basis = vars(plan.basis) if isinstance(plan, FourierTrajectory) else {}
-            numbers = {name: getattr(plan, name) for name in names}
-            return plan_type, {**basis, **numbers}
-    raise InputError(f"a {type(plan).__name__} has no coefficients to save")
+def _build_trajectory(kind: str, content: Mapping[str, Any]) -> MotionPlan:
+    """Return the trajectory of a type in ``_KINDS`` that a file's entries define.
 
-
-def _build_trajectory(plan_type: str, numbers: Mapping[str, Any]) -> Any:
-    """Return the trajectory that numbers define, a mapping from their names (``_coefficients``).
-
-    ``plan_type`` is a key of ``_KINDS``; further entries of the mapping are not used.
+    A Fourier series, which earlier releases wrote, has an offset, then sines, then cosines.
 
     Raises:
-        KeyError: a number is missing.
-        InputError, TypeError, ValueError, IndexError, OverflowError: the numbers define no
+        KeyError: an entry is missing.
+        InputError, TypeError, ValueError, IndexError, OverflowError: the entries define no
             trajectory.
     """
-    trajectory_class, names = _KINDS[plan_type]
-    arguments: dict[str, Any] = {
-        name: np.array(numbers[name], dtype=float) for name in names
-    }
-    if plan_type == "sines":
-        arguments |= {name: float(numbers[name]) for name in ("duration", "fade")}
-    elif plan_type == "fourier":
-        duration, base, harmonics, fade = (float(numbers[name]) for name in _BASIS)
-        arguments["basis"] = FourierBasis(duration, base, int(harmonics), fade)
-    elif plan_type == "sweeps":
-        arguments["dwells"] = np.zeros(len(arguments["points"]))
-    return trajectory_class(**arguments)
+
+    def of(name: str) -> Array:
+        """Return the numbers of an entry."""
+        return np.array(content[name], dtype=float)
+
+    if kind in ("poses", "sweeps"):
+        points = of("points")
+        dwells = of("dwells") if kind == "poses" else np.zeros(len(points))
+        ramps = of("ramps") if kind == "sweeps" else None
+        return LineTrajectory(points, of("moves"), dwells, ramps)
+    if kind == "fourier":
+        center = of("rest")
+        amplitude = of("coefficients")
+        base = float(content["base_frequency_hz"])
+        frequency, phase = harmonics(base, int(content["harmonics"]))
+        frequency, phase = (
+            np.tile(row, (len(center), 1)) for row in (frequency, phase)
+        )
+    else:
+        center, amplitude, frequency, phase = map(
+            of, ("center", "amplitude", "frequency_hz", "phase")
+        )
+    duration, fade = float(content["duration"]), float(content["fade"])
+    return SineTrajectory(center, amplitude, frequency, phase, duration, fade)
+
+
+def harmonics(base_hz: float, count: int) -> tuple[Array, Array]:
+    """Return frequencies [Hz] and phases (M,) of a Fourier series, M = 2 count + 1: a constant,
+    ``count`` sines, and as many cosines.
+    """
+    number = np.arange(1.0, count + 1.0)
+    quarter = np.full(count, 0.5 * np.pi)
+    frequency = base_hz * np.concatenate(([0.0], number, number))
+    return frequency, np.concatenate(([0.5 * np.pi], 0.0 * quarter, quarter))
+
+
+def _numbers(plan: MotionPlan) -> dict[str, Any]:
+    """Return a dict from names to the numbers that define a trajectory; those that are None are
+    left out.
+    """
+    trajectory: Any = plan
+    numbers = {entry.name: getattr(plan, entry.name) for entry in fields(trajectory)}
+    return {name: value for name, value in numbers.items() if value is not None}
 
 
 def at_speed(plan: _Plan, speed: float) -> _Plan:
@@ -316,7 +212,7 @@ def at_speed(plan: _Plan, speed: float) -> _Plan:
 
     Raises:
         InputError: s is not positive, or above 1, where the motion would break the limits it was
-            made for; or the trajectory is of no class in ``_KINDS``.
+            made for.
     """
     if not 0.0 < speed <= 1.0:
         raise InputError(
@@ -325,13 +221,12 @@ def at_speed(plan: _Plan, speed: float) -> _Plan:
         )
     if speed == 1.0:
         return plan
-    plan_type, numbers = _coefficients(plan)
-    for name in numbers:
-        if name in _TIMES:
-            numbers[name] = numbers[name] / speed
-        elif name.endswith("frequency_hz"):
-            numbers[name] = numbers[name] * speed
-    slowed: _Plan = _build_trajectory(plan_type, numbers)
+    numbers = _numbers(plan)
+    for name in {"duration", "fade", "moves", "dwells", "ramps"} & set(numbers):
+        numbers[name] = numbers[name] / speed
+    if "frequency_hz" in numbers:
+        numbers["frequency_hz"] = speed * numbers["frequency_hz"]
+    slowed: _Plan = type(plan)(**numbers)
     return slowed
 
 
@@ -387,12 +282,9 @@ def save_trajectory(
 
     Args:
         path: of the file, or an open text file.
-        plan: a sum of sinusoids, a Fourier series, poses or sweeps.
+        plan: a sum of sinusoids, poses or sweeps.
         joint_names: names of its joints, in the order of its columns.
         sha256: checksum of the model file that it was made for; "" is not written.
-
-    Raises:
-        InputError: the plan is of another class.
     """
     content: dict[str, Any] = {
         "format": FORMAT,
@@ -401,11 +293,14 @@ def save_trajectory(
     }
     if sha256:
         content["model_sha256"] = sha256
-    plan_type, coefficients = _coefficients(plan)
+    kind = "sines"
+    if isinstance(plan, LineTrajectory):
+        kind = "poses" if plan.ramps is None else "sweeps"
     # The repr of a float is exact.
-    numbers = {name: np.asarray(value).tolist() for name, value in coefficients.items()}
+    for name, number in {"kind": kind, **_numbers(plan)}.items():
+        content[name] = np.asarray(number).tolist()
     with atomic_file(path) as file:
-        json.dump({**content, "kind": plan_type, **numbers}, file, indent=1)
+        json.dump(content, file, indent=1)
         file.write("\n")
 
 

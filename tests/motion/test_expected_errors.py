@@ -24,7 +24,7 @@ from robot_sysid.motion.expected_errors import (
     prior_knowledge,
     typical_load,
 )
-from robot_sysid.motion.information import InformationModel, design_criterion
+from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.static import design_poses
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
@@ -111,10 +111,8 @@ def test_the_search_minimises_the_predicted_errors(options):
     """The search uses all samples, the prediction a recording of them without its ends."""
     prior = prior_knowledge(PROBLEM, options, "link")
     motion = PLAN.evaluate((np.arange(100) + 0.5) * PLAN.duration / 100)
-    sigma = PROBLEM.sigma * np.sqrt(100 / (RATE * PLAN.duration))
-    model = InformationModel(PROBLEM, sigma, prior)
-    information = model.evaluate(motion.q, motion.qd, motion.qdd).information
-    covariance = design_criterion(PROBLEM, prior).covariance(information)
+    criterion = Criterion(PROBLEM, prior, RATE * PLAN.duration / 100, smoothing=0.0)
+    covariance = criterion.covariance((motion.q, motion.qd, motion.qdd))
     ratio = predict_errors(options).errors / np.sqrt(np.diag(covariance))
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
 
@@ -159,7 +157,7 @@ def test_resting_poses_determine_mass_and_centre_of_a_payload_alone():
 
 
 def test_a_recording_that_cannot_be_processed_has_no_predicted_errors():
-    resting = replace(PLAN, coefficients=np.zeros_like(PLAN.coefficients))
+    resting = replace(PLAN, amplitude=np.zeros_like(PLAN.amplitude))
     for plan, rate, message in (
         (PLAN, 4.0, "too few"),
         (resting, RATE, "moves faster"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +12,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from robot_sysid.motion import limit_check
-from robot_sysid.motion.clearance import Closest, Slack
+from robot_sysid.motion.clearance import Closest
 from robot_sysid.motion.limit_check import (
     CLEARANCE_RESOLUTION,
     RESERVE,
@@ -23,26 +21,25 @@ from robot_sysid.motion.limit_check import (
     keeps_limits,
     scale_to_limits,
 )
-from robot_sysid.motion.trajectories import (
-    FourierBasis,
-    FourierTrajectory,
-    at_speed,
-    straight_way,
-)
+from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.records import Motion
-from robot_sysid.trajectory import generate_excitation_trajectory
+from robot_sysid.trajectory import SineTrajectory, generate_excitation_trajectory
 from tests.support import arms
 from tests.support.arms import SEEDS
 from tests.support.excitation_arms import TUBES_AND_POST, make_problem, robot
 
-BASIS = FourierBasis(4.0, 0.25, 3, 1.0)
-BRIEF = FourierBasis(0.4, 2.5, 3, 0.15)
+
+def series(rest, coefficients, duration=0.4, fade=0.15):
+    """Return an offset and sinusoids of one and two periods under a window."""
+    frequency = np.tile([0.0, 1.0, 2.0], (len(rest), 1)) / duration
+    phase = np.full(frequency.shape, 0.5 * np.pi)
+    return SineTrajectory(rest, coefficients, frequency, phase, duration, fade)
 
 
-def plan_of(problem, seed, size, basis=BRIEF):
-    """Return a Fourier trajectory with random coefficients of standard deviation ``size``."""
-    coefficients = size * default_rng(seed).normal(size=(problem.n_joints, 7))
-    return FourierTrajectory(basis, problem.rest, coefficients)
+def plan_of(problem, seed, size):
+    """Return a series with random coefficients of standard deviation ``size``."""
+    shape = (problem.n_joints, 3)
+    return series(problem.rest, size * default_rng(seed).normal(size=shape))
 
 
 THREE = make_problem(arms.THREE)
@@ -78,7 +75,7 @@ def test_position_limits_need_not_lie_around_zero(middle, reach, position):
     upper = np.full(3, middle + reach)
     limits = replace(THREE.limits, lower=lower, upper=upper)
     problem = replace(THREE, limits=limits)
-    resting = FourierTrajectory(BRIEF, np.full(3, position), np.zeros((3, 7)))
+    resting = series(np.full(3, position), np.zeros((3, 3)))
     assert keeps_limits(problem, resting) == (abs(position - middle) <= reach)
 
 
@@ -102,26 +99,21 @@ class ThinWall:
 
     rates = np.array([[1.0, 0.0, 0.0]])
 
-    def slack(self, q):
-        value = np.minimum(np.abs(q[:, 0] - 0.2) - 1e-3, 0.1)
-        return Slack(value, np.zeros_like(q))
-
-    def slack_at(self, q):
-        (value,) = self.slack(q[None]).value
-        return float(value), np.array([value])
+    def slacks(self, q):
+        return np.minimum(np.abs(q[:, :1] - 0.2) - 1e-3, 0.1)
 
     def closest(self, q):
-        value, _ = self.slack_at(q)
+        (value,) = self.slacks(q[None])[0]
         return Closest(value, value, "arm and wall")
 
 
 def test_a_wall_between_two_samples_is_detected():
     problem = replace(THREE, obstacles=ThinWall())
-    coefficients = np.zeros((3, 7))
+    coefficients = np.zeros((3, 3))
     coefficients[0, 0] = 0.4
-    plan = FourierTrajectory(BASIS, problem.rest, coefficients)
+    plan = series(problem.rest, coefficients, 4.0, 1.0)
     sampled = plan.evaluate(np.arange(80) / 20.0 + 0.02)
-    assert np.min(problem.obstacles.slack(sampled.q).value) > 0.0
+    assert np.min(problem.obstacles.slacks(sampled.q)) > 0.0
     check = check_limits(problem, plan)
     assert "clearance of arm and wall" in str(check.excesses[0])
     contact = first_contact(problem, plan)
@@ -151,32 +143,13 @@ def test_a_motion_that_stops_inside_a_wall_is_detected(end, touches):
     assert (first_contact(problem, Stopping(end)) is not None) == touches
 
 
-@pytest.mark.slow
-@given(SEEDS, st.sampled_from([0.97, 1.0]), st.floats(0.5, 1.0))
-def test_checking_one_period_and_both_ends_covers_the_motion(seed, base, speed):
-    """Also slowed down, and where a period is no integer number of samples."""
-    basis = FourierBasis(3.0, base, 4, 0.3)
-    shape = 0.05 * default_rng(seed).normal(size=(3, 9))
-    plan = at_speed(FourierTrajectory(basis, THREE.rest, shape), speed)
-    check = check_limits(THREE, plan)
-    # A motion that hides its period is checked from begin to end.
-    hidden = SimpleNamespace(duration=plan.duration, evaluate=plan.evaluate)
-    full_check = check_limits(THREE, hidden)
-    covered = np.diff(limit_check._spans(plan))
-    assert np.sum(covered) < 0.6 * plan.duration
-    for name in ("lowest", "highest", "largest"):
-        assert_allclose(getattr(check, name), getattr(full_check, name), rtol=1e-9)
-    assert len(check.excesses) == len(full_check.excesses)
-
-
 def test_the_failure_names_the_worst_limit():
-    slow = FourierBasis(8.0, 0.125, 3, 4.0)
-    plan = FourierTrajectory(slow, THREE.rest, np.zeros((3, 7)))
+    plan = series(THREE.rest, np.zeros((3, 3)), 8.0, 4.0)
     assert check_limits(THREE, plan).failure is None
-    coefficients = np.zeros((3, 7))
+    coefficients = np.zeros((3, 3))
     coefficients[2, 0] = 1.05 * (THREE.limits.upper[2] - THREE.rest[2])
     start = "this trajectory must not be run: it breaks the "
-    failure = check_limits(THREE, replace(plan, coefficients=coefficients)).failure
+    failure = check_limits(THREE, replace(plan, amplitude=coefficients)).failure
     assert failure.startswith(f"{start}position limit of joint joint2 (5.0 % ")
 
 
@@ -211,7 +184,9 @@ def test_a_clearance_may_fall_short_by_rounding_alone(shortfall, holds):
 
     def surplus(share):
         """Return the slack beyond the shortfall at a share of the way [m]."""
-        return problem.obstacles.slack_at(problem.rest + share * towards)[0] + shortfall
+        return (
+            problem.obstacles.closest(problem.rest + share * towards).slack + shortfall
+        )
 
     end = brentq(surplus, 0.0, 1.0, xtol=1e-12)
     plan = straight_way(problem.rest, problem.rest + end * towards)

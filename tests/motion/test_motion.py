@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import (
-    LONGEST_PERIOD,
-    TOP_FREQUENCY_HZ,
-    ExcitationOptions,
-    LimitOptions,
-)
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 
 
 @pytest.mark.parametrize(
@@ -35,18 +28,6 @@ def test_an_invalid_option_is_refused_in_one_line(field, value, message):
     with pytest.raises(InputError) as caught:
         record(**{field: value})
     assert message in str(caught.value) and "\n" not in str(caught.value)
-
-
-@given(st.floats(1.0, 600.0))
-def test_the_band_ends_at_the_top_frequency(duration):
-    basis = ExcitationOptions().basis(duration)
-    periods = basis.base_frequency_hz * duration
-    assert (basis.duration, periods) == (duration, pytest.approx(round(periods)))
-    assert round(periods) == max(1, np.ceil(duration / LONGEST_PERIOD))
-    assert basis.harmonics >= 3
-    if basis.harmonics > 3:
-        assert basis.top_frequency_hz <= TOP_FREQUENCY_HZ * (1.0 + 1e-9)
-        assert basis.top_frequency_hz > TOP_FREQUENCY_HZ - basis.base_frequency_hz
 
 
 def test_half_spaces_follow_the_workspace_and_the_planes():

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 
-from robot_sysid.motion.design_search import draw_trajectory
 from robot_sysid.motion.expected_errors import centre_slopes
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.prediction import limit_lines, motion_lines
+from robot_sysid.motion.search import draw_trajectory
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms, witness
 from tests.support.arms import X, Y, Z

@@ -36,12 +36,12 @@ def build(arm, *arguments, **changes):
 
 
 def test_limits_are_those_of_the_model_less_margins():
-    problem = build(limited_arm(torque=100.0), "chain", 0.3, 0.5)
+    problem = build(limited_arm(torque=100.0))
     assert np.allclose(problem.limits.lower, -2.0 + 0.02 * 4.0)
     assert np.allclose(problem.limits.upper, 2.0 - 0.02 * 4.0)
     assert np.allclose(problem.limits.velocity, 1.0)
     assert np.allclose(problem.limits.torque, 95.0)
-    assert np.allclose(problem.limits.acceleration, 2.0 * np.pi * 0.5)
+    assert np.allclose(problem.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
 
 
 def test_limit_options_tighten_those_of_the_model():
@@ -70,9 +70,9 @@ def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
 
 def test_without_a_band_only_an_option_limits_accelerations():
     arm = robot(arms.SLIDE_IN_CHAIN)
-    free = build(arm, "chain", 0.3, None)
+    free = build(arm, "chain", 0.3, False)
     assert np.all(np.isinf(free.limits.acceleration))
-    limited = build(arm, "chain", 0.3, None, max_acceleration=3.0)
+    limited = build(arm, "chain", 0.3, False, max_acceleration=3.0)
     expected = np.where(arm.is_slide, np.inf, 3.0)
     assert np.array_equal(limited.limits.acceleration, expected)
 
@@ -138,12 +138,6 @@ def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, mass):
     motion = random_motion(7, seed)
     reserved = np.abs(replace(SEVEN, reserve=3.0).torque(motion))
     assert np.all(np.abs(loaded_torque(motion, mass)) <= reserved + 1e-12)
-
-
-@pytest.mark.parametrize("top", [0.6, 5.0, 15.0])
-def test_faster_harmonics_do_not_raise_the_acceleration_limit(top):
-    problem = build(limited_arm(), "chain", 0.3, top)
-    assert np.allclose(problem.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
 
 
 def test_a_workspace_that_the_link_exceeds_at_rest_is_refused():

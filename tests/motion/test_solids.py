@@ -11,14 +11,7 @@ from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from robot_sysid.motion import LimitOptions
-from robot_sysid.motion.solids import (
-    HalfSpaces,
-    Solid,
-    outermost_points,
-    solids_of,
-    unguarded_links,
-)
+from robot_sysid.motion.solids import outermost_points, solids_of, unguarded_links
 from tests.support.arms import SEEDS, X, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import robot
 
@@ -48,12 +41,12 @@ def all_shapes():
     model = compile_xml(f"<mujoco><worldbody>{content}</worldbody></mujoco>")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    return data, [Solid(model, body) for body in range(1, model.nbody)]
+    return data, solids_of(model, range(1, model.nbody))
 
 
 @given(SEEDS)
-def test_the_farthest_point_of_a_shape_lies_on_its_boundary(seed):
-    """No point of the shape is farther along the direction."""
+def test_a_solid_contains_its_shape_and_hardly_more(seed):
+    """No point of the shape is farther along a direction, and none is 2 % nearer."""
     data, solids = all_shapes()
     rng = default_rng(seed)
     direction = rng.normal(size=(1, 3))
@@ -62,22 +55,20 @@ def test_the_farthest_point_of_a_shape_lies_on_its_boundary(seed):
         position = data.geom_xpos[geom]
         rotation = data.geom_xmat[geom].reshape(3, 3)
         local = inside(shape, rng.uniform(-1.0, 1.0, size=(400, 3)))
-        points = position + local @ rotation.T
+        along = (position + local @ rotation.T) @ direction[0]
         (farthest,) = solid.farthest(direction)
-        assert np.max(points @ direction[0]) <= direction[0] @ farthest + 1e-12
-        distance = np.linalg.norm(points - solid.center, axis=1)
-        assert np.max(distance) <= solid.bound + 1e-12
-        balls = solid.points @ direction[0] + solid.radius
-        assert direction[0] @ farthest <= np.max(balls) + 1e-12
+        assert np.max(along) <= direction[0] @ farthest + 1e-12
+        assert np.linalg.norm(farthest) <= solid.reach + 1e-12
         x, y, z = (farthest - position) @ rotation
         distances = {
             "sphere": np.linalg.norm((x, y, z)) - 0.3,
             "capsule": np.linalg.norm((x, y, z - np.clip(z, -0.2, 0.2))) - 0.3,
-            "ellipsoid": np.linalg.norm((x, y, z) / SIZE) - 1.0,
+            "ellipsoid": (np.linalg.norm((x, y, z) / SIZE) - 1.0) / 2.0,
             "cylinder": max(np.hypot(x, y) - 0.3, abs(abs(z) - 0.2)),
             "box": np.max(np.abs(np.abs((x, y, z)) - SIZE)),
         }
-        assert distances[shape] == pytest.approx(0.0, abs=1e-12)
+        larger = 0.0087 if shape in ("ellipsoid", "cylinder") else 0.0
+        assert 0.0 <= distances[shape] + 1e-12 <= larger + 2e-12
 
 
 def test_a_solid_uses_collision_geoms_then_visuals_then_the_origin():
@@ -92,25 +83,6 @@ def test_a_solid_uses_collision_geoms_then_visuals_then_the_origin():
     reach = [np.diag(solid.farthest(np.eye(3))) for solid in solids]
     assert_allclose(reach[:3], np.outer([0.1, 0.3, 0.0], np.ones(3)), atol=1e-12)
     assert_allclose(reach[3], (0.2, 0.3, 0.4), atol=1e-7)
-
-
-def test_each_half_space_binds_its_own_bodies():
-    model = compile_xml(
-        '<mujoco><worldbody><body pos="0 0 1"><geom size=".1"/></body>'
-        '<body pos="0 0 2"><geom type="box" size=".1 .1 .3"/></body></worldbody></mujoco>'
-    )
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    sides = (-np.inf, np.inf, -np.inf, np.inf, -np.inf, 4.0)
-    limits = LimitOptions(keep_out=((0.0, 0.0, 1.0, 0.5),), workspace=sides)
-    spaces = HalfSpaces(model, limits.half_spaces([1, 2], [2]))
-    frames = data.xpos[None], data.xmat[None]
-    (ball, block) = spaces.heights(*frames)
-    assert np.allclose(ball[2], [0.4, 2.9]) and np.allclose(block[2], [1.2, 1.7])
-    assert np.array_equal(spaces.required, [[0.01, -np.inf], [0.01, 0.0]])
-    assert np.allclose(ball[3][0, :, 2], [0.9, 1.1])
-    assert np.allclose(block[3][0, :, 2], [1.7, 2.3])
-    assert [body for body, *_ in spaces.heights(*frames, margin=0.5)] == [0]
 
 
 def test_the_outermost_points_include_bodies_fixed_to_the_last_one():
@@ -141,10 +113,8 @@ DRAWN = '<geom size=".03" contype="0" conaffinity="0"/>'
 @pytest.mark.parametrize(
     ("shells", "names"),
     [
-        ((SHELL, SHELL, SHELL), ()),
         ((SHELL, "", SHELL), ("link1",)),
         ((DRAWN, PART, MARKER), ("link0", "link2")),
-        (("", "", ""), ("link0", "link1", "link2")),
         ((SHELL, SHELL_OF_NO_MASS, SHELL), ()),
         ((SHELL, "", ""), ("link0", "link1", "link2")),
         ((SHELL, ONE_SIDED, ONE_SIDED), ()),

@@ -53,8 +53,8 @@ def test_a_motion_starts_where_nothing_collides():
     startable = static.startable(problem)
     (note,) = set(startable.notes) - set(problem.notes)
     assert "at rest the model is in a collision: link3 and shelf (10 mm deep)" in note
-    assert problem.obstacles.slack_at(problem.rest)[0] < 0.0
-    assert startable.obstacles.slack_at(startable.rest)[0] >= 0.0
+    assert problem.obstacles.closest(problem.rest).slack < 0.0
+    assert startable.obstacles.closest(startable.rest).slack >= 0.0
 
 
 def test_where_every_pose_collides_the_bodies_are_named():
@@ -85,7 +85,7 @@ def test_a_start_that_cannot_be_held_is_replaced(lean, share):
     problem = weaken_motors(leaning(lean), share)
     startable = static.startable(problem)
     assert holding_share(startable, startable.rest) < 1.0
-    assert startable.obstacles.slack_at(startable.rest)[0] >= 0.0
+    assert startable.obstacles.closest(startable.rest).slack >= 0.0
     assert np.all(startable.rest >= problem.limits.lower)
     assert np.all(startable.rest <= problem.limits.upper)
     (note,) = set(startable.notes) - set(problem.notes)

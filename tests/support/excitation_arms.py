@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 
 from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion.design import Design
 from robot_sysid.motion.information import JOINT_TERMS, PriorKnowledge
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
+from robot_sysid.motion.search import Design
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms
 from tests.support.arms import X, Y, Z, world
@@ -34,8 +34,7 @@ TOUCHING_AT_REST = TUBES_AND_POST.replace(
 )
 
 DURATION = 6.0
-SMALL = {"draws": 6, "starts": 1, "rounds": 1, "iterations": 8}
-TOP_FREQUENCY_HZ = ExcitationOptions().basis(DURATION).top_frequency_hz
+SMALL = {"draws": 6, "rounds": 1, "iterations": 8}
 
 
 @cache
@@ -50,15 +49,9 @@ def options(**changes):
 
 
 @cache
-def make_problem(
-    xml,
-    torques="chain",
-    noise_torque=DEFAULT_NOISE_TORQUE,
-    top=TOP_FREQUENCY_HZ,
-    **limits,
-):
+def make_problem(xml, torques="chain", noise_torque=DEFAULT_NOISE_TORQUE, **limits):
     """ExcitationProblem of an XML string; further arguments are those of ``LimitOptions``."""
-    return build_problem(robot(xml), LimitOptions(**limits), torques, noise_torque, top)
+    return build_problem(robot(xml), LimitOptions(**limits), torques, noise_torque)
 
 
 def known_arm(problem):
@@ -74,15 +67,13 @@ def make_design(xml, torques="chain", duration=DURATION, **changes):
     """Design of an XML string."""
     search_options = options(**changes)
     motion = TrajectoryOptions(duration=duration)
-    problem = make_problem(
-        xml, torques, top=search_options.basis(duration).top_frequency_hz
-    )
+    problem = make_problem(xml, torques)
     return Design(problem, search_options, motion, known_arm(problem))
 
 
 def random_x(design, seed, size=0.3):
     """Random free coefficients (n, M) of a design."""
-    shape = (design.problem.n_joints, design.basis.size)
+    shape = (design.problem.n_joints, design.size)
     return size * np.random.default_rng(seed).normal(size=shape)
 
 

@@ -1,0 +1,717 @@
+"""Search for the trajectory that identifies an arm best within all limits.
+
+A trajectory is a Fourier series per joint (Swevers, Ganseman, Tukel, De Schutter, Van Brussel,
+"Optimal robot excitation and identification", IEEE Trans. Robotics and Automation 13(5), 1997, eq.
+5) under a window that rises smoothly from 0 to 1 and falls back. It is linear in its coefficients,
+and so are velocity and acceleration.
+
+Random feasible trajectories first; the best of them are improved by a round of L-BFGS, and the best
+of these by more rounds until one gains next to nothing. All of the work is counted in trajectories,
+rounds and iterations, never in seconds: the same seed and options give the same trajectory on a
+fast and on a slow machine. Only a time budget makes the result depend on the clock: the search then
+goes on with the next trajectories until it is used up.
+
+The objective is the criterion (``information``) plus an augmented Lagrangian of constraints. For
+constraints g <= 0 with multipliers l and weight m the penalty is sum (max(0, l + m g)^2 - l^2) / 2
+m; between rounds l becomes max(0, l + m g) (Nocedal, Wright, "Numerical Optimization", 2006,
+section 17.4). It leads to a feasible optimum without an infinite weight, so the problem stays well
+conditioned. Constraints have to hold at all times, the optimiser sees finitely many: after each
+round a motion that breaks a limit is shrunk towards rest until it keeps all, from begin to end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from robot_sysid.errors import InputError
+from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions
+from robot_sysid.motion.information import Criterion, PriorKnowledge, gradient_of
+from robot_sysid.motion.limit_check import LimitCheck, check_limits, keeps_limits
+from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
+from robot_sysid.motion.trajectories import harmonics
+from robot_sysid.records import Array, Motion
+from robot_sysid.records.messages import Progress
+from robot_sysid.trajectory import Series, SineTrajectory, TrajectoryOptions
+
+LONGEST_FADE = 1.5
+"""Longest time in which a designed trajectory leaves its start, and in which it returns [s]. To
+leave by 1 rad in this time takes 7.5 / 1.5^2 = 3.3 rad/s^2, a quarter of the acceleration of a
+sinusoid of 1 rad at 0.6 Hz."""
+FEWEST_HARMONICS = 3
+"""Least number of harmonics of a designed trajectory, however short it is."""
+LONGEST_PERIOD = 60.0
+"""Longest period of a designed trajectory [s]; a longer trajectory repeats itself, so that the time
+of a search grows only in proportion to its duration."""
+GRID_PER_CYCLE = 25
+"""Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
+those at 1 kHz; with 10 points 0.1 %, with 5 points 0.8 % (Kinova)."""
+FEWEST_GRID_POINTS = 60
+"""Grid points of a motion, however short, at least."""
+INFORMATION_POINTS = slice(1, None, 3)
+"""Grid points at which the information is computed: 8 per period change no criterion by over
+0.2 %."""
+MOST_MEMORY = 2e9
+"""Most memory that a search may take [bytes]."""
+COPIES = 3
+"""How many arrays of the size of the basis functions a search needs at a time."""
+
+STARTS = 2
+"""Number of the best random trajectories that are improved by one round; only the best of these
+gets more rounds."""
+LEAST_GAIN = 0.01
+"""Relative gain of a round in the mean standard deviation below which a search ends. On most public
+arms another minute of search would then gain at most 5 %."""
+LARGEST_LEAD = 0.05
+"""How much better (relative, in the mean standard deviation) the motion that breaks limits may be
+than the best one that keeps them when a search ends; it goes on while the lead is larger."""
+FIRST_WEIGHT = 1.0
+"""Weight of the penalty in the first rounds. It is small, so that the multipliers, and not the
+weight, make the motion keep the limits."""
+WEIGHT_GROWTH = 1.5
+"""Growth of the weight per later round, where multipliers converge slowly."""
+PLAIN_ROUNDS = 2
+"""Rounds before the weight begins to grow."""
+MEMORY = 20
+"""Gradient pairs L-BFGS keeps: the upper end of what Nocedal, Wright, section 7.2, recommend."""
+REPAIRS = (1.0, *(1.0 - 1e-3 * 2.0 ** np.arange(10)), 0.2, 0.1)
+"""Factors by which a motion that breaks a limit is scaled down, tried in turn until it keeps all
+limits."""
+LIMIT_SHARE = 0.99
+"""Share of the limits the search uses; the rest covers peaks between grid points.
+
+A peak between two of 25 points per period is cos(pi / 25) = 0.992 of itself at the nearer one.
+"""
+EXTRA_SLACK = 0.003
+"""Distance that the search keeps in addition to the required one [m].
+
+A pair that approaches at 9 cm/s comes 3 mm nearer in half a step of the grid, 0.033 s.
+"""
+_WORST = 1e6
+"""Stands for an infinite criterion: the optimiser needs a number."""
+SHRINK_FACTORS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
+"""Factors by which a random motion is scaled, tried in turn until it keeps torque limits and
+touches nothing."""
+DRAW_SHARE = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
+"""Share of the limits of position, speed and acceleration that a random motion uses at grid points;
+the remainder is for peaks between them."""
+COARSE_STEP = 8
+"""A random motion is first checked at every eighth grid point, which is cheap."""
+CHECK_TIME = 2.0
+"""Time of a budget that is reserved for the final check of all limits [s]: what the check of a 15 s
+motion of a seven-joint arm takes."""
+DRAWS_PER_ROUND = 5
+"""Random trajectories that take about as long as a round of improvement, for the progress."""
+_STOP_NOTES: Mapping[str, tuple[str, ...]] = {
+    "": (),
+    "interrupted": (
+        "the search was interrupted; this is the best trajectory it had found until then",
+    ),
+    "time budget": (
+        "the time budget ended the search; the same seed may give another trajectory on another "
+        "machine, so keep this one (robot-sysid plan --save-trajectory) or raise "
+        "--excitation-time-budget",
+    ),
+}
+"""Reason why a search ended early, "" for none, to the notes for the user."""
+
+clock = time.monotonic
+"""Returns the machine's time [s]."""
+
+
+class Design:
+    """Everything about one design that does not change during the search.
+
+    Args:
+        problem: the arm and its limits.
+        options: of the search.
+        motion: duration and sample rate.
+        knowledge: of the parameters before the recording.
+
+    Attributes:
+        problem: the arm and its limits.
+        sample_rate: of the recording [Hz].
+        options: of the search.
+        duration: of the motion [s].
+        top_frequency_hz: frequency of the last harmonic [Hz].
+        size: number M of free coefficients per joint: offset, sines, cosines.
+        unit: (M,) scale of each free coefficient for the optimiser [rad].
+        grid: (N,) times at which constraints are computed [s].
+        on_grid: the M basis functions and their first two derivatives there, (N, M) each. They take
+            most of the memory of a design.
+        criterion: the number that is minimised.
+
+    Raises:
+        InputError: the search takes too much memory, or the sample rate is too low.
+    """
+
+    def __init__(
+        self,
+        problem: ExcitationProblem,
+        options: ExcitationOptions,
+        motion: TrajectoryOptions,
+        knowledge: PriorKnowledge,
+    ) -> None:
+        self.problem = problem
+        self.sample_rate = motion.sample_rate
+        self.options = options
+        self.duration = motion.duration
+        self._periods = max(1, math.ceil(self.duration / LONGEST_PERIOD))
+        base = self._periods / self.duration
+        # A quotient that rounding puts just below a whole number counts as that number.
+        count = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
+        self.size = 2 * count + 1
+        self._waves = harmonics(base, count)
+        self._fade = min(LONGEST_FADE, 0.25 * self.duration)
+        top = self.top_frequency_hz = count * base
+        if top > 0.5 * motion.sample_rate:
+            raise InputError(
+                f"--sample-rate {motion.sample_rate:g} cannot show the motion's highest frequency, "
+                f"{top:.4g} Hz; give at least {2.0 * top:.4g}"
+            )
+        points = int(np.ceil(GRID_PER_CYCLE * top * self.duration))
+        points = max(FEWEST_GRID_POINTS, points)
+        # The basis functions, and two derivatives, of 8 bytes per number.
+        memory = COPIES * 3.0 * 8.0 * points * self.size
+        if memory > MOST_MEMORY:
+            raise InputError(
+                f"designing {motion.duration:g} s would take about {memory / 1e9:.2g} GB of "
+                f"memory, the most is {MOST_MEMORY / 1e9:g} GB; make the motion shorter and "
+                "repeat it"
+            )
+        # In these units a step changes the speed equally in all harmonics: L-BFGS needs fewer.
+        self.unit = 1.0 / np.maximum(1.0, self._waves[0] / base)
+        self.grid = (np.arange(points) + 0.5) * self.duration / points
+        functions = self._series(np.zeros(self.size), np.eye(self.size), self.duration)
+        on_grid = functions.evaluate(self.grid)
+        self.on_grid: Series = on_grid.q, on_grid.qd, on_grid.qdd
+        # Each point of the coarse grid stands for several samples of the recording: it has as much
+        # information as all of them.
+        n_points = len(self.grid[INFORMATION_POINTS])
+        samples = motion.duration * motion.sample_rate / n_points
+        self.criterion = Criterion(problem, knowledge, samples)
+
+    def _series(self, center: Array, x: Array, duration: float) -> SineTrajectory:
+        """Return the series with coefficients x (n, M) about a position (n,)."""
+        frequency, phase = (np.tile(row, (len(center), 1)) for row in self._waves)
+        return SineTrajectory(center, x, frequency, phase, duration, self._fade)
+
+    def trajectory(self, x: Array) -> SineTrajectory:
+        """Return the trajectory of the free coefficients x (n, M)."""
+        return self._series(self.problem.rest, x, self.duration)
+
+    def keeps_limits(self, x: Array) -> bool:
+        """Return whether the trajectory of coefficients x (n, M) keeps all limits.
+
+        Of one that repeats itself two periods are checked, which hold all that it does.
+        """
+        duration = self.duration * min(1.0, 2.0 / self._periods)
+        plan = self._series(self.problem.rest, x, duration)
+        return keeps_limits(self.problem, plan)
+
+    def motion(self, x: Array) -> Series:
+        """Return q, qd and qdd (N, n) of the free coefficients x (n, M) on the grid."""
+        b, db, ddb = self.on_grid
+        return self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
+
+    def criterion_of(self, x: Array) -> float:
+        """Return the criterion of free coefficients x (n, M)."""
+        q, qd, qdd = (signal[INFORMATION_POINTS] for signal in self.motion(x))
+        return self.criterion.evaluate((q, qd, qdd))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A trajectory on its way to the optimum.
+
+    Attributes:
+        x: (n, M) free coefficients of each joint [rad or m]; the motion may break a limit.
+        multipliers: (N, 4 n + 2) Lagrange multipliers of the constraints at the N grid points.
+        rounds: number of rounds of improvement that have been completed.
+        score: the criterion at ``x``, smaller is better; infinite if singular.
+        feasible_x: (n, M) the best coefficients so far that keep all limits, or None.
+        feasible_score: the criterion at ``feasible_x``; infinite where it is None.
+    """
+
+    x: Array
+    multipliers: Array
+    rounds: int = 0
+    score: float = np.inf
+    feasible_x: Array | None = None
+    feasible_score: float = np.inf
+
+    @property
+    def weight(self) -> float:
+        """Weight of the penalty."""
+        growth: float = WEIGHT_GROWTH ** max(0, self.rounds - PLAIN_ROUNDS)
+        return FIRST_WEIGHT * growth
+
+
+class Constraints(NamedTuple):
+    """Constraint values of a motion at N samples, and the slack's gradient.
+
+    The columns are, n each, the distances of the positions from the middle of their ranges, the
+    velocities, accelerations and torques, then the speed of the tool, all of them absolute values
+    over their limits minus one; the last column is the missing distance from obstacles over
+    ``OBSTACLE_LENGTH``.
+
+    Attributes:
+        value: (N, 4 n + 2) g; fulfilled where <= 0.
+        by_signal: (N, 4 n + 1) derivative of g by the problem's signals.
+        by_position: (N, n) derivative of the last column by q.
+    """
+
+    value: Array
+    by_signal: Array
+    by_position: Array
+
+
+def constraints_of(
+    problem: ExcitationProblem,
+    motion: Series,
+    share: float = 1.0,
+    extra_slack: float = 0.0,
+) -> Constraints:
+    """Return all constraints at the samples of a motion.
+
+    Args:
+        problem: the arm and its limits.
+        motion: q, qd and qdd, (N, n) each.
+        share: of the limits to use; less than 1 leaves room for peaks between grid points.
+        extra_slack: distance to keep in addition to the required one [m].
+    """
+    signals = problem.signals(_samples(*motion))
+    slack = problem.obstacles.slack(motion[0])
+    limits = share * problem.limits.columns
+    missing = (extra_slack - slack.value) / OBSTACLE_LENGTH
+    value = np.column_stack((np.abs(signals) / limits - 1.0, missing))
+    by_signal = np.sign(signals) / limits
+    return Constraints(value, by_signal, -slack.gradient / OBSTACLE_LENGTH)
+
+
+def _samples(q: Array, qd: Array, qdd: Array) -> Motion:
+    """Return samples (N, n) as a motion: limits do not depend on the time of a sample."""
+    return Motion(np.arange(float(len(q))), q, qd, qdd)
+
+
+def constraint_gradient(
+    problem: ExcitationProblem, motion: Series, constraints: Constraints, weight: Array
+) -> Series:
+    """Return the gradient (N, n) of sum(weight * g), g the constraints (N, 4 n + 2) of a motion, by
+    each of q, qd and qdd.
+    """
+    n = problem.n_joints
+    adjoint = weight[:, :-1] * constraints.by_signal
+    q, qd, qdd = np.split(adjoint[:, : 3 * n], 3, axis=1)
+    q += weight[:, -1:] * constraints.by_position
+    # Torques and the tool's speed are functions of the motion.
+    functions = adjoint[:, 3 * n :]
+    active = np.flatnonzero(np.any(functions != 0.0, axis=1))
+    if len(active):
+
+        def total(*at: Array) -> Array:
+            """Return the weighted sums (m, N) of torques and the tool's speed."""
+            signals = problem.signals(_samples(*at))[:, 3 * n :]
+            weighted = signals.reshape(-1, len(active), n + 1) * functions[active]
+            return np.asarray(np.sum(weighted, axis=2))
+
+        at = (motion[0][active], motion[1][active], motion[2][active])
+        for own, gradient in zip((q, qd, qdd), gradient_of(total, at)):
+            own[active] += gradient
+    return q, qd, qdd
+
+
+def penalised_objective(
+    design: Design, candidate: Candidate, x: Array
+) -> tuple[float, Array, Array]:
+    """Return (objective, gradient (n, M), new multipliers (N, 4 n + 2)) at coefficients x (n, M).
+
+    The objective is the criterion plus the augmented Lagrangian's penalty, with the multipliers and
+    the weight of the candidate. The new multipliers max(0, l + m g) are for the next round, if the
+    minimisation ends at x.
+    """
+    multipliers = candidate.multipliers
+    weight = candidate.weight
+    motion = design.motion(x)
+    q, qd, qdd = (signal[INFORMATION_POINTS] for signal in motion)
+    value, gradients = design.criterion.with_gradient((q, qd, qdd))
+    constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)
+    active = np.maximum(0.0, multipliers + weight * constraints.value)
+    penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
+    # Gradients (N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
+    adjoints = constraint_gradient(design.problem, motion, constraints, active)
+    for adjoint, gradient in zip(adjoints, gradients):
+        adjoint[INFORMATION_POINTS] += gradient
+    # q, qd and qdd are linear in x, by the basis functions and their derivatives.
+    gradient = np.sum([a.T @ f for a, f in zip(adjoints, design.on_grid)], axis=0)
+    return min(value, _WORST) + penalty, gradient, active
+
+
+def first_candidate(design: Design, x: Array) -> Candidate:
+    """Return a candidate at free coefficients x (n, M) with zero multipliers, its score, and the
+    largest multiple of x that keeps all limits as ``feasible_x``.
+    """
+    multipliers = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
+    return _update_feasible(design, Candidate(x, multipliers), np.inf)
+
+
+def improve(
+    design: Design, candidate: Candidate, deadline: float = np.inf
+) -> Candidate:
+    """Return the candidate after one more round: minimisation, new multipliers, repair.
+
+    A round ends early where the deadline, a time of ``clock`` [s], passes: the coefficients are
+    then those of the last iteration, and multipliers and number of rounds stay.
+    """
+    from scipy.optimize import minimize
+
+    # The optimiser works on the flat array of x / unit.
+    unit = design.unit
+    shape = candidate.x.shape
+    iterates = [candidate.x]
+
+    def function(flat: Array) -> tuple[float, Array]:
+        """Return the penalised objective and its gradient (n M,) by ``flat`` (n M,); raises
+        TimeoutError after the deadline.
+        """
+        if clock() > deadline:
+            raise TimeoutError
+        x = unit * flat.reshape(shape)
+        value, gradient, _ = penalised_objective(design, candidate, x)
+        return value, (unit * gradient).ravel()
+
+    def keep(flat: Array) -> None:
+        """Append the iterate ``flat`` (n M,), which an interrupted minimisation does not return."""
+        iterates.append(unit * flat.reshape(shape))
+
+    options = {"maxiter": design.options.iterations, "maxcor": MEMORY, "maxls": 30}
+    start = (candidate.x / unit).ravel()
+    with contextlib.suppress(TimeoutError):
+        minimize(
+            function, start, jac=True, method="L-BFGS-B", callback=keep, options=options
+        )
+    x = iterates[-1]
+    moved = replace(candidate, x=x)
+    if clock() <= deadline:
+        _, _, multipliers = penalised_objective(design, candidate, x)
+        moved = replace(moved, multipliers=multipliers, rounds=candidate.rounds + 1)
+    return _update_feasible(design, moved, deadline)
+
+
+def _update_feasible(
+    design: Design, candidate: Candidate, deadline: float
+) -> Candidate:
+    """Return the candidate with the score of its x, and with the largest multiple of x that keeps
+    all limits as ``feasible_x``, if that is better than the feasible coefficients it has.
+
+    After the deadline, a time of ``clock`` [s], no further multiple is tried, unless the candidate
+    has no feasible coefficients yet.
+    """
+    candidate = replace(candidate, score=design.criterion_of(candidate.x))
+    for factor in REPAIRS:
+        if clock() > deadline and candidate.feasible_x is not None:
+            break
+        x = factor * candidate.x
+        score = design.criterion_of(x)
+        if not score < candidate.feasible_score:
+            break
+        if design.keeps_limits(x):
+            return replace(candidate, feasible_x=x, feasible_score=score)
+    return candidate
+
+
+@dataclass(frozen=True)
+class ExcitationResult:
+    """A designed trajectory and how the search for it went.
+
+    Attributes:
+        trajectory: the best one that was found; it keeps all limits.
+        objective: exp of the criterion's value: the geometric mean of the standard deviations of
+            the scaled parameters.
+        start_objective: objective of the best random trajectory.
+        limit_check: of the trajectory.
+        stopped: "" where the search was finished, else "interrupted" or "time budget".
+        notes: sentences for the user on the limits, and on a search that ended early.
+    """
+
+    trajectory: SineTrajectory
+    objective: float
+    start_objective: float
+    limit_check: LimitCheck
+    stopped: str
+    notes: tuple[str, ...]
+
+
+def design_excitation(
+    design: Design, rng: np.random.Generator, progress: Progress | None = None
+) -> ExcitationResult:
+    """Search for the trajectory that makes the predicted uncertainty smallest.
+
+    Ctrl-C ends the search and keeps the best trajectory so far, a random one if need be.
+
+    Args:
+        design: the arm, its limits and what is minimised.
+        rng: source of randomness; a seed is drawn from it.
+        progress: is advanced after every trajectory and round; None to show nothing.
+
+    Raises:
+        InputError: no drawn trajectory keeps all limits; names the limit that is in the way.
+        KeyboardInterrupt: interrupted before there was any trajectory.
+    """
+    search = _Search(design, int(rng.integers(2**62)), progress or Progress())
+    interruption = None
+    try:
+        stopped = search.run()
+    except KeyboardInterrupt as error:
+        stopped = "interrupted"
+        interruption = error
+    best = search.best
+    if best is None:  # Nothing was improved in time.
+        starts = (first_candidate(design, draw.x) for draw in search.feasible_draws())
+        best = next((start for start in starts if start.feasible_x is not None), None)
+    if best is None or best.feasible_x is None:
+        raise interruption or InputError(_infeasibility(search.draws, design))
+    trajectory = design.trajectory(best.feasible_x)
+    return ExcitationResult(
+        trajectory=trajectory,
+        objective=float(np.exp(best.feasible_score)),
+        start_objective=float(np.exp(min(draw.score for draw in search.draws))),
+        limit_check=check_limits(design.problem, trajectory, design.sample_rate),
+        stopped=stopped,
+        notes=design.problem.notes + _STOP_NOTES[stopped],
+    )
+
+
+class _Search:
+    """A search under way, of which an interruption loses nothing.
+
+    Args:
+        design: the arm, its limits and what is minimised.
+        seed: of the random trajectories.
+        progress: is advanced after every trajectory and round.
+
+    Attributes:
+        draws: the random trajectories.
+        best: the best improved trajectory that keeps all limits, or None.
+    """
+
+    def __init__(self, design: Design, seed: int, progress: Progress) -> None:
+        self.draws: list[Draw] = []
+        self.best: Candidate | None = None
+        self._design = design
+        self._seed = seed
+        self._progress = progress
+        self._started = clock()
+        self._shown = 0.0
+
+    def run(self) -> str:
+        """Draw random trajectories and improve the best; return "time budget" where that ended the
+        search, else "".
+        """
+        options = self._design.options
+        budget = options.time_budget or np.inf
+        deadline = self._started + budget - min(0.5 * budget, CHECK_TIME)
+        for number in range(options.draws):
+            self.draws.append(draw_trajectory(self._design, self._seed, number))
+            self._report(0.0, options.rounds / 2.0, "random motions")
+            if clock() > deadline and self.feasible_draws():
+                return "time budget"
+        starts = [draw.x for draw in self.feasible_draws()]
+        for first in range(0, len(starts), STARTS):
+            self._improve(starts[first : first + STARTS], deadline)
+            if clock() > deadline:
+                return "time budget"
+            if options.time_budget is None:
+                break
+        self._report(1.0, 0.0, "improving the best")
+        return ""
+
+    def feasible_draws(self) -> list[Draw]:
+        """Return the draws that keep all limits on the grid, best first."""
+        feasible = [draw for draw in self.draws if np.isfinite(draw.score)]
+        return sorted(feasible, key=lambda draw: draw.score)
+
+    def _improve(self, starts: list[Array], deadline: float) -> None:
+        """Improve starts (n, M) by a round each, then the best of them until it gains next to
+        nothing.
+        """
+        candidates = []
+        for x in starts:
+            start = first_candidate(self._design, x)
+            candidates.append(improve(self._design, start, deadline))
+            self._take(candidates[-1])
+            self._report(len(candidates), self._design.options.rounds / 2.0)
+        best = min(candidates, key=lambda candidate: candidate.feasible_score)
+        for n_rounds in range(1, self._design.options.rounds):
+            if clock() > deadline:
+                break
+            previous = best
+            best = improve(self._design, previous, deadline)
+            self._take(best)
+            gain = previous.feasible_score - best.feasible_score
+            # A round may only adapt the multipliers: the motion that breaks limits then leads, and
+            # the next round turns that lead into a gain.
+            lead = best.feasible_score - best.score
+            if gain < LEAST_GAIN and lead < LARGEST_LEAD:
+                break
+            self._report(len(starts) + n_rounds, _rounds_left(gain, lead))
+
+    def _take(self, candidate: Candidate) -> None:
+        """Keep a candidate if it is the best one that keeps all limits."""
+        least = np.inf if self.best is None else self.best.feasible_score
+        if candidate.feasible_score < least:
+            self.best = candidate
+
+    def _report(
+        self, done: float, left: float, text: str = "improving the best"
+    ) -> None:
+        """Show the progress after ``done`` rounds, if about as many as ``left`` will follow; with a
+        time budget, the share of it that is used.
+        """
+        options = self._design.options
+        done += len(self.draws) / DRAWS_PER_ROUND
+        left += (options.draws - len(self.draws)) / DRAWS_PER_ROUND
+        share = done / (done + left)
+        if options.time_budget:
+            share = min(1.0, (clock() - self._started) / options.time_budget)
+        self._shown = max(self._shown, share)
+        self._progress.advance("Designing the trajectory", self._shown, 1.0, text)
+
+
+def _rounds_left(gain: float, lead: float) -> float:
+    """Return about how many rounds follow one with a gain and a lead: each gains half as much."""
+    return 1.0 + max(0.0, math.log2(max(gain / LEAST_GAIN, lead / LARGEST_LEAD, 1.0)))
+
+
+def _infeasibility(draws: list[Draw], design: Design) -> str:
+    """Return an error message on drawn trajectories of which none can be used.
+
+    It names the limit that stops most of them. Where no limit stops any of them, it says that none
+    determines every direction of the link's parameters that these joints can show.
+    """
+    reasons = [draw.obstacle for draw in draws if draw.obstacle]
+    if not reasons:
+        # ``visible`` (10, r) has a column per direction that the joints can show.
+        n_invisible = 10 - design.criterion.visible.shape[1]
+        return (
+            "no drawn trajectory shows all that these joints could show of the link "
+            f"({n_invisible} directions do not show in principle); use a longer --duration"
+        )
+    names, counts = np.unique(reasons, return_counts=True)
+    worst = int(np.argmax(counts))
+    return (
+        f"no trajectory is feasible: {counts[worst]} of {len(draws)} random ones, however small, "
+        f"are stopped by the {names[worst]}; relax that limit or change the model's reference "
+        "configuration"
+    )
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One random trajectory.
+
+    Attributes:
+        score: the criterion; infinite where no factor makes the trajectory feasible, or where the
+            trajectory does not determine all visible parameters.
+        x: (n, M) free coefficients.
+        obstacle: the limit that even its smallest multiple exceeds; "" where one is feasible.
+    """
+
+    score: float
+    x: Array
+    obstacle: str
+
+
+def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
+    """Return a random trajectory, scaled to keep the limits; of an infeasible one the score is inf.
+
+    Args:
+        design: the arm, its limits and the criterion.
+        seed: of the search.
+        number: of the trajectory, which depends on both numbers alone.
+    """
+    x = _draw_within_motion_limits(design, np.random.default_rng([seed, number]))
+    return _shrink_to_limits(design, x)
+
+
+def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
+    """Return random coefficients (n, M) [rad] of a motion in which each joint uses ``DRAW_SHARE``
+    of its limit of position, speed or acceleration, whichever it reaches first.
+
+    Each joint oscillates about a random position in the middle 60 % of its range. The random
+    coefficients of harmonic k are divided by k to a random power between 0 and 1.
+    """
+    limits = design.problem.limits
+    start_pose = design.problem.rest
+    size = (len(start_pose), design.size)
+    # Column 0 is the offset, the others are the harmonics.
+    offset = np.zeros(size)
+    middle = rng.uniform(0.2, 0.8, size=len(start_pose))
+    offset[:, 0] = limits.lower + middle * (limits.upper - limits.lower) - start_pose
+    # The way to the offset and back takes at most 70 % of any limit.
+    factor = _largest_factor(design, np.zeros_like(offset), offset)
+    offset *= np.minimum(1.0, 0.7 * factor)[:, None]
+    decay = design.unit ** rng.uniform(0.0, 1.0)
+    shape = rng.normal(size=size) * rng.uniform(0.2, 1.0, size=size) * decay
+    shape[:, 0] = 0.0
+    factor = DRAW_SHARE * _largest_factor(design, offset, shape)
+    return offset + shape * factor[:, None]
+
+
+def _largest_factor(design: Design, base: Array, x: Array) -> Array:
+    """Return per joint the largest factor (n,) for which the coefficients base + factor x keep the
+    limits of position, speed and acceleration on the grid; 0 where no factor does.
+
+    Args:
+        design: the arm, its limits and the basis.
+        base: (n, M) coefficients of a motion that keeps them.
+        x: (n, M) coefficients that are scaled.
+    """
+    limits = design.problem.limits
+    start_pose = design.problem.rest
+    ranges = (
+        (limits.lower - start_pose, limits.upper - start_pose),
+        (-limits.velocity, limits.velocity),
+        (-limits.acceleration, limits.acceleration),
+    )
+    factor = np.full(len(start_pose), np.inf)
+    for function, (low, high) in zip(design.on_grid, ranges):
+        start = function @ base.T
+        step = function @ x.T
+        distance = np.where(step > 0.0, high - start, low - start)
+        is_moving = np.abs(step) > 1e-12
+        ratio = np.where(is_moving, distance / np.where(is_moving, step, 1.0), np.inf)
+        factor = np.minimum(factor, np.min(ratio, axis=0))
+    return np.where(np.isfinite(factor), np.maximum(factor, 0.0), 0.0)
+
+
+def _shrink_to_limits(design: Design, full: Array) -> Draw:
+    """Return the largest multiple of coefficients ``full`` (n, M), by ``SHRINK_FACTORS``, that
+    keeps all limits on the grid; a draw with infinite score and zero coefficients where none does.
+    """
+    for factor in SHRINK_FACTORS:
+        x = factor * full
+        motion = design.motion(x)
+        # Most motions that break a limit on the grid break it at one of every eighth points too.
+        for step in (COARSE_STEP, 1):
+            q, qd, qdd = (signal[::step] for signal in motion)
+            value = constraints_of(design.problem, (q, qd, qdd)).value
+            if np.max(value) > ROUNDING:
+                break
+        else:  # No limit is broken at either step.
+            return Draw(design.criterion_of(x), x, "")
+    # The constraint that the smallest multiple exceeds most.
+    sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
+    names = design.problem.signal_names
+    if column < len(names):
+        obstacle = names[column]
+    else:
+        closest = design.problem.obstacles.closest(q[sample])
+        obstacle = f"clearance of {closest.label}"
+    return Draw(np.inf, np.zeros_like(full), obstacle)

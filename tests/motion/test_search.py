@@ -1,0 +1,322 @@
+"""Searches for a motion: gradients, limits, repeatable by seed, interruptions keep the best."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.random import default_rng
+
+from robot_sysid.errors import InputError
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.motion import ExcitationOptions, search
+from robot_sysid.motion.expected_errors import prior_knowledge
+from robot_sysid.motion.information import Criterion
+from robot_sysid.motion.limit_check import keeps_limits
+from robot_sysid.motion.problem import ROUNDING
+from robot_sysid.motion.search import (
+    GRID_PER_CYCLE,
+    INFORMATION_POINTS,
+    Design,
+    constraint_gradient,
+    constraints_of,
+    design_excitation,
+    draw_trajectory,
+)
+from robot_sysid.records.messages import Progress
+from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
+from tests.support import arms, witness
+from tests.support.arms import SEEDS
+from tests.support.excitation_arms import (
+    DURATION,
+    TOUCHING_AT_REST,
+    TUBES_AND_POST,
+    TUBES_ON_FLOOR,
+    known_arm,
+    make_design,
+    make_problem,
+    options,
+    random_x,
+    robot,
+    slope,
+)
+
+ARMS = (
+    arms.SLIDE_IN_CHAIN,
+    arms.UNLIMITED,
+    TUBES_AND_POST,
+    TOUCHING_AT_REST,
+    TUBES_ON_FLOOR,
+)
+
+
+def run_search(design, seed, progress=None, clock=search.clock):
+    """Return the result of a search with the seed, a progress listener and a clock in seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(search, "clock", clock)
+        return design_excitation(design, default_rng(seed), progress)
+
+
+def assert_obeys(xml, seed, **changes):
+    """Check every limit at 500 Hz against the arm's own limits, and contacts by MuJoCo."""
+    result = run_search(make_design(xml, **changes), seed)
+    problem = make_problem(xml)
+    arm = robot(xml)
+    slack = 1.0 + ROUNDING
+    for motion in motion_chunks(result.trajectory, 500.0):
+        assert np.all(motion.q >= arm.limits.lower)
+        assert np.all(motion.q <= arm.limits.upper)
+        assert np.all(np.abs(motion.qd) <= arm.limits.velocity * slack)
+        assert np.all(np.abs(motion.qdd) <= problem.limits.acceleration * slack)
+        assert np.all(np.abs(problem.torque(motion)) <= problem.limits.torque * slack)
+    assert witness.new_contacts(arm, result.trajectory) == set()
+    ends = result.trajectory.evaluate(np.array([0.0, result.trajectory.duration]))
+    assert np.max(np.abs([ends.qd, ends.qdd])) < 1e-9
+    assert result.limit_check.holds
+
+
+@pytest.mark.slow
+@given(st.sampled_from(ARMS), SEEDS)
+def test_limits_hold_for_any_seed(xml, seed):
+    assert_obeys(xml, seed, rounds=2, iterations=10)
+
+
+@pytest.mark.parametrize("xml", [arms.SLIDE_IN_CHAIN, TUBES_ON_FLOOR])
+def test_limits_hold_for_a_slide_joint_and_over_a_floor(xml):
+    assert_obeys(xml, 1)
+
+
+def test_rounds_keep_the_best_feasible_trajectory():
+    """A start that exceeds its limits is made feasible, and rounds only improve the score."""
+    design = make_design(TUBES_AND_POST, iterations=8)
+    draws = [draw_trajectory(design, 0, number) for number in range(4)]
+    best = min(draws, key=lambda draw: draw.score)
+    candidate = search.first_candidate(design, 1.5 * best.x)
+    assert not keeps_limits(design.problem, design.trajectory(candidate.x))
+    assert np.linalg.norm(candidate.feasible_x) < np.linalg.norm(candidate.x)
+    scores = [candidate.feasible_score]
+    for _ in range(2):
+        candidate = search.improve(design, candidate)
+        scores.append(candidate.feasible_score)
+        assert keeps_limits(design.problem, design.trajectory(candidate.feasible_x))
+    assert scores[0] >= scores[1] >= scores[2]
+    assert scores[2] == design.criterion_of(candidate.feasible_x) < scores[0] - 0.1
+
+
+@given(SEEDS)
+def test_gradient_equals_differences(seed):
+    design = make_design(arms.THREE)
+    rng = default_rng(seed)
+    multipliers = rng.uniform(size=(len(design.grid), 14))
+    x = random_x(design, seed)
+    direction = random_x(design, seed + 1, 1.0)
+    candidate = search.Candidate(None, multipliers, 8)
+    objective = partial(search.penalised_objective, design, candidate)
+    exact = np.sum(objective(x)[1] * direction)
+    value = slope(lambda at: objective(at)[0], x, direction)
+    assert value == pytest.approx(exact, rel=1e-4, abs=1e-4 * (1.0 + np.abs(exact)))
+
+
+STRONG_MOTORS = arms.DRY_FRICTION.replace(
+    "</worldbody>",
+    """</worldbody><actuator>
+<motor joint="joint0" ctrlrange="-40 40" ctrllimited="true"/>
+<motor joint="joint1" ctrlrange="-90 90" ctrllimited="true"/>
+<motor joint="joint2" ctrlrange="-90 90" ctrllimited="true"/>
+</actuator>""",
+)
+LIMITED = ({}, {"max_tool_speed": 0.7}, {"payload_reserve": 2.0})
+
+
+@given(st.sampled_from(LIMITED), SEEDS)
+def test_the_gradient_of_constraints_equals_differences(limits, seed):
+    problem = make_problem(STRONG_MOTORS, **limits)
+    constraints = partial(constraints_of, problem, share=0.99)
+    rng = default_rng(seed)
+    motion, direction = rng.normal(size=(2, 3, 3, 3))
+    at = constraints(motion)
+    weight = rng.uniform(size=at.value.shape)
+    gradient = constraint_gradient(problem, motion, at, weight)
+    products = np.stack(gradient) * direction
+    steps = 1e-6 * np.array([-1.0, 0.0, 1.0])
+    values = [np.sum(weight * constraints(motion + s * direction).value) for s in steps]
+    # A coordinate that passes zero within the step has a kink there: two slopes.
+    slopes = np.diff(values) / 1e-6
+    size = np.sum(np.abs(products))
+    assert np.min(np.abs(slopes - np.sum(products))) < 1e-4 * size
+
+
+@pytest.mark.parametrize("xml", [arms.SEVEN, arms.SLIDE_IN_CHAIN])
+def test_the_grid_is_fine_enough_for_the_band(xml):
+    """On the search's grid, with rounded friction, no deviation is off by more than 3 %."""
+    design = make_design(xml, duration=15.0)
+    coarse = GRID_PER_CYCLE / INFORMATION_POINTS.step * design.top_frequency_hz
+
+    def deviations(plan, rate, smoothing):
+        """Return predicted standard deviations (10,) of the last link's parameters."""
+        time = (np.arange(int(plan.duration * rate)) + 0.5) / rate
+        prior = known_arm(design.problem)
+        criterion = Criterion(design.problem, prior, 1.0 / len(time), smoothing)
+        motion = plan.evaluate(time)
+        covariance = criterion.covariance((motion.q, motion.qd, motion.qdd))
+        return np.sqrt(np.diag(covariance))
+
+    for number in range(4):
+        plan = design.trajectory(draw_trajectory(design, 2, number).x)
+        ratio = deviations(plan, coarse, 0.03) / deviations(plan, 500.0, 0.0)
+        assert np.max(np.abs(ratio - 1.0)) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sample_rate": 1.0}, "rate 1 cannot show the motion's highest fr.*, 0.6 Hz"),
+        ({"duration": 4e4}, r"take about \d.* GB of memory.*make the motion shorter"),
+    ],
+)
+def test_impossible_searches_are_refused(changes, message):
+    motion = TrajectoryOptions(**{"duration": 15.0, **changes})
+    with pytest.raises(InputError, match=message):
+        problem = make_problem(arms.THREE)
+        Design(problem, ExcitationOptions(), motion, known_arm(problem))
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0])
+def test_two_periods_hold_all_that_a_long_motion_does(scale):
+    design = make_design(arms.THREE, duration=200.0)
+    x = scale * draw_trajectory(design, 0, 0).x
+    assert design.keeps_limits(x) == keeps_limits(design.problem, design.trajectory(x))
+    time = np.linspace(0.0, 50.0, 101)
+    motion = design.trajectory(x).evaluate(np.append(50.0 + time, 100.0 + time))
+    assert np.allclose(*np.split(motion.q, 2), atol=1e-9)
+    assert design.top_frequency_hz == pytest.approx(0.6)
+    assert make_design(arms.THREE, duration=2.0).top_frequency_hz == 1.5
+
+
+@pytest.mark.slow
+def test_the_seed_alone_decides_the_trajectory():
+    design = make_design(arms.THREE)
+    first, again, other = (
+        run_search(design, seed).trajectory.amplitude for seed in (1, 1, 2)
+    )
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+
+
+class RecordedProgress(Progress):
+    """A progress listener that records its calls and then runs a callback."""
+
+    def __init__(self, then=lambda done: None):
+        self.done = []
+        self._then = then
+
+    def advance(self, label, done, total, text):
+        self.done.append(done / total)
+        self._then(len(self.done))
+
+
+def test_rounds_improve_the_objective_and_report_progress():
+    progress = RecordedProgress()
+    design = make_design(arms.THREE, rounds=3, iterations=20)
+    result = run_search(design, 3, progress)
+    assert result.objective < 0.9 * result.start_objective
+    assert progress.done == sorted(progress.done)
+    assert progress.done[0] < 0.2 and progress.done[-1] == 1.0
+
+
+@pytest.mark.parametrize("calls", [8, 2])
+def test_an_interruption_keeps_the_best_trajectory(calls):
+    """Interrupted in a round of improvement, or among the first draws."""
+
+    def interrupt(done):
+        if done >= calls:
+            raise KeyboardInterrupt
+
+    design = make_design(arms.THREE, rounds=50)
+    result = run_search(design, 3, RecordedProgress(interrupt))
+    assert result.stopped == "interrupted"
+    assert any("interrupted" in note for note in result.notes)
+    assert result.limit_check.holds
+
+
+def test_an_interruption_before_the_first_result_is_raised(monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "draw_trajectory", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run_search(make_design(arms.THREE), 3)
+
+
+class Ticking:
+    """A clock that advances by ``step`` seconds at each reading."""
+
+    def __init__(self, step):
+        self.step = step
+        self.asked = 0
+
+    def __call__(self):
+        self.asked += 1
+        return self.step * self.asked
+
+
+@pytest.mark.parametrize("step", [1.0, 0.01])
+def test_the_time_budget_ends_a_search_in_the_middle_of_a_job(step):
+    """Time is up after the first draw, or in the first round of improvement."""
+    clock = Ticking(step)
+    design = make_design(
+        arms.THREE, time_budget=0.5, draws=20, rounds=50, iterations=1000
+    )
+    result = run_search(design, 3, clock=clock)
+    assert result.stopped == "time budget"
+    assert any("--save-trajectory" in note for note in result.notes)
+    assert result.limit_check.holds
+    assert step * clock.asked < 0.5 + 10.0 * step
+
+
+def test_the_limit_that_no_draw_keeps_is_named():
+    # However slow, moving takes at least the friction.
+    problem = make_problem(arms.DRY_FRICTION)
+    weak = replace(problem.limits, torque=np.full(3, 1e-3))
+    problem = replace(problem, limits=weak)
+    motion = TrajectoryOptions(duration=DURATION)
+    design = Design(problem, options(), motion, known_arm(problem))
+    with pytest.raises(InputError, match=r"6 of 6 .* torque limit of joint joint"):
+        design_excitation(design, default_rng(0))
+
+
+DESIGNS = list(map(make_design, (arms.THREE, TUBES_AND_POST, arms.SLIDE_IN_CHAIN)))
+
+
+@given(st.sampled_from(DESIGNS), SEEDS)
+def test_every_feasible_draw_keeps_all_limits_on_the_grid(design, seed):
+    """Each draw depends on the seed and its own number alone."""
+    first, second, again = (draw_trajectory(design, seed, k) for k in (0, 1, 1))
+    assert np.array_equal(again.x, second.x)
+    assert not np.any(first.x) or not np.array_equal(first.x, second.x)
+    if np.isfinite(first.score):
+        value = constraints_of(design.problem, design.motion(first.x)).value
+        assert np.max(value) <= ROUNDING
+        assert (first.score, first.obstacle) == (design.criterion_of(first.x), "")
+    else:
+        assert not np.any(first.x) and first.obstacle
+
+
+def test_the_target_decides_the_motion():
+    """Improving a link's motion for a payload makes it worse for the link."""
+    arm = make_problem(arms.serial_arm((arms.Z, arms.Y, arms.X)))
+    motion = TrajectoryOptions(duration=4.0, sample_rate=100.0)
+    search_options = options(draws=5, rounds=4, iterations=30)
+    designs = []
+    for target in ("link", "payload"):
+        prior = prior_knowledge(arm, EstimationOptions(), target)
+        designs.append(Design(arm, search_options, motion, prior))
+    link, payload = designs
+    x = design_excitation(link, default_rng(3)).trajectory.amplitude
+    start = search.first_candidate(payload, x)
+    other = search.improve(payload, start).feasible_x
+    assert payload.criterion_of(other) < payload.criterion_of(x) - 0.01
+    assert link.criterion_of(other) > link.criterion_of(x) + 0.005
