@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Callable
+from typing import Any, Callable
 
 import numpy as np
 
@@ -88,34 +88,26 @@ class SineTrajectory:
         return replace(self, amplitude=self.amplitude * np.reshape(factor, (-1, 1)))
 
     @cached_property
-    def _waves(self) -> tuple[Array, Array, Array]:
-        """Frequencies (F,) [rad/s], and factors (F, n) of their sines and cosines [rad].
-
-        Joints may share frequencies: a sinusoid is a sine and a cosine.
-        """
+    def _waves(self) -> tuple[Array, Any]:
+        """Frequencies (F,) [rad/s] that occur, and the complex amplitudes (F, n) of the joints."""
         used = np.nonzero(self.amplitude)
-        omega, row = np.unique(
-            2.0 * np.pi * self.frequency_hz[used], return_inverse=True
-        )
-        sines, cosines = np.zeros((2, len(omega), len(self.center)))
-        at = np.ravel(row), used[0]
-        np.add.at(sines, at, self.amplitude[used] * np.cos(self.phase[used]))
-        np.add.at(cosines, at, self.amplitude[used] * np.sin(self.phase[used]))
-        return omega, sines, cosines
+        omega, row = np.unique(self.frequency_hz[used], return_inverse=True)
+        factors = np.zeros((len(omega), len(self.center)), dtype=complex)
+        waves = self.amplitude[used] * np.exp(1j * self.phase[used])
+        np.add.at(factors, (np.ravel(row), used[0]), waves)
+        return 2.0 * np.pi * omega, factors
 
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration at times (N,) [s], by the product rule."""
         time = np.asarray(time, dtype=float)
-        omega, sines, cosines = self._waves
-        angle = np.outer(time, omega)
-        sine = np.sin(angle)
-        cosine = np.cos(angle)
-        s = sine @ sines + cosine @ cosines
-        ds = (omega * cosine) @ sines - (omega * sine) @ cosines
-        dds = -(omega**2 * sine) @ sines - (omega**2 * cosine) @ cosines
+        omega, factors = self._waves
+        waves = np.exp(1j * np.outer(time, omega))
+        rates = 1j * omega[:, None]
+        s, ds, dds = ((waves @ (factors * rates**k)).imag for k in range(3))
         edge = window(time, self.duration, self.fade)
-        s, ds, dds = apply_window(edge, (s, ds, dds))
-        return Motion(time, self.center + s, ds, dds)
+        w, dw, ddw = (factor[:, None] for factor in edge)
+        qdd = ddw * s + 2.0 * dw * ds + w * dds
+        return Motion(time, self.center + w * s, dw * s + w * ds, qdd)
 
 
 Series = tuple[Array, Array, Array]
@@ -149,24 +141,10 @@ def smooth_step(x: Array) -> Series:
     return w, 140.0 * bell**3, 420.0 * bell**2 * (1.0 - 2.0 * x)
 
 
-def apply_window(edge: Series, series: Series) -> Series:
-    """Return the product w s (N, M) of a window (N,) and functions (N, M), with derivatives."""
-    w, dw, ddw = (factor[:, None] for factor in edge)
-    s, ds, dds = series
-    return w * s, dw * s + w * ds, ddw * s + 2.0 * dw * ds + w * dds
-
-
-def sample_times(
-    duration: float, sample_rate: float, start: float = 0.0, end: float = np.inf
-) -> Iterator[Array]:
-    """Yield the sample times k / rate [s] from 0 up to the duration, in chunks of ``CHUNK``.
-
-    Times before ``start`` and after ``end`` [s] are left out, but for the last one before ``start``
-    and the first one after ``end``.
-    """
-    last = np.ceil(end * sample_rate) + 1
-    count = int(min(sample_count(duration, sample_rate), last))
-    for first in range(int(start * sample_rate), count, CHUNK):
+def sample_times(duration: float, sample_rate: float) -> Iterator[Array]:
+    """Yield the sample times k / rate [s] from 0 up to the duration, in chunks of ``CHUNK``."""
+    count = sample_count(duration, sample_rate)
+    for first in range(0, count, CHUNK):
         time = np.arange(first, min(first + CHUNK, count)) / sample_rate
         yield np.minimum(time, duration)
 

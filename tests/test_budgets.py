@@ -20,12 +20,12 @@ BUDGETS = {
     "robot_sysid/commands": 13318,
     "robot_sysid/damiao": 41878,
     "robot_sysid/diagnosis": 19102,
-    "robot_sysid/dynamics": 6732,
+    "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29887,
     "robot_sysid/logs": 21967,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 9208,
-    "robot_sysid/motion": 27683,
+    "robot_sysid/motion": 24870,
     "robot_sysid/pipeline": 6938,
     "robot_sysid/records": 9119,
     "robot_sysid/report": 8319,
@@ -33,8 +33,8 @@ BUDGETS = {
     "robot_sysid/servo": 6529,
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4570,
-    "robot_sysid": 12149,
-    "tests": 239139,
+    "robot_sysid": 12146,
+    "tests": 237345,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -18,12 +18,6 @@ The regressor of a link's own parameters needs the twist of each joint below it:
 Turning by an angle d about an axis, Ad(exp([S] d)^-1) = 1 - ad(S) sin d + ad(S)^2 (1 - cos d);
 ad(S) of a slide has no square, and d stands for the sine.
 
-In the base's frame a joint's screw is the same for all links that it moves. There link i turns by
-X_i = sum_{k <= i} S_k dq_k, and
-
-    dS_i = ad(X_i) S_i,   V_i = sum_{k <= i} S_k qd_k,
-    A_i = sum_{k <= i} (S_k qdd_k + ad(V_k) S_k qd_k) + A_0.
-
 Arrays are component first: (6, N) holds N samples of a twist [omega, v].
 
 Two errors of a real arm change its torques to first order by a column times an unknown: the zero
@@ -244,49 +238,6 @@ class LinksMotion:
         to_base = blocks.swapaxes(-1, -3).reshape(shape)
         return np.einsum("inab,bin->ain", to_base, twists)
 
-    def gradient(
-        self,
-        rates: Sequence[Array],
-        by_screws: Array,
-        by_motion: Sequence[Array],
-        by_turns: Array,
-    ) -> tuple[Array, Array, Array]:
-        """Return a scalar's gradient with respect to q, qd and qdd, (N, n) each, in reverse mode.
-
-        The steps are the transposes of the module's equations in the base's frame, last one first;
-        by_x stands for the gradient with respect to x.
-
-        Args:
-            rates: the joints' qd and qdd (N, n) of this motion.
-            by_screws: (6, n, N) gradient with respect to ``joint_twists``.
-            by_motion: gradients (6, n, N) with respect to the links' velocity and acceleration, in
-                the links' frames.
-            by_turns: (6, n, N) gradient with respect to X_i, the small turn of each link in the
-                base's frame (see the module's text).
-        """
-        qd, qdd = (rate.T for rate in rates)
-        screws = self.joint_twists
-        velocity = self._to_base(np.stack(self.velocity, axis=1))
-        acceleration = self._to_base(np.stack(self.acceleration, axis=1))
-        by_velocity = np.einsum("inba,bin->ain", self.to_links, by_motion[0])
-        by_acceleration = np.einsum("inba,bin->ain", self.to_links, by_motion[1])
-        # A turn of a link turns its velocity and acceleration in the base's frame.
-        by_turns = by_turns + bracket_transposed(velocity, by_velocity)
-        by_turns += bracket_transposed(acceleration, by_acceleration)
-        # The accelerations of a link are sums over the joints before it, and so are velocities.
-        by_acceleration = _sum_outwards(by_acceleration)
-        coriolis = bracket_transposed(screws, by_acceleration) * qd
-        by_velocity = _sum_outwards(by_velocity - coriolis)
-        by_screws = by_screws + by_acceleration * qdd + by_velocity * qd
-        by_screws += bracket_transposed(velocity, by_acceleration) * qd
-        # dS_i = ad(X_i) S_i.
-        by_turns -= bracket_transposed(screws, by_screws)
-        moved = bracket(velocity, screws) * by_acceleration
-        by_q = np.sum(screws * _sum_outwards(by_turns), axis=0)
-        by_qd = np.sum(screws * by_velocity + moved, axis=0)
-        by_qdd = np.sum(screws * by_acceleration, axis=0)
-        return by_q.T, by_qd.T, by_qdd.T
-
     def columns(self, links: Sequence[int]) -> Array:
         """Return the joint torque regressor (N, n, 10 len(links)) of the links with these indices,
         in their order.
@@ -463,15 +414,6 @@ def bracket_transposed(a: Array, b: Array) -> Array:
     moment = cross(a[:3], b[:3]) + cross(a[3:], b[3:])
     force = cross(a[:3], b[3:])
     return -np.concatenate((moment, force), axis=0)
-
-
-def _sum_outwards(values: Array) -> Array:
-    """Return (6, n, N) for each link the sum of values over this link and all links beyond it.
-
-    Args:
-        values: (6, n, N) of the n links, base to terminal.
-    """
-    return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
 
 
 def _lower_triangular(turn: Array, shift: Array) -> Array:

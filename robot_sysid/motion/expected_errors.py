@@ -284,7 +284,7 @@ def _processed_motion(
         )
         return Recording("", Poses(rests, np.ones(poses.shape, dtype=bool)))
     rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
-    times = sample_times(plan.duration, rate, end=MOST_SAMPLES / rate)
+    times = sample_times(min(plan.duration, MOST_SAMPLES / rate), rate)
     chunks = simulate_inverse(problem.robot, map(plan.evaluate, times))
     samples = replace(join_measurements(chunks), qd=None, qdd=None)
     pieces = [Piece("", samples)]
