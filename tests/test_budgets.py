@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 5468,
     "robot_sysid/commands": 13318,
-    "robot_sysid/damiao": 41878,
+    "robot_sysid/damiao": 41142,
     "robot_sysid/diagnosis": 19102,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29887,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4570,
     "robot_sysid": 12146,
-    "tests": 237345,
+    "tests": 237338,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

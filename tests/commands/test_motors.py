@@ -286,7 +286,7 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused(
         "motor 1 (joint joint0): position 0.98 rad is beyond the model's limit 0.3, at "
     )
     assert second.startswith(
-        "joint joint1: position 0.98 rad is beyond the model's limit 0.3, at "
+        "motor 2 (joint joint1): position 0.98 rad is beyond the model's limit 0.3, at "
     )
     assert only_asks(bus.wire.sent)
 

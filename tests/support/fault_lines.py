@@ -77,7 +77,7 @@ LINES = (
     Line("second master, shoulder", SecondMaster(SHOULDER, 0.5, True), FOREIGN),
     Line("encoder frozen, shoulder", FrozenEncoder(SHOULDER), "its encoder is frozen"),
     Line("encoder frozen, wrist", FrozenEncoder(WRIST), "its encoder is frozen"),
-    Line("reported position frozen", FrozenEncoder(SHOULDER, False), DIFFERS),
+    Line("reported position frozen", FrozenEncoder(SHOULDER, False), "its answers are stale"),
     Line("gear slips 0.3 rad/s", SlippingGear(SHOULDER), "its gear slips", bound=0.4),
     Line(
         "gear slips, velocity is the joint's", SlippingGear(SHOULDER, is_felt=False),

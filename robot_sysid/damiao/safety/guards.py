@@ -7,7 +7,7 @@ velocity changed no faster than a motor can change it, and the reported torque c
 command did. An implausible sample is not used, unless the next sample confirms it.
 
 Positions, velocities and torques are scaled by numbers stored in the motor. If one of these is
-wrong, every value is wrong by a constant factor, which the two scaling checks detect.
+wrong, every value is wrong by a constant factor, which ``ScaleCheck`` detects.
 
 Every command to a motor has to keep to ``CommandBounds``.
 """
@@ -246,9 +246,9 @@ def hide_answers(
 _WINDOW = 0.2
 """Time over which velocity is integrated [s]: long against a cycle, short against a swing."""
 _LEAST_WINDOWS = 10
-"""Least number of windows from which a slope is judged."""
-_SLOPE_TOLERANCE = 0.03
-"""Error of a slope that is accepted: VMAX of two types differ by a tenth or more (45 and 50)."""
+"""Least number of windows from which the scale of velocities is judged."""
+_VELOCITY_TOLERANCE = 0.03
+"""Error of this scale that is accepted: VMAX of two types differ by a tenth or more (45 and 50)."""
 _LEAST_SLIP = 0.02
 """Difference of position change and integrated velocity that is accepted in a window [rad]."""
 _SLIP_SHARE = 0.05
@@ -257,39 +257,55 @@ _COARSE = 1.3
 """Ratio of a cycle's mean velocity to its last one above which slip cannot be judged."""
 
 
-@dataclass(frozen=True)
-class Slip:
-    """A joint whose change of position disagrees with its integrated velocity in one window.
+class ScaleCheck:
+    """Checks whether two signals of n joints that should be equal have one scale.
 
-    Attributes:
-        joint: index of the joint.
-        integral: integral of the reported velocity over the window [rad].
-        change: change of the reported position over the window [rad].
-        speed: unexplained part of the change, divided by the window's length [rad/s].
+    The uncertainty of a ratio is the rounding error divided by the rms of the first signal, plus
+    three standard errors.
+
+    Args:
+        rounding: (n,) largest constant error of a pair.
+        least: least number of pairs from which a ratio is judged.
+        tolerance: error of a ratio that is accepted besides.
+        explained: (n,) largest ratio above 1 that has another cause.
     """
 
-    joint: int
-    integral: float
-    change: float
-    speed: float
+    def __init__(
+        self, rounding: Array, least: int, tolerance: float, explained: Array
+    ) -> None:
+        self._rounding = rounding
+        self._least = least
+        self._tolerance = tolerance
+        self._explained = explained
+        # Number of pairs (x, y) and sums of xx, xy, yy, for each joint.
+        self._sums = np.zeros((4, len(rounding)))
 
-    @property
-    def description(self) -> str:
-        """What the joint does: the end of a sentence that begins with the joint's name."""
-        if abs(self.integral + self.change) < 0.3 * abs(self.change):
-            return "moves against the velocity that it reports: the sign of one is reversed"
-        return (
-            f"moves {abs(self.speed):.2f} rad/s beside the velocity that it reports: its gear or "
-            "its encoder slips"
-        )
+    def add(self, x: Array, y: Array, usable: Mask) -> None:
+        """Add a pair x, y (n,) of each joint that is ``usable`` (n,)."""
+        x = np.where(usable, x, 0.0)
+        y = np.where(usable, y, 0.0)
+        self._sums += np.stack([usable, x * x, x * y, y * y])
+
+    def worst(self) -> tuple[int, float] | None:
+        """Return index and ratio y / x of the joint that is farthest beyond its doubt, or None."""
+        count, xx, xy, yy = self._sums
+        number = np.maximum(count, 1.0)
+        size = np.sqrt(xx / number)
+        is_judged = (count >= self._least) & (size > 2.0 * self._rounding)
+        ratio = np.where(is_judged, xy / np.where(is_judged, xx, 1.0), 1.0)
+        scatter = np.sqrt(np.maximum(yy - ratio * xy, 0.0)) / number
+        doubt = (self._rounding + 3.0 * scatter) / np.where(is_judged, size, np.inf)
+        unexplained = ratio / np.clip(ratio, 1.0, self._explained)
+        excess = np.abs(unexplained - 1.0) - doubt
+        j = int(np.argmax(excess))
+        return (j, float(ratio[j])) if excess[j] > self._tolerance else None
 
 
-class VelocityScalingCheck:
+class VelocityCheck:
     """Checks whether the velocities that n joints report integrate to their positions.
 
-    The slope of position change against integrated velocity, over short windows, has to be 1. Its
-    uncertainty depends on the scatter and on the quantisation of velocity: a constant error of half
-    a step throughout a window is allowed for.
+    Over each window of time the change of position has to be the integral of the velocity, and over
+    a run both have one scale. A constant error of half a velocity step is allowed for.
 
     Velocities are sampled at the end of each control cycle, when a joint of little inertia has
     slowed down. A joint without inertia has the velocity v = v_des + k (p_des - p), k = kp / kd; in
@@ -302,161 +318,56 @@ class VelocityScalingCheck:
 
     Attributes:
         explained: (n,) largest possible ratio of a cycle's mean velocity to its last one.
+        scale: compares the changes of position with the integrals.
     """
 
     def __init__(self, velocity_step: Array, fades: Array) -> None:
         n_joints = len(velocity_step)
         self.explained: Array = np.expm1(fades) / fades
         self._rounding = 0.5 * velocity_step * _WINDOW
+        self.scale = ScaleCheck(
+            self._rounding, _LEAST_WINDOWS, _VELOCITY_TOLERANCE, self.explained
+        )
         # Time, position and velocity (3, n) of each joint's last sample.
-        self._last: Array | None = None
+        self._last = np.full((3, n_joints), np.nan)
         # Time and position (2, n) at which each joint's window begins.
-        self._begin = np.zeros((2, n_joints))
+        self._begin = np.full((2, n_joints), np.nan)
         # Integrals (2, n) of velocity and of its absolute value since then [rad].
         self._integrals = np.zeros((2, n_joints))
-        # Of each joint's windows: count and sums of x, y, xx, xy, yy, with x the integrated
-        # velocity and y the change of position [rad].
-        self._sums = np.zeros((6, n_joints))
 
-    def add(self, time: Array, q: Array, qd: Array) -> Slip | None:
+    def add(self, time: Array, q: Array, qd: Array) -> tuple[int, str] | None:
         """Add one sample per joint; return a joint that slipped in a window that ends now, or None.
 
-        ``time``, ``q`` and ``qd`` are (n,) [s, rad, rad/s], NaN where a joint did not answer.
+        ``time``, ``q`` and ``qd`` are (n,) [s, rad, rad/s], NaN where a joint did not answer. The
+        result has the joint's index, and what it does: a sentence that begins with its name.
         """
         is_fresh = np.isfinite(time) & np.isfinite(q)
-        now = np.stack([time, q, qd])
-        if self._last is None:
-            if np.all(is_fresh):
-                self._last = now
-                self._begin = now[:2]
-            return None
-        last_time, _, last_qd = self._last
-        step = np.where(is_fresh, 0.5 * (qd + last_qd) * (time - last_time), 0.0)
-        self._integrals += np.stack([step, np.abs(step)])
-        self._last = np.where(is_fresh, now, self._last)
-        begin_time, begin_q = self._begin
-        is_full = is_fresh & (time - begin_time >= _WINDOW)
-        if not np.any(is_full):
-            return None
-        x, path = np.where(is_full, self._integrals, 0.0)
-        y = np.where(is_full, q - begin_q, 0.0)
-        slip = self._slip(x, y, path)
-        self._sums += np.stack([is_full, x, y, x * x, x * y, y * y])
+        now = np.where(is_fresh, [time, q, qd], self._last)
+        step = 0.5 * (now[2] + self._last[2]) * (now[0] - self._last[0])
+        self._integrals += np.nan_to_num([step, np.abs(step)])
+        self._last = now
+        self._begin = np.where(np.isnan(self._begin), now[:2], self._begin)
+        is_full = is_fresh & (now[0] - self._begin[0] >= _WINDOW)
+        integral, path = np.where(is_full, self._integrals, 0.0)
+        change = np.where(is_full, now[1] - self._begin[1], 0.0)
+        self.scale.add(integral, change, is_full)
         self._integrals = np.where(is_full, 0.0, self._integrals)
         self._begin = np.where(is_full, now[:2], self._begin)
-        return slip
-
-    def _slip(self, integral: Array, change: Array, path: Array) -> Slip | None:
-        """Return the joint whose position change is farthest beyond its tolerance, or None.
-
-        Args:
-            integral: (n,) integrated velocity in the window [rad]; 0 for joints not to be judged.
-            change: (n,) change of position [rad].
-            path: (n,) integrated absolute velocity [rad].
-        """
         # Sampling late in each cycle explains any change from the integral to ``fastest``.
         fastest = integral * self.explained
         lower = np.minimum(integral, fastest)
-        upper = np.maximum(integral, fastest)
-        mismatch = change - np.clip(change, lower, upper)
+        mismatch = change - np.clip(change, lower, np.maximum(integral, fastest))
         # Where a joint slows down within a cycle, its mean speed is known less well. Twice the
         # rounding is an error of one velocity step throughout the window.
         doubt = _SLIP_SHARE + 0.5 * (self.explained - 1.0)
         tolerance = _LEAST_SLIP + doubt * path + 2.0 * self._rounding
         tolerance = np.where(self.explained > _COARSE, np.inf, tolerance)
-        j = int(np.argmax(np.abs(mismatch) - tolerance))
-        if abs(mismatch[j]) <= tolerance[j]:
-            return None
-        speed = float(mismatch[j] / _WINDOW)
-        return Slip(j, float(integral[j]), float(change[j]), speed)
-
-    def worst(self) -> tuple[int, float] | None:
-        """Return index and slope of the joint whose slope is significantly off 1, or None.
-
-        A slope's uncertainty is three standard errors plus the largest effect of rounding.
-        """
-        count, x, y, xx, xy, yy = self._sums
-        # Sums of squares and products about the means give a straight line by least squares.
-        n = np.maximum(count, 1.0)
-        cxx = xx - x * x / n
-        cxy = xy - x * y / n
-        cyy = yy - y * y / n
-        spread = np.sqrt(np.maximum(cxx, 0.0) / n)
-        moved = (count >= _LEAST_WINDOWS) & (spread > self._rounding)
-        variation = np.where(moved, cxx, 1.0)
-        slope = np.where(moved, cxy / variation, 1.0)
-        residual = np.maximum(cyy - slope * cxy, 0.0) / np.maximum(count - 2.0, 1.0)
-        error = 3.0 * np.sqrt(residual / variation)
-        doubt = error + self._rounding / np.where(moved, spread, 1.0)
-        # A slope from 1 to ``explained`` is due to sampling late in each cycle.
-        unexplained = slope / np.clip(slope, 1.0, self.explained)
-        doubt = np.where(moved, doubt, np.inf)
-        worst = _farthest_from_one(unexplained, doubt, _SLOPE_TOLERANCE)
-        return None if worst is None else (worst[0], float(slope[worst[0]]))
-
-
-def _farthest_from_one(
-    ratio: Array, doubt: Array, tolerance: float
-) -> tuple[int, float] | None:
-    """Return index and ratio of the joint whose ratio (n,) exceeds its doubt (n,) the most.
-
-    None where no ratio differs from 1 by more than its uncertainty ``doubt`` plus ``tolerance``.
-    """
-    excess = np.abs(ratio - 1.0) - doubt
-    j = int(np.argmax(excess))
-    return (j, float(ratio[j])) if excess[j] > tolerance else None
-
-
-_ENOUGH_SAMPLES = 25
-"""Least number of samples from which a ratio is judged: a tenth of a second at 250 Hz."""
-_RATIO_TOLERANCE = 0.15
-"""Error of a torque ratio that is accepted: TMAX of two types differ by a fifth (10 and 12)."""
-_SLOW = 0.1
-"""Velocity below which samples are used [rad/s]: half the default approach speed."""
-
-
-class TorqueScalingCheck:
-    """Checks whether n motors report the torque that they were commanded to make.
-
-    A motor is commanded to make kp (p - q) + kd (v - qd) + t and reports the torque that it makes.
-    The ratio of reported to commanded torque differs from 1 where a motor's TMAX is not the value
-    of its register or it reports torque before its gear; identified masses would be wrong by it.
-
-    Args:
-        torque_step: one quantisation step (n,) [N m].
-        peak: peak torque (n,) [N m]; above nine tenths of it a motor may fail to follow commands.
-    """
-
-    def __init__(self, torque_step: Array, peak: Array) -> None:
-        self._peak = 0.9 * peak
-        # Error of a single torque: by rounding, or half a percent of the peak torque.
-        self._doubt = np.maximum(4.0 * torque_step, 0.005 * peak)
-        # Per joint: count and sums of xx, xy, with x the commanded torque and y the reported one.
-        self._sums = np.zeros((3, len(peak)))
-
-    def add(self, commanded: Array, measured: Array, qd: Array) -> None:
-        """Add one sample (n,) per joint [N m, N m, rad/s]; NaN where a joint did not answer.
-
-        Samples of a joint that moves fast are left out, because a velocity that is wrong or late
-        would make ``commanded`` wrong.
-        """
-        is_weak = np.abs(commanded) < self._peak
-        usable = np.isfinite(measured) & is_weak & (np.abs(qd) < _SLOW)
-        x = np.where(usable, commanded, 0.0)
-        y = np.where(usable, measured, 0.0)
-        self._sums += np.stack([usable, x * x, x * y])
-
-    def worst(self) -> tuple[int, float] | None:
-        """Return index and ratio of the joint whose ratio is significantly off 1, or None.
-
-        A ratio's uncertainty is the rounding error divided by the rms of the commanded torques.
-        """
-        count, xx, xy = self._sums
-        size = np.sqrt(xx / np.maximum(count, 1.0))
-        enough = (count >= _ENOUGH_SAMPLES) & (size > 2.0 * self._doubt)
-        ratio = np.where(enough, xy / np.where(enough, xx, 1.0), 1.0)
-        doubt = np.where(enough, self._doubt / np.maximum(size, 1e-9), np.inf)
-        return _farthest_from_one(ratio, doubt, _RATIO_TOLERANCE)
+        for j in np.flatnonzero(np.abs(mismatch) > tolerance)[:1].tolist():
+            return j, (
+                f"moves {abs(mismatch[j]) / _WINDOW:.2f} rad/s beside the velocity that it "
+                "reports: its gear or its encoder slips, or one of the two has another sign"
+            )
+        return None
 
 
 _ROUNDING = 1e-6

@@ -30,9 +30,8 @@ from robot_sysid.damiao.safety.guards import (
     NO_STATUS,
     Mask,
     Replies,
-    Slip,
-    TorqueScalingCheck,
-    VelocityScalingCheck,
+    ScaleCheck,
+    VelocityCheck,
 )
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
@@ -57,21 +56,28 @@ _SINKS = (
     "far heavier than its model"
 )
 _SCALING_CYCLES = 50  # Cycles from one judgement of the scales to the next.
-_RECENT = 5  # Number of last cycles whose commanded and reported torques are compared.
-# Number of these cycles, or of cycles in a row, that have to disagree: one is a damaged frame.
-_ENOUGH = 3
 _MEMORY = 0.9  # Factor per cycle by which counts of surplus answers and foreign commands decay.
 _FEW = 2.5  # Decayed count above which the run stops: a single wrong one is a damaged frame.
 _OTHER_TORQUE = 0.15  # Accepted error of a reported torque [share of the peak torque].
+_LEAST_TORQUES = 25  # Least number of torques from which their scale is judged.
+_TORQUE_TOLERANCE = 0.15  # Accepted error of it: TMAX of two types differ by a fifth.
+_STRONG = (
+    0.9  # Torque that a motor may fail to make, and that is not judged [peak torques].
+)
+_SLOW = 0.1  # Velocity above which late samples would make a commanded torque wrong [rad/s].
 _EFFORT_WAY = 0.05  # Position error that makes the limit of a sudden effort [rad].
 _LEAST_EFFORT = 0.1  # Least such limit [share of the peak torque].
 _MOST_EFFORT = 0.25  # Largest such limit [share of the peak torque].
 _STILL_EFFORT = 0.03  # Least such limit of a standing joint [share of the peak torque].
-_MOMENT = 0.25  # Time over which the effort before a sudden change is averaged [s].
+_MOMENT = 0.25  # Time over which effort and feed-forward torque are averaged [s].
 _LOADED_DOUBTS = 2.0  # Feed-forward torque from which loads are judged [doubts].
 _OPPOSITE_DOUBTS = 0.5  # Opposite load that stops the run [doubts].
 _MODEL_SHARE = 0.5  # Relative error of a model's change of feed-forward torque.
-_FED_TIME = 0.3  # Time over which the feed-forward torque is averaged [s].
+# Rows of what is watched of each joint: torque reported against torque commanded; position,
+# velocity and torque against the path; effort against the effort of the last moments. Then the
+# number of cycles in a row that have to be beyond the limit: one may be a damaged frame.
+_REPORTED, _PATH, _SPEED, _TORQUE, _EFFORT = range(5)
+_CYCLES = np.array([[3], [1], [2], [2], [3]])
 _STILL_STEPS = 20.0  # Change of command at which a position is frozen [steps].
 _STILL_CYCLES = 3  # Number of cycles in which a frozen position does not change.
 _FROZEN_DOUBTS = 2.0  # Change of torque that overcomes dry friction [doubts].
@@ -111,51 +117,57 @@ class Observer:
         n_joints = len(joints)
         self._joints = joints
         self._settings = settings
-        self._holding = holding
         self._peak = peak_torque
         self._position_step, self._velocity_step, torque_step = steps
-        self._speed_limit = settings.max_speed_error + _STEPS * self._velocity_step
-        self._torque_limit = np.array(settings.max_torque_error)
         self._doubt = torque_doubt(joints)
         rated = np.array([j.spec.rated_torque * j.torque_ratio for j in joints])
         kp = np.maximum(settings.kp, 1e-9)
         self._sag = np.minimum(_SAG * rated / kp, settings.max_tracking_error)
-        self._effort_limit = np.clip(
-            _EFFORT_WAY * kp, _LEAST_EFFORT * peak_torque, _MOST_EFFORT * peak_torque
+        way = _EFFORT_WAY * kp
+        effort_limit = np.clip(
+            way, _LEAST_EFFORT * peak_torque, _MOST_EFFORT * peak_torque
         )
-        self._still_limit = np.maximum(_EFFORT_WAY * kp, _STILL_EFFORT * peak_torque)
-        self._other_torque = _OTHER_TORQUE * peak_torque + 4.0 * torque_step
-        # kp is above 0 here, because ``VelocityScalingCheck`` divides by these values.
+        self._still_limit = np.maximum(way, _STILL_EFFORT * peak_torque)
+        # Limits (5, n) of what is watched, for an arm that moves.
+        self._limits = np.array(
+            [
+                _OTHER_TORQUE * peak_torque + 4.0 * torque_step,
+                np.full(n_joints, settings.max_tracking_error),
+                settings.max_speed_error + _STEPS * self._velocity_step,
+                np.array(settings.max_torque_error),
+                effort_limit,
+            ]
+        )
+        # Number of cycles in a row (5, n) in which each was beyond its limit.
+        self._beyond = np.zeros((5, n_joints), int)
+        # kp is above 0 here, because ``VelocityCheck`` divides by these values.
         fades = settings.period * kp / np.array(settings.kd)
-        self._velocity_check = VelocityScalingCheck(self._velocity_step, fades)
-        self._torque_check = TorqueScalingCheck(torque_step, peak_torque)
+        self._velocity_check = VelocityCheck(self._velocity_step, fades)
+        # Error of a single torque: by rounding, or half a percent of the peak torque.
+        self._torque_scale = ScaleCheck(
+            np.maximum(4.0 * torque_step, 0.005 * peak_torque),
+            *(_LEAST_TORQUES, _TORQUE_TOLERANCE, np.ones(n_joints)),
+        )
         self._zero_check = holding.watch() if holding.watch is not None else None
-        self._added = _RunningMean(n_joints, settings.period / _MOMENT)
-        self._needed = _RunningMean(n_joints, settings.period / _MOMENT)
-        self._fed = _RunningMean(n_joints, settings.period / _FED_TIME)
+        # Means (2, n) of effort and of feed-forward torque over the last moments; NaN before.
+        self._means = np.full((2, n_joints), np.nan)
         self._cycles = 0
         self.missed, self.silent, self.total_missed = np.zeros((3, n_joints), int)
-        # Cycles in a row: with doubted answers only, with a sudden effort.
-        self._damaged, self._sudden = np.zeros((2, n_joints), int)
-        # Answers in a row with the same position and velocity, and with the same torque too.
-        self._still, self._repeated = np.zeros((2, n_joints), int)
+        # Cycles in a row with doubted answers only.
+        self._damaged = np.zeros(n_joints, int)
+        # Answers in a row with the same position and velocity.
+        self._still = np.zeros(n_joints, int)
         self._surplus, self._foreign = np.zeros((2, n_joints))
         self.worst_tracking = np.zeros(n_joints)
         self.failed, self.stuck, self.to_switch_off = np.zeros((3, n_joints), bool)
         self._stale = np.zeros(n_joints, bool)
-        # Commanded and reported torque of the last cycles.
-        self._pairs = np.full((2, _RECENT, n_joints), np.nan)
-        # Position, velocity and torque of the last answer.
-        self._last = np.full((3, n_joints), np.nan)
+        # Position and velocity of the last answer.
+        self._last = np.full((2, n_joints), np.nan)
         # Commanded position and torque when an answer last differed from the one before.
         self._still_since = np.full((2, n_joints), np.nan)
-        self._slip: Slip | None = None
+        self._slip: tuple[int, str] | None = None
         # Commanded and reported positions of the last cycles, the newest first.
         self._moments = np.full((_MOMENTS, 2, n_joints), np.nan)
-        self._added_now = np.full(n_joints, np.nan)
-        self._was_fast = np.zeros(n_joints, bool)
-        # Whether path, velocity and torque error (3, n) were beyond their limits a cycle ago.
-        self._was_beyond = np.zeros((3, n_joints), bool)
 
     def update(self, replies: Replies) -> None:
         """Count missing, doubted and surplus answers, and foreign commands, of a cycle's replies.
@@ -203,23 +215,22 @@ class Observer:
         self._check_states(replies)
         self._check_jump(replies)
         self._check_frozen(replies, acted, commanded)
-        self._check_reported(commanded, feedback.torque)
-        self._torque_check.add(commanded, feedback.torque, feedback.velocity)
-        if standing:
-            self._check_standing(replies, acted)
-        self._check_scales()
         self._moments = np.roll(self._moments, 1, axis=0)
         self._moments[0] = acted.position, feedback.position
-        self._added_now = commanded - acted.torque
+        effort = commanded - acted.torque
+        self._check_limits(replies, acted, commanded, effort, standing, rising)
+        self._check_scales(commanded, feedback.torque, feedback.velocity)
         if not rising:
-            self._check_sudden_effort(acted)
             self._check_opposite_load()
-        self._added.add(self._added_now, restart=rising)
-        self._needed.add(acted.torque, restart=rising)
-        self._fed.add(acted.torque, restart=rising)
-        self._check_limits(replies, acted, rising)
-        if not (rising or lowered):
-            self._check_zeros(replies, commanded)
+        values = np.array([effort, acted.torque])
+        share = 1.0 if rising else min(self._settings.period / _MOMENT, 1.0)
+        means = np.where(np.isnan(self._means), values, self._means)
+        changed = means + share * (values - means)
+        self._means = np.where(np.isnan(values), means, changed)
+        if self._zero_check is not None and not (rising or lowered):
+            time = float(np.mean(replies.time))
+            motion = feedback.position, feedback.velocity
+            self._raise_found(self._zero_check(time, *motion, commanded))
 
     @property
     def trusted_joints(self) -> Mask:
@@ -229,7 +240,7 @@ class Observer:
     @property
     def fed_torque(self) -> Array:
         """Mean feed-forward torque of the last moments (n,), NaN before the first [N m]."""
-        return self._fed.value
+        return self._means[1]
 
     def _check_states(self, replies: Replies) -> None:
         """Stop for a motor that is not enabled, does not answer, or is too hot."""
@@ -280,39 +291,25 @@ class Observer:
             ),
         )
 
-    def _check_reported(self, commanded: Array, tau: Array) -> None:
-        """Stop for a motor that reports, in most of the last cycles, a torque not commanded.
+    def _check_scales(self, commanded: Array, tau: Array, qd: Array) -> None:
+        """Stop for a slip; every ``_SCALING_CYCLES`` cycles also for a wrong scale.
 
-        ``commanded`` (n,) and ``tau`` (n,) are the commanded and the reported torques [N m].
+        ``commanded`` (n,) and ``tau`` (n,) are the commanded and the reported torques [N m], ``qd``
+        (n,) the velocities [rad/s].
         """
-        self._pairs = np.roll(self._pairs, 1, axis=1)
-        self._pairs[:, 0] = np.clip(commanded, -self._peak, self._peak), tau
-        error = np.abs(self._pairs[1] - self._pairs[0])
-        often = np.count_nonzero(error > self._other_torque, axis=0) >= _ENOUGH
-        worst = np.argmax(np.nan_to_num(error), axis=0)
-        self._raise_first(
-            often,
-            lambda j: (
-                f"reports {self._pairs[1, worst[j], j]:.1f} N m where "
-                f"{self._pairs[0, worst[j], j]:.1f} are commanded: it is weak, its supply sags, "
-                "its encoder is frozen, its torque has another sign or scale, or another program "
-                "commands it"
-            ),
-        )
-
-    def _check_scales(self) -> None:
-        """Stop for a slip; every ``_SCALING_CYCLES`` cycles also for a wrong scale."""
-        if self._slip is not None:
-            self._raise(self._slip.joint, self._slip.description)
+        can_follow = np.abs(commanded) < _STRONG * self._peak
+        usable = np.isfinite(tau) & can_follow & (np.abs(qd) < _SLOW)
+        self._torque_scale.add(commanded, tau, usable)
+        self._raise_found(self._slip)
         self._cycles += 1
-        if self._cycles % _SCALING_CYCLES:
-            return
-        worst_torque = self._torque_check.worst()
-        if worst_torque is not None:
-            self._raise(worst_torque[0], _TORQUE_SCALE.format(worst_torque[1]))
-        worst_velocity = self._velocity_check.worst()
-        if worst_velocity is not None:
-            self._raise(worst_velocity[0], _VELOCITY_SCALE.format(worst_velocity[1]))
+        if self._cycles % _SCALING_CYCLES == 0:
+            for check, sentence in (
+                (self._torque_scale, _TORQUE_SCALE),
+                (self._velocity_check.scale, _VELOCITY_SCALE),
+            ):
+                worst = check.worst()
+                if worst is not None:
+                    self._raise(worst[0], sentence.format(worst[1]))
 
     def _check_frozen(
         self, replies: Replies, acted: MitCommand, commanded: Array
@@ -323,27 +320,26 @@ class Observer:
         frozen encoder cannot hold its joint: it is disabled at once and its windings brake.
         """
         feedback = replies.feedback
-        now = np.stack([feedback.position, feedback.velocity, feedback.torque])
-        same = replies.answered & (now[:2] == self._last[:2]).all(axis=0)
+        now = np.stack([feedback.position, feedback.velocity])
+        same = replies.answered & (now == self._last).all(axis=0)
         begins = replies.answered & ~same
         command = [acted.position, commanded]
         self._still_since = np.where(begins, command, self._still_since)
         self._still = np.where(begins, 0, self._still + same)
-        identical = same & (now[2] == self._last[2])
-        self._repeated = np.where(begins, 0, self._repeated + identical)
         self._last = np.where(replies.answered, now, self._last)
         # Change of commanded position and of commanded torque while the answers stayed the same.
         led_by = np.abs(acted.position - self._still_since[0])
         turned_by = np.abs(commanded - self._still_since[1])
         is_led = led_by > _STILL_STEPS * self._position_step
         is_led &= self._still >= _STILL_CYCLES
-        does_not_follow = np.abs(commanded - feedback.torque) > 0.5 * self._other_torque
-        repeats = is_led & (self._repeated == self._still) & does_not_follow
+        difference = np.abs(commanded - feedback.torque)
+        does_not_follow = difference > 0.5 * self._limits[_REPORTED]
+        repeats = is_led & does_not_follow
         self._stale |= repeats
         self._raise_first(
             repeats,
             lambda j: (
-                f"repeats the same answer for {self._still[j]} cycles while its command goes on: "
+                f"repeats the same position for {self._still[j]} cycles while its command goes on: "
                 "its answers are stale"
             ),
         )
@@ -359,49 +355,20 @@ class Observer:
             ),
         )
 
-    def _check_sudden_effort(self, acted: MitCommand) -> None:
-        """Stop for a joint whose effort left its mean of the last moments, some cycles in a row.
-
-        The limit grows with a change of the feed-forward torque, which a wrong model gets wrong.
-        """
-        change = np.abs(self._added_now - self._added.value)
-        model_doubt = _MODEL_SHARE * np.abs(acted.torque - self._needed.value)
-        effort_limit = self._effort_limit + model_doubt
-        # A standing joint has no friction that reverses, so its limit is lower.
-        stands = np.abs(acted.velocity) <= self._velocity_step
-        still_limit = np.minimum(effort_limit, self._still_limit)
-        effort_limit = np.where(stands, still_limit, effort_limit)
-        self._sudden = np.where(change > effort_limit, self._sudden + 1, 0)
-        for j in np.flatnonzero(self._sudden >= _ENOUGH)[:1].tolist():
-            text = f"suddenly needs {change[j]:.1f} N m beside what carried it"
-            self._raise_effort(j, text)
-
     def _check_opposite_load(self) -> None:
         """Stop for a joint whose load is opposite to its feed-forward torque."""
-        needed = self._needed.value
-        carried = needed + self._added.value
-        is_judged = np.abs(needed) > _LOADED_DOUBTS * self._doubt
-        is_opposite = np.sign(needed) * carried < -_OPPOSITE_DOUBTS * self._doubt
+        effort, fed = self._means
+        carried = fed + effort
+        is_judged = np.abs(fed) > _LOADED_DOUBTS * self._doubt
+        is_opposite = np.sign(fed) * carried < -_OPPOSITE_DOUBTS * self._doubt
         self._raise_first(
             is_judged & is_opposite,
             lambda j: (
-                f"carries the arm with {carried[j]:.1f} N m where {needed[j]:.1f} are fed "
+                f"carries the arm with {carried[j]:.1f} N m where {fed[j]:.1f} are fed "
                 "forward: it is not where it says (its gear slips, its zero has moved), or it is "
                 "another joint (cables of two arms exchanged, ids swapped, mirrored)"
             ),
         )
-
-    def _check_zeros(self, replies: Replies, commanded: Array) -> None:
-        """Stop for a joint whose zero has moved, by the model's torques; none without a model."""
-        if self._zero_check is None:
-            return
-        feedback = replies.feedback
-        time = float(np.mean(replies.time))
-        finding = self._zero_check(
-            time, feedback.position, feedback.velocity, commanded
-        )
-        if finding is not None:
-            self._raise(*finding)
 
     def has_left(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Return whether each joint (n,) is too far from the position where it should stand still.
@@ -411,8 +378,13 @@ class Observer:
             reference_q: positions (n,) at which the joints should stand [rad].
             fed: feed-forward torque (n,) [N m].
         """
-        limit = np.where(self.is_pushed(q, reference_q, fed), _PUSHED, 1.0) * self._sag
-        return np.asarray(np.abs(q - reference_q) > limit)
+        return np.asarray(
+            np.abs(q - reference_q) > self._standing_limit(q, reference_q, fed)
+        )
+
+    def _standing_limit(self, q: Array, reference_q: Array, fed: Array) -> Array:
+        """Return how far each joint (n,) may be from where it stands; arguments of ``has_left``."""
+        return np.where(self.is_pushed(q, reference_q, fed), _PUSHED, 1.0) * self._sag
 
     def is_pushed(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Return whether each joint (n,) has moved in the direction of its feed-forward torque.
@@ -421,69 +393,71 @@ class Observer:
         """
         return np.asarray(((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt))
 
-    def _check_standing(self, replies: Replies, acted: MitCommand) -> None:
-        """Stop for a joint that should stand still but ``has_left`` its position or moves too fast.
+    def _check_limits(
+        self,
+        replies: Replies,
+        acted: MitCommand,
+        commanded: Array,
+        effort: Array,
+        standing: bool,
+        rising: bool,
+    ) -> None:
+        """Stop for a joint whose position, velocity, torque or effort is too far from the expected.
 
-        Its velocity has to exceed the limit in two cycles in a row, because one may be a damaged
-        frame; ``_was_fast`` (n,) keeps which velocities did so, for the next cycle.
-        """
-        q = replies.feedback.position
-        qd = replies.feedback.velocity
-        fed = acted.torque
-        error = q - acted.position
-        has_left = self.has_left(q, acted.position, fed)
-        is_pushed = self.is_pushed(q, acted.position, fed)
-        is_fast = np.abs(qd) > self._speed_limit
-        was_fast = self._was_fast
-        self._was_fast = is_fast
-        self._raise_first(
-            replies.answered & (has_left | is_fast & was_fast),
-            lambda j: (
-                f"is {error[j]:.3f} rad off, at {qd[j]:.2f} rad/s, while it should stand still: "
-                f"its feed-forward torque of {round(fed[j], 1) + 0.0:g} N m "
-                f"{_DRIVEN if is_pushed[j] else _SINKS}"
-            ),
-        )
+        Expected are the command in force, and for the effort its mean over the last moments. Where
+        joints are to stand still, ``has_left`` says how far they may sag. ``worst_tracking`` is
+        brought up to date.
 
-    def _check_limits(self, replies: Replies, acted: MitCommand, rising: bool) -> None:
-        """Stop for a joint too far off its commanded position, velocity or torque.
-
-        Velocity and torque must be off in two cycles in a row (``_was_beyond`` has the last one);
-        torque is not judged if ``rising``. ``worst_tracking`` is brought up to date.
+        Args:
+            replies: replies of all n joints.
+            acted: command in force when the replies were sampled.
+            commanded: torque (n,) that it commands at the sampled state [N m].
+            effort: part (n,) of it that the position control adds [N m].
+            standing: whether the joints are to stand still.
+            rising: whether gains are being raised; then torque and effort are not judged.
         """
         feedback = replies.feedback
-        path_limit = np.full(len(self._joints), self._settings.max_tracking_error)
-        torque_limit = np.inf * self._torque_limit if rising else self._torque_limit
-        limits = np.array([path_limit, self._speed_limit, torque_limit])
+        fed = acted.torque
+        limits = self._limits.copy()
+        if standing:
+            limits[_PATH] = self._standing_limit(feedback.position, acted.position, fed)
+        # A wrong model gets a change of the feed-forward torque wrong.
+        mean_effort, mean_fed = self._means
+        limits[_EFFORT] += _MODEL_SHARE * np.nan_to_num(np.abs(fed - mean_fed))
+        # A standing joint has no friction that reverses, so its limit is lower.
+        stands = np.abs(acted.velocity) <= self._velocity_step
+        still_limit = np.minimum(limits[_EFFORT], self._still_limit)
+        limits[_EFFORT] = np.where(stands, still_limit, limits[_EFFORT])
+        if rising:
+            limits[_TORQUE:] = np.inf
         # A light joint has slowed down by the end of the cycle, when it is sampled.
         slowed = acted.velocity / self._velocity_check.explained
         lowest = np.minimum(acted.velocity, slowed)
         highest = np.maximum(acted.velocity, slowed)
-        expected_velocity = np.clip(feedback.velocity, lowest, highest)
-        measured = np.array([feedback.position, feedback.velocity, feedback.torque])
-        targets = np.array([acted.position, expected_velocity, acted.torque])
-        errors = np.where(replies.answered, np.abs(measured - targets), 0.0)
-        self.worst_tracking = np.maximum(self.worst_tracking, errors[0])
-        is_beyond = errors > limits
-        # One velocity or torque that is a little too large may be a damaged frame.
-        counts = is_beyond & self._was_beyond
-        counts[0] = is_beyond[0]
-        self._was_beyond = is_beyond
-        for k, j in np.argwhere(counts)[:1].tolist():
-            text = f"is {errors[k, j]:.3f} {_OFF[k]}, limit {limits[k, j]:g}"
-            self._raise_effort(j, text)
-
-    def _raise_effort(self, joint: int, description: str) -> None:
-        """Raise a fault of a blocked joint if there is one, else of ``joint``.
-
-        ``description`` is a sentence about ``joint`` without its name.
-        """
-        blocked = self._blocked_joint()
-        if blocked is not None:
-            self.stuck[blocked] = True
-            text = f"stands still while its path goes on: it is blocked ({description})"
-            self._raise(blocked, text)
-        self._raise(joint, description)
+        velocity = np.clip(feedback.velocity, lowest, highest)
+        reachable = np.clip(commanded, -self._peak, self._peak)
+        tau = feedback.torque
+        measured = np.array([tau, feedback.position, feedback.velocity, tau, effort])
+        expected = np.array([reachable, acted.position, velocity, fed, mean_effort])
+        errors = np.nan_to_num(np.abs(measured - expected))
+        self.worst_tracking = np.maximum(self.worst_tracking, errors[_PATH])
+        # A missing answer tells nothing.
+        is_within = replies.answered & (errors <= limits)
+        self._beyond = np.where(is_within, 0, self._beyond + (errors > limits))
+        for k, j in np.argwhere(self._beyond >= _CYCLES)[:1].tolist():
+            text = _BEYOND[k].format(errors[k, j], limits[k, j], tau[j], reachable[j])
+            if k in (_PATH, _SPEED) and standing:
+                is_pushed = self.is_pushed(feedback.position, acted.position, fed)[j]
+                text += (
+                    f", while it should stand still: its torque of {fed[j]:.1f} N m "
+                )
+                text += _DRIVEN if is_pushed else _SINKS
+            blocked = None if k == _REPORTED else self._blocked_joint()
+            if blocked is not None:
+                self.stuck[blocked] = True
+                text = f"stands still while its path goes on: it is blocked ({text})"
+                j = blocked
+            self._raise(j, text)
 
     def _blocked_joint(self) -> int | None:
         """Return the index of the joint that moved least for its command, if blocked; else None."""
@@ -503,8 +477,21 @@ class Observer:
         """Raise HardwareAbort for a joint; ``description`` is a sentence without its name."""
         raise HardwareAbort(f"{self._joints[joint].label} {description}")
 
+    def _raise_found(self, finding: tuple[int, str] | None) -> None:
+        """Raise HardwareAbort for a finding: a joint's index and a sentence without its name."""
+        if finding is not None:
+            self._raise(*finding)
 
-_OFF = "rad off its path", "rad/s off its speed", "N m off its torque"
+
+# What is said of the rows of ``_CYCLES``: error, limit, reported and commanded torque.
+_BEYOND = (
+    "reports {2:.1f} N m where {3:.1f} are commanded: it is weak, its supply sags, its encoder is "
+    "frozen, its torque has another sign or scale, or another program commands it",
+    "is {0:.3f} rad off its path, limit {1:g}",
+    "is {0:.3f} rad/s off its speed, limit {1:g}",
+    "is {0:.3f} N m off its torque, limit {1:g}",
+    "suddenly needs {0:.1f} N m beside what carried it",
+)
 _TORQUE_SCALE = (
     "reports {:.2f} times the torque that it was commanded to make: its TMAX register does not "
     "describe its torques, or its torque ratio is another"
@@ -514,20 +501,3 @@ _VELOCITY_SCALE = (
     "two has another scale; turn the joint by hand by a known angle and compare with 'motors "
     "monitor', before anything is changed"
 )
-
-
-class _RunningMean:
-    """Exponentially weighted mean of vectors (n,); the mean is NaN before the first.
-
-    ``share`` is the weight of each new vector; with 1 or more, the last one is the mean.
-    """
-
-    def __init__(self, n_joints: int, share: float) -> None:
-        self.value: Array = np.full(n_joints, np.nan)
-        self._share = min(share, 1.0)
-
-    def add(self, value: Array, restart: bool) -> None:
-        """Add a vector (n,), or take it as the mean if ``restart``; NaN entries change nothing."""
-        share = 1.0 if restart else self._share
-        mean = np.where(np.isnan(self.value), value, self.value)
-        self.value = np.where(np.isnan(value), mean, mean + share * (value - mean))
