@@ -22,7 +22,13 @@ _NAMES = {
     ),
     "api.keywords": ("Model",),
     "api.results": ("Identified", "PlanResult"),
-    "config": ("IdentifyConfig", "PayloadConfig", "PlanConfig", "SelfTestConfig"),
+    "config": (
+        "Config",
+        "IdentifyConfig",
+        "PayloadConfig",
+        "PlanConfig",
+        "SelfTestConfig",
+    ),
     "damiao.player": ("PlayReport",),
     "errors": (
         "AmbiguousJointError",
@@ -52,6 +58,7 @@ _NAMES = {
         "Estimate",
         "Measurement",
         "Motion",
+        "MotionPlan",
         "PriorConflict",
         "Traces",
         "Validation",

@@ -11,6 +11,7 @@ from robot_sysid.api.calls import self_test as self_test
 from robot_sysid.api.keywords import Model as Model
 from robot_sysid.api.results import Identified as Identified
 from robot_sysid.api.results import PlanResult as PlanResult
+from robot_sysid.config import Config as Config
 from robot_sysid.config import IdentifyConfig as IdentifyConfig
 from robot_sysid.config import PayloadConfig as PayloadConfig
 from robot_sysid.config import PlanConfig as PlanConfig
@@ -39,6 +40,7 @@ from robot_sysid.records.data import DataOrigin as DataOrigin
 from robot_sysid.records.data import Estimate as Estimate
 from robot_sysid.records.data import Measurement as Measurement
 from robot_sysid.records.data import Motion as Motion
+from robot_sysid.records.data import MotionPlan as MotionPlan
 from robot_sysid.records.data import PriorConflict as PriorConflict
 from robot_sysid.records.data import Traces as Traces
 from robot_sysid.records.data import Validation as Validation

@@ -26,7 +26,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.records import InertialParameters, Motion, Traces, file_access
+from robot_sysid.records import InertialParameters, Motion, file_access
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.messages import NextStep, Progress
 from robot_sysid.results.body_errors import ERROR_NAMES, INERTIA, load_errors
@@ -81,7 +81,6 @@ class Outcome:
         files: the written files.
         result: a ``Result``, or identified servos; None of a plan.
         notes: for the user, one sentence each, on what was written.
-        traces: computes the torques that a report draws; None of servos and plans.
         result_hash: SHA-256 of the written params.json; "" where none was written.
         checked: the planned motion with its limit check; None where nothing was planned.
         next_step: the next step that the verdict states; None where nothing is left to do.
@@ -93,7 +92,6 @@ class Outcome:
     files: tuple[Path, ...]
     result: Any = None
     notes: tuple[str, ...] = ()
-    traces: Callable[[], Traces] | None = None
     result_hash: str = ""
     checked: CheckedPlan | None = None
     next_step: NextStep | None = None
@@ -140,7 +138,7 @@ def save(
         step: what to do after a result that may be used; None for nothing more.
 
     Returns:
-        The outcome, without ``traces``.
+        The outcome.
 
     Raises:
         InputError: the folder cannot be written to.

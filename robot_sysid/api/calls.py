@@ -21,13 +21,7 @@ from robot_sysid.api.keywords import (
     with_keywords,
 )
 from robot_sysid.api.results import Identified, PlanResult, one_thread
-from robot_sysid.config import (
-    Config,
-    IdentifyConfig,
-    PayloadConfig,
-    PlanConfig,
-    SelfTestConfig,
-)
+from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
 from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
 from robot_sysid.errors import InputError
@@ -149,12 +143,12 @@ def _quietly() -> Iterator[_Notes]:
         yield notes
 
 
-def _run_quietly(config: Config) -> Identified:
+def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Identified:
     """Identify with the options of a config, without printing; the notes are in the result."""
     with _quietly() as notes:
         robot = load_arm(config.model, notes)
-        identification = stages.identify(config, robot, notes)
-    return Identified(**vars(identification), notes=tuple(notes.notes))
+        result = stages.identify(config, robot, notes)
+    return Identified(config, result, tuple(notes.notes))
 
 
 @with_keywords(LogOptions)

@@ -16,20 +16,20 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from robot_sysid.api.keywords import in_python, python_words
-from robot_sysid.config import PlanConfig
+from robot_sysid.config import Config, PlanConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Outcome, locked_folder, params_json_text
 from robot_sysid.model.compilation import lasting_folder
 from robot_sysid.motion.checked import CheckedPlan
-from robot_sysid.pipeline import Identification
 from robot_sysid.pipeline.planning import draft_plan
 from robot_sysid.pipeline.stages import write_results
-from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
+from robot_sysid.records import Array, InertialParameters, Motion, RobotModel, Traces
 from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.parameter_table import BeforeAfter, parameter_rows
+from robot_sysid.results.record import Result
 from robot_sysid.results.result_lines import result_lines
 from robot_sysid.results.written_model import spec_of
 from robot_sysid.trajectory import sample_count
@@ -44,13 +44,17 @@ def one_thread() -> AbstractContextManager[Any]:
 
 
 @dataclass(frozen=True, repr=False)
-class Identified(Identification):
+class Identified:
     """An identified arm or payload, from ``identify``, ``self_test`` or ``payload``.
 
     Attributes:
+        config: the options that it was identified with.
+        result: all identified numbers, with errors and verdict.
         notes: the notes that the command would have printed, one sentence each.
     """
 
+    config: Config
+    result: Result
     notes: tuple[str, ...] = ()
 
     @property
@@ -129,6 +133,11 @@ class Identified(Identification):
                 friction[joint][term] = self.result.estimate.value(name) or 0.0
         return friction
 
+    def traces(self) -> Traces:
+        """Return the measured and predicted torques of each joint, and its motion."""
+        assert self.result.traces is not None
+        return self.result.traces()
+
     @property
     def failure(self) -> str | None:
         """Why the result must not be used, or None."""
@@ -160,15 +169,15 @@ class Identified(Identification):
 
         with in_python(), one_thread(), locked_folder(Path(folder), Progress()):
             outcome = self._write(Path(folder))
-            if outcome.traces is not None and self.result.is_measured:
-                save_data(Path(folder), outcome.traces(), outcome.result_hash)
+            if self.result.is_measured:
+                save_data(Path(folder), self.traces(), outcome.result_hash)
             return outcome.files
 
     def _write(self, folder: Path) -> Outcome:
         """Write params.json and, where the result may be used, the updated model to a folder."""
         output = replace(self.config.output, output_dir=folder)
         config = replace(self.config, output=output)
-        return write_results(replace(self, config=config), Progress())
+        return write_results(config, self.result, Progress())
 
     def spec(self) -> Any:
         """Return a ``mujoco.MjSpec`` with the result applied, of a file that lasts as this process.

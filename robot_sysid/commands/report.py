@@ -91,8 +91,8 @@ def write_outcome_report(
     no torque was measured, the data is written for a wanted report only.
 
     Args:
-        outcome: an ``export.Outcome``. Its ``traces`` return the data for figures; they are None,
-            and there is no report, for a plan and for servos that were found without torques.
+        outcome: an ``export.Outcome``. The ``traces`` of its result return the data for figures; a
+            plan, and servos that were found without torques, have none, and there is no report.
         output: folder of the results, and whether a report is wanted.
         mesh_dir: folder of the model's meshes; None as the model says.
         console: prints where the report is.
@@ -100,7 +100,7 @@ def write_outcome_report(
     Returns:
         Why a wanted report is missing, or None.
     """
-    traces = outcome.traces
+    traces = getattr(outcome.result, "traces", None)
     if traces is None or not (output.report or outcome.result.is_measured):
         return None
     from robot_sysid.report.page import write_report

@@ -22,11 +22,10 @@ from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.logs.reader import open_log, refuse_repeated_logs
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.motion import LOADED
-from robot_sysid.pipeline import Identification
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
-from robot_sysid.results.record import Payload, Quantity
+from robot_sysid.results.record import Payload, Quantity, Result
 from robot_sysid.signals.rests import resting_poses
 
 LEAST_WITHIN = 0.15
@@ -61,7 +60,7 @@ class RawRecording(Piece):
 
 def identify_payload(
     config: PayloadConfig, robot: RobotModel, progress: Progress
-) -> Identification:
+) -> Result:
     """Identify a payload from the logs that a configuration names; no file is written.
 
     Args:
@@ -111,7 +110,7 @@ def identify_payload(
     progress.note(*result.notes[len(robot.notes) :])
     checkpoints = fitted.recordings[-1].motion
     traces = partial(traces_of, fitted, None)
-    return Identification(config, result, checkpoints, traces)
+    return replace(result, checkpoints=checkpoints, traces=traces)
 
 
 def _origin(recordings: Sequence[RawRecording]) -> DataOrigin:

@@ -33,7 +33,6 @@ from robot_sysid.logs.reader import (
 )
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.pipeline import Identification
 from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
 from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.data import Traces
@@ -53,7 +52,7 @@ _NOISE_STREAM = 1
 
 def identify_logs(
     config: IdentifyConfig, robot: RobotModel, progress: Progress
-) -> Identification:
+) -> Result:
     """Read the logs, diagnose each of them, and identify the arm from all.
 
     Args:
@@ -98,7 +97,7 @@ def identify_plant(
     plan: MotionPlan,
     seed: int,
     progress: Progress,
-) -> Identification:
+) -> Result:
     """Let another model play the real arm along a motion, and identify from its sensors.
 
     Its samples are written to the file of ``--save-measurements``, if it is given.
@@ -127,10 +126,19 @@ def identify_plant(
     origin = DataOrigin(Source.SIMULATED_ARM, name, plan.duration, rate, seed)
     stretches = split_at_gaps(run)
     pieces = [Piece(name, samples) for samples in stretches]
+<<<<<<< HEAD
     notes = (*plant.notes, *piece_notes(run, stretches))
     identification = _identify_pieces(config, robot, pieces, origin, notes, progress)
     traces = partial(_traces_with_truth, identification.traces, plant.prior)
     return replace(identification, traces=traces)
+=======
+    del stretches
+    notes = (*plant.notes, *cut_notes)
+    result = _identify_pieces(config, robot, pieces, origin, notes, progress)
+    assert result.traces is not None
+    traces = partial(_traces_with_truth, result.traces, plant.prior)
+    return replace(result, traces=traces)
+>>>>>>> 88c10c77 (Return a Result from identify; take the record around it out (pipeline))
 
 
 def _traces_with_truth(
@@ -172,7 +180,7 @@ def _identify_pieces(
     notes: Sequence[str],
     progress: Progress,
     tests: Sequence[MeasurementLog] = (),
-) -> Identification:
+) -> Result:
     """Low-pass recordings and identify an arm from them.
 
     Args:
@@ -213,7 +221,7 @@ def _identify_pieces(
     all_tests = tuple(itertools.chain.from_iterable(test_recordings.values()))
     result = _with_file_tests(result, all_tests, checkpoints, config.model.mesh_dir)
     traces = partial(traces_of, fitted, file)
-    return Identification(config, result, checkpoints, traces, all_tests)
+    return replace(result, checkpoints=checkpoints, traces=traces)
 
 
 def _with_file_tests(

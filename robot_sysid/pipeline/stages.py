@@ -35,7 +35,6 @@ from robot_sysid.export import Outcome, locked_folder, save
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline import Identification
 from robot_sysid.pipeline.planning import (
     design_motion,
     draft_plan,
@@ -95,15 +94,14 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
     with locked_folder(config.output.output_dir, progress):
         if not isinstance(config, MotionConfig):
             robot = load_arm(config.model, progress)
-            return write_results(identify(config, robot, progress), progress)
+            return write_results(config, identify(config, robot, progress), progress)
         robot = load_arm(config.model, progress, config.limits.max_velocity)
         require_motors(config.motors, robot)
         if isinstance(config, PlanConfig):
             with ignore_repeated_ctrl_c():
                 checked, _ = design_motion(config, robot, progress)
                 return write_plan(config, robot, checked)
-        identification = identify(config, robot, progress)
-        return write_results(identification, progress)
+        return write_results(config, identify(config, robot, progress), progress)
 
 
 def load_arm(
@@ -129,7 +127,7 @@ def load_arm(
     return robot
 
 
-def identify(config: Config, robot: RobotModel, progress: Progress) -> Identification:
+def identify(config: Config, robot: RobotModel, progress: Progress) -> Result:
     """Identify an arm or a payload from logs or a simulation; no result file is written.
 
     A simulated motion is saved where the configuration names a file for it.
@@ -165,7 +163,7 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
             draft_plan(files, config.plan_file, robot, checked.plan, rate)
     plan = checked.plan
     if config.arm.plant_model is None:
-        identification = run_self_test(config, robot, plan, seed, progress)
+        result = run_self_test(config, robot, plan, seed, progress)
         log_path = config.arm.save_measurements
         if log_path is not None:
             from robot_sysid.logs.text import write_measurement_csv
@@ -175,21 +173,21 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Identific
     else:
         from robot_sysid.pipeline.recordings import identify_plant
 
-        identification = identify_plant(config, robot, plan, seed, progress)
-    return replace(identification, plan=plan)
+        result = identify_plant(config, robot, plan, seed, progress)
+    return replace(result, plan=plan)
 
 
-def write_results(identification: Identification, progress: Progress) -> Outcome:
-    """Write all files of an identification and return the outcome of the command.
+def write_results(config: Config, result: Result, progress: Progress) -> Outcome:
+    """Write all files of a result and return the outcome of the command.
 
     The caller has locked the output folder. InputError where a file cannot be written.
 
     Args:
-        identification: the result, and the options that name the output folder.
+        config: names the output folder, and what is written there.
+        result: of ``identify``.
         progress: receives stages, and notes on the written files.
     """
-    config = identification.config
-    result = identification.result
+    assert result.checkpoints is not None
     robot = result.robot
     mesh_dir = config.model.mesh_dir
     folder = config.output.output_dir
@@ -201,13 +199,13 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
         as_body = config.payload.as_body
         card_choice = config.payload.cards
         scale_path = config.payload.save_torque_scale
-    elif isinstance(config, MotionConfig) and identification.plan is not None:
+    elif isinstance(config, MotionConfig) and result.plan is not None:
         rate = config.trajectory.sample_rate
-        motor_file = motor_writer(config.motors, robot, identification.plan, rate)
+        motor_file = motor_writer(config.motors, robot, result.plan, rate)
     outcome = save(
         result,
         folder,
-        identification.checkpoints,
+        result.checkpoints,
         mesh_dir=mesh_dir,
         as_body=as_body,
         card_choice=card_choice,
@@ -219,7 +217,7 @@ def write_results(identification: Identification, progress: Progress) -> Outcome
     if scale_path is not None and outcome.failure is None and result.payload:
         write_torque_scale(scale_path, result.payload.torque_scale)
     progress.note(*outcome.notes)
-    return replace(outcome, traces=identification.traces)
+    return outcome
 
 
 _DRAWN_SAMPLES = 2000
@@ -234,7 +232,7 @@ def run_self_test(
     plan: MotionPlan,
     seed: int,
     progress: Progress,
-) -> Identification:
+) -> Result:
     """Simulate the model along a trajectory and identify its terminal link, in constant memory.
 
     Args:
@@ -261,7 +259,7 @@ def run_self_test(
     coefficients = equations.prior[N_INERTIAL:].tolist()
     for name, coefficient in zip(equations.names[N_INERTIAL:], coefficients):
         friction[name.partition("[")[0]] = coefficient
-    result = Result(
+    return Result(
         robot=robot,
         question=LINK,
         estimate=estimate,
@@ -270,11 +268,9 @@ def run_self_test(
         data=DataOrigin(Source.ITSELF, "", plan.duration, rate, seed),
         joints={robot.terminal_joint: JointEstimate(model.name, {}, friction)},
         notes=robot.notes,
+        checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
+        traces=partial(_traces, robot, plan, options.torques, model, estimate),
     )
-
-    checkpoints = plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS))
-    traces = partial(_traces, robot, plan, options.torques, model, estimate)
-    return Identification(config, result, checkpoints, traces)
 
 
 def _traces(

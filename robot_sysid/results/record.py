@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robot_sysid import records
 from robot_sysid.dynamics.friction import Coupling
-from robot_sysid.records import Array, InertialParameters, Motion, Validation
+from robot_sysid.records import Array, InertialParameters, Motion, Traces, Validation
 from robot_sysid.records.arm import check_arrays
 from robot_sysid.records.file_access import MODEL_NAMES, AtomicFiles
 from robot_sysid.records.messages import number_text, with_error
@@ -372,6 +372,9 @@ class Result:
         wrong_links: links of the model that the recordings contradict.
         conflicts: priors that the data contradicts.
         notes: remarks for the user, one sentence each.
+        checkpoints: motion on which a written model has to reproduce the predicted torque.
+        traces: computes the measured and predicted torques that a report draws.
+        plan: the motion that a simulation followed; None of logs.
     """
 
     question: str
@@ -394,6 +397,9 @@ class Result:
     wrong_links: tuple[records.WrongLink, ...] = ()
     conflicts: tuple[records.PriorConflict, ...] = ()
     notes: tuple[str, ...] = ()
+    checkpoints: Motion | None = None
+    traces: Callable[[], Traces] | None = None
+    plan: records.MotionPlan | None = None
 
     @property
     def model_kind(self) -> str:

@@ -142,8 +142,7 @@ def test_the_models_own_values_come_back_with_where_they_are_from(torques, frict
     config = SelfTestConfig.of(plant.path, **options)
     plan = plan_of(plant, 1, 4.0)
     progress = Listener()
-    identification = run_self_test(config, plant, plan, 7, progress)
-    result = identification.result
+    result = run_self_test(config, plant, plan, 7, progress)
     estimate = result.estimate
     np.testing.assert_allclose(
         estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10
@@ -159,7 +158,7 @@ def test_the_models_own_values_come_back_with_where_they_are_from(torques, frict
     assert result.verdict is (Verdict.OK if is_full else Verdict.PARTLY_FROM_MODEL)
     assert (result.torques, result.relative_mass_error) == (torques, None)
     assert not result.is_measured
-    traces = identification.traces()
+    traces = result.traces()
     np.testing.assert_allclose(traces.predicted, traces.measured, atol=1e-9)
     np.testing.assert_allclose(traces.prior_prediction, traces.measured, atol=1e-9)
     assert progress.notes == [] and progress.n_chunks == int(np.ceil(2001 / CHUNK))
