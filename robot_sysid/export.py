@@ -446,13 +446,11 @@ def _joint_entry(
     joint: JointEstimate, written_terms: Mapping[str, Quantity]
 ) -> dict[str, Any]:
     """Return friction and rotor inertia of a joint: identified, in the model, written."""
-    directional = joint.directional_coulomb
     return {
         "friction_model": joint.friction_model,
         "terms": joint.terms,
         "model": joint.model_terms,
         "in_the_file": written_terms,
-        "two_ways": directional and dict(zip(("forward", "backward"), directional)),
         "torque_noise": joint.noise,
     }
 

@@ -361,8 +361,6 @@ def test_links_joints_and_the_file_stand_beside_the_models():
         "notes": ["a note", "another"],
         "joints/j5/terms/coulomb/interval/0": approx(0.5 - 1.96 * 5e-4),
         "joints/j5/terms/coulomb/interval/1": approx(0.5 + 1.96 * 5e-4),
-        "joints/j5/two_ways/forward/value": 0.6,
-        "joints/j5/two_ways/backward/value": 0.4,
         "joints/j5/in_the_file/viscous/value": 0.25,
         "couplings/j5+j6/terms/viscous/value": 0.05,
     }

@@ -229,7 +229,6 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
     links = [arm.others[k] for k in np.flatnonzero(stated)]
     thetas = tuple(tuple(body) for body in mean.reshape(-1, N_INERTIAL))
     lengths = tuple(link_lengths(arm.robot, links))
-    assert fitted.question is not None
     share = PER_CENT * fitted.question.options.priors.link
     directions = share * link_directions(thetas, lengths)
     return LinkEvidence(

@@ -15,7 +15,7 @@ Shapes: p parameters in the sums, k of them estimated, J joints with equations, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,6 +32,7 @@ from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
     PAYLOAD,
+    PAYLOAD_NAMES,
     SCALES,
     ArmTerms,
     Point,
@@ -75,8 +76,7 @@ class Equations:
         self.held = held
         self.terms = tuple(terms)
         self.names = tuple(name for term in terms for name in term.names)
-        places = {name: index for index, name in enumerate(sums.names)}
-        self.index = np.array([places[name] for name in self.names], dtype=np.int64)
+        self.index = sums.at(self.names)
         self.others = np.setdiff1d(np.flatnonzero(held), self.index)
         size = len(self.names)
         self.prior = np.zeros((size + 1, size + 1))
@@ -130,15 +130,15 @@ class Equations:
 
 
 def solve(
-    normal: Array, usual: Array, kept: NDArray[np.bool_] | None = None
+    normal: Array, usual: Array, is_free: NDArray[np.bool_] | None = None
 ) -> tuple[Array, Array]:
     """Return (solution (k,), inverse (k, k)) of products [A b]'[A b] (k + 1, k + 1).
 
-    Directions that nothing shows stay at ``usual`` (k,). Parameters that are not ``kept`` (k,) stay
-    there, too; their rows of the inverse are zero.
+    Directions that nothing shows stay at ``usual`` (k,). Parameters that are not ``is_free`` (k,)
+    stay there, too; their rows of the inverse are zero.
     """
     size = len(usual)
-    at = np.arange(size) if kept is None else np.flatnonzero(kept)
+    at = np.arange(size) if is_free is None else np.flatnonzero(is_free)
     matrix = normal[np.ix_(at, at)]
     gradient = normal[at, -1] - normal[at, :size] @ usual
     unit = _inverse(matrix)
@@ -184,8 +184,7 @@ class Fit:
         inverse: (k, k) covariance that noise and priors imply.
         alone: (B, k) estimate without each block in turn.
         start: (k,) values of parameters that are held at a bound, usual values of the others.
-        kept: (k,) which parameters are not held at a bound.
-        at_bound: names of those that are.
+        is_free: (k,) which parameters are not held at a bound.
         question: that was asked.
     """
 
@@ -200,14 +199,18 @@ class Fit:
     inverse: Array
     alone: Array
     start: Array
-    kept: NDArray[np.bool_]
-    at_bound: tuple[str, ...]
+    is_free: NDArray[np.bool_]
     question: Question
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names (k,) of the estimated parameters."""
         return self.equations.names
+
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Names of the parameters that are held at a bound."""
+        return tuple(n for n, is_free in zip(self.names, self.is_free) if not is_free)
 
     @property
     def sums(self) -> Sums:
@@ -361,7 +364,7 @@ class Fit:
         equations = self.equations
         normal = equations.data(self.weights) + equations.prior
         normal -= equations.data(self.weights, blocks)
-        return solve(normal, self.start, self.kept)
+        return solve(normal, self.start, self.is_free)
 
     def of(self, sums: Sums) -> Fit:
         """Return this estimate with the sums of other recordings, to judge it on them."""
@@ -403,39 +406,41 @@ class Fit:
 
     def gain(self, term: Term) -> float:
         """Return the gain in the log marginal likelihood by one more term, the noise as it is."""
-        index = np.array([self.sums.names.index(name) for name in term.names])
         assert term.prior is not None
-        normal = self.sums.normal(self.weights)
-        own = self.equations.index
-        full = self.full
-        pull = normal[index, -1] - normal[index, :-1] @ full
-        crossed = normal[np.ix_(index, own)]
-        left = normal[np.ix_(index, index)] - crossed @ self.inverse @ crossed.T
-        factor = term.prior.factor
-        inner = np.eye(len(index)) + factor.T @ left @ factor
-        moved = factor.T @ pull
-        return float(
-            0.5 * moved @ np.linalg.solve(inner, moved)
-            - 0.5 * np.linalg.slogdet(inner)[1]
-        )
+        return self.offered(term.names, term.prior.factor)[0]
+
+    def offered(
+        self, names: Sequence[str], factor: Array, blocks: Sequence[int] | None = None
+    ) -> tuple[float, Array]:
+        """Return (gain by further parameters, their values (m,)), those of the fit refitted.
+
+        Args:
+            names: (m,) of the further parameters, which may be the fit's own once more.
+            factor: (m, m) of their prior.
+            blocks: those in which they act; None for all.
+        """
+        at = self.sums.at(names)
+        normal = self.sums.normal(self.weights, blocks)
+        pull = normal[at, -1] - normal[at, :-1] @ self.equations.full(self.free)
+        crossed = normal[np.ix_(at, self.equations.index)]
+        unseen = normal[np.ix_(at, at)] - crossed @ self.inverse @ crossed.T
+        inner = np.eye(len(at)) + factor.T @ unseen @ factor
+        moved = np.linalg.solve(inner, factor.T @ pull)
+        gain = 0.5 * (factor.T @ pull) @ moved - 0.5 * np.linalg.slogdet(inner)[1]
+        return float(gain), factor @ moved
 
     def next_point(self) -> Point:
         """Return the point for the next linearisation, at this estimate."""
         robot = self.arm.robot
         thetas = self.point.thetas.copy()
         values = self.by_name
-        free = dict(zip(self.names, self.free.tolist()))
-        last = [values[name] for name in spatial.PARAMETER_NAMES]
-        thetas[-1] = last
+        thetas[-1] = [values[name] for name in spatial.PARAMETER_NAMES]
         payload = self.point.payload
-        if "m(payload)" in free:
-            names = [f"{name}(payload)" for name in spatial.PARAMETER_NAMES]
-            payload = np.array([free[name] for name in names])
-        if "m(payload)" in free:
+        thetas[:-1] = robot.thetas[:-1]
+        if self.question.loaded:
+            payload = self.free[self.at(PAYLOAD_NAMES)]
             for link in self.arm.others:
                 thetas[link] = [values[name] for name in link_names(robot, link)]
-        else:
-            thetas[:-1] = robot.thetas[:-1]
         friction = {name: values[name] for name in values if "[" in name}
         return replace(self.point, thetas=thetas, payload=payload, friction=friction)
 
@@ -500,27 +505,26 @@ def fit(
     data = equations.data(weights)
     normal = data + equations.prior
     _, inverse = solve(normal, equations.usual)
-    kept = np.ones(len(equations.names), dtype=bool)
-    free, kept, start = _within_bounds(equations, normal, kept, equations.usual)
+
+    def unrestricted(start: Array, is_free: NDArray[np.bool_]) -> Array:
+        """Return the solution in which bodies may be impossible."""
+        return solve(normal, start, is_free)[0]
+
+    def possible_bodies(start: Array, is_free: NDArray[np.bool_]) -> Array:
+        """Return the solution in which all bodies are possible."""
+        has_hidden = bool(np.any(_hidden(inverse, normal)))
+        return _possible(equations, normal, is_free, start, has_hidden)
+
+    free, start, is_free = _within_bounds(equations, equations.usual, unrestricted)
     values = free
     if possible and not _are_possible(equations, free):
-        has_hidden = bool(np.any(_hidden(inverse, normal)))
-        for _ in range(_BOUND_ROUNDS):
-            values = _possible(equations, normal, kept, start, has_hidden)
-            # Bodies that are made possible push other parameters across their bounds.
-            crosses = equations.crossing(values) & kept
-            if not np.any(crosses):
-                break
-            kept = kept & ~crosses
-            start = np.where(crosses, equations.inside(values), start)
-        values = equations.inside(values)
+        values, start, is_free = _within_bounds(
+            equations, start, possible_bodies, is_free
+        )
     alone = []
     for block in range(len(sums.logs)) if possible else ():
         smaller = normal - equations.data(weights, [block])
-        alone.append(solve(smaller, start, kept)[0])
-    at_bound = tuple(
-        name for name, is_kept in zip(equations.names, kept) if not is_kept
-    )
+        alone.append(solve(smaller, start, is_free)[0])
     return Fit(
         arm,
         tuple(recordings),
@@ -533,8 +537,7 @@ def fit(
         inverse,
         np.array(alone),
         start,
-        kept,
-        at_bound,
+        is_free,
         question,
     )
 
@@ -573,7 +576,6 @@ def expected(
         np.zeros((0, len(given))),
         given,
         np.ones(len(given), dtype=bool),
-        (),
         question,
     )
 
@@ -598,8 +600,8 @@ def _shown(term: Term, sums: Sums) -> Term:
     """Return a term without the parameters that have neither data nor prior."""
     if term.prior is not None or term.bodies:
         return term
-    places = {name: index for index, name in enumerate(sums.names)}
-    return term.only([name for name in term.names if sums.nonzero[places[name]]])
+    nonzero = sums.nonzero[sums.at(term.names)]
+    return term.only([n for n, is_seen in zip(term.names, nonzero) if is_seen])
 
 
 def _noise(
@@ -623,18 +625,32 @@ def _noise(
 
 
 def _within_bounds(
-    equations: Equations, normal: Array, kept: NDArray[np.bool_], start: Array
-) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return (values (k,), which are not held at a bound (k,), values (k,) to start from)."""
-    values, _ = solve(normal, start, kept)
+    equations: Equations,
+    start: Array,
+    solution: Callable[[Array, NDArray[np.bool_]], Array],
+    is_free: NDArray[np.bool_] | None = None,
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return a solution (k,) with the parameters that cross a bound held at it.
+
+    With it, values (k,) to start from and which parameters (k,) are not held.
+
+    Args:
+        equations: the question, with its bounds.
+        start: (k,) to begin with.
+        solution: returns the values (k,) for these two.
+        is_free: (k,) to begin with; all by default.
+    """
+    if is_free is None:
+        is_free = np.ones(len(start), dtype=bool)
+    values = solution(start, is_free)
     for _ in range(_BOUND_ROUNDS):
-        crosses = equations.crossing(values) & kept
+        crosses = equations.crossing(values) & is_free
         if not np.any(crosses):
             break
-        kept = kept & ~crosses
+        is_free = is_free & ~crosses
         start = np.where(crosses, equations.inside(values), start)
-        values, _ = solve(normal, start, kept)
-    return equations.inside(values), kept, start
+        values = solution(start, is_free)
+    return equations.inside(values), start, is_free
 
 
 def _bodies(equations: Equations) -> list[NDArray[np.int64]]:
@@ -654,14 +670,14 @@ def _are_possible(equations: Equations, values: Array) -> bool:
 def _possible(
     equations: Equations,
     normal: Array,
-    kept: NDArray[np.bool_],
+    is_free: NDArray[np.bool_],
     start: Array,
     has_hidden: bool,
 ) -> Array:
     """Return the best values (k,) with which all bodies are possible."""
-    at = np.flatnonzero(kept)
+    at = np.flatnonzero(is_free)
     matrix = normal[np.ix_(at, at)]
-    fixed = np.flatnonzero(~kept)
+    fixed = np.flatnonzero(~is_free)
     right_side = normal[at, -1] - normal[np.ix_(at, fixed)] @ start[fixed]
     length = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix / np.outer(length, length)

@@ -258,7 +258,9 @@ def contradiction(fitted: Fit, flange: Flange) -> str:
         same = [other for other in kinds if kinds[other] == is_loaded and other != name]
         if not same:
             continue
-        gain, theta = other_body(fitted, _blocks(fitted, [name]), max(mass, 0.1))
+        factor = np.diag(spatial.parameter_scale(max(mass, 0.1), 0.1))
+        blocks = _blocks(fitted, [name])
+        gain, theta = fitted.offered(PARAMETER_NAMES, factor, blocks)
         expected = fitted.free[fitted.at(PAYLOAD_NAMES)] * is_loaded
         total = expected + theta
         moved = 0.0
@@ -272,27 +274,6 @@ def contradiction(fitted: Fit, flange: Flange) -> str:
             others = ", ".join(same)
             phrases.append((gain, f"{name} differs from {others}: it carries {body}"))
     return max(phrases)[1] if phrases else ""
-
-
-def other_body(fitted: Fit, blocks: Sequence[int], mass: float) -> tuple[float, Array]:
-    """Return the gain by a further body on the last link in some blocks, and the body (10,).
-
-    Args:
-        blocks: those in which it may be there.
-        mass: its prior standard deviation [kg].
-    """
-    places = np.array([fitted.sums.names.index(name) for name in PARAMETER_NAMES])
-    own = fitted.equations.index
-    normal = fitted.sums.normal(fitted.weights, blocks)
-    full = fitted.equations.full(fitted.free)
-    pull = normal[places, -1] - normal[places, :-1] @ full
-    crossed = normal[np.ix_(places, own)]
-    left = normal[np.ix_(places, places)] - crossed @ fitted.inverse @ crossed.T
-    factor = np.diag(spatial.parameter_scale(mass, 0.1))
-    inner = np.eye(len(places)) + factor.T @ left @ factor
-    moved = np.linalg.solve(inner, factor.T @ pull)
-    gain = 0.5 * (factor.T @ pull) @ moved - 0.5 * np.linalg.slogdet(inner)[1]
-    return float(gain), factor @ moved
 
 
 def _describe(theta: Array, least: float) -> str:

@@ -7,7 +7,7 @@ inertial parameters (``PARAMETER_NAMES``).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -76,8 +76,6 @@ _CLEAR = 3.0
 _SMALL_ZERO = 1e-3
 # Rows from which identifiability is computed: more do not change it.
 _MOST_ROWS = 1500
-# Rows that combine (Coulomb friction, offset) to the friction forward and backward.
-_SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
 def link_result(
@@ -315,7 +313,6 @@ def joint_estimates(fitted: Fit) -> Iterator[tuple[str, JointEstimate]]:
                 terms=of_joint,
                 model_terms=of_model,
                 noise=fitted.noise_per_joint.get(joint, math.nan),
-                directional_coulomb=_directional(fitted, joint, of_joint),
             ),
         )
     for motor in arm.motors:
@@ -325,22 +322,6 @@ def joint_estimates(fitted: Fit) -> Iterator[tuple[str, JointEstimate]]:
                 of_model = dict(zip(motor.terms, motor.model.tolist()))
             of_motor = terms[motor.name]
             yield motor.name, JointEstimate("-".join(of_motor), of_motor, of_model)
-
-
-def _directional(
-    fitted: Fit, joint: str, terms: Mapping[str, Quantity]
-) -> tuple[Quantity, Quantity] | None:
-    """Return (Coulomb friction forward, backward) of a joint [N m]: level plus, minus offset."""
-    level = "coulomb" if "coulomb" in terms else "sigmoid"
-    if level not in terms or "offset" not in terms or math.isnan(terms[level].error):
-        return None
-    at = fitted.at([f"{level}[{joint}]", f"offset[{joint}]"])
-    variances = np.diag(_SIGNS @ fitted.covariance[np.ix_(at, at)] @ _SIGNS.T)
-    values = _SIGNS @ fitted.values[at]
-    forward, backward = map(
-        Quantity, values.tolist(), np.sqrt(np.maximum(variances, 0.0)).tolist()
-    )
-    return forward, backward
 
 
 def sensors(fitted: Fit) -> dict[str, Quantity]:

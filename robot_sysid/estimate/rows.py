@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, LinksMotion
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.identifiability import RELATIVE_CUT
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
@@ -111,14 +111,10 @@ class Recording:
         """Return the torque (K, n) of links with parameters ``thetas`` (n, 10) [N m]."""
         key = "links", gravity.tobytes(), thetas.tobytes()
         if self._kept.get("links of") != key:
-            dynamics = LinkDynamics(robot, gravity)
-            parts = []
-            for part in self.parts(36 * robot.n_joints):
-                motion = part.motion
-                moves = dynamics.motion(motion.q, motion.qd, motion.qdd)
-                parts.append(moves.torque(thetas))
+            parts = self.parts(36 * robot.n_joints)
+            torques = [part.moves(robot, gravity).torque(thetas) for part in parts]
             self._kept["links of"] = key
-            self._kept["links"] = np.concatenate(parts)
+            self._kept["links"] = np.concatenate(torques)
         return np.asarray(self._kept["links"])
 
     def parts(self, width: int) -> Iterator[Part]:
@@ -140,6 +136,11 @@ class Part:
         """The motion (m, n) at these rows."""
         fields = vars(self.recording.motion)
         return Motion(*(fields[name][self.rows] for name in ("time", "q", "qd", "qdd")))
+
+    def moves(self, robot: RobotModel, gravity: Array) -> LinksMotion:
+        """Return the motion of an arm's links at these rows, gravity (3,) in the world frame."""
+        motion = self.motion
+        return LinkDynamics(robot, gravity).motion(motion.q, motion.qd, motion.qdd)
 
     @property
     def is_loaded(self) -> bool:
@@ -179,6 +180,10 @@ class Sums:
     grams: tuple[Array, ...]
     counts: Array
     logs: tuple[str, ...]
+
+    def at(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Return the indices of named parameters."""
+        return np.array([self.names.index(name) for name in names], dtype=np.int64)
 
     @cached_property
     def totals(self) -> tuple[Array, ...]:

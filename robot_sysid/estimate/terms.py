@@ -119,6 +119,11 @@ class Point:
     gravity: Array
     friction: Mapping[str, float] = field(default_factory=dict)
 
+    def sizes(self, term: str, joints: Sequence[str]) -> Array:
+        """Return the values (J,) of a friction term at joints."""
+        names = names_of(term, joints)
+        return np.array([self.friction.get(name, 0.0) for name in names])
+
     def carried(self, is_loaded: bool) -> Array:
         """Return the links (n, 10), the last one with the payload if ``is_loaded``."""
         if not is_loaded:
@@ -339,10 +344,7 @@ class ArmTerms:
 
     def _links(self, links: Sequence[int], part: Part, point: Point) -> Array:
         """Return the columns (m, J, 10 links) of links by their numbers in the chain."""
-        motion = part.motion
-        moves = LinkDynamics(self.robot, point.gravity).motion(
-            motion.q, motion.qd, motion.qdd
-        )
+        moves = part.moves(self.robot, point.gravity)
         return moves.columns(links)[:, self.indices]
 
     def _payload(self, part: Part, point: Point) -> Array:
@@ -397,11 +399,8 @@ class ArmTerms:
 
     def _zeros(self, part: Part, point: Point) -> Array:
         """Return the columns (m, J, n) of encoders that read too much [N m/rad]."""
-        motion = part.motion
-        moves = LinkDynamics(self.robot, point.gravity).motion(
-            motion.q, motion.qd, motion.qdd
-        )
-        slopes = moves.slopes(point.carried(part.is_loaded), motion.qd)
+        moves = part.moves(self.robot, point.gravity)
+        slopes = moves.slopes(point.carried(part.is_loaded), part.motion.qd)
         return -slopes[:, self.indices]
 
     def _tilt(self, part: Part, point: Point) -> Array:
@@ -426,9 +425,7 @@ class ArmTerms:
         ]
         for name in _SMOOTH:
             rates = recording.motion.qd if name == "viscous" else recording.motion.qdd
-            sizes = [
-                point.friction.get(f"{name}[{joint}]", 0.0) for joint in self.joints
-            ]
+            sizes = point.sizes(name, self.joints)
             torque = torque + rates[:, self.indices] * sizes
         late = -np.gradient(torque, recording.motion.time, axis=0)
         return late[part.rows][:, :, None]
@@ -437,9 +434,7 @@ class ArmTerms:
         """Return the columns (m, J, J) of friction's drift from recording to recording."""
         friction = np.zeros((len(part.motion.q), len(self.joints)))
         for name in _DRIFTING:
-            sizes = [
-                point.friction.get(f"{name}[{joint}]", 0.0) for joint in self.joints
-            ]
+            sizes = point.sizes(name, self.joints)
             if np.any(sizes):
                 friction += self.friction_column(name, part, point) * sizes
         return self._per_joint(part.order * friction)

@@ -185,15 +185,12 @@ class JointEstimate:
         model_terms: terms that a model file holds, as in ``ModelFile.joints``, to their values in
             the model.
         noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.
-        directional_coulomb: Coulomb friction forward and backward, which differ by twice the
-            offset; None where no offset is estimated.
     """
 
     friction_model: str
     terms: Mapping[str, Quantity]
     model_terms: Mapping[str, float] = field(default_factory=dict)
     noise: float = float("nan")
-    directional_coulomb: tuple[Quantity, Quantity] | None = None
 
 
 @dataclass(frozen=True)

@@ -228,10 +228,7 @@ def model_file(**changes) -> ModelFile:
 def whole(**changes) -> Result:
     """A result of which nothing is missing."""
     first = replace(terminal(estimate()), name="link5", joint="j5")
-    elbow = replace(
-        joint_of(estimate(), "j5"),
-        directional_coulomb=(Quantity(0.6, 0.01), Quantity(0.4, 0.02)),
-    )
+    elbow = replace(joint_of(estimate(), "j5"))
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     result = found(
         robot=replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
