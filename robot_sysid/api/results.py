@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from robot_sysid.api.keywords import in_python, python_words
 from robot_sysid.config import Config, PlanConfig
+from robot_sysid.dynamics.equations import split_name
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Outcome, locked_folder, params_json_text
@@ -120,17 +121,15 @@ class Identified:
         For a simulation of the model itself, only the terminal joint's.
         """
         friction: dict[str, dict[str, float]] = {}
-        if self.result.is_measured:
-            for joint, estimate in self.result.joints.items():
-                terms = estimate.terms.items()
-                friction[joint] = {term: figure.value for term, figure in terms}
-            return friction
-        joint = self.robot.terminal_joint
-        friction[joint] = {}
-        for name in self.result.estimate.names:
-            if name.endswith(f"[{joint}]"):
-                term = name.partition("[")[0]
-                friction[joint][term] = self.result.estimate.value(name) or 0.0
+        for joint, estimate in self.result.joints.items():
+            terms = estimate.terms.items()
+            friction[joint] = {term: figure.value for term, figure in terms}
+        if not self.result.is_measured:
+            found = self.result.estimate
+            for name, value in zip(found.names, found.values.tolist()):
+                term, owner = split_name(name)
+                if owner:
+                    friction[owner][term] = value
         return friction
 
     def traces(self) -> Traces:
@@ -187,11 +186,9 @@ class Identified:
         """
         with in_python(), one_thread():
             outcome = self._write(lasting_folder())
-            models = models_in(outcome.files)
-            if not models:
-                failure = outcome.failure or "this result is written into no model"
-                raise SysidError(failure)
-            return spec_of(models[0])
+            for path in models_in(outcome.files):
+                return spec_of(path)
+            raise SysidError(outcome.failure or "this result is written into no model")
 
     def plot(self) -> Any:
         """Return a matplotlib Figure: measured and predicted torque of each joint over time [N m].
@@ -217,7 +214,7 @@ class Identified:
         return "\n".join(self.lines())
 
     def __repr__(self) -> str:
-        body = self.robot.body_name if self.result.payload is None else "payload"
+        body = "payload" if self.result.payload else self.robot.body_name
         mass = with_error(self.mass, self.standard_errors.get("m"), "kg")
         usable = "usable" if self.result.verdict.is_trustworthy else "only for torques"
         usable = f"not to be used: {self.failure}" if self.failure else usable

@@ -199,12 +199,12 @@ def run_command(config: Config, console: Console) -> None:
                 _add_weighing(error, config)
             raise
     checked = outcome.checked
-    if is_viewed and checked is not None and checked.problem is not None:
+    if is_viewed and checked and checked.problem:
         from robot_sysid.motion.viewer import play_in_viewer
 
         play_in_viewer(checked.problem.robot, checked.plan)
     console.stage(*outcome.lines)
-    for path in outcome.files if outcome.checked else ():
+    for path in outcome.files if checked else ():
         console.stage(f"Trajectory saved to {path}")
     console.result(_json_answer(outcome))
     if outcome.files:

@@ -126,19 +126,11 @@ def identify_plant(
     origin = DataOrigin(Source.SIMULATED_ARM, name, plan.duration, rate, seed)
     stretches = split_at_gaps(run)
     pieces = [Piece(name, samples) for samples in stretches]
-<<<<<<< HEAD
     notes = (*plant.notes, *piece_notes(run, stretches))
-    identification = _identify_pieces(config, robot, pieces, origin, notes, progress)
-    traces = partial(_traces_with_truth, identification.traces, plant.prior)
-    return replace(identification, traces=traces)
-=======
-    del stretches
-    notes = (*plant.notes, *cut_notes)
     result = _identify_pieces(config, robot, pieces, origin, notes, progress)
     assert result.traces is not None
     traces = partial(_traces_with_truth, result.traces, plant.prior)
     return replace(result, traces=traces)
->>>>>>> 88c10c77 (Return a Result from identify; take the record around it out (pipeline))
 
 
 def _traces_with_truth(

@@ -7,7 +7,6 @@ time.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -101,7 +100,9 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
             with ignore_repeated_ctrl_c():
                 checked, _ = design_motion(config, robot, progress)
                 return write_plan(config, robot, checked)
-        return write_results(config, identify(config, robot, progress), progress)
+        assert isinstance(config, SelfTestConfig)
+        result, plan = identify_simulated(config, robot, progress)
+        return write_results(config, result, progress, plan)
 
 
 def load_arm(
@@ -130,8 +131,6 @@ def load_arm(
 def identify(config: Config, robot: RobotModel, progress: Progress) -> Result:
     """Identify an arm or a payload from logs or a simulation; no result file is written.
 
-    A simulated motion is saved where the configuration names a file for it.
-
     Args:
         config: says what is identified from which data, and how.
         robot: the arm as in the model.
@@ -151,6 +150,16 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Result:
 
         return identify_logs(config, robot, progress)
     assert isinstance(config, SelfTestConfig)
+    return identify_simulated(config, robot, progress)[0]
+
+
+def identify_simulated(
+    config: SelfTestConfig, robot: RobotModel, progress: Progress
+) -> tuple[Result, MotionPlan]:
+    """Identify an arm from a simulation, as ``identify``; return the motion as well.
+
+    The motion is saved where the configuration names a file for it.
+    """
     rate = config.trajectory.sample_rate
     with ignore_repeated_ctrl_c():
         checked, seed = design_motion(config, robot, progress)
@@ -174,10 +183,12 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Result:
         from robot_sysid.pipeline.recordings import identify_plant
 
         result = identify_plant(config, robot, plan, seed, progress)
-    return replace(result, plan=plan)
+    return result, plan
 
 
-def write_results(config: Config, result: Result, progress: Progress) -> Outcome:
+def write_results(
+    config: Config, result: Result, progress: Progress, plan: MotionPlan | None = None
+) -> Outcome:
     """Write all files of a result and return the outcome of the command.
 
     The caller has locked the output folder. InputError where a file cannot be written.
@@ -186,6 +197,7 @@ def write_results(config: Config, result: Result, progress: Progress) -> Outcome
         config: names the output folder, and what is written there.
         result: of ``identify``.
         progress: receives stages, and notes on the written files.
+        plan: the motion that a simulation followed.
     """
     assert result.checkpoints is not None
     robot = result.robot
@@ -199,9 +211,9 @@ def write_results(config: Config, result: Result, progress: Progress) -> Outcome
         as_body = config.payload.as_body
         card_choice = config.payload.cards
         scale_path = config.payload.save_torque_scale
-    elif isinstance(config, MotionConfig) and result.plan is not None:
+    elif isinstance(config, MotionConfig) and plan is not None:
         rate = config.trajectory.sample_rate
-        motor_file = motor_writer(config.motors, robot, result.plan, rate)
+        motor_file = motor_writer(config.motors, robot, plan, rate)
     outcome = save(
         result,
         folder,

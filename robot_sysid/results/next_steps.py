@@ -112,5 +112,5 @@ def last_lines(
             f"Copy into the controller, in the frame of {result.payload.flange.name}"
         )
         lines += [f"{start}: {path}" for path in files if path.name == CARD_NAME]
-    lines += () if step is None else step.lines()
+    lines += step.lines() if step else ()
     return tuple(lines)

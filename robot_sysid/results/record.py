@@ -296,9 +296,9 @@ class RolloutError:
     @property
     def overall(self) -> tuple[float, float]:
         """Root mean square error of all joints together, with the old and the new model."""
-        error_before = float(np.sqrt(np.mean(self.errors_before**2)))
-        error_after = float(np.sqrt(np.mean(self.errors_after**2)))
-        return error_before, error_after
+        pair = np.array([self.errors_before, self.errors_after])
+        before, after = np.sqrt(np.mean(pair**2, axis=1)).tolist()
+        return before, after
 
     @property
     def ratio(self) -> float | None:
@@ -333,11 +333,6 @@ class RolloutTest:
             return None
         return float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-12)))))
 
-    @property
-    def is_better(self) -> bool:
-        """Whether the new model moves more like the arm than the old one."""
-        return self.score is not None and self.score < 1.0
-
 
 @dataclass(frozen=True)
 class Result:
@@ -371,7 +366,6 @@ class Result:
         notes: remarks for the user, one sentence each.
         checkpoints: motion on which a written model has to reproduce the predicted torque.
         traces: computes the measured and predicted torques that a report draws.
-        plan: the motion that a simulation followed; None of logs.
     """
 
     question: str
@@ -396,7 +390,6 @@ class Result:
     notes: tuple[str, ...] = ()
     checkpoints: Motion | None = None
     traces: Callable[[], Traces] | None = None
-    plan: records.MotionPlan | None = None
 
     @property
     def model_kind(self) -> str:
@@ -404,7 +397,7 @@ class Result:
 
         It is an MJCF where MuJoCo alone would not load a URDF, or a URDF lacks identified numbers.
         """
-        has_both = self.file is not None and self.file.urdf_file is not None
+        has_both = self.file is not None and self.file.urdf_file
         return "mjcf" if has_both or self.robot.lacks_meshes else self.robot.kind
 
     @property
@@ -528,7 +521,6 @@ def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
     return {
         "held_out": test.held_out,
         "closed_loop_is": test.servo,
-        "is_better": test.is_better,
         "score": test.score,
         "errors": errors,
         "notes": list(test.notes),

@@ -94,14 +94,6 @@ def test_a_share_of_the_prior_is_that_of_mass_and_moment_together():
     assert rows["centre of mass y"] == 0.1 and rows["inertia xx about CoM"] == 0.9
 
 
-def test_viscous_friction_of_a_slide_has_the_unit_of_a_force():
-    slider = replace(made.ARM, is_slide=np.array([False, True]))
-    for joints in ({}, made.found().joints):
-        rows = parameter_rows(made.found(robot=slider, joints=joints))
-        (viscous,) = (row for row in rows if row.name == "viscous friction")
-        assert viscous.unit == "N·s/m"
-
-
 def test_a_payload_whose_inertia_or_mass_is_not_known_has_fewer_rows():
     assert len(parameter_rows(made.payload(made.body(shown=False)))) == 4
     assert len(parameter_rows(made.payload(made.body(-1.0)))) == 1
