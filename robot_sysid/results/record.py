@@ -281,12 +281,14 @@ class RolloutError:
         windows: number of windows.
         errors_before: (n,) root mean square errors with the old model [rad or m].
         errors_after: (n,) root mean square errors with the new model [rad or m].
+        is_worse: (n,) whether the new model's are clearly larger, window by window.
     """
 
     horizon: float
     windows: int
     errors_before: Array
     errors_after: Array
+    is_worse: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
         check_arrays(

@@ -54,7 +54,6 @@ from robot_sysid.servo.windows import (
     rollout_error,
     servo_fault,
     split_pieces,
-    worse_joints,
 )
 from robot_sysid.simulation.playback import (
     ServoRollouts,
@@ -393,8 +392,8 @@ def identify_servos(
             rollouts, held_out, pair, held_out_text, goal_delay
         )
         # Rollouts of what was fitted may only become worse where the equations miss something.
-        is_worse = worse_joints([rollout_error(problem, pair)])
-        is_worse = is_new & (is_worse | worse_joints(rollout.errors))
+        errors = (rollout_error(problem, pair), *rollout.errors)
+        is_worse = is_new & np.any([error.is_worse for error in errors], axis=0)
         if "rollout" in logs.accept or not np.any(is_worse):
             break
         is_new = is_new & ~is_worse

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
+from robot_sysid.estimate.held_out import is_clearly_lower
 from robot_sysid.records import Array, Measurement
 from robot_sysid.results.prediction import HELD_OUT_SHARE, HORIZONS
 from robot_sysid.results.record import RolloutError, RolloutTest
@@ -38,10 +38,6 @@ ROLLOUT_INPUT = (
     "found"
 )
 """What drives the rollouts that compare two models, as printed."""
-WORSE = 1.05
-"""Error of a joint over that before, from which on it became worse: encoder steps alone, which both
-errors hold, make them differ by less."""
-
 FLOOR = 5e-4
 """Error that encoder steps hide: a third of a step of 4096 a turn [rad or m]."""
 
@@ -199,21 +195,16 @@ def rollout_error(
     problem: ServoProblem, pair: Sequence[ServoParameters]
 ) -> RolloutError:
     """Return the root mean square errors of two sets of servo parameters in windows."""
-    old, new = np.sqrt(np.mean(problem.errors(pair) ** 2, axis=1))
+    squares = problem.errors(pair) ** 2
+    old, new = np.sqrt(np.mean(squares, axis=1))
+    lengths = [len(times) for _, times, _ in problem.windows]
+    sums = np.add.reduceat(squares, np.cumsum([0, *lengths[:-1]]), axis=1)
+    before, after = sums + FLOOR**2 * np.reshape(lengths, (-1, 1))
+    is_worse = [
+        len(lengths) > 1 and is_clearly_lower(*own) for own in zip(before.T, after.T)
+    ]
     horizon = float(problem.edges[-1])
-    return RolloutError(horizon, len(problem.windows), old, new)
-
-
-def worse_joints(errors: Sequence[RolloutError]) -> NDArray[np.bool_]:
-    """Return whether the positions of each joint (n,) are predicted worse than before.
-
-    By the geometric mean over all errors; none is worse without any.
-    """
-    excess: Array | float = 0.0
-    for error in errors:
-        ratio = (error.errors_after + FLOOR) / (error.errors_before + FLOOR)
-        excess = excess + np.log(ratio / WORSE)
-    return np.asarray(excess) > 0.0
+    return RolloutError(horizon, len(lengths), old, new, np.array(is_worse))
 
 
 def servo_fault(test: RolloutTest, goal_errors: Sequence[float]) -> str | None:
@@ -237,7 +228,7 @@ def servo_fault(test: RolloutTest, goal_errors: Sequence[float]) -> str | None:
                 faults.append(
                     f"{new_error:.3g} rad over {error.horizon:g} s, {name} {rival_error:.3g}"
                 )
-    for k in np.flatnonzero(worse_joints(test.errors)):
+    for k in np.flatnonzero(np.any([error.is_worse for error in test.errors], axis=0)):
         faults.append(f"{test.joint_names[k]} is predicted worse than before")
     if not faults:
         return None

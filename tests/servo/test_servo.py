@@ -40,7 +40,8 @@ def test_of(robot, *new_errors):
     """Rollouts over 1 s, 3 s, ... with an error of 1 before and some new error of each joint."""
     errors = []
     for horizon, error in zip((1.0, 3.0), new_errors):
-        errors.append(RolloutError(horizon, 3, np.ones(2), np.full(2, error)))
+        new = np.full(2, error)
+        errors.append(RolloutError(horizon, 3, np.ones(2), new, new > 1.0))
     return RolloutTest(robot.joint_names, "the last fifth", "servos", tuple(errors))
 
 
