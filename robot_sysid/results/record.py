@@ -499,10 +499,8 @@ def _strict(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def rollout_entry(test: RolloutTest | None) -> dict[str, Any] | None:
-    """Return a rollout test as an entry of params.json or servo.json; None where there was none."""
-    if test is None:
-        return None
+def rollout_entry(test: RolloutTest) -> dict[str, Any]:
+    """Return a rollout test as an entry of servo.json."""
 
     def ratio_entry(old_error: float, new_error: float) -> dict[str, float | None]:
         """Return the errors of old and new model and their ratio, None if the old one is 0."""

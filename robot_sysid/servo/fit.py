@@ -248,8 +248,6 @@ def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
     inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature
     has_gain = np.isfinite(in_model[0])
     usual = np.median(inertia) * _DEFAULT_RATE**2
-    if np.any(has_gain):
-        usual = np.median(in_model[0, has_gain])
     gain = np.where(has_gain, in_model[0], usual)
     moves = np.any(equations.is_moving, axis=0)
     # Of each joint 1/K, D/K, f/K, A/K, and its delay beyond the common one.

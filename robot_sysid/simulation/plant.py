@@ -362,9 +362,9 @@ class ArmStepper:
             friction = np.where(sticks, 0.0, coulomb * direction)
             speed = free_speed - axis_response @ friction
             if np.any(sticks):
-                friction[sticks] = self._holding_friction(
-                    axis_response[np.ix_(sticks, sticks)], speed[sticks]
-                )
+                # Singular where a motor and all joints that it turns stick together.
+                held = axis_response[np.ix_(sticks, sticks)]
+                friction[sticks] = np.linalg.lstsq(held, speed[sticks], rcond=None)[0]
                 speed -= axis_response[:, sticks] @ friction[sticks]
                 speed[sticks] = 0.0
             reverses = has_friction & ~sticks & (speed * direction < 0.0)
@@ -376,16 +376,6 @@ class ArmStepper:
         joint_velocity = free_velocity - joint_response @ friction
         joint_sticks = sticks[: self.n_joints]
         return np.where(joint_sticks, 0.0, joint_velocity), axes.T @ friction
-
-    def _holding_friction(self, response: Array, velocity: Array) -> Array:
-        """Return the friction (k,) that stops k directions which move at ``velocity`` (k,).
-
-        ``response`` (k, k) is the decrease of each velocity per unit of each friction.
-        """
-        if len(self._coulomb) == self.n_joints:
-            return np.asarray(np.linalg.solve(response, velocity))
-        # A motor and all joints that it turns may stick together: the system is then singular.
-        return np.asarray(np.linalg.lstsq(response, velocity, rcond=None)[0])
 
 
 _STAGE = 1.0 - math.sqrt(0.5)

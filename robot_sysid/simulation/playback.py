@@ -1,4 +1,4 @@
-"""Rollouts: torques or servo commands in, motion out; windows of a log played by a model.
+"""Rollouts: servo commands in, motion out; windows of a log played by a model.
 
 The model is the file's own: links, rotor inertia, springs, damping and MuJoCo's ``frictionloss`` as
 written. As in ``plant`` joints outside the chain are held; contacts, stops, equalities and gravity
@@ -6,16 +6,7 @@ compensation do not act. The integrator is MuJoCo's implicit one without derivat
 between bodies, stable under any damping. ``mujoco.rollout`` does the steps on all processors where
 the installed release has it with several models at a time; older ones step in Python.
 
-Open loop: the model starts in the measured state and gets the torques that were measured. Closed
-loop: it gets them too, and a tracking servo pulls it towards the measured motion,
-
-    tau = tau_measured + Kp (q_measured - q) + Kd (qd_measured - qd),
-
-so that a perfect model makes no error in either, and a wrong one an error that does not run away.
-The tracking servo acts as a spring and a damper of the joint, whose rest position is the measured
-one.
-
-An arm behind position servos gets commanded positions instead of torques:
+An arm behind position servos gets commanded positions:
 
     tau = clip(Kp (command(t - delay) - q) - kv qd, +-limit) - (D - kv) qd - friction
 
@@ -25,7 +16,7 @@ have none left at the limit, and swing. A command holds until the next one comes
 actuator the model does not have, or that has dynamics of its own, is pulled by a spring, and has no
 limit.
 
-Shapes: n joints of the chain, base to terminal; B rollouts at a time; S steps in each.
+Shapes: n joints of the chain, base to terminal; W windows at a time; S steps in each.
 """
 
 from __future__ import annotations
@@ -63,118 +54,6 @@ _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 """MuJoCo's bits for the state from which a rollout starts."""
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 """MuJoCo's bits for the inputs of each step: those of actuators, then forces on the joints."""
-
-
-@dataclass(frozen=True)
-class RolloutInputs:
-    """Start states and driving inputs of B rollouts with S steps.
-
-    Attributes:
-        q: (B, n) chain positions at the start [rad or m].
-        qd: (B, n) chain velocities at the start [rad/s or m/s].
-        torque: (B, S, n) torques applied to the chain during each step [N m].
-        control: (B, S, nu) controls of the model's actuators; None where they are switched off.
-    """
-
-    q: Array
-    qd: Array
-    torque: Array
-    control: Array | None = None
-
-
-def rollout_model(robot: RobotModel, timestep: float) -> Any:
-    """Return a copy of an arm's compiled MuJoCo model, set up for rollouts with a time step [s]."""
-    model = forward_model(robot)
-    model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    model.opt.timestep = timestep
-    model.opt.tolerance = 1e-8
-    # A rollout that diverges must not go on from the start; a chain has no islands to be found.
-    for name in ("AUTORESET", "ISLAND"):
-        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0)
-        model.opt.disableflags |= int(flag)
-    if not model.ntendon:
-        # No rollout needs the pose of a geom: MuJoCo then takes it from its body.
-        model.geom_sameframe[:] = 1
-    return model
-
-
-class RolloutRunner:
-    """Plays many rollouts of one model at a time, on all processors where MuJoCo can.
-
-    Args:
-        robot: the arm; says which of the model's joints are the chain.
-        model: from ``rollout_model``; its numbers may be changed between calls.
-    """
-
-    def __init__(self, robot: RobotModel, model: Any) -> None:
-        self._robot = robot
-        self.model = model
-        self._pool: Any = None
-        threads = 1
-        if _has_threads():
-            from mujoco import rollout
-
-            threads = processor_count()
-            # Zero stands for the calling thread.
-            self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
-        self._data = [mujoco.MjData(model) for _ in range(threads)]
-
-    def positions(self, inputs: RolloutInputs) -> Array:
-        """Return chain positions (B, S, n) after each step; NaN from where a rollout diverged."""
-        run = self._run_stepwise if self._pool is None else self._run_threads
-        with captured_warnings():
-            q = run(inputs)
-        is_lost = ~np.all(np.isfinite(q), axis=2)
-        q[np.logical_or.accumulate(is_lost, axis=1)] = np.nan
-        return q
-
-    def _run_threads(self, inputs: RolloutInputs) -> Array:
-        """Return positions (B, S, n) after each step, by ``mujoco.rollout``; NaN once diverged."""
-        robot = self._robot
-        model = self.model
-        data = self._data[0]
-        states = np.empty((len(inputs.q), mujoco.mj_stateSize(model, _STATE)))
-        for state, q, qd in zip(states, inputs.q, inputs.qd):
-            set_chain_state(robot, model, data, q, qd)
-            mujoco.mj_getState(model, data, state, _STATE)
-        # An input is those of the nu actuators, then the forces on the nv degrees of freedom; a
-        # state is the time, then the positions, then more.
-        input_size = mujoco.mj_stateSize(model, _INPUTS)
-        controls = np.zeros((*inputs.torque.shape[:2], input_size))
-        controls[:, :, model.nu + robot.dof_index] = inputs.torque
-        if inputs.control is not None:
-            controls[:, :, : model.nu] = inputs.control
-        models = [model] * len(states)
-        trajectories, _ = self._pool.rollout(
-            models, self._data, states, controls, control_spec=_INPUTS
-        )
-        q = np.array(trajectories[:, :, 1 + robot.qpos_index])
-        # A rollout that diverges stands still from there, and so does its clock.
-        timestep = model.opt.timestep
-        expected_time = timestep * np.arange(1, q.shape[1] + 1)
-        q[trajectories[:, :, 0] < expected_time - 0.5 * timestep] = np.nan
-        return q
-
-    def _run_stepwise(self, inputs: RolloutInputs) -> Array:
-        """Return positions (B, S, n) after each step, one step of one rollout at a time.
-
-        This is for releases without ``mujoco.rollout``. Steps after a divergence are NaN.
-        """
-        robot = self._robot
-        model = self.model
-        data = self._data[0]
-        q: Array = np.full(inputs.torque.shape, math.nan)
-        for row, torques in enumerate(inputs.torque):
-            set_chain_state(robot, model, data, inputs.q[row], inputs.qd[row])
-            for step, torque in enumerate(torques):
-                data.qfrc_applied[robot.dof_index] = torque
-                if inputs.control is not None:
-                    data.ctrl[:] = inputs.control[row, step]
-                mujoco.mj_step(model, data)
-                if any(warning.number for warning in data.warning):
-                    break
-                q[row, step] = data.qpos[robot.qpos_index]
-        return q
 
 
 def _has_threads() -> bool:
@@ -308,8 +187,21 @@ def servos_in_model(robot: RobotModel) -> ServoParameters:
 
 
 def servo_model(robot: RobotModel, timestep: float) -> Any:
-    """Return a rollout copy of an arm's MuJoCo model with actuators that do nothing yet."""
-    model = rollout_model(robot, timestep)
+    """Return a copy of an arm's compiled MuJoCo model, set up for rollouts with a time step [s].
+
+    Its actuators do nothing yet.
+    """
+    model = forward_model(robot)
+    model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    model.opt.timestep = timestep
+    model.opt.tolerance = 1e-8
+    # A rollout that diverges must not go on from the start; a chain has no islands to be found.
+    for name in ("AUTORESET", "ISLAND"):
+        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0)
+        model.opt.disableflags |= int(flag)
+    if not model.ntendon:
+        # No rollout needs the pose of a geom: MuJoCo then takes it from its body.
+        model.geom_sameframe[:] = 1
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     # Actuators beside those of ``set_servos`` may have states, but no effect.
     model.actuator_gear[:] = 0.0
@@ -400,17 +292,29 @@ class ServoWindow:
 class ServoRollouts:
     """Rollouts of an arm behind servos, on one copy of its model, which meshes make large.
 
+    They run on all processors where MuJoCo can play rollouts of several models at a time.
+
     Args:
         robot: the arm as in the model file.
         timestep: time step of the model [s], until ``positions`` sets that of its windows.
 
     Attributes:
         robot: as given.
+        model: the copy.
     """
 
     def __init__(self, robot: RobotModel, timestep: float = STEP) -> None:
         self.robot = robot
-        self._runner = RolloutRunner(robot, servo_model(robot, timestep))
+        self.model = servo_model(robot, timestep)
+        self._pool: Any = None
+        threads = 1
+        if _has_threads():
+            from mujoco import rollout
+
+            threads = processor_count()
+            # Zero stands for the calling thread.
+            self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._data = [mujoco.MjData(self.model) for _ in range(threads)]
 
     def positions(
         self,
@@ -428,24 +332,71 @@ class ServoRollouts:
             edges: (S + 1,) ends of the steps of every window, from its start [s], evenly spaced.
         """
         robot = self.robot
-        model = self._runner.model
-        model.opt.timestep = edges[1] - edges[0]
-        q = np.stack([window.q for window in windows])
-        qd = np.stack([window.qd for window in windows])
+        self.model.opt.timestep = edges[1] - edges[0]
         # Commands (W, S, n) by delay, because many candidates have the same one.
         commands = dict[float, Array]()
         index = chain_actuators(robot).index
         driven = index != NO_ACTUATOR
-        rows = [control_rows(model, actuator)[0] for actuator in index[driven]]
+        rows = [control_rows(self.model, actuator)[0] for actuator in index[driven]]
         spring_rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
         for servos in candidates:
-            set_servos(model, robot, servos)
+            set_servos(self.model, robot, servos)
             if servos.delay not in commands:
                 controls = [window.controls(servos.delay, edges) for window in windows]
                 commands[servos.delay] = np.stack(controls)
             command = commands[servos.delay]
-            control = np.zeros((*command.shape[:2], model.nu))
-            control[:, :, rows] = command[:, :, driven]
-            torque = servos.stiffness * ~driven * (command - spring_rest)
-            inputs = RolloutInputs(q, qd, torque, control)
-            yield np.concatenate((q[:, None], self._runner.positions(inputs)), axis=1)
+            # As MuJoCo has them: those of the nu actuators, then the forces on the joints.
+            inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))
+            inputs[:, :, rows] = command[:, :, driven]
+            pull = servos.stiffness * ~driven * (command - spring_rest)
+            inputs[:, :, self.model.nu + robot.dof_index] = pull
+            yield self.play(windows, inputs)
+
+    def play(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:
+        """Return chain positions (W, S + 1, n) under inputs (W, S, nu + nv) of the model."""
+        run = self._run_stepwise if self._pool is None else self._run_threads
+        with captured_warnings():
+            played = run(windows, inputs)
+        start = np.stack([window.q for window in windows])
+        q = np.concatenate((start[:, None], played), axis=1)
+        is_lost = ~np.all(np.isfinite(q), axis=2)
+        q[np.logical_or.accumulate(is_lost, axis=1)] = np.nan
+        return q
+
+    def _run_threads(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:
+        """Return positions (W, S, n) after each step, by ``mujoco.rollout``; NaN once diverged."""
+        model = self.model
+        data = self._data[0]
+        states = np.empty((len(windows), mujoco.mj_stateSize(model, _STATE)))
+        for state, window in zip(states, windows):
+            set_chain_state(self.robot, model, data, window.q, window.qd)
+            mujoco.mj_getState(model, data, state, _STATE)
+        trajectories, _ = self._pool.rollout(
+            [model] * len(states), self._data, states, inputs, control_spec=_INPUTS
+        )
+        # A state is the time, then the positions, then more.
+        q = np.array(trajectories[:, :, 1 + self.robot.qpos_index])
+        # A rollout that diverges stands still from there, and so does its clock.
+        timestep = model.opt.timestep
+        expected_time = timestep * np.arange(1, q.shape[1] + 1)
+        q[trajectories[:, :, 0] < expected_time - 0.5 * timestep] = np.nan
+        return q
+
+    def _run_stepwise(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:
+        """Return positions (W, S, n) after each step, one step of one rollout at a time.
+
+        This is for releases without ``mujoco.rollout``. Steps after a divergence are NaN.
+        """
+        robot = self.robot
+        model = self.model
+        data = self._data[0]
+        q: Array = np.full((*inputs.shape[:2], robot.n_joints), math.nan)
+        for row, window in enumerate(windows):
+            set_chain_state(robot, model, data, window.q, window.qd)
+            for step, values in enumerate(inputs[row]):
+                data.ctrl[:], data.qfrc_applied[:] = np.split(values, [model.nu])
+                mujoco.mj_step(model, data)
+                if any(warning.number for warning in data.warning):
+                    break
+                q[row, step] = data.qpos[robot.qpos_index]
+        return q

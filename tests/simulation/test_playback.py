@@ -15,32 +15,33 @@ from tests.support.arms import MODELS, SEVEN, X, Y, Z, robot_of, serial_arm
 from tests.support.releases import since
 from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
 
-JOINT = 'range="-2.5 2.5" armature="{}" damping="3" frictionloss=".5"'
 
-
-def arm(armature=0.2):
-    return robot_of(serial_arm((Z, Y, X), joint=JOINT.format(armature)))
-
-
-def random_inputs(robot, count=4, steps=30):
+def random_inputs(rollouts, count=4, steps=30):
+    """Windows, and torques on the joints (count, steps, nu + nv)."""
+    robot = rollouts.robot
+    model = rollouts.model
     rng = np.random.default_rng(0)
+    inputs = np.zeros((count, steps, model.nu + model.nv))
     torque = rng.normal(0.0, 5.0, (count, steps, robot.n_joints))
-    q = rng.uniform(-1.0, 1.0, (count, robot.n_joints))
-    return playback.RolloutInputs(q, rng.normal(size=q.shape), torque)
+    inputs[:, :, model.nu + robot.dof_index] = torque
+    windows = []
+    for q in rng.uniform(-1.0, 1.0, (count, robot.n_joints)):
+        windows.append(playback.ServoWindow(0.0, q, rng.normal(size=q.shape), q, q))
+    return windows, inputs
 
 
 def test_rollouts_on_threads_are_the_same_as_single_steps(monkeypatch):
     robot = robot_of(SEVEN)
-    model = playback.rollout_model(robot, 0.002)
-    threads = playback.RolloutRunner(robot, model)
+    threads = playback.ServoRollouts(robot)
     monkeypatch.setattr(playback, "_has_threads", lambda: False)
-    steps = playback.RolloutRunner(robot, model)
-    inputs = random_inputs(robot)
+    steps = playback.ServoRollouts(robot)
+    windows, inputs = random_inputs(threads)
     for armature in (0.0, 0.3):
         # The numbers of a model may change between calls.
-        model.dof_armature[:] = armature
+        for rollouts in (threads, steps):
+            rollouts.model.dof_armature[:] = armature
         np.testing.assert_array_equal(
-            threads.positions(inputs), steps.positions(inputs)
+            threads.play(windows, inputs), steps.play(windows, inputs)
         )
 
 
@@ -49,16 +50,14 @@ def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(
     monkeypatch, has_threads
 ):
     monkeypatch.setattr(playback, "_has_threads", lambda: has_threads)
-    robot = robot_of(SEVEN)
-    runner = playback.RolloutRunner(robot, playback.rollout_model(robot, 0.002))
-    inputs = random_inputs(robot)
-    expected = runner.positions(inputs)
-    torque = inputs.torque.copy()
-    torque[1, 10:] = 1e15
-    positions = runner.positions(replace(inputs, torque=torque))
+    rollouts = playback.ServoRollouts(robot_of(SEVEN))
+    windows, inputs = random_inputs(rollouts)
+    expected = rollouts.play(windows, inputs)
+    inputs[1, 10:] = 1e15
+    positions = rollouts.play(windows, inputs)
     np.testing.assert_array_equal(positions[[0, 2, 3]], expected[[0, 2, 3]])
-    np.testing.assert_array_equal(positions[1, :10], expected[1, :10])
-    assert np.all(np.isnan(positions[1, 13:]))
+    np.testing.assert_array_equal(positions[1, :11], expected[1, :11])
+    assert np.all(np.isnan(positions[1, 14:]))
 
 
 def test_actuators_and_contacts_of_the_model_do_not_act():
@@ -67,17 +66,14 @@ def test_actuators_and_contacts_of_the_model_do_not_act():
     servo = '<actuator><position joint="joint2" kp="500" ctrlrange="-1 1"/></actuator></mujoco>'
     busy = plain.replace('<joint name="joint', ball).replace("</mujoco>", servo)
     assert robot_of(busy).mj_model.nu == 1
-    played = []
-    for robot in map(robot_of, (plain, busy)):
-        runner = playback.RolloutRunner(robot, playback.rollout_model(robot, 0.002))
-        played.append(runner.positions(random_inputs(robot)))
-    np.testing.assert_array_equal(*played)
+    rollouts = [playback.ServoRollouts(robot_of(xml)) for xml in (plain, busy)]
+    np.testing.assert_array_equal(*(own.play(*random_inputs(own)) for own in rollouts))
 
 
 @pytest.mark.parametrize("name", ["coupled fingers", "home keyframe"])
 def test_joints_behind_the_chain_stay_where_they_are(name):
     robot = robot_of(MODELS[name])
-    model = playback.rollout_model(robot, 0.002)
+    model = playback.servo_model(robot, 0.002)
     data = mujoco.MjData(model)
     speed = np.full(robot.n_joints, 2.0)
     set_chain_state(robot, model, data, robot.reference, speed)
