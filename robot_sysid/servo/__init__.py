@@ -133,8 +133,8 @@ class ServoIdentification:
         value = self.fit.numbers
         error = self.fit.errors
         is_shown = self.fit.has_scale & (error < LARGEST_ERROR * value)
-        source = np.where(is_shown, IDENTIFIED, ASSUMED)
-        source = np.where(self.is_new, source, FROM_MODEL)
+        found = np.where(is_shown, IDENTIFIED, ASSUMED)
+        source = np.where(self.is_new, found, FROM_MODEL)
         joints = {}
         for k, joint in enumerate(self.robot.joint_names):
             joints[joint] = {
@@ -372,10 +372,10 @@ def identify_servos(
         held_out_text = "the validation log"
     progress.stage("Searching for servos, friction and rotor inertia...")
     in_model = servos_in_model(robot).numbers
-    equations = loop_equations(robot, fitted)
-    goal_delay = equations.best_goal_delay()
     rollouts = ServoRollouts(robot)
     problem = make_problem(rollouts, fitted, _FITTED_WINDOWS, _WINDOW, _SETTLING_TIME)
+    equations = loop_equations(robot, fitted)
+    goal_delay = equations.best_goal_delay()
     found = refine_played(problem, fit_servos(robot, equations), in_model)
 
     # Where the model has no servo, its joint's damping is not that of both: what was found stands

@@ -31,22 +31,21 @@ _LARGEST_OFFSET = 0.3
 def commanded_pieces(
     logs: Sequence[MeasurementLog], joint_names: Sequence[str]
 ) -> list[Measurement]:
-    """Return the pieces of all logs, after a check that their commands are plausible.
+    """Return the pieces of all logs that have commands, after a check that these are plausible.
 
     Raises:
         InputError: the commands of a moving joint are implausible; says which joint's and why.
     """
     pieces = list[Measurement]()
     for log in logs:
-        pieces += log.pieces
-        ranges = np.ptp(np.concatenate([piece.q for piece in log.pieces]), axis=0)
-        commanded = [(p.q, p.command) for p in log.pieces if p.command is not None]
-        for joint in np.flatnonzero(ranges >= MOVING_RANGE).tolist():
-            pairs = [(q[:, joint], command[:, joint]) for q, command in commanded]
-            for fault in _command_faults(pairs):
-                raise InputError(
-                    f"{log.path}: the commands of joint {joint_names[joint]} {fault}"
-                )
+        pieces += [piece for piece in log.pieces if piece.command is not None]
+        pairs = [(p.q, p.command) for p in log.pieces if p.command is not None]
+        for joint, name in enumerate(joint_names if pairs else ()):
+            own = [(q[:, joint], command[:, joint]) for q, command in pairs]
+            if np.ptp(np.concatenate([q for q, _ in own])) < MOVING_RANGE:
+                continue
+            for fault in _command_faults(own):
+                raise InputError(f"{log.path}: the commands of joint {name} {fault}")
     return pieces
 
 

@@ -92,7 +92,7 @@ class LoopEquations:
     """The equations of the servos' closed loops, smoothed.
 
     Attributes:
-        pieces: the pieces of logs that have commands.
+        pieces: of logs, with commands.
         period: sampling period [s].
         position: (M, n) measured positions [rad or m].
         columns: (M, n, 4) the links' torque, velocity, its sign, and acceleration.
@@ -129,13 +129,12 @@ class LoopEquations:
 
 
 def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEquations:
-    """Return the equations of an arm's servos in the pieces of logs that have commands."""
-    commanded = tuple(piece for piece in pieces if piece.command is not None)
+    """Return the equations of an arm's servos in pieces of logs, which have commands."""
     dynamics = LinkDynamics(robot)
     links = list(range(robot.n_joints))
     factor = model_link_factor(robot, links, LINK_ERROR)
     rows = []
-    for piece in commanded:
+    for piece in pieces:
         q, _ = smooth_states(piece)
         # A central difference is the mean velocity over two samples: the other terms are averaged
         # over them as well, once for each difference.
@@ -152,8 +151,8 @@ def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEqua
     speed = np.abs(columns[:, :, 1])
     least = np.maximum(0.1 * np.sqrt(np.mean(speed**2, axis=0)), CREEP)
     return LoopEquations(
-        pieces=commanded,
-        period=float(np.median([sampling_period(piece.time) for piece in commanded])),
+        pieces=tuple(pieces),
+        period=float(np.median([sampling_period(piece.time) for piece in pieces])),
         position=position,
         columns=columns,
         is_moving=(speed > least) & (is_inner[:, None] > 0),
@@ -284,10 +283,10 @@ def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
     fit_joints(delay, delay_error, free)
     inverse = values[:, 0]
     has_scale = moves & (np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * inverse)
-    gain_error = np.full(len(moves), UNKNOWN_GAIN)
+    is_like_others = has_gain & np.any(has_scale)
+    gain_error = np.where(is_like_others, OWN_GAIN, UNKNOWN_GAIN)
     if np.any(has_scale):
         gain *= np.median(1.0 / (inverse * gain)[has_scale])
-        gain_error[has_gain] = OWN_GAIN
     fit_joints(delay, delay_error, gain_error)
 
     found = 1.0 / np.maximum(values[:, 0], 1e-9)

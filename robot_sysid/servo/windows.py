@@ -9,6 +9,7 @@ n is the number of joints, M the number of samples in all windows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -95,7 +96,7 @@ def make_problem(
     Args:
         rollouts: play the windows.
         pieces: pieces of logs.
-        max_windows: largest number of windows; if there are more, so many are taken, spread evenly.
+        max_windows: largest number of windows; of more, every second one is taken, or every third.
         length: length of a window [s].
         settling_time: beginning of a window in which errors do not count [s].
 
@@ -120,10 +121,9 @@ def make_problem(
         raise InputError(
             f"no piece of the log has commands for {length:g} s; record longer"
         )
-    count = min(len(windows), max_windows)
-    chosen = np.linspace(0, len(windows) - 1, count).round().astype(int).tolist()
+    stride = math.ceil(len(windows) / max_windows)
     edges = np.linspace(0.0, length, max(1, round(length / STEP)) + 1)
-    return ServoProblem(rollouts, tuple(windows[k] for k in chosen), edges)
+    return ServoProblem(rollouts, tuple(windows[::stride]), edges)
 
 
 def smooth_states(piece: Measurement) -> tuple[Array, Array]:

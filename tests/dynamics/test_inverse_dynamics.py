@@ -17,9 +17,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     BeyondRigidBodies,
     LinkDynamics,
-    analysis_copy,
     has_only_armature,
-    split_motion,
     tilt_angles,
     tilt_axes,
     turn_gravity,
@@ -66,6 +64,7 @@ def test_link_and_other_bodies_give_mujocos_torque_on_any_chain(xml, theta, seed
     robot = robot_of(xml)
     motion = random_motion(default_rng(seed), robot.n_joints, SAMPLES)
     assert_reproduces(robot, theta, motion)
+    assert_equals_mujoco(robot, motion)
 
 
 @pytest.mark.parametrize("name", [*arms.MODELS, *arms.NEWER_MODELS])
@@ -118,32 +117,6 @@ def test_torque_is_that_of_the_rigid_bodies_alone(name):
     assert_allclose(plain_torque(arms.MODELS[name], motion), expected, rtol=1e-12)
 
 
-FIELDS_BESIDE_ARMATURE = [
-    "jnt_stiffness",
-    "jnt_stiffnesspoly",
-    "dof_dampingpoly",
-    "tendon_stiffness",
-    "tendon_stiffnesspoly",
-    "tendon_damping",
-    "tendon_dampingpoly",
-    "tendon_armature",
-]
-"""Fields of ``MjModel``: torques beside those of rigid bodies and of joints' armature."""
-
-
-@pytest.mark.parametrize("field", FIELDS_BESIDE_ARMATURE)
-def test_only_armature_allows_the_short_dynamics(field):
-    """Every other field that adds torque requires the full dynamics."""
-    xml = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")
-    motor = '<actuator><motor joint="joint2"/></actuator></mujoco>'
-    model = analysis_copy(arms.compile_xml(xml.replace("</mujoco>", motor)))
-    if not hasattr(model, field):
-        pytest.skip("this MuJoCo does not know it")
-    assert has_only_armature(model)
-    getattr(model, field).flat[-1] = 0.1
-    assert not has_only_armature(model)
-
-
 @pytest.mark.parametrize("first", [True, False])
 def test_a_branch_may_stand_in_front_of_the_link_or_behind_it(first):
     """In front, the branch splits the chain's addresses into two ranges."""
@@ -191,13 +164,6 @@ def assert_equals_mujoco(robot, motion):
     assert_allclose(links.torque(thetas), actual, rtol=0.0, atol=tolerance)
     columns = links.columns(range(robot.n_joints)) @ thetas.ravel()
     assert_allclose(columns, actual, rtol=0.0, atol=tolerance)
-
-
-@given(random_chain(), SEEDS)
-def test_links_and_columns_give_mujocos_torque_on_any_chain(xml, seed):
-    robot = robot_of(xml)
-    motion = random_motion(default_rng(seed), robot.n_joints, SAMPLES)
-    assert_equals_mujoco(robot, motion)
 
 
 # --- tilt of gravity, zeros of encoders, and parts of a motion ------------------------------------
@@ -260,13 +226,3 @@ def test_slopes_by_positions_equal_differences(xml, seed):
     slopes = dynamics.motion(q, qd, qdd).slopes(thetas, qd)
     rounding = 1e-9 * np.max(np.abs(above), initial=1.0)
     assert_allclose(slopes, (above - below) / (2.0 * step), rtol=1e-6, atol=rounding)
-
-
-@given(st.integers(0, 40), st.integers(0, 10**6))
-def test_split_motion_gives_small_chunks_of_the_motion(samples, width):
-    motion = np.arange(3.0 * samples).reshape(-1, 3), np.arange(samples)
-    chunks = list(split_motion(width, *motion))
-    for pieces, signal in zip(zip(*chunks), motion):
-        assert_array_equal(np.concatenate(pieces), signal)
-    # Up to one sample more, where they do not divide evenly.
-    assert all(width * (len(chunk) - 1) < 10**6 for chunk, _ in chunks)

@@ -148,19 +148,6 @@ def test_what_got_worse_is_not_called_usable_even_if_it_is_accepted(
     assert accepted.failure is None and (tmp_path / "updated_model.xml").exists()
 
 
-def test_results_of_an_earlier_run_are_removed_unless_they_are_inputs(
-    robots, tmp_path, monkeypatch
-):
-    (tmp_path / "params.json").write_text("{}")
-    config = tmp_path / "run.toml"
-    config.write_text("# of the user's own")
-    run(robots["xml"], tmp_path, monkeypatch, input_files=(config,))
-    assert not (tmp_path / "params.json").exists()
-    assert config.exists()
-    run(robots["xml"], tmp_path, monkeypatch)
-    assert not config.exists()
-
-
 # --- whole runs ----------------------------------------------------------------------------------
 
 SO_ARM = """<mujoco><worldbody><body><joint name="lift" {joint}/>

@@ -21,13 +21,11 @@ from robot_sysid.simulation.plant import (
     PlantSimulation,
     forward_model,
     load_plant,
-    round_to_multiples,
 )
 from robot_sysid.simulator import ArmTorque, simulate_inverse
 from tests.support import arms
 from tests.support.arms import (
     FREE_OBJECT_BESIDE,
-    SEEDS,
     THREE,
     X,
     Y,
@@ -77,16 +75,6 @@ def test_noise_has_its_standard_deviation_in_every_joint(plant):
         np.std(noisy.tau - exact.tau, axis=0), levels, rtol=0.015
     )
     assert np.max(np.abs(noisy.q - exact.q)) <= 0.01 * (1.0 + 1e-9)
-
-
-@given(st.floats(1e-6, 0.1), SEEDS)
-def test_rounded_positions_are_the_nearest_multiples_of_the_step(step, seed):
-    values = np.random.default_rng(seed).normal(size=50)
-    rounded = round_to_multiples(values, step)
-    assert np.all(np.abs(rounded - values) <= 0.5 * step * (1.0 + 1e-9))
-    steps = rounded / step
-    np.testing.assert_allclose(steps, np.round(steps), rtol=0.0, atol=1e-6)
-    np.testing.assert_array_equal(round_to_multiples(rounded, step), rounded)
 
 
 THREE_JOINTS = robot_of(THREE)
@@ -230,25 +218,6 @@ def test_its_torques_are_those_of_inverse_dynamics_to_second_order(name):
     assert fine < 0.13 * coarse
 
 
-def damped_response_error(timestep, damping, seconds=0.02):
-    """Largest error of a damped hinge's velocity after a torque sets in, as part of the last."""
-    arm = one_hinge(fv=0.1, timestep=timestep)
-    inertia = 0.01
-    resistance = damping + 0.1
-    errors = []
-    for k in range(round(seconds / timestep)):
-        arm.step(np.ones(1), np.array([damping]))
-        decay = resistance / inertia * (k + 1) * timestep
-        errors.append(arm.qd[0] * resistance + np.expm1(-decay))
-    return np.max(np.abs(errors))
-
-
-@pytest.mark.parametrize("damping", [0.5, 2.0])
-def test_a_damped_joint_follows_the_exact_response_to_second_order(damping):
-    coarse, fine = (damped_response_error(h, damping) for h in (1e-3, 2.5e-4))
-    assert coarse < 0.004 and fine < coarse / 12.0
-
-
 @pytest.mark.parametrize("damping", [0.5, 5.0, 500.0])
 def test_damping_adds_no_apparent_armature(damping):
     """Mean torque is inertia times mean acceleration plus friction, however stiff the damping."""
@@ -334,13 +303,6 @@ def test_fast_joints_have_the_dry_friction_that_mujoco_gives_them(name):
     )
     dry = with_friction - without
     np.testing.assert_allclose(dry, robot.friction.dry(qd), atol=1e-6)
-
-
-def test_constant_speed_takes_coulomb_plus_viscous_friction():
-    arm = one_hinge(fc=0.4, fv=0.1)
-    acted = push(arm, 0.9, 3.0)
-    assert arm.qd[0] == pytest.approx((0.9 - 0.4) / 0.1, rel=1e-6)
-    assert acted[0] == pytest.approx(0.4 + 0.1 * arm.qd[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("damping", [0.0, 5.0, 1e3, 1e6])
