@@ -249,7 +249,7 @@ def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
     usual = np.median(inertia) * _DEFAULT_RATE**2
     gain = np.where(has_gain, in_model[0], usual)
     moves = np.any(equations.is_moving, axis=0)
-    # Of each joint 1/K, D/K, f/K, A/K, and its delay beyond the common one.
+    # Of each joint 1/K, D/K, f/K, A/K, and its delay beyond the common one; zero where nothing moves.
     values = np.zeros((len(moves), 5))
     covariances = np.zeros((len(moves), 5, 5))
     period = equations.period
@@ -282,7 +282,7 @@ def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
     delay_error = DELAY_ERROR * period
     fit_joints(delay, delay_error, free)
     inverse = values[:, 0]
-    has_scale = moves & (np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * inverse)
+    has_scale = np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * inverse
     is_like_others = has_gain & np.any(has_scale)
     gain_error = np.where(is_like_others, OWN_GAIN, UNKNOWN_GAIN)
     if np.any(has_scale):
@@ -303,13 +303,13 @@ def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
     doubt = np.sqrt(at_speed @ covariances @ at_speed)
     return ServoFit(
         numbers=np.where(moves, numbers, in_model),
-        errors=np.where(moves, np.sqrt(variance), 0.0),
+        errors=np.sqrt(variance),
         delay=delay,
         delay_error=delay_error,
         gain_ratio=found / gain,
         has_scale=has_scale,
         is_fast=is_fast,
-        is_known=is_fast | (moves & (doubt < LARGEST_ERROR * (values @ at_speed))),
+        is_known=is_fast | (doubt < LARGEST_ERROR * (values @ at_speed)),
     )
 
 
