@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 6859,
     "robot_sysid/records": 9119,
     "robot_sysid/report": 8319,
-    "robot_sysid/results": 14712,
-    "robot_sysid/servo": 6529,
+    "robot_sysid/results": 14709,
+    "robot_sysid/servo": 6522,
     "robot_sysid/signals": 5330,
-    "robot_sysid/simulation": 4570,
+    "robot_sysid/simulation": 4371,
     "robot_sysid": 12111,
-    "tests": 237313,
+    "tests": 236602,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -249,7 +249,7 @@ def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
     usual = np.median(inertia) * _DEFAULT_RATE**2
     gain = np.where(has_gain, in_model[0], usual)
     moves = np.any(equations.is_moving, axis=0)
-    # Of each joint 1/K, D/K, f/K, A/K, and its own delay beyond the common one; zero without motion.
+    # Of each joint 1/K, D/K, f/K, A/K, and its own delay; zero of one that does not move.
     values = np.zeros((len(moves), 5))
     covariances = np.zeros((len(moves), 5, 5))
     period = equations.period
