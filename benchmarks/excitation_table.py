@@ -1,14 +1,13 @@
 """Designed trajectories of all public arms: what they buy, how near and fast they get, the cost.
 
-    python -m benchmarks.excitation_table [--arms PART] [--seeds 0 1 2] [--budget S]
+    python -m benchmarks.excitation_table [--arms PART] [--seeds 0 1 2]
 
 One line per arm: what a recording of random sinusoids (median of five) leaves unknown over what
 one of a design leaves (median of the seeds), all unknowns of an estimate counted: standard
 deviations of mass, centre of mass, Izz, the median of ten and the mean of the axes of the
 confidence ellipsoid; in brackets the share of the error that any motion leaves. Then the smallest
 distance that the plan states and the real one, by MuJoCo's contacts at 500 Hz; the speed of the
-tool's fastest point; processor time of one design; and with a budget [s] how large the mean axis of
-a search for so long is beside that of the usual one.
+tool's fastest point; and processor time of one design.
 """
 
 from __future__ import annotations
@@ -16,13 +15,12 @@ from __future__ import annotations
 import argparse
 import copy
 import time
-from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.motion import ExcitationOptions, LimitOptions, search
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import centre_slopes, prior_knowledge
 from robot_sysid.motion.information import Criterion, random_motion
 from robot_sysid.motion.problem import build_problem
@@ -121,7 +119,7 @@ def parts_by_joints(robot):
     return groups
 
 
-def line(path, joint, seeds, budget):
+def line(path, joint, seeds):
     """Return the table's line of one arm."""
     robot = load_robot_model(path, joint=joint)
     motion = TrajectoryOptions()
@@ -153,12 +151,7 @@ def line(path, joint, seeds, budget):
     )
     text = f"{path.parent.name}/{path.stem:24s} {ratio_text}  stated {1e3 * stated:6.1f} mm"
     text += f"  real {1e3 * real:6.1f} mm  tool {check.largest[-1]:4.2f} m/s  {spent:4.1f} s"
-    if budget is None:
-        return text
-    search.clock = time.process_time
-    longer = Design(problem, replace(options, time_budget=budget), motion, prior)
-    longest_plan = design_excitation(longer, np.random.default_rng(seeds[-1]))
-    return f"{text}  {100.0 * longest_plan.objective / result.objective:.0f} % after {budget:g} s"
+    return text
 
 
 def main() -> None:
@@ -166,14 +159,13 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--arms", default="")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--budget", type=float)
     options = parser.parse_args()
     for path, joint in [
         (GUESS, None),
         *((MODELS / model, joint) for model, joint in ARMS),
     ]:
         if options.arms in str(path):
-            print(line(path, joint, options.seeds, options.budget), flush=True)
+            print(line(path, joint, options.seeds), flush=True)
 
 
 if __name__ == "__main__":

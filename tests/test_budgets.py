@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 21967,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 9208,
-    "robot_sysid/motion": 24870,
+    "robot_sysid/motion": 24361,
     "robot_sysid/pipeline": 6859,
     "robot_sysid/records": 9119,
     "robot_sysid/report": 8319,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4371,
     "robot_sysid": 12111,
-    "tests": 236602,
+    "tests": 236543,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -230,8 +230,8 @@ def plan(model: Model, **options: Any) -> PlanResult:
         model: path of an MJCF or URDF file, or a ``mujoco.MjSpec`` or ``MjModel``.
         options: every option of ``robot-sysid plan``, such as ``duration=15.0``, ``seed=1``,
             ``max_velocity=1.0`` or ``excitation="sines"``. The default, as in the command, is a
-            designed motion (``excitation="optimal"``); ``excitation_time_budget=60.0`` searches
-            for a minute.
+            designed motion (``excitation="optimal"``); ``excitation_time_budget=5.0`` searches
+            for at most five seconds.
 
     Raises:
         InputError: an option or the model cannot be used.

@@ -204,7 +204,7 @@ class ExcitationOptions(OptionRecord):
 
     Attributes:
         kind: "sines" for random sinusoids, "optimal" for a designed trajectory.
-        time_budget: duration of the search [s]; None to search until a round hardly gains.
+        time_budget: longest duration of the search [s]; None for as long as rounds gain.
         draws: number of random trajectories to begin with.
         rounds: largest number of rounds by which a random trajectory is improved.
         iterations: largest number of iterations of the optimiser per round.
@@ -218,7 +218,7 @@ class ExcitationOptions(OptionRecord):
     )
     time_budget: float | None = option(
         None,
-        "design for this time",
+        "design for at most this time",
         "S [s] > 0",
         flag="--excitation-time-budget",
         default_text="until it hardly gets better",

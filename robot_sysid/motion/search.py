@@ -8,8 +8,8 @@ and so are velocity and acceleration.
 Random feasible trajectories first; the best of them are improved by a round of L-BFGS, and the best
 of these by more rounds until one gains next to nothing. All of the work is counted in trajectories,
 rounds and iterations, never in seconds: the same seed and options give the same trajectory on a
-fast and on a slow machine. Only a time budget makes the result depend on the clock: the search then
-goes on with the next trajectories until it is used up.
+fast and on a slow machine. Only a time budget that ends the search makes the result depend on the
+clock.
 
 The objective is the criterion (``information``) plus an augmented Lagrangian of constraints. For
 constraints g <= 0 with multipliers l and weight m the penalty is sum (max(0, l + m g)^2 - l^2) / 2
@@ -21,10 +21,9 @@ round a motion that breaks a limit is shrunk towards rest until it keeps all, fr
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -358,65 +357,50 @@ def first_candidate(design: Design, x: Array) -> Candidate:
     largest multiple of x that keeps all limits as ``feasible_x``.
     """
     multipliers = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
-    return _update_feasible(design, Candidate(x, multipliers), np.inf)
+    return _update_feasible(design, Candidate(x, multipliers))
 
 
 def improve(
-    design: Design, candidate: Candidate, deadline: float = np.inf
+    design: Design, candidate: Candidate, tick: Callable[[], None] = lambda: None
 ) -> Candidate:
     """Return the candidate after one more round: minimisation, new multipliers, repair.
 
-    A round ends early where the deadline, a time of ``clock`` [s], passes: the coefficients are
-    then those of the last iteration, and multipliers and number of rounds stay.
+    ``tick`` is called after each iteration, and may raise what ends the search.
     """
     from scipy.optimize import minimize
 
     # The optimiser works on the flat array of x / unit.
     unit = design.unit
     shape = candidate.x.shape
-    iterates = [candidate.x]
 
     def function(flat: Array) -> tuple[float, Array]:
-        """Return the penalised objective and its gradient (n M,) by ``flat`` (n M,); raises
-        TimeoutError after the deadline.
-        """
-        if clock() > deadline:
-            raise TimeoutError
+        """Return the penalised objective and its gradient (n M,) by ``flat`` (n M,)."""
         x = unit * flat.reshape(shape)
         value, gradient, _ = penalised_objective(design, candidate, x)
         return value, (unit * gradient).ravel()
 
-    def keep(flat: Array) -> None:
-        """Append the iterate ``flat`` (n M,), which an interrupted minimisation does not return."""
-        iterates.append(unit * flat.reshape(shape))
-
-    options = {"maxiter": design.options.iterations, "maxcor": MEMORY, "maxls": 30}
-    start = (candidate.x / unit).ravel()
-    with contextlib.suppress(TimeoutError):
-        minimize(
-            function, start, jac=True, method="L-BFGS-B", callback=keep, options=options
-        )
-    x = iterates[-1]
-    moved = replace(candidate, x=x)
-    if clock() <= deadline:
-        _, _, multipliers = penalised_objective(design, candidate, x)
-        moved = replace(moved, multipliers=multipliers, rounds=candidate.rounds + 1)
-    return _update_feasible(design, moved, deadline)
+    found = minimize(
+        function,
+        (candidate.x / unit).ravel(),
+        jac=True,
+        method="L-BFGS-B",
+        callback=lambda _: tick(),
+        options={"maxiter": design.options.iterations, "maxcor": MEMORY, "maxls": 30},
+    )
+    x = unit * found.x.reshape(shape)
+    _, _, multipliers = penalised_objective(design, candidate, x)
+    rounds = candidate.rounds + 1
+    return _update_feasible(
+        design, replace(candidate, x=x, multipliers=multipliers, rounds=rounds)
+    )
 
 
-def _update_feasible(
-    design: Design, candidate: Candidate, deadline: float
-) -> Candidate:
+def _update_feasible(design: Design, candidate: Candidate) -> Candidate:
     """Return the candidate with the score of its x, and with the largest multiple of x that keeps
     all limits as ``feasible_x``, if that is better than the feasible coefficients it has.
-
-    After the deadline, a time of ``clock`` [s], no further multiple is tried, unless the candidate
-    has no feasible coefficients yet.
     """
     candidate = replace(candidate, score=design.criterion_of(candidate.x))
     for factor in REPAIRS:
-        if clock() > deadline and candidate.feasible_x is not None:
-            break
         x = factor * candidate.x
         score = design.criterion_of(x)
         if not score < candidate.feasible_score:
@@ -465,9 +449,12 @@ def design_excitation(
         KeyboardInterrupt: interrupted before there was any trajectory.
     """
     search = _Search(design, int(rng.integers(2**62)), progress or Progress())
-    interruption = None
+    stopped = ""
+    interruption: BaseException | None = None
     try:
-        stopped = search.run()
+        search.run()
+    except TimeoutError:
+        stopped = "time budget"
     except KeyboardInterrupt as error:
         stopped = "interrupted"
         interruption = error
@@ -507,80 +494,65 @@ class _Search:
         self._design = design
         self._seed = seed
         self._progress = progress
-        self._started = clock()
         self._shown = 0.0
+        budget = design.options.time_budget or np.inf
+        self._deadline = clock() + budget - min(0.5 * budget, CHECK_TIME)
 
-    def run(self) -> str:
-        """Draw random trajectories and improve the best; return "time budget" where that ended the
-        search, else "".
+    def run(self) -> None:
+        """Draw random trajectories and improve the best; TimeoutError where the time budget ends
+        the search.
         """
         options = self._design.options
-        budget = options.time_budget or np.inf
-        deadline = self._started + budget - min(0.5 * budget, CHECK_TIME)
         for number in range(options.draws):
             self.draws.append(draw_trajectory(self._design, self._seed, number))
             self._report(0.0, options.rounds / 2.0, "random motions")
-            if clock() > deadline and self.feasible_draws():
-                return "time budget"
-        starts = [draw.x for draw in self.feasible_draws()]
-        for first in range(0, len(starts), STARTS):
-            self._improve(starts[first : first + STARTS], deadline)
-            if clock() > deadline:
-                return "time budget"
-            if options.time_budget is None:
-                break
-        self._report(1.0, 0.0, "improving the best")
-        return ""
-
-    def feasible_draws(self) -> list[Draw]:
-        """Return the draws that keep all limits on the grid, best first."""
-        feasible = [draw for draw in self.draws if np.isfinite(draw.score)]
-        return sorted(feasible, key=lambda draw: draw.score)
-
-    def _improve(self, starts: list[Array], deadline: float) -> None:
-        """Improve starts (n, M) by a round each, then the best of them until it gains next to
-        nothing.
-        """
+            if self.feasible_draws():
+                self._require_time()
         candidates = []
-        for x in starts:
-            start = first_candidate(self._design, x)
-            candidates.append(improve(self._design, start, deadline))
-            self._take(candidates[-1])
-            self._report(len(candidates), self._design.options.rounds / 2.0)
+        for draw in self.feasible_draws()[:STARTS]:
+            start = first_candidate(self._design, draw.x)
+            candidates.append(self._improve(start))
+            self._report(len(candidates), options.rounds / 2.0)
+        if not candidates:
+            return
         best = min(candidates, key=lambda candidate: candidate.feasible_score)
-        for n_rounds in range(1, self._design.options.rounds):
-            if clock() > deadline:
-                break
+        for n_rounds in range(1, options.rounds):
             previous = best
-            best = improve(self._design, previous, deadline)
-            self._take(best)
+            best = self._improve(previous)
             gain = previous.feasible_score - best.feasible_score
             # A round may only adapt the multipliers: the motion that breaks limits then leads, and
             # the next round turns that lead into a gain.
             lead = best.feasible_score - best.score
             if gain < LEAST_GAIN and lead < LARGEST_LEAD:
                 break
-            self._report(len(starts) + n_rounds, _rounds_left(gain, lead))
+            self._report(STARTS + n_rounds, _rounds_left(gain, lead))
+        self._report(1.0, 0.0)
 
-    def _take(self, candidate: Candidate) -> None:
-        """Keep a candidate if it is the best one that keeps all limits."""
+    def feasible_draws(self) -> list[Draw]:
+        """Return the draws that keep all limits on the grid, best first."""
+        feasible = [draw for draw in self.draws if np.isfinite(draw.score)]
+        return sorted(feasible, key=lambda draw: draw.score)
+
+    def _improve(self, candidate: Candidate) -> Candidate:
+        """Return a candidate after one more round; keep it if it is the best that keeps limits."""
+        improved = improve(self._design, candidate, self._require_time)
         least = np.inf if self.best is None else self.best.feasible_score
-        if candidate.feasible_score < least:
-            self.best = candidate
+        if improved.feasible_score < least:
+            self.best = improved
+        return improved
+
+    def _require_time(self) -> None:
+        """Raise TimeoutError where the time budget is used up."""
+        if clock() > self._deadline:
+            raise TimeoutError
 
     def _report(
         self, done: float, left: float, text: str = "improving the best"
     ) -> None:
-        """Show the progress after ``done`` rounds, if about as many as ``left`` will follow; with a
-        time budget, the share of it that is used.
-        """
-        options = self._design.options
+        """Show the progress after ``done`` rounds, if about as many as ``left`` will follow."""
         done += len(self.draws) / DRAWS_PER_ROUND
-        left += (options.draws - len(self.draws)) / DRAWS_PER_ROUND
-        share = done / (done + left)
-        if options.time_budget:
-            share = min(1.0, (clock() - self._started) / options.time_budget)
-        self._shown = max(self._shown, share)
+        left += (self._design.options.draws - len(self.draws)) / DRAWS_PER_ROUND
+        self._shown = max(self._shown, done / (done + left))
         self._progress.advance("Designing the trajectory", self._shown, 1.0, text)
 
 

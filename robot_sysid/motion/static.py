@@ -26,13 +26,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion import PoseOptions
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.problem import RESERVE_WORDS, ExcitationProblem
-from robot_sysid.motion.trajectories import (
-    PEAK_ACCELERATION,
-    PEAK_OF_RAMP,
-    PEAK_SPEED,
-    LineTrajectory,
-    straight_way,
-)
+from robot_sysid.motion.trajectories import PEAK_OF_RAMP, LineTrajectory, straight_way
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import count_text
 from robot_sysid.trajectory import TORQUE_MARGIN
@@ -59,18 +53,8 @@ GENTLE = 0.6
 """Speed that no joint exceeds between poses, however fast it could be [rad/s or m/s]."""
 UNSURE_SHARE = 0.5
 """Share of the torque limits that weighing uses: the arm may need twice what its model says."""
-SHORTEST_MOVE = 0.6
-"""Shortest time between two points [s]."""
-RESERVE = 1.05
-"""Duration of a move over the shortest one that speed and acceleration limits allow."""
 CANDIDATES = 3000
 """Number of random poses among which the informative ones are selected."""
-LINE_POINTS = 24
-"""Points of a straight line between poses at which clearances are checked."""
-_MOST_SLOWER = 12
-"""How often a motion through poses that breaks a limit is slowed down at most."""
-_SLOWER = 1.25
-"""Factor by which a motion through poses is slowed down each time: up to 12 in all."""
 _TINY = 1e-6
 """Information before the first pose is selected, times the unit matrix: the information of a single
 pose is singular, so that its determinant alone could not be compared."""
@@ -84,9 +68,9 @@ SPEEDS = 6
 CRUISE = 0.8
 """How long each speed is held at a time [s] where the joint's range allows it."""
 SHARE = 0.8
-"""Share of the limits of speed and acceleration that sweeps use."""
+"""Share of the limits of speed and acceleration that poses and sweeps use."""
 SHORTEST_RAMP = 0.15
-"""Time in which a sweep's speed rises [s]: 30 samples at the 200 Hz of ``expected_errors``."""
+"""Least time in which a speed rises [s]: 30 samples at the 200 Hz of ``expected_errors``."""
 WIDEST = 1.0
 """Farthest that a sweep takes a joint from its rest position [rad]."""
 LEAST_RANGE = 0.02
@@ -94,9 +78,9 @@ LEAST_RANGE = 0.02
 _STEP = 0.01
 """Step with which a joint's free range is searched [rad]."""
 _MOST_SMALLER = 8
-"""How often sweeps that break a limit are made smaller: to 6 %."""
+"""How often a motion that breaks a limit is made slower, sweeps smaller too: to 6 %."""
 _SMALLER = 0.7
-"""By which factor sweeps are made smaller each time."""
+"""By which factor a motion is made slower or smaller each time."""
 
 
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
@@ -108,11 +92,9 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
         InputError: no pose is free of collisions and held; names the bodies or the joint.
     """
     collisions = problem.obstacles.collisions
-    pose = problem.rest[None]
-    hold_share = _torque_share(problem, pose, creep=0.0)[0]
-    creep_share = _torque_share(problem, pose, creep=CREEP)[0]
-    worst = int(np.argmax(creep_share))
-    if creep_share[worst] < 1.0 and not collisions:
+    share = _torque_share(problem, problem.rest[None])[0]
+    worst = int(np.argmax(share))
+    if share[worst] < 1.0 and not collisions:
         return problem
     if collisions:
         reason = f"at rest the model is in a collision: {'; '.join(collisions)}"
@@ -121,9 +103,7 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
             "body2=> under its <contact> if these parts cannot meet"
         )
     else:
-        is_held = bool(hold_share[worst] < 1.0)
-        share = creep_share if is_held else hold_share
-        reason = _overload(problem, worst, float(share[worst]), is_held)
+        reason = _overload(problem, worst, float(share[worst]))
         remedy = (
             f"raise the torque limit of {problem.joint_names[worst]} in the model if the joint can "
             "carry it"
@@ -142,26 +122,17 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     return replace(problem, rest=start, notes=(*problem.notes, note))
 
 
-def _overload(
-    problem: ExcitationProblem, joint: int, share: float, is_held: bool
-) -> str:
-    """Return a sentence that a joint needs more than its torque limit at the start.
-
-    Args:
-        problem: the arm and its limits.
-        joint: index of the joint.
-        share: the torque that is needed over the limit.
-        is_held: whether the limit suffices to hold still, and moving off needs more.
+def _overload(problem: ExcitationProblem, joint: int, share: float) -> str:
+    """Return a sentence that a joint needs more than its torque limit at the start: ``share`` times
+    as much.
     """
     limit = problem.limits.torque[joint]
-    task = "holding still"
-    if is_held:
-        task = "moving off against gravity and dry friction"
     unit = "N" if problem.robot.is_slide[joint] else "N·m"
     reserve = RESERVE_WORDS if problem.has_torque_reserve else ""
     return (
-        f"{task} at joint {problem.joint_names[joint]} takes {share * limit:.3g} {unit}{reserve}, "
-        f"more than {100.0 * TORQUE_MARGIN:.0f} % of its torque limit of {limit / TORQUE_MARGIN:g}"
+        f"moving off against gravity and dry friction at joint {problem.joint_names[joint]} takes "
+        f"{share * limit:.3g} {unit}{reserve}, more than {100.0 * TORQUE_MARGIN:.0f} % of its "
+        f"torque limit of {limit / TORQUE_MARGIN:g}"
     )
 
 
@@ -188,15 +159,12 @@ def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
     return None if contact is None else contact.label
 
 
-def _torque_share(
-    problem: ExcitationProblem, poses: Array, creep: float = CREEP
-) -> Array:
+def _torque_share(problem: ExcitationProblem, poses: Array) -> Array:
     """Return the largest share (N, n) of each joint's torque limit that holding poses (N, n), or
-    moving through them either way at a speed ``creep`` [rad/s or m/s], takes.
+    moving through them either way at the speed ``CREEP``, takes.
     """
-    speeds = {0.0, creep, -creep}
-    torque = np.abs([problem.torque_at(poses, speed) for speed in speeds])
-    return np.max(torque, axis=0) / problem.limits.torque
+    torque = [problem.torque_at(poses, speed) for speed in (0.0, CREEP, -CREEP)]
+    return np.max(np.abs(torque), axis=0) / problem.limits.torque
 
 
 def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
@@ -266,10 +234,21 @@ def design_poses(
             f"only {len(selected)} of {len(poses)} poses within the limits can be reached in "
             f"straight lines, --static needs {FEWEST_POSES}; widen --workspace or the limits"
         )
-    for slower in _SLOWER ** np.arange(_MOST_SLOWER):
-        plan = _motion_through(problem, selected, options.dwell, slower)
+    # To below each pose, to rest in it, to above it, to rest in it again, and back to the start.
+    points = [problem.rest]
+    dwells = [0.0]
+    for pose in selected:
+        points += [pose - APPROACH, pose, pose + APPROACH, pose]
+        dwells += [0.0, options.dwell, 0.0, options.dwell]
+    points.append(problem.rest)
+    dwells.append(0.0)
+    share = SHARE
+    for _ in range(_MOST_SMALLER):
+        speeds = np.full(len(points) - 1, share / SHARE * GENTLE)
+        plan = _along_lines(problem, np.array(points), speeds, share, np.array(dwells))
         if keeps_limits(problem, plan):
             break
+        share *= _SMALLER
     return plan
 
 
@@ -322,38 +301,8 @@ def _select_poses(
 
 
 def _is_free(problem: ExcitationProblem, start: Array, end: Array) -> bool:
-    """Return whether the straight line from a pose (n,) to another one (n,), and the approaches of
-    the other one from both sides, keep the clearances.
-    """
-    share = np.linspace(0.0, 1.0, LINE_POINTS)[:, None]
-    line = start + share * (end - APPROACH - start)
-    around = end + np.linspace(-APPROACH, APPROACH, 3)[:, None]
-    slack = problem.obstacles.slack(np.concatenate((line, around))).value
-    return bool(np.min(slack) >= 0.0)
-
-
-def _motion_through(
-    problem: ExcitationProblem, poses: list[Array], dwell: float, slower: float
-) -> LineTrajectory:
-    """Return the motion to below each pose (n,), to rest in it, to above it, to rest in it again,
-    and back to the start.
-
-    It takes ``slower`` times as long as its limits need, and rests for ``dwell`` [s] each time.
-    """
-    points = [problem.rest]
-    dwells = [0.0]
-    for pose in poses:
-        points += [pose - APPROACH, pose, pose + APPROACH, pose]
-        dwells += [0.0, dwell, 0.0, dwell]
-    points.append(problem.rest)
-    dwells.append(0.0)
-    steps = np.abs(np.diff(points, axis=0))
-    limits = problem.limits
-    by_speed = PEAK_SPEED * steps / np.minimum(limits.velocity, GENTLE)
-    by_acceleration = np.sqrt(PEAK_ACCELERATION * steps / limits.acceleration)
-    times = np.max(np.maximum(by_speed, by_acceleration), axis=1)
-    times = np.maximum(times, SHORTEST_MOVE)
-    return LineTrajectory(np.array(points), slower * RESERVE * times, np.array(dwells))
+    """Return whether the straight line from a pose (n,) to another one (n,) is free."""
+    return first_contact(problem, straight_way(start, end)) is None
 
 
 def pose_line(plan: MotionPlan) -> str:
@@ -455,26 +404,33 @@ def _sweep_joints(
             "no joint has room to be swept at rest; widen the limits, or choose another rest "
             "position with --keyframe"
         )
-    return _time_lines(problem, np.array(points), np.array(speeds[1:]), share)
+    is_moved = np.any(np.diff(points, axis=0) != 0.0, axis=1)
+    kept = np.array(points)[np.append(True, is_moved)]
+    rates = np.array(speeds[1:])[is_moved]
+    return _along_lines(problem, kept, rates, SHARE * share, np.zeros(len(kept)))
 
 
-def _time_lines(
-    problem: ExcitationProblem, points: Array, speeds: Array, share: float
+def _along_lines(
+    problem: ExcitationProblem,
+    points: Array,
+    speeds: Array,
+    share: float,
+    dwells: Array,
 ) -> LineTrajectory:
-    """Return the motion along lines between points (P, n) at speeds (P - 1,) [rad/s]; a line that
-    is too short for its speed takes the time of its ramps.
+    """Return the motion along lines between points (P, n), with rests ``dwells`` (P,) [s] there.
 
-    Lines without length are left out; ``share`` is that of the full acceleration.
+    The fastest joint of each line moves at a speed (P - 1,) [rad/s or m/s], or slower where a share
+    of a speed limit is less; a line that is too short for its speed takes the time of its ramps.
+    ``share`` is that of the limits of speed and acceleration, too.
     """
-    lines = np.diff(points, axis=0)
-    has_length = np.any(lines != 0.0, axis=1)
-    points = points[np.append(True, has_length)]
-    lines = lines[has_length]
-    speeds = speeds[has_length]
-    joint = np.argmax(np.abs(lines), axis=1)
-    length = np.max(np.abs(lines), axis=1)
-    acceleration = SHARE * share * problem.limits.acceleration[joint]
+    lines = np.abs(np.diff(points, axis=0))
+    length = np.max(lines, axis=1)
+    limits = problem.limits
+    # Of the fastest joint, where another one reaches its limit; at most a million times its own.
+    part = np.maximum(lines / length[:, None], 1e-6)
+    speeds = np.minimum(speeds, share * np.min(limits.velocity / part, axis=1))
+    acceleration = share * np.min(limits.acceleration / part, axis=1)
     ramps = np.maximum(PEAK_OF_RAMP * speeds / acceleration, SHORTEST_RAMP)
     # Speed v over a length s takes s / v + ramp; where ramps do not fit, the line is ramps alone.
     moves = np.maximum(length / speeds + ramps, 2.0 * ramps)
-    return LineTrajectory(points, moves, np.zeros(len(points)), ramps)
+    return LineTrajectory(points, moves, dwells, ramps)

@@ -19,14 +19,10 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, MotionPlan, check_arrays
 from robot_sysid.records.file_access import atomic_file, read_json
-from robot_sysid.trajectory import Series, SineTrajectory, motion_chunks, smooth_step
+from robot_sysid.trajectory import Series, SineTrajectory, motion_chunks
 
-PEAK_SPEED = 2.1875
-"""Largest first derivative of ``smooth_step`` from 0 to 1 in unit time: 35 / 16."""
-PEAK_ACCELERATION = 7.5132
-"""Largest second derivative of ``smooth_step`` from 0 to 1 in unit time."""
 PEAK_OF_RAMP = 1.875
-"""Largest derivative of the rise of a sweep's speed from 0 to 1 in unit time: 30 / 16."""
+"""Largest derivative of the rise of a line's speed from 0 to 1 in unit time: 30 / 16."""
 REST_TOLERANCE = 1e-6
 """Speed [rad/s] and acceleration [rad/s^2] up to which the end of a trajectory counts as at rest;
 rounding leaves a thousandth of it."""
@@ -45,8 +41,7 @@ class LineTrajectory:
         moves: (P - 1,) how long the way from each point to the next takes [s].
         dwells: (P,) how long the arm stays in each point [s].
         ramps: (P - 1,) time in which the speed on each way rises smoothly to a constant speed, and
-            again in which it falls to zero, at most half of the way's time [s]; None where each way
-            is one smooth step.
+            again in which it falls to zero, at most half of the way's time [s].
 
     Raises:
         InputError: there are fewer than two points, a way takes no time, a stay is negative, or two
@@ -56,19 +51,18 @@ class LineTrajectory:
     points: Array
     moves: Array
     dwells: Array
-    ramps: Array | None = None
+    ramps: Array
 
     def __post_init__(self) -> None:
         count = len(self.points)
-        check_arrays(self, points=(None, None), moves=(count - 1,), dwells=(count,))
-        if count < 2 or np.any(self.moves <= 0.0) or np.any(self.dwells < 0.0):
+        way = (count - 1,)
+        check_arrays(self, points=(None, None), moves=way, dwells=(count,), ramps=way)
+        if count < 2 or np.any(self.ramps <= 0.0) or np.any(self.dwells < 0.0):
             raise InputError(
                 "moves between poses take time, and rests are not negative"
             )
-        if self.ramps is not None:
-            check_arrays(self, ramps=(count - 1,))
-            if np.any(self.ramps <= 0.0) or np.any(2.0 * self.ramps > self.moves):
-                raise InputError("a sweep takes time, and its ramps fit into it twice")
+        if np.any(2.0 * self.ramps > self.moves):
+            raise InputError("the ramps of a move fit into it twice")
 
     @property
     def duration(self) -> float:
@@ -87,10 +81,7 @@ class LineTrajectory:
 
     @property
     def speeds(self) -> Array:
-        """Constant velocity of each joint (P - 1, n) between the ramps of each line [rad/s]; only
-        defined for a trajectory with ramps.
-        """
-        assert self.ramps is not None
+        """Velocity of each joint (P - 1, n) between the ramps of each line [rad/s]."""
         return np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None]
 
     def evaluate(self, time: Array) -> Motion:
@@ -102,15 +93,9 @@ class LineTrajectory:
         line = np.clip(arrived - 1, 0, len(self.moves) - 1)
         length = self.moves[line]
         elapsed = np.clip(time - self.arrivals[line] - self.dwells[line], 0.0, length)
-        if self.ramps is None:
-            step = np.diff(self.points, axis=0)[line]
-            w, dw, ddw = smooth_step(elapsed / length)
-            dw = dw / length
-            ddw = ddw / length**2
-        else:
-            step = self.speeds[line]
-            w, dw, ddw = _cruise(elapsed, length, self.ramps[line])
-        q, qd, qdd = (factor[:, None] * step for factor in (w, dw, ddw))
+        step = self.speeds[line]
+        series = _cruise(elapsed, length, self.ramps[line])
+        q, qd, qdd = (factor[:, None] * step for factor in series)
         return Motion(time, self.points[line] + q, qd, qdd)
 
 
@@ -120,7 +105,8 @@ def straight_way(begin: Array, end: Array) -> LineTrajectory:
     """
     distance = np.max(np.abs(end - begin))
     seconds = np.array([max(1.0, float(distance))])
-    return LineTrajectory(np.stack((begin, end)), seconds, np.zeros(2))
+    points = np.stack((begin, end))
+    return LineTrajectory(points, seconds, np.zeros(2), 0.5 * seconds)
 
 
 def _cruise(elapsed: Array, length: Array, ramp: Array) -> Series:
@@ -155,7 +141,8 @@ _Plan = TypeVar("_Plan", bound=MotionPlan)
 def _build_trajectory(kind: str, content: Mapping[str, Any]) -> MotionPlan:
     """Return the trajectory of a type in ``_KINDS`` that a file's entries define.
 
-    A Fourier series, which earlier releases wrote, has an offset, then sines, then cosines.
+    Earlier releases wrote Fourier series (an offset, then sines, then cosines), and poses without
+    ramps and sweeps without dwells.
 
     Raises:
         KeyError: an entry is missing.
@@ -169,9 +156,10 @@ def _build_trajectory(kind: str, content: Mapping[str, Any]) -> MotionPlan:
 
     if kind in ("poses", "sweeps"):
         points = of("points")
-        dwells = of("dwells") if kind == "poses" else np.zeros(len(points))
-        ramps = of("ramps") if kind == "sweeps" else None
-        return LineTrajectory(points, of("moves"), dwells, ramps)
+        dwells = of("dwells") if "dwells" in content else np.zeros(len(points))
+        moves = of("moves")
+        ramps = of("ramps") if "ramps" in content else 0.5 * moves
+        return LineTrajectory(points, moves, dwells, ramps)
     if kind == "fourier":
         center = of("rest")
         amplitude = of("coefficients")
@@ -199,12 +187,9 @@ def harmonics(base_hz: float, count: int) -> tuple[Array, Array]:
 
 
 def _numbers(plan: MotionPlan) -> dict[str, Any]:
-    """Return a dict from names to the numbers that define a trajectory; those that are None are
-    left out.
-    """
+    """Return a dict from names to the numbers that define a trajectory."""
     trajectory: Any = plan
-    numbers = {entry.name: getattr(plan, entry.name) for entry in fields(trajectory)}
-    return {name: value for name, value in numbers.items() if value is not None}
+    return {entry.name: getattr(plan, entry.name) for entry in fields(trajectory)}
 
 
 def at_speed(plan: _Plan, speed: float) -> _Plan:
@@ -293,9 +278,7 @@ def save_trajectory(
     }
     if sha256:
         content["model_sha256"] = sha256
-    kind = "sines"
-    if isinstance(plan, LineTrajectory):
-        kind = "poses" if plan.ramps is None else "sweeps"
+    kind = "poses" if isinstance(plan, LineTrajectory) else "sines"
     # The repr of a float is exact.
     for name, number in {"kind": kind, **_numbers(plan)}.items():
         content[name] = np.asarray(number).tolist()

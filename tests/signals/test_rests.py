@@ -26,9 +26,8 @@ def log_of(poses, dwell=1.5, friction=2.0, both_sides=True):
         last = pose + APPROACH if both_sides else pose - APPROACH
         points += [pose - APPROACH, pose, last, pose]
         dwells += [0.0, dwell, 0.0, dwell]
-    plan = LineTrajectory(
-        np.array(points), np.full(len(points) - 1, 0.8), np.array(dwells)
-    )
+    moves = np.full(len(points) - 1, 0.8)
+    plan = LineTrajectory(np.array(points), moves, np.array(dwells), 0.5 * moves)
     time = np.arange(0.0, plan.duration, 0.005)
     motion = plan.evaluate(time)
     held = np.zeros(2)
