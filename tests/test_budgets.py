@@ -17,12 +17,12 @@ from tests.support.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 5467,
-    "robot_sysid/commands": 13317,
+    "robot_sysid/commands": 13315,
     "robot_sysid/damiao": 41142,
     "robot_sysid/diagnosis": 19102,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29590,
-    "robot_sysid/logs": 21967,
+    "robot_sysid/logs": 20085,
     "robot_sysid/mjcf": 8982,
     "robot_sysid/model": 9208,
     "robot_sysid/motion": 24361,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4371,
     "robot_sysid": 12111,
-    "tests": 236543,
+    "tests": 236191,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -77,7 +77,7 @@ def main(arguments: Sequence[str]) -> int:
                 raise InputError(f"{option.flag} needs the MODEL after the log")
     from robot_sysid.logs.reader import content_lines
 
-    lines = content_lines(path, log_options, console)
+    lines = content_lines(path, log_options)
     console.stage(*lines)
     console.result({"log": str(path), "content": lines})
     return 0

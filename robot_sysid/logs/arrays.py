@@ -31,7 +31,6 @@ from robot_sysid.logs.table import (
     LogTable,
     as_input_errors,
     import_optional,
-    nanoseconds,
     refuse_bomb,
 )
 from robot_sysid.logs.titles import read_title
@@ -132,22 +131,11 @@ def can_be_column(array: Any) -> bool:
 
 
 def _dates_as_seconds(array: Any) -> Any:
-    """Return an array of dates, texts of dates or durations as seconds from its first element.
-
-    Any other object is returned unchanged.
+    """Return an array of dates or durations as seconds from its first element, any other object
+    unchanged.
     """
-    if not isinstance(array, np.ndarray) or not array.size:
-        return array
-    first = array.flat[0]
-    if array.dtype.kind in "Mm":  # NumPy's dates and durations
-        return (array - first) / np.timedelta64(1, "s")
-    if array.dtype.kind not in "OU" or array.ndim != 1:  # Python's objects, text
-        return array
-    with contextlib.suppress(ValueError, TypeError, AttributeError):
-        if isinstance(first, str):
-            start = nanoseconds(first)
-            return np.array([1e-9 * (nanoseconds(text) - start) for text in array])
-        return np.array([(date - first).total_seconds() for date in array])
+    if isinstance(array, np.ndarray) and array.size and array.dtype.kind in "Mm":
+        return (array - array.flat[0]) / np.timedelta64(1, "s")
     return array
 
 
@@ -187,21 +175,20 @@ def matlab_table(source: LogSource) -> LogTable:
     names = None
     # SciPy lists no file that holds MATLAB's objects.
     with contextlib.suppress(TypeError):
-        variables = [
-            v for v in whosmat(path) if v[2] not in ("cell", "char", "function")
-        ]
-        sizes = [8.0 * np.prod(shape, dtype=float) for _, shape, _ in variables]
+        variables = whosmat(path)
+        names = [n for n, _, kind in variables if kind not in _NOT_NUMBERS]
+        sizes = [8.0 * np.prod(shape) for name, shape, _ in variables if name in names]
         refuse_bomb(path, sum(sizes), packed)
-        names = [name for name, _, _ in variables]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         content = loadmat(path, simplify_cells=True, variable_names=names)
     arrays = dict(_numeric_arrays("", content))
-    if names is None and not arrays:
-        fault = "holds objects alone, such as a table or timetable; save their arrays"
-        raise InputError(f"{path} {fault}")
     refuse_bomb(path, sum(float(array.nbytes) for array in arrays.values()), packed)
     return arrays_table(path, "MATLAB .mat", arrays)
+
+
+_NOT_NUMBERS = ("cell", "char", "function")
+"""Classes of MATLAB's variables that hold no numbers."""
 
 
 def _numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
@@ -228,36 +215,17 @@ def parquet_table(source: LogSource) -> LogTable:
     unpacked = _unpacked_bytes(parquet.read_metadata(path), names)
     refuse_bomb(path, unpacked, path.stat().st_size)
     columns = parquet.read_table(path, columns=names)
-    arrays = {name: _arrow_array(name, columns.column(name)) for name in names}
+    arrays = {name: _arrow_array(columns.column(name)) for name in names}
     return arrays_table(path, "Parquet", arrays)
 
 
-def _arrow_array(name: str, column: Any) -> Array:
-    """Return an Arrow column as (N,), or (N, k) for lists of k numbers; NaN for a missing list.
-
-    ValueError where the lists are not of one length.
+def _arrow_array(column: Any) -> Array:
+    """Return an Arrow column as (N,), dates and durations as NumPy's, or (N, k) for lists of k
+    numbers; ValueError where the lists are not of one length.
     """
-    combined = column.combine_chunks()
-    if "list" not in str(combined.type):
-        return _arrow_numbers(combined)
-    present = combined.drop_null()
-    # Lists of one fixed length have no offsets.
-    is_fixed = not hasattr(present, "offsets")
-    sizes = [present.type.list_size] if is_fixed else np.diff(present.offsets)
-    widths = np.unique(sizes).tolist()
-    if len(widths) > 1:
-        fault = f"column {name} holds lists of {widths[0]} to {widths[-1]} numbers"
-        raise ValueError(f"{fault}; write as many in each row, or leave the column out")
-    values = _arrow_numbers(present.flatten())
-    rows = np.full((len(combined), *widths), np.nan).astype(values.dtype)
-    is_present = combined.is_valid().to_numpy(zero_copy_only=False)
-    rows[is_present] = values.reshape(len(present), *widths)
-    return rows
-
-
-def _arrow_numbers(column: Any) -> Array:
-    """Return an Arrow array (N,) as floats; dates and durations stay NumPy's."""
-    values = column.to_numpy(zero_copy_only=False)
+    if "list" in str(column.type):
+        return np.array(column.to_pylist(), dtype=float)
+    values = column.to_numpy()
     return values if values.dtype.kind in "Mm" else np.asarray(values, float)
 
 
@@ -313,49 +281,48 @@ def lerobot_table(source: LogSource) -> LogTable:
     titles = {}
     for feature in (STATE, ACTION) if commanded else (STATE, *_FEATURES):
         names = _as_mapping(descriptions.get(feature)).get("names")
-        titles[feature] = _lerobot_titles(names, feature, source.joint_names)
-    text = " ".join(chain.from_iterable(titles.values()))
+        feature_titles = _lerobot_titles(names, feature, source.joint_names)
+        if feature_titles:
+            titles[feature] = feature_titles
+    columns = ["timestamp [s]", *chain.from_iterable(titles.values())]
+    text = " ".join(columns)
     if not commanded and "torque" not in text and "current" not in text:
-        raise _no_torque_error(path, titles[STATE], has_actions=ACTION in descriptions)
-    features = [feature for feature in titles if titles[feature]]
-    frames = _read_frames(path, ["timestamp", "episode_index", *features])
+        raise _no_torque_error(path, text, has_actions=ACTION in descriptions)
+    frames = _read_frames(path, ["timestamp", "episode_index", *titles])
     episode_index = frames.pop("episode_index").astype(int)
-    available = sorted(set(episode_index.tolist()))
+    available = np.unique(episode_index).tolist()
     # An episode that is named twice counts once.
     episodes = list(dict.fromkeys(source.options.episode)) or available
-    if not available:
-        raise InputError(f"{path} holds no frames; {_DOWNLOAD}")
-    missing = sorted(set(episodes) - set(available))
-    if missing:
-        extent = f"it has {available[0]} to {available[-1]}"
-        raise InputError(f"{path} has no episode {missing[0]}; {extent}")
+    missing = sorted({*episodes} - {*available})
+    if missing or not available:
+        raise InputError(
+            f"{path} has no episode {', '.join(map(str, missing))}; it has {len(available)}, the "
+            f"last of which is {max(available, default='none')}; {_DOWNLOAD}"
+        )
     recordings = []
     for episode in episodes:
         mask = episode_index == episode
         recordings.append([values[mask] for values in frames.values()])
-    version = info.get("codebase_version", "?")
-    fps = info.get("fps", "unknown")
-    layout = f"LeRobot data set {version} at {fps} Hz, {len(recordings)} episodes"
-    columns = ["timestamp [s]", *chain.from_iterable(titles.values())]
     # The numbers of a frame, its time included.
     width = sum(values[0].size for values in frames.values())
     if width != len(columns):
         fault = f"names {len(columns) - 1} numbers of a frame in meta/info.json, not {width - 1}"
         raise InputError(f"{path} {fault}; {_DOWNLOAD}")
+    layout = (
+        f"LeRobot data set {info.get('codebase_version', '?')} at {info.get('fps', 'unknown')} Hz, "
+        f"{len(recordings)} episodes"
+    )
     table = recordings_table(path, layout, columns, recordings)
-    robot_type = str(info.get("robot_type"))
-    notes = (_DEGREES_NOTE,) if _PER_CENT_ARMS.search(robot_type) else ()
-    return replace(table, notes=notes)
+    is_per_cent = _PER_CENT_ARMS.search(str(info.get("robot_type")))
+    return replace(table, notes=(_DEGREES_NOTE,) if is_per_cent else ())
 
 
-def _no_torque_error(
-    path: Path, state_titles: Sequence[str], has_actions: bool
-) -> InputError:
+def _no_torque_error(path: Path, columns: str, has_actions: bool) -> InputError:
     """Return the error for a data set without torque or current.
 
     Args:
         path: of the data set.
-        state_titles: of the columns of the feature STATE.
+        columns: titles of what it holds.
         has_actions: whether it holds what was commanded, which can stand in for the torque.
     """
     if has_actions:
@@ -366,10 +333,10 @@ def _no_torque_error(
             options=[("--torque-from", "position-error")],
             command="identify",
         )
-    fault = f"{path} holds no torque ({STATE}: {', '.join(state_titles) or 'nothing'})"
     return InputError(
-        f"{fault}; record it too: for OpenArm use_velocity_and_torque=true of the robot's "
-        "configuration, for other robots an observation whose names end in .torque"
+        f"{path} holds no torque ({columns}); record it too: for OpenArm "
+        "use_velocity_and_torque=true of the robot's configuration, for other robots an "
+        "observation whose names end in .torque"
     )
 
 
@@ -419,10 +386,9 @@ def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
         with as_input_errors(file, "a Parquet file"):
             unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
     refuse_bomb(path, unpacked, sum(file.stat().st_size for file in files))
-    arrays: dict[str, list[Array]] = {name: [] for name in columns}
+    arrays = []
     for file in files:
         with as_input_errors(file, "a Parquet file"):
             frames = parquet.read_table(file, columns=list(columns))
-            for name in columns:
-                arrays[name].append(_arrow_array(name, frames.column(name)))
-    return {name: np.concatenate(arrays[name]) for name in columns}
+            arrays.append([_arrow_array(frames.column(name)) for name in columns])
+    return dict(zip(columns, map(np.concatenate, zip(*arrays))))

@@ -12,10 +12,8 @@ their numbers in the file. Of all rows of the file, ``n_read`` hold something of
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,10 +25,9 @@ from robot_sysid.logs.table import (
     UNREADABLE,
     WRAPPED,
     LogRows,
-    Mask,
 )
-from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.messages import Detail, count_text, position_unit
+from robot_sysid.records import RobotModel
+from robot_sysid.records.messages import count_text, position_unit
 from robot_sysid.signals.frozen import frozen_positions
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
@@ -42,42 +39,31 @@ Check = Callable[[LogRows, RobotModel], "Iterable[str] | None"]
 """Function that returns notes on the rows of a log, or None, and raises InputError for a fault."""
 
 
-class _Tolerance(NamedTuple):
-    """Share of rows with an anomaly above which a log is refused, and the texts of the message.
-
-    Attributes:
-        share: from 0 to 1.
-        description: the anomaly, behind "... rows".
-        remedy: what to do where the log is refused.
-    """
-
-    share: float
-    description: str
-    remedy: str
-
-
-# The shares are choices: with more than 1 % of unreadable rows a file is no such table; with 5 % of
-# rows missing, most filter windows are still complete.
+# The share of rows with an anomaly above which a log is refused, the anomaly (behind "... rows")
+# and the remedy. The shares are choices: with more than 1 % of unreadable rows a file is no such
+# table; with 5 % of rows missing, most filter windows are still complete.
 _TOLERANCES = {
-    UNREADABLE: _Tolerance(
+    UNREADABLE: (
         0.01,
         "are no rows of numbers",
         "mend the recording, or name the right columns with --columns FILE; time may be in "
         "seconds, or such as 2024-05-01T12:00:00.005",
     ),
-    MISSING: _Tolerance(
+    MISSING: (
         0.05,
         "have empty or NaN cells",
-        "mend the recording, or keep a broken column that is not needed out ('velocity = none') "
-        "with --columns FILE",
+        "record all joints, and position and torque, in one row, or keep a broken column that is "
+        "not needed out ('velocity = none') with --columns FILE",
     ),
-    REPEATED: _Tolerance(
+    REPEATED: (
         0.05,
         "repeat the time stamp before them",
         "write the time with more digits, or 'rate = HZ' in --columns FILE for evenly spaced rows",
     ),
-    BACKWARDS: _Tolerance(
-        0.0, "are of an earlier time", "cut the log where a second recording begins"
+    BACKWARDS: (
+        0.0,
+        "run backwards in time",
+        "cut the log where a second recording begins",
     ),
 }
 _ALWAYS_TOLERATED = 1
@@ -106,12 +92,6 @@ _JUMP = 0.5
 """Change of position in one step that an encoder's noise does not reach [rad]."""
 _AT_REST = 0.01
 """Range of positions below which a joint does not move [rad]."""
-_STILL = 0.002
-"""Largest deviation of an encoder while its joint stands still [rad]."""
-_SHORT_REST = 0.5
-"""Duration of rest at either end of a log below which no note is made [s]."""
-_SHORT_SHARE = 0.02
-"""Duration of rest at either end, as a share of the log's, below which no note is made."""
 _LIMIT_MARGIN = 1e-3
 """Excess over a joint limit below which no note is made [rad]: limits are written with three or
 more digits."""
@@ -181,46 +161,19 @@ def require_few(anomaly: str, rows: LogRows, robot: RobotModel) -> Iterator[str]
     """
     share, description, remedy = _TOLERANCES[anomaly]
     count, first = rows.anomalies[anomaly]
-    if anomaly == BACKWARDS and count:
-        raise InputError(f"time runs backwards at {first}; {remedy}")
-    if count > max(_ALWAYS_TOLERATED, share * rows.n_read):
+    allowed = max(_ALWAYS_TOLERATED, share * rows.n_read) if share else 0
+    if count > allowed:
         where = f"first: {first}"
         if anomaly == MISSING:
-            _refuse_empty_columns(rows)
-            where += f"; mostly {_emptiest_column(rows)}"
+            emptiest = sorted(rows.empty_cells.items(), key=lambda item: -item[1])
+            listed = ", ".join(f"{title!r} in {n}" for title, n in emptiest[:3])
+            where += f"; empty are {listed}"
         raise InputError(
             f"{count} of {rows.n_read} rows {description}, more than {100.0 * share:g} % "
             f"({where}); {remedy}"
         )
     if count:
         yield f"left out rows that {description}: {count} (first: {first})"
-
-
-def _refuse_empty_columns(rows: LogRows) -> None:
-    """Raise InputError for columns without any number, and for joints that are in separate rows."""
-    counts = rows.empty_cells.items()
-    empty = [repr(title) for title, count in counts if count == rows.n_read]
-    if empty:
-        subject = f"column {empty[0]} holds"
-        if len(empty) > 1:
-            subject = f"columns {', '.join(empty)} hold"
-        raise InputError(
-            f"{subject} no number in any row, only empty or NaN "
-            "cells; record it, or with --columns FILE name the right column, or keep out what is "
-            "not needed ('velocity = none')"
-        )
-    if rows.anomalies[MISSING].n_rows == rows.n_read:
-        noun = rows.row_noun
-        raise InputError(
-            f"no {noun} holds numbers in all columns (empty: {_emptiest_column(rows)}): joints, or "
-            f"position and torque, come in {noun}s of their own; record all in one {noun}"
-        )
-
-
-def _emptiest_column(rows: LogRows) -> str:
-    """Return a phrase with the column that is empty most often, and how often."""
-    title = max(rows.empty_cells, key=lambda title: rows.empty_cells[title])
-    return f"column {title!r}, in {rows.empty_cells[title]} of {rows.n_read}"
 
 
 def _mending_notes(rows: LogRows) -> Iterator[str]:
@@ -237,17 +190,14 @@ def _mending_notes(rows: LogRows) -> Iterator[str]:
 def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
     period = sampling_period(rows.samples.time)
-    if period > _LONGEST_PERIOD:
-        # The first unit in which the period is at most 50 ms, else ns.
+    if not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
+        # The first unit in which a long period is at most 50 ms, else ns.
         unit = "ms" if period <= 50 else "us" if period <= 5e4 else "ns"
         remedy = f"if time is in {unit}, pass --units {unit}"
+        if period < _SHORTEST_PERIOD:
+            remedy = "declare the unit, or write 'time = 60 * TITLE' in --columns FILE"
         raise InputError(
-            f"time steps of {period:.6g} s are too long for a motion; {remedy}"
-        )
-    if period < _SHORTEST_PERIOD:
-        raise InputError(
-            f"time steps of {period:.3g} s are too short for a recording; declare the unit of time "
-            "with --units (s, ms, us or ns), or write 'time = 60 * TITLE' in --columns FILE"
+            f"time steps of {period:.6g} s are not those of a recording; {remedy}"
         )
     if period * _SLOW_RATE > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
@@ -268,17 +218,12 @@ def require_one_clock(rows: LogRows, robot: RobotModel) -> None:
     stamps = rows.samples.joint_time
     if stamps is None:
         return
-    remedy = "keep them out with 'joint_time = none' in the file of --columns"
-    is_backwards = np.any(np.diff(stamps, axis=0) < 0.0, axis=1)
-    if np.any(is_backwards):
-        lines = rows.cite(rows.lines[1:][is_backwards])
-        raise InputError(
-            f"a joint's own time stamp runs backwards at {lines}; {remedy}"
-        )
     difference = np.max(np.abs(stamps - rows.samples.time[:, None]))
-    if difference > _OTHER_CLOCK:
+    if np.any(np.diff(stamps, axis=0) < 0.0) or difference > _OTHER_CLOCK:
         raise InputError(
-            f"joints' own time stamps are up to {difference:.3g} s off the row's; {remedy}"
+            f"joints' own time stamps run backwards, or are of another clock (up to "
+            f"{difference:.3g} s off the row's); keep them out with 'joint_time = none' in the "
+            "file of --columns"
         )
 
 
@@ -293,57 +238,24 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     # Twice the limit, but at least one full turn; two turns for a joint without limit.
     reach = np.maximum(2.0 * limit, 2.0 * np.pi)
     reach = np.where(np.isfinite(limit), reach, 4.0 * np.pi)
-    largest = np.maximum(np.max(q, axis=0), -np.min(q, axis=0))
+    largest = np.max(np.abs(q), axis=0)
+    speed = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None]
     is_far = ~robot.is_slide & (largest > reach)
-    is_fast = ~robot.is_slide & _are_often_fast(q, np.diff(time))
+    is_often_fast = np.mean(speed > _FAST, axis=0) > _OFTEN
+    is_fast = ~robot.is_slide & is_often_fast
     if np.any(is_far):
         joint = int(np.argmax(is_far))
-        subject = f"joint {robot.joint_names[joint]} reaches {largest[joint]:.4g}"
-        raise InputError(
-            f"positions look like degrees ({subject}); pass --units deg, or --units rad if they "
-            "are radians or count turns",
-            _ANGLE_OPTIONS,
-        )
-    if np.any(is_fast):
+        symptom = f"joint {robot.joint_names[joint]} reaches {largest[joint]:.4g}"
+    elif np.any(is_fast):
         name = robot.joint_names[int(np.argmax(is_fast))]
-        raise _speed_error(time, q, name, is_fast)
-
-
-def _are_often_fast(q: Array, step: Array) -> Mask:
-    """Return whether each joint (n,) at positions q (N, n) [rad] is often faster than _FAST.
-
-    A speed is the mean speed from a row to the one r rows later. ``step`` (N - r,) are the times
-    that this takes [s]; its length says what r is.
-    """
-    rows_apart = len(q) - len(step)
-    is_fast = np.abs(q[rows_apart:] - q[:-rows_apart]) > _FAST * step[:, None]
-    return np.asarray(np.mean(is_fast, axis=0) > _OFTEN)
-
-
-def _speed_error(time: Array, q: Array, name: str, is_fast: Mask) -> InputError:
-    """Return the error that states the probable reason for implausible speeds, and a remedy.
-
-    Args:
-        time: (N,) [s].
-        q: (N, n) positions [rad].
-        name: of the first joint that is too fast.
-        is_fast: (n,) whether a joint is too fast.
-    """
-    step = np.diff(time)
-    symptom = f"joint {name} would often exceed {_FAST:g} rad/s"
-    # Are speeds plausible once no step is shorter than the usual one?
-    if not np.any(is_fast & _are_often_fast(q, np.maximum(step, np.median(step)))):
-        mean = float(np.mean(step))
-        return InputError(
-            f"time stamps are uneven ({np.mean(step < 0.5 * mean):.0%} of the steps are below half "
-            f"of the mean of {1e3 * mean:.3g} ms), so that {symptom}: they say when rows arrived "
-            "or were written; record when they were measured, or write "
-            f"'rate = {1.0 / mean:.6g}' in --columns FILE if rows are evenly spaced"
-        )
-    return InputError(
-        f"positions look like degrees, or time has another unit or an encoder is noisy: {symptom} "
-        f"at steps of {np.median(step):.3g} s; pass --units deg, or --units rad if they are "
-        "radians",
+        symptom = f"joint {name} would often exceed {_FAST:g} rad/s"
+    else:
+        return
+    rate = (len(time) - 1) / (time[-1] - time[0])
+    raise InputError(
+        f"positions look like degrees, or time stamps are those of another unit, or of when rows "
+        f"were written ({symptom}); pass --units deg, or --units rad if they are radians or count "
+        f"turns, or write 'rate = {rate:.6g}' in --columns FILE if rows are evenly spaced",
         _ANGLE_OPTIONS,
     )
 
@@ -366,10 +278,8 @@ def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
 
 
 def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
-    """Yield notes on joints that do not move and on rest at either end; refuse an arm at rest."""
-    time = rows.samples.time
-    q = rows.samples.q
-    travel = np.ptp(q, axis=0)
+    """Yield a note on joints that do not move; refuse an arm at rest."""
+    travel = np.ptp(rows.samples.q, axis=0)
     if np.all(travel < _AT_REST):
         fault = (
             f"the arm is at rest, no joint moves by more than {travel.max():.2g} rad"
@@ -380,20 +290,6 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     unmoved = [n for n, s in zip(robot.joint_names, travel) if s < _AT_REST]
     if unmoved:
         yield f"joints that do not move in this log: {', '.join(unmoved)}"
-    shortest = max(_SHORT_REST, _SHORT_SHARE * (time[-1] - time[0]))
-    # A joint that moves by _AT_REST is away from the first and from the last posture at some time:
-    # from row ``first`` on, and up to the row before ``last``.
-    has_left = np.any(np.abs(q - q[0]) > _STILL, axis=1)
-    is_away = np.any(np.abs(q - q[-1]) > _STILL, axis=1)
-    first = int(np.argmax(has_left))
-    last = int(np.flatnonzero(is_away)[-1]) + 1
-    rests = {
-        f"up to {rows.row_noun} {rows.lines[first]}": time[first] - time[0],
-        f"from {rows.row_noun} {rows.lines[last]} on": time[-1] - time[last],
-    }
-    for extent, duration in rests.items():
-        if duration > shortest:
-            yield Detail(f"the arm stands still {extent} ({duration:.2f} s)")
 
 
 def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
@@ -421,17 +317,10 @@ def require_torque(rows: LogRows, robot: RobotModel) -> None:
     """
     if rows.samples.command is not None:
         return
-    tau = rows.samples.tau
-    names_by_torque = defaultdict[str, list[str]](list)
-    for joint in np.flatnonzero(np.all(tau == tau[0], axis=0)).tolist():
-        constant = tau[0, joint]
-        torque = f"the same ({constant:.6g} N m)" if constant else "zero"
-        names_by_torque[torque].append(robot.joint_names[joint])
-    faults = []
-    for torque, names in names_by_torque.items():
-        faults.append(f"of joint {' and '.join(names)} is {torque} in every row")
-    if faults:
+    is_constant = np.ptp(rows.samples.tau, axis=0) == 0.0
+    names = [robot.joint_names[joint] for joint in np.flatnonzero(is_constant)]
+    if names:
         raise InputError(
-            f"the torque {', that '.join(faults)}; record it, or name the right column with "
-            "--columns FILE"
+            f"the torque of joint {' and '.join(names)} is the same in every row; record it, or "
+            "name the right column with --columns FILE"
         )

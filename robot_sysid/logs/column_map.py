@@ -40,7 +40,6 @@ from robot_sysid.logs.titles import (
     UNITS,
     Title,
     ambiguity_error,
-    collect_errors,
     interpret_titles,
     joint_quantity,
     match_joints,
@@ -86,15 +85,12 @@ class ColumnChoices:
 
     def over(self, fallback: ColumnChoices) -> ColumnChoices:
         """Return these choices, with those of the fallback where these are undeclared."""
-        # A time column that is declared here stands in place of a rate.
-        fallback_rate = None if self.time else fallback.rate
-        return ColumnChoices(
-            time=self.time or fallback.time,
-            columns={**fallback.columns, **self.columns},
-            angle_unit=self.angle_unit or fallback.angle_unit,
-            time_unit=self.time_unit or fallback.time_unit,
-            rate=self.rate or fallback_rate,
-        )
+        stated = {name: value for name, value in vars(self).items() if value}
+        stated["columns"] = {**fallback.columns, **self.columns}
+        if self.time:
+            # A time column that is declared here stands in place of a rate.
+            stated.setdefault("rate", None)
+        return replace(fallback, **stated)
 
 
 def parse_units(text: str) -> ColumnChoices:
@@ -113,10 +109,6 @@ def parse_units(text: str) -> ColumnChoices:
 
 def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
     """Read a columns file; InputError where a key, joint, unit or number in it is unknown."""
-    if "\n" in str(path):
-        raise InputError(
-            "--columns takes the path of a columns file, not its text; write the text to a file"
-        )
     try:
         with path.open(encoding="utf-8-sig") as stream:
             text = stream.read(_LONGEST)
@@ -193,7 +185,14 @@ def parse_columns(text: str, path: Path, joint_names: Sequence[str]) -> ColumnCh
             titles = _titles_by_joint(path, quantity, joint, value, joint_names)
             columns.setdefault(quantity, {}).update(titles)
     units = parse_units(values["units"]) if "units" in values else ColumnChoices()
-    rate = _parse_rate(path, values["rate"]) if "rate" in values else None
+    rate = None
+    if "rate" in values:
+        with contextlib.suppress(ValueError):
+            rate = float(values["rate"])
+        if rate is None or not 0.0 < rate < math.inf:
+            raise InputError(
+                f"{path}: rate must be a positive number of samples per second"
+            )
     return replace(units, time=values.get("time"), columns=columns, rate=rate)
 
 
@@ -238,16 +237,6 @@ def _expand_range(title: str) -> list[str]:
     last = int(match[2])
     step = 1 if last >= first else -1
     return list(map("#{}".format, range(first, last + step, step)))
-
-
-def _parse_rate(path: Path, value: str) -> float:
-    """Return a rate [Hz], or raise InputError where it is no positive, finite number."""
-    with contextlib.suppress(ValueError):
-        if 0.0 < float(value) < math.inf:
-            return float(value)
-    raise InputError(
-        f"{path}: rate must be a positive number of samples per second: {value!r}"
-    )
 
 
 @dataclass(frozen=True)
@@ -309,7 +298,7 @@ class ColumnMap:
         return replace(self, torque=tuple(torque))
 
     def describe(self) -> tuple[str, ...]:
-        """Return one sentence on the columns that are used, and one on the others if any."""
+        """Return one sentence on the columns that are used, and one on the others."""
         time = _quote([self.time]) if self.time else f"row number at {self.rate:g} Hz"
         velocity = "differentiated from position"
         if self.velocity:
@@ -323,11 +312,9 @@ class ColumnMap:
             used += f"; own time from {_quote(self.joint_time)}"
         indices = {column.index for column in self.columns()}
         unused = [t for index, t in enumerate(self.titles) if index not in indices]
-        if not unused:
-            return (used,)
         if len(unused) > _MOST_UNUSED:
             unused[_MOST_UNUSED:] = [f"{len(unused) - _MOST_UNUSED} more"]
-        return used, f"log columns not used: {', '.join(unused)}"
+        return used, f"log columns not used: {', '.join(unused) or 'none'}"
 
 
 def recognise_columns(
@@ -366,14 +353,12 @@ class _ColumnFinder:
         robot: the arm, whose joints the columns are for.
         choices: declarations, which outrank the titles.
         driven: the quantity that is needed beside positions, "torque" or "command".
-        missing: quantities of which a joint has no column; filled by ``find_all``.
     """
 
     titles: Sequence[Title]
     robot: RobotModel
     choices: ColumnChoices
     driven: str
-    missing: list[str] = field(default_factory=list)
 
     @property
     def _texts(self) -> list[str]:
@@ -381,7 +366,7 @@ class _ColumnFinder:
         return [title.text for title in self.titles]
 
     def find_all(self, first_row: Sequence[str]) -> ColumnMap:
-        """Return the map, or raise InputError that lists all faults.
+        """Return the map, or raise InputError for the first fault.
 
         ``first_row``: the cells of the first row as text, which may list joint names.
         """
@@ -389,36 +374,24 @@ class _ColumnFinder:
         candidates, joint_match = match_joints(
             self._open_titles(), self.robot, first_row
         )
-        faults = list[str]()
-        recognised = dict[str, tuple[Column, ...]]()
-        for quantity in QUANTITIES:
-            if quantity in ("torque", "command") and quantity != self.driven:
-                continue
-            with collect_errors(faults):
-                columns = self._find_joints(quantity, candidates[quantity])
-                recognised[quantity] = columns
-        with collect_errors(faults):
-            recognised["time"] = self._find_time(candidates["joint_time"])
-        if faults:
-            n_joints = self.robot.n_joints
-            if self.missing == ["torque"] and len(self._currents) >= n_joints:
-                # With constants, the columns are complete: no columns file is needed.
-                raise InputError("; ".join(faults), [("--torque-constants", "1")])
-            if self.missing:
-                faults.insert(0, self._needs_text())
-            raise InputError(f"{'; '.join(faults)}. Columns: {', '.join(self._texts)}")
-        position = recognised["position"]
-        torque = recognised[self.driven]
+        found = {}
+        for quantity in ("position", "velocity", "joint_time"):
+            found[quantity] = self._find_joints(quantity, candidates[quantity])
+        time = self._find_time(candidates["joint_time"])
+        # Last, as constants are all that a log of currents lacks where the others are found.
+        found[self.driven] = self._find_joints(self.driven, candidates[self.driven])
+        position = found["position"]
+        torque = found[self.driven]
         if not position or not torque:
             raise InputError(f"position and {self.driven} cannot be left out")
         has_unit = all(self.titles[column.index].unit for column in position)
         return ColumnMap(
-            time=next(iter(recognised["time"]), None),
+            time=time,
             rate=self.choices.rate,
             position=position,
             torque=torque,
-            velocity=recognised["velocity"] or None,
-            joint_time=recognised["joint_time"] or None,
+            velocity=found["velocity"] or None,
+            joint_time=found["joint_time"] or None,
             titles=self._texts,
             angle_declared=bool(self.choices.angle_unit) or has_unit,
             commanded=self.driven == "command",
@@ -461,36 +434,34 @@ class _ColumnFinder:
         if len(columns) == len(self.robot.joint_names):
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
-            self.missing.append(quantity)
             raise self._missing_error(quantity)
         return ()
 
-    def _find_time(self, joint_times: Sequence[Sequence[int]]) -> tuple[Column, ...]:
-        """Return the time column alone, or () where a rate stands in for it.
+    def _find_time(self, joint_times: Sequence[Sequence[int]]) -> Column | None:
+        """Return the time column, or None where a rate stands in for it.
 
         ``joint_times``: indices of the columns of each joint's own time stamps.
         """
         if self.choices.time is not None:
             index, factor = self._look_up(self.choices.time)
-            return (self._column("time", joint=0, index=index, factor=factor),)
+            return self._column("time", joint=0, index=index, factor=factor)
         if self.choices.rate is not None:
-            return ()
-        excluded = set(chain(*joint_times))
-        times = []
-        for index, title in enumerate(self.titles):
-            is_time = title.measured_quantity == "time" and not title.numbers
-            if is_time and index not in excluded:
-                times.append(index)
+            return None
+        times = {
+            k: t for k, t in enumerate(self.titles) if t.measured_quantity == "time"
+        }
+        of_joints = {*chain(*joint_times)}
+        rows = [k for k, t in times.items() if not t.numbers and k not in of_joints]
         # ROS: the stamp in the message header is when it was sampled, the other one when received.
-        stamped = [k for k in times if "header" in self.titles[k].tokens]
-        times = stamped if len(stamped) == 1 else times
-        if len(times) > 1:
-            raise ambiguity_error("time", "", self.titles, times)
-        if not times:
+        stamped = [k for k in rows if "header" in times[k].tokens]
+        rows = stamped if len(stamped) == 1 else rows
+        if len(rows) > 1:
+            raise ambiguity_error("time", "", self.titles, rows)
+        if not rows:
             raise InputError(
                 "the log has no time column (evenly spaced rows may have rate = HZ in its place)"
             )
-        return (self._column("time", joint=0, index=times[0], factor=1.0),)
+        return self._column("time", joint=0, index=rows[0], factor=1.0)
 
     @property
     def _currents(self) -> list[str]:
@@ -501,30 +472,25 @@ class _ColumnFinder:
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""
         candidates = [t.text for t in self.titles if joint_quantity(t) == quantity]
-        measured = [title for title in self.titles if title.override != "command"]
-        commands = [title.text for title in measured if title.is_commanded]
-        listed = "none"
-        if candidates:
-            listed = f"{len(candidates)} ({', '.join(candidates)})"
-        hint = ""
-        if commands:
-            hint = f"; commanded columns are not measurements: {commands[0]}, ..."
-        if quantity == "command":
-            hint = " (titles such as action, command, q_des or goal_position)"
-        elif quantity == "torque" and self._currents:
-            hint += (
+        listed = ", ".join(candidates) or "none"
+        fault = (
+            f"the log needs one {quantity} column for each joint of the chain "
+            f"({', '.join(self.robot.joint_names)}): found {listed}"
+        )
+        if quantity == "torque" and len(self._currents) >= self.robot.n_joints:
+            # With constants, the columns are complete: no columns file is needed.
+            fault += (
                 f"; {self._currents[0]}, ... are motor currents: give --torque-constants; where "
                 "they are not known, begin with 1 N·m/A, and a weight of known mass shows them"
             )
+            return InputError(fault, [("--torque-constants", "1")])
+        if quantity == "command":
+            fault += " (titles such as action, command, q_des or goal_position)"
         elif quantity == "torque" and not candidates:
-            hint += "; with commanded positions, identify --torque-from position-error needs none"
-        return InputError(f"{quantity}: found {listed}{hint}")
-
-    def _needs_text(self) -> str:
-        """Return the beginning of a message on missing columns: what the log needs."""
-        columns = " and ".join(f"one {quantity} column" for quantity in self.missing)
-        names = ", ".join(self.robot.joint_names)
-        return f"the log needs {columns} for each joint of the chain ({names})"
+            fault += "; with commanded positions, identify --torque-from position-error needs none"
+        if any(t.is_commanded and t.override != "command" for t in self.titles):
+            fault += "; commanded columns are not measurements"
+        return InputError(f"{fault}. Columns: {', '.join(self._texts)}")
 
     def _look_up(self, text: str) -> tuple[int, float]:
         """Return (column index, factor) of "title", "-title" or "0.5 * title"."""
@@ -574,13 +540,9 @@ class _ColumnFinder:
 
 
 def _quote(columns: Sequence[Column]) -> str:
-    """Return titles in quotes, with their factors; a factor that all share is given once."""
-    factors = {column.factor for column in columns}
-    shared = len(columns) > 1 and len(factors) == 1
+    """Return titles in quotes, with their factors."""
     texts = []
     for column in columns:
-        is_plain = shared or column.factor == 1.0
-        scale = "" if is_plain else f" x {column.factor:.6g}"
+        scale = "" if column.factor == 1.0 else f" x {column.factor:.6g}"
         texts.append(f"'{column.title}'{scale}")
-    is_scaled = shared and factors != {1.0}
-    return ", ".join(texts) + (f" (each x {factors.pop():.6g})" if is_scaled else "")
+    return ", ".join(texts)

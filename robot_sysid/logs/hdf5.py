@@ -17,7 +17,6 @@ from robot_sysid.logs.arrays import (
 )
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import LogSource, LogTable, import_optional, refuse_bomb
-from robot_sysid.records import Array
 
 
 def hdf5_table(source: LogSource) -> LogTable:
@@ -25,40 +24,25 @@ def hdf5_table(source: LogSource) -> LogTable:
     path = source.path
     h5py = import_optional("h5py", "hdf5")
     with h5py.File(path, "r") as file:
+        datasets: dict[str, Any] = {}
+        file.visititems(datasets.__setitem__)
+        # The group #refs# holds the cell arrays of a MATLAB file.
+        datasets = {
+            name: member
+            for name, member in datasets.items()
+            if isinstance(member, h5py.Dataset) and not name.startswith("#")
+        }
         is_aloha = "observations/qpos" in file
         if is_aloha:
             datasets = _find_aloha_arrays(file, source.options.commanded)
-        else:
-            datasets = _list_datasets(h5py, file)
-        arrays = _read_datasets(path, datasets)
+        columns = {name: data for name, data in datasets.items() if can_be_column(data)}
+        unpacked = sum(float(data.nbytes) for data in columns.values())
+        refuse_bomb(path, unpacked, path.stat().st_size)
+        arrays = {name: data[()] for name, data in columns.items()}
         if is_aloha and "qpos" in arrays:
             return _aloha_table(path, arrays)
         # Data sets that were not read serve the error of a file without columns.
         return arrays_table(path, "HDF5", {**datasets, **arrays})
-
-
-def _list_datasets(h5py: Any, file: Any) -> dict[str, Any]:
-    """Return name to data set of an HDF5 file."""
-    datasets = {}
-
-    def visit(name: str, member: Any) -> None:
-        """Add a data set; the group #refs# holds the cell arrays of a MATLAB file."""
-        if isinstance(member, h5py.Dataset) and not name.startswith("#"):
-            datasets[name] = member
-
-    file.visititems(visit)
-    return datasets
-
-
-def _read_datasets(path: Path, datasets: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the numbers of the data sets that can be columns of a log, by name.
-
-    InputError where they take too much memory.
-    """
-    columns = {name: data for name, data in datasets.items() if can_be_column(data)}
-    unpacked = sum(float(data.nbytes) for data in columns.values())
-    refuse_bomb(path, unpacked, path.stat().st_size)
-    return {name: data[()] for name, data in columns.items()}
 
 
 ALOHA_RATE = 50.0

@@ -58,14 +58,9 @@ class JointMatch:
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Return names with commas, or shortly those that count: ``panda_joint1..7``."""
-    first = re.fullmatch(r"(.*?)(\d+)(\D*)", names[0]) if len(names) > 2 else None
-    if first is not None:
-        front, number, back = first.groups()
-        last = int(number) + len(names) - 1
-        numbers = range(int(number), last + 1)
-        if list(names) == [f"{front}{k}{back}" for k in numbers]:
-            return f"{front}{number}..{last}{back}"
+    """Return names with commas, or only the first and the last of more than four."""
+    if len(names) > 4:
+        names = names[0], "...", names[-1]
     return ", ".join(names)
 
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, zip_longest
 from operator import attrgetter
 from pathlib import Path
 
@@ -37,10 +37,9 @@ from robot_sysid.logs.table import (
     LogSource,
     LogTable,
     as_input_errors,
-    read_blocks,
     read_rows,
 )
-from robot_sysid.logs.text import is_number, text_table
+from robot_sysid.logs.text import text_table
 from robot_sysid.logs.titles import joint_quantity, read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.file_access import refuse_special_file
@@ -227,40 +226,36 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
 
 TableReader = Callable[[LogSource], LogTable]
 """Reads a log of one form as a table."""
-_READERS = {
-    b"\x89MCAP0": bag_table,
-    b"#ROSBAG V": bag_table,
-    b"SQLite format 3": bag_table,
-    b"MATLAB 5.0": arrays.matlab_table,
+_BAG = "a ROS bag", bag_table
+_MATLAB = "a MATLAB .mat file", arrays.matlab_table
+_HDF5 = "an HDF5 file", hdf5_table
+_LEROBOT = "a LeRobot data set", arrays.lerobot_table
+_TEXT = "a table of text", text_table
+_FILES: Mapping[bytes, tuple[str, TableReader]] = {
+    b"\x89MCAP0": _BAG,
+    b"#ROSBAG V": _BAG,
+    b"SQLite format 3": _BAG,
+    b"MATLAB 5.0": _MATLAB,
     # .mat files are HDF5 since version 7.3.
-    b"MATLAB 7.3": hdf5_table,
-    b"\x89HDF\r\n\x1a\n": hdf5_table,
-    b"PK\x03\x04": arrays.npz_table,
-    b"PAR1": arrays.parquet_table,
+    b"MATLAB 7.3": _HDF5,
+    b"\x89HDF\r\n\x1a\n": _HDF5,
+    b"PK\x03\x04": ("a NumPy .npz file", arrays.npz_table),
+    b"PAR1": ("a Parquet file", arrays.parquet_table),
 }
-"""First bytes of a file to the reader of its form; any other file is a text table."""
-_FOLDER_READERS = {"metadata.yaml": bag_table, "meta/info.json": arrays.lerobot_table}
-"""A file in a folder to the reader of the folder's form."""
-_FORMS: dict[TableReader, str] = {
-    bag_table: "a ROS bag",
-    arrays.matlab_table: "a MATLAB .mat file",
-    hdf5_table: "an HDF5 file",
-    arrays.npz_table: "a NumPy .npz file",
-    arrays.parquet_table: "a Parquet file",
-    arrays.lerobot_table: "a LeRobot data set",
-    text_table: "a table of text",
+"""First bytes of a file to its form and the form's reader; any other file is a text table."""
+_FOLDERS: Mapping[str, tuple[str, TableReader]] = {
+    "metadata.yaml": _BAG,
+    "meta/info.json": _LEROBOT,
 }
-"""Every reader to the name of its form in messages."""
+"""A file in a folder to the folder's form and the form's reader."""
 _REMEDY = "say which column is what with --columns FILE"
 """What to do where columns are not recognised."""
-_FORM_OPTIONS = {"topic": bag_table, "episode": arrays.lerobot_table}
-"""Option that is about one form alone, to the form's reader."""
-_READING_OPTIONS = {"columns", "units", *_FORM_OPTIONS}
+_FORM_OPTIONS = {"topic": _BAG, "episode": _LEROBOT}
+"""Option that is about one form alone, to the form."""
+_READING_OPTIONS = ("columns", "units", *_FORM_OPTIONS)
 """Fields of options that change what is read from a log."""
-_FACTOR_OPTIONS = {"torque_scale", "torque_constants"}
+_FACTOR_OPTIONS = ("torque_scale", "torque_constants")
 """Fields of options that change torques."""
-_READ_TWICE = "a log is read twice: write it to a file"
-"""End of the message that refuses a pipe or a device."""
 
 
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
@@ -278,25 +273,23 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     first_bytes = b""
     try:
         if not is_folder:
-            refuse_special_file(path, _READ_TWICE)
+            refuse_special_file(path, "a log is read twice: write it to a file")
             with path.open("rb") as stream:
                 first_bytes = stream.read(4096)
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"cannot read the log {path}: {reason}") from error
-    reader = _find_reader(path, is_folder, first_bytes)
-    for option, only_reader in _FORM_OPTIONS.items():
+    form, reader = _find_form(path, is_folder, first_bytes)
+    for option, (only_form, only_reader) in _FORM_OPTIONS.items():
         if getattr(options, option) and reader is not only_reader:
-            form = _FORMS[only_reader]
             raise InputError(
-                f"--{option} is about {form}, and {path} is none; leave it off"
+                f"--{option} is about {only_form}, and {path} is none; leave it off"
             )
     if is_folder and reader is text_table:
         raise InputError(
             f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
             "bag, a LeRobot data set, HDF5, Parquet, NumPy .npz or MATLAB .mat"
         )
-    form = _FORMS[reader]
     with as_input_errors(path, form):
         table = reader(LogSource(path, first_bytes, joint_names, options))
     return replace(table, blocks=functools.partial(_blocks, table, form))
@@ -308,46 +301,31 @@ def _blocks(table: LogTable, form: str, columns: Sequence[int]) -> Iterator[Bloc
         yield from table.blocks(columns)
 
 
-def _find_reader(path: Path, is_folder: bool, first_bytes: bytes) -> TableReader:
-    """Return the reader of a file's or folder's form; ``text_table`` where no other one fits."""
+def _find_form(
+    path: Path, is_folder: bool, first_bytes: bytes
+) -> tuple[str, TableReader]:
+    """Return the form of a file or folder and its reader; text where no other one fits."""
     if is_folder:
-        for name, reader in _FOLDER_READERS.items():
-            if (path / name).is_file():
-                return reader
-    for start, reader in _READERS.items():
-        if first_bytes.startswith(start):
-            return reader
-    return text_table
+        forms = [form for name, form in _FOLDERS.items() if (path / name).is_file()]
+    else:
+        forms = [form for head, form in _FILES.items() if first_bytes.startswith(head)]
+    return forms[0] if forms else _TEXT
 
 
-def content_lines(path: Path, options: LogOptions, progress: Progress) -> list[str]:
-    """Return lines for the user on a log's form and on the numbers in each of its columns."""
+def content_lines(path: Path, options: LogOptions) -> list[str]:
+    """Return lines for the user on a log's form, its columns, and the cells of its first row."""
     table = open_table(Path(path), (), options)
-    # Of a text log, the columns of numbers, unless its first row holds none.
-    columns = [k for k, cell in enumerate(table.first_row) if is_number(cell)]
-    columns = columns or list(range(len(table.titles)))
-    # Smallest and largest number of each column; NaN as long as it has none.
-    lowest = np.full(len(columns), np.nan)
-    highest = np.full(len(columns), np.nan)
-    n_empty = np.zeros(len(columns), dtype=int)
-    n_rows = 0
-    for block in read_blocks(table, columns, progress):
-        n_rows += len(block.cells)
-        cells = np.where(np.isfinite(block.cells), block.cells, np.nan)
-        n_empty += np.count_nonzero(np.isnan(cells), axis=0)
-        lowest = np.fmin.reduce(np.vstack((lowest, cells)))
-        highest = np.fmax.reduce(np.vstack((highest, cells)))
-    lines = [f"log layout: {table.layout}", f"{n_rows} {table.row_noun}s"]
+    cells: Sequence[str] = table.first_row
+    if not cells:
+        block = next(table.blocks(range(len(table.titles))), None)
+        cells = [f"{cell:.6g}" for cell in block.cells[0]] if block else ()
     width = max(map(len, table.titles))
-    for column, low, high, n_missing in zip(columns, lowest, highest, n_empty):
-        title = read_title(table.titles[column])
-        is_time = title.measured_quantity == "time"
-        quantity = "time" if is_time else joint_quantity(title)
-        numbers = f"{low:12.6g} to {high:12.6g}" if low <= high else "no numbers"
-        line = f"  {title.text:{width}}  {numbers}"
-        line += f", {n_missing} empty" if n_missing else ""
-        line += f"  ({quantity})" if quantity else ""
-        lines.append(line)
+    lines = [f"log layout: {table.layout}; its columns and first {table.row_noun}:"]
+    for text, cell in zip_longest(table.titles, cells, fillvalue=""):
+        title = read_title(text)
+        quantity = joint_quantity(title) or title.measured_quantity
+        line = f"  {text:{width}}  {cell:>12.40}"
+        lines.append(line + (f"  ({quantity})" if quantity else ""))
     lines.append(
         "give the model too, to see which column is taken for what and what is wrong"
     )

@@ -32,15 +32,11 @@ from robot_sysid.logs.ros_messages import (
 )
 from robot_sysid.logs.ros_topics import Topic, choose_topic
 from robot_sysid.logs.table import BLOCK, Block, LogSource, LogTable, import_optional
-from robot_sysid.records import Array
 from robot_sysid.records.file_access import refuse_special_file
 
 _FIRST_MESSAGES = 200
 """Messages of a topic from which its joints are listed: a second or more, in which each publisher
 of the topic has sent one."""
-_COMPARED_MESSAGES = 20_000
-"""Messages of topics that are compared: 20 s at 1 kHz."""
-
 Message = tuple[tuple[int, int], Sample]
 """((time of the header, time of recording) [ns since 1970], sample)."""
 
@@ -107,10 +103,10 @@ def _read_topic(
     arm_joints = [] if joint_names else sorted(set(recorded_joints))
     if joint_match is not None:
         arm_joints = list(joint_match.model_names)
-    has_effort = False
+    largest_effort = 0.0
     for _, sample in messages:
         efforts = [sample.get(key, 0.0) for key in product(arm_joints, TORQUE)]
-        has_effort |= any(abs(effort) > 0.0 for effort in efforts)
+        largest_effort = max([largest_effort, *map(abs, efforts)])
     # Where no header has a time stamp, the time of recording stands in.
     stamp_index = 0 if any(stamps[0] for stamps, _ in messages) else 1
     start = min(stamps[stamp_index] for stamps, _ in messages)
@@ -122,15 +118,18 @@ def _read_topic(
     if stamp_index:
         layout += ", headers without time: when it was recorded"
     blocks = partial(_blocks, path, name, keys, stamp_index, start)
+    has_torques = _has_all(sent, arm_joints, TORQUE)
+    positions = []
+    if _has_all(sent, arm_joints, POSITION):
+        positions = [1 + keys.index((joint, "position")) for joint in arm_joints]
     return Topic(
         name,
         message_type,
         LogTable(path, layout, titles, blocks, row_noun="message"),
+        start,
         n_messages=sum(connection.msgcount for connection in connections),
-        has_positions=_has_all(sent, arm_joints, POSITION),
-        has_torques=_has_all(sent, arm_joints, TORQUE),
-        is_zero=not has_effort,
-        read_motion=partial(_read_motion, bag, name, arm_joints, stamp_index),
+        positions=tuple(positions),
+        rank=(bool(positions), has_torques, has_torques and largest_effort > 0.0),
     )
 
 
@@ -142,23 +141,6 @@ def _has_all(
         if joints and all((joint, quantity) in keys for joint in joints):
             return True
     return False
-
-
-def _read_motion(
-    bag: Any, topic: str, joints: Sequence[str], stamp_index: int
-) -> tuple[Array, Array]:
-    """Return time stamps (K,) [s] and positions (K, n) of a topic's first messages with all joints.
-
-    ``stamp_index``: of the stamp of a ``Message`` in use.
-    """
-    time = []
-    positions = []
-    for stamps, sample in islice(_read_messages(bag, topic), _COMPARED_MESSAGES):
-        row = [sample.get((joint, "position"), np.nan) for joint in joints]
-        if not np.isnan(row).any():
-            time.append(1e-9 * stamps[stamp_index])
-            positions.append(row)
-    return np.array(time), np.array(positions)
 
 
 def _blocks(

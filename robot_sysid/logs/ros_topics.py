@@ -9,7 +9,7 @@ lie in namespaces of their own, are not chosen from.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,15 +24,11 @@ from robot_sysid.records import Array
 _MOST_DIFFERENCE = 0.2
 """Largest difference of two topics' positions over the positions' spread that counts as one motion:
 a topic that is put together from others lags by a sample of its low rate."""
-_LEAST_SPREAD = 1e-3
-"""Least spread of positions [rad or m] by which motions are compared."""
 _LEAST_SAMPLES = 10
 """Least number of samples that are compared."""
 
 _LEADERS = frozenset({"leader", "master"})
 """Words in the names of topics of an arm by which another one is led."""
-Motion = tuple[Array, Array]
-"""Time stamps (K,) [s] and positions (K, n) of the arm's joints."""
 
 
 @dataclass(frozen=True)
@@ -43,27 +39,20 @@ class Topic:
         name: of the topic.
         message_type: of its messages.
         table: the topic as a table.
+        start: stamp at which the table's time is zero [ns since 1970].
         n_messages: number of its messages.
-        has_positions: whether it has a position of every joint of the arm.
-        has_torques: whether it has an effort or current of every joint of the arm.
-        is_zero: whether all of its first efforts are zero.
-        read_motion: reads the positions of the arm.
+        positions: the table's columns of the arm's positions; empty where one is missing.
+        rank: whether it has positions of all joints of the arm, torques of all, and torques other
+            than zero.
     """
 
     name: str
     message_type: str
     table: LogTable
+    start: int
     n_messages: int
-    has_positions: bool
-    has_torques: bool
-    is_zero: bool
-    read_motion: Callable[[], Motion]
-
-    @property
-    def rank(self) -> tuple[bool, bool, bool]:
-        """Whether it has positions, torques, and torques other than zero."""
-        is_measured = self.has_torques and not self.is_zero
-        return self.has_positions, self.has_torques, is_measured
+    positions: tuple[int, ...]
+    rank: tuple[bool, bool, bool]
 
     @property
     def is_commanded(self) -> bool:
@@ -74,9 +63,15 @@ class Topic:
         title = read_title(self.name)
         return title.is_commanded or bool(_LEADERS & {*title.tokens})
 
+    def motion(self) -> tuple[Array, Array]:
+        """Return time stamps (K,) [s] and positions (K, n) of its first samples with all joints."""
+        block = next(self.table.blocks([0, *self.positions]))
+        cells = block.cells[~np.isnan(block.cells).any(axis=1)]
+        return cells[:, 0] + 1e-9 * self.start, cells[:, 1:]
+
 
 def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
-    """Return the topic to read, and a sentence on the others that hold the arm; "" for none.
+    """Return the topic to read, and a sentence on the others with the same motion; "" for none.
 
     Raises:
         InputError: topics of two arms fit, or the only one lacks torques.
@@ -106,13 +101,7 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
             f"log topic: {topic_read.name} with {topic_read.n_messages} samples is read; the same "
             f"motion is in {listed}"
         )
-    others = [t.name for t in topics if t.has_positions and t is not topic_read]
-    if not others:
-        return topic_read, ""
-    return topic_read, (
-        f"log topic: {topic_read.name} is read, as it has measured torques; "
-        f"{', '.join(others)} has none"
-    )
+    return topic_read, ""
 
 
 def _is_one_arm(first: Topic, second: Topic) -> bool:
@@ -120,10 +109,10 @@ def _is_one_arm(first: Topic, second: Topic) -> bool:
 
     Whatever the names are, two arms never read equal positions at all equal times.
     """
-    if not (first.has_positions and second.has_positions):
+    if not (first.positions and second.positions):
         return False
-    motion = first.read_motion()
-    other_motion = second.read_motion()
+    motion = first.motion()
+    other_motion = second.motion()
     is_equal = all(map(np.array_equal, motion, other_motion))
     has_one_type = first.message_type == second.message_type
     has_other_name = has_one_type and _is_of_another_arm(first.name, second.name)
@@ -147,17 +136,14 @@ def _is_of_another_arm(first: str, second: str) -> bool:
     return name == other_name and not longer.startswith(shorter)
 
 
-def _is_same_motion(first: Motion, second: Motion) -> bool:
+def _is_same_motion(first: tuple[Array, Array], second: tuple[Array, Array]) -> bool:
     """Return whether two recordings of positions agree where both are there, and the arm moves."""
     time, positions = first
     other_time, other_positions = second
-    if positions.shape[1] != other_positions.shape[1]:
-        return False
     is_common = (time >= other_time[0]) & (time <= other_time[-1])
-    common = positions[is_common]
-    if len(common) < _LEAST_SAMPLES:
+    if np.count_nonzero(is_common) < _LEAST_SAMPLES:
         return False
-    others = [np.interp(time[is_common], other_time, q) for q in other_positions.T]
-    difference = np.sqrt(np.mean((common - np.column_stack(others)) ** 2))
-    spread = np.sqrt(np.mean(np.var(common, axis=0)))
-    return bool(spread > _LEAST_SPREAD and difference < _MOST_DIFFERENCE * spread)
+    others = [np.interp(time, other_time, q) for q in other_positions.T]
+    difference = (positions - np.column_stack(others))[is_common]
+    spread = np.mean(np.var(positions[is_common], axis=0))
+    return bool(np.mean(difference**2) < _MOST_DIFFERENCE**2 * spread)

@@ -268,22 +268,16 @@ def read_rows(
     used = columns.columns()
     # Of line, time, position, torque, velocity and time stamps of the joints.
     widths = [1, 1, *map(len, columns.groups())]
-    chunks = []
+    chunks = [np.empty((0, sum(widths)))]
     thinning = None
-    # Rows that wait until it is known whether the log is thinned.
-    pending = np.empty((0, sum(widths)))
     indices = [column.index for column in used]
     for block in read_blocks(table, indices, progress or Progress()):
-        pending = np.concatenate((pending, cleaner.clean(block)))
-        # The number of rows and the sampling period are estimated from the first rows.
-        expected = cleaner.n_read / max(block.share_read, 1e-9)
-        is_enough = len(pending) >= BLOCK or block.share_read >= 1.0
-        if thinning is None and is_enough and len(pending) > 1:
-            thinning = Thinning(pending[:, 1], expected)
-        if thinning is not None:
-            chunks.append(thinning.push(pending))
-            pending = pending[:0]
-    chunks.append(pending)
+        rows = cleaner.clean(block)
+        if thinning is None and len(rows) > 1:
+            # The number of rows and the sampling period are estimated from the first rows.
+            expected = cleaner.n_read / max(block.share_read, 1e-9)
+            thinning = Thinning(rows[:, 1], expected)
+        chunks.append(thinning.push(rows) if thinning else rows)
     groups = np.split(np.concatenate(chunks), np.cumsum(widths)[:-1], axis=1)
     lines, time, q, tau, qd, stamps = map(np.ascontiguousarray, groups)
     command = None

@@ -39,11 +39,6 @@ CHUNK = 1_000_000
 """Number of characters of a log that are in memory as lines at a time."""
 _COMMENT = ("#", "%")
 """Characters with which a comment line begins."""
-_CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r"})
-"""Control characters that a text file does not hold."""
-_BINARY = 0.05
-"""Share of control characters at the beginning of a file beyond which it is no text; fewer may be
-a serial port's noise."""
 
 
 @dataclass(frozen=True)
@@ -114,15 +109,11 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
         first_bytes.rpartition(b"\n")[0].decode(encoding)
     except UnicodeDecodeError:
         encoding = "utf-16" if is_utf16 else "cp1252"
-    control = len(first_bytes) - len(first_bytes.translate(None, _CONTROL))
-    if not is_utf16 and control > _BINARY * len(first_bytes):
-        raise InputError(
-            f"{path} is of no form that is known, and not a text file; export CSV"
-        )
     comment, lines = _read_beginning(path, encoding)
     if not lines:
         raise InputError(
-            f"{path} holds no rows of a table; check that the recording was written"
+            f"{path} is of no form that is known, and holds no rows of a table of text; export "
+            "CSV, and check that the recording was written"
         )
     # The header and the first row of data, unless the header is missing or a comment.
     header_line, header_text = lines[0]
@@ -130,8 +121,6 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
     separator = _find_separator(header_text)
     header = _drop_last_empty(split_line(header_text, separator))
     row = _drop_last_empty(split_line(row_text, separator))
-    if not header or not row:
-        raise InputError(f"{path} does not begin with a table of text; export CSV")
     if _is_mostly_numbers(header):
         header_line = 0
         row_text = header_text
@@ -236,9 +225,7 @@ def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str
 def _can_be_row(line: str) -> bool:
     """Return whether a line may be a row of a table; an empty or a binary one is none."""
     has_control = any(mark < " " and mark != "\t" for mark in line)
-    # A title near the begin of the line may hold a degree sign of another encoding.
-    is_garbled = has_control or "\ufffd" in line[80:]
-    return len(line) < _LONGEST_LINE and not is_garbled and bool(line.strip())
+    return len(line) < _LONGEST_LINE and not has_control and bool(line.strip())
 
 
 def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
@@ -315,33 +302,24 @@ def _read_rows(
     row, "" without one. ``columns``: indices of the C columns.
     """
     cells = np.full((len(rows), len(columns)), np.inf)
-    complaint = ""
-    for (number, line), row in zip(rows.items(), cells):
-        fault = _read_row(dialect, columns, line, row)  # which fills the row of cells
-        if fault and not complaint:
-            complaint = f"line {number}{fault}"
-    return cells, complaint
-
-
-def _read_row(dialect: Dialect, columns: Sequence[int], line: str, row: Array) -> str:
-    """Write the numbers in a line's columns of these indices (C,) into ``row`` (C,), in place.
-
-    Returns "", or the fault of a line that is not numbers, for the user; ``row`` then keeps what it
-    held in the column with the fault and in all behind it.
-    """
-    cells = dialect.cells(line)
     titles = dialect.titles
-    if len(cells) != len(titles):
-        return f": {len(cells)} cells instead of {len(titles)}"
-    first_row = dict(enumerate(dialect.first_row))
-    for index, column in enumerate(columns):
-        try:
-            row[index] = _parse_cell(cells[column], first_row.get(column, ""))
-        except ValueError:
-            return (
-                f", column {titles[column]!r}: {cells[column][:40]!r} is not a number"
-            )
-    return ""
+    complaints = []
+    for (number, line), row in zip(rows.items(), cells):
+        texts = dialect.cells(line)
+        if len(texts) != len(titles):
+            fault = f"{len(texts)} cells instead of {len(titles)}"
+            complaints.append(f"line {number}: {fault}")
+            continue
+        for index, column in enumerate(columns):
+            # A row of data may be longer than the first one.
+            start = dialect.first_row[column] if column < len(dialect.first_row) else ""
+            try:
+                row[index] = _parse_cell(texts[column], start)
+            except ValueError:
+                fault = f"{texts[column][:40]!r} is not a number"
+                complaints.append(f"line {number}, column {titles[column]!r}: {fault}")
+                break
+    return cells, next(iter(complaints), "")
 
 
 _ATTRIBUTES = {

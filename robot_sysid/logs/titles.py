@@ -5,17 +5,16 @@ velocity, 3 and the unit deg/s; ``q1`` gives q, 1. Every token has to be in the 
 with a foreign token (``joint1_position_std``, ``q1_filtered``) does not stand for the plain
 quantity.
 
-A column is matched with a joint by the joint's name, or else by its number. Both are tried. Names
-are used for a quantity whose titles carry every joint's name; else the numbers in the titles have
-to be exactly 0..n-1 or 1..n, or those of the model's names. They count the joints in the order of
-the log's own list of names, if it has one. Names and numbers must not give different columns. Where
-neither gives the positions, what remains of each title beside its quantity is taken for the joint's
-name, and ``joint_names`` matches all of these with the model's.
+A column is matched with a joint by the joint's name, or else by its number. What remains of a title
+beside its quantity is taken for the joint's name, and ``joint_names`` matches all of these with the
+model's. Where a quantity has no such names for all joints, the numbers in its titles have to be
+exactly 0..n-1 or 1..n, or those of the model's names; they count the joints in the order of the
+log's own list of names, if it has one. Where names and numbers give different columns, the log is
+refused.
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 from collections import defaultdict
@@ -27,7 +26,6 @@ from typing import TypeVar
 from robot_sysid.errors import InputError
 from robot_sysid.logs.joint_names import (
     JointMatch,
-    find_joint_match,
     join_names,
     match_joint_names,
     name_numbers,
@@ -255,15 +253,6 @@ def _pieces(text: str) -> list[str]:
     return re.findall(r"[a-zA-Z°µ]+|\d+", split_camel_case(with_units).lower())
 
 
-@contextlib.contextmanager
-def collect_errors(faults: list[str]) -> Iterator[None]:
-    """Append the text of an InputError in the block to a list, to state all faults at once."""
-    try:
-        yield
-    except InputError as error:
-        faults.append(str(error))
-
-
 QUANTITIES = ("position", "velocity", "torque", "joint_time", "command")
 """Quantities with a column per joint; ``joint_time`` is a joint's own time stamp."""
 Candidates = dict[str, list[list[int]]]
@@ -287,88 +276,77 @@ def match_joints(
             the joints' names are those of two arms, or of an arm with another number of joints.
     """
     joint_names = robot.joint_names
-    other_joints = robot.other_joint_names
     listed_joints, joint_match = _match_listed_names(titles, robot, first_row)
-    candidates = _match_each_title(titles, joint_names, listed_joints)
-    columns_by_name = columns_by_joint_name(titles)
-    named_positions = columns_by_name.get("position", {})
-    names = [*named_positions]
-    if not any(candidates["position"]):
-        joint_match = match_joint_names(names, joint_names, other_joints)
-        log_names = joint_match.model_names if joint_match else ()
-        for quantity, columns in columns_by_name.items():
-            matches = [columns.get(name, []) for name in log_names]
-            if matches and all(matches):
-                candidates[quantity] = matches
-        return candidates, joint_match
-    by_name = find_joint_match(names, joint_names)
-    if by_name is None:
-        return candidates, joint_match
-    first_position = candidates["position"][0][0]
-    is_named = first_position in chain(*named_positions.values())
-    if not is_named and not name_numbers(joint_names):
-        first_name = next(iter(by_name.model_names))
-        rivals = [first_position, *named_positions[first_name]]
-        raise ambiguity_error("position", joint_names[0], titles, rivals)
-    return candidates, joint_match
-
-
-def columns_by_joint_name(titles: Sequence[Title]) -> dict[str, dict[str, list[int]]]:
-    """Return quantity to joint name to indices of columns, of titles with one quantity.
-
-    What else a title has is the name: ``panda_joint1_position [rad]`` is the position of
-    ``panda_joint1``.
-    """
-    not_names = {*QUANTITY_OF_TOKEN, *_UNIT_TOKENS, *_CURRENT, *_COMMANDED}
-    columns: dict[str, dict[str, list[int]]] = {}
-    for column, title in enumerate(titles):
-        quantity = title.override
-        if quantity is None and len(title.quantities) == 1 and not title.is_commanded:
-            quantity = min(title.quantities)
-        if quantity not in QUANTITIES:
-            continue
-        _, unitless = _split_bracketed_unit(title.text)
-        pieces = re.split(r"([^\W\d_]+)", split_camel_case(unitless))
-        name_pieces = [piece for piece in pieces if piece.lower() not in not_names]
-        name = "".join(name_pieces).strip(" ._/:-")
-        # A bare number is left to counting.
-        if re.search(r"[^\W\d_]", name):
-            columns.setdefault(quantity, {}).setdefault(name, []).append(column)
-    return columns
-
-
-def _match_each_title(
-    titles: Sequence[Title], joint_names: Sequence[str], listed_joints: Sequence[int]
-) -> Candidates:
-    """Return the candidates among titles that carry a name of the model, or a number.
-
-    ``listed_joints`` are those of ``_match_listed_names``. InputError where two columns could be
-    one quantity, or name and number of a title disagree.
-    """
-    by_name = _match_names(titles, joint_names)
-    by_number = _match_numbers(titles, joint_names, listed_joints, set())
-    named_columns = set(chain(*chain(*by_name.values())))
-    unnamed = _match_numbers(titles, joint_names, listed_joints, named_columns)
-    candidates: Candidates = {}
+    by_name = columns_by_joint_name(titles, joint_names)
+    if joint_match is None:
+        names = [*by_name["position"]]
+        joint_match = match_joint_names(names, joint_names, robot.other_joint_names)
+    log_names = joint_match.model_names if joint_match else joint_names
+    # Names decide for all joints of a quantity or for none.
+    named: Candidates = {}
     for quantity in QUANTITIES:
-        named = by_name[quantity]
-        numbered = by_number[quantity]
-        # Columns without any joint's name that counting gives to the first joint.
-        rivals = unnamed[quantity][0]
-        if all(named) and rivals:
-            columns = [named[0][0], rivals[0]]
-            raise ambiguity_error(quantity, joint_names[0], titles, columns)
-        for joint_name, name_columns, columns in zip(joint_names, named, numbered):
-            # Names decide for all joints or for none; where numbers do, no name may contradict.
-            disputed = set(name_columns) - set(columns)
-            if disputed and all(numbered) and not all(named):
+        columns = [by_name[quantity].get(name, []) for name in log_names]
+        if all(columns):
+            named[quantity] = columns
+    named_columns = {*chain(*chain(*named.values()))}
+    by_number = _match_numbers(titles, joint_names, listed_joints, named_columns)
+    candidates: Candidates = {q: [[] for _ in joint_names] for q in QUANTITIES}
+    for quantity, numbered in by_number.items():
+        if not all(numbered):
+            continue
+        if quantity in named:
+            rivals = [named[quantity][0][0], numbered[0][0]]
+            raise ambiguity_error(quantity, joint_names[0], titles, rivals)
+        candidates[quantity] = numbered
+        for joint_name, counted in zip(joint_names, numbered):
+            disputed = {*by_name[quantity].get(joint_name, [])} - {*counted}
+            if disputed:
                 raise InputError(
                     f"column {titles[min(disputed)].text!r} carries the name of joint "
                     f"{joint_name}, but by counting it belongs to another joint"
                 )
-        matches = named if all(named) else numbered
-        candidates[quantity] = matches if all(matches) else [[]] * len(joint_names)
-    return candidates
+    return {**candidates, **named}, joint_match
+
+
+def columns_by_joint_name(
+    titles: Sequence[Title], joint_names: Sequence[str]
+) -> Mapping[str, dict[str, list[int]]]:
+    """Return quantity to joint name to indices of columns, of titles with one quantity.
+
+    The name is the model's where the title has that as it is written, and else what the title has
+    beside the quantity: ``panda_joint1_position [rad]`` is the position of ``panda_joint1``.
+    """
+    columns: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for column, title in enumerate(titles):
+        name = ""
+        quantity = None
+        for joint, stripped in _strip_joint_names(title, joint_names):
+            quantity = joint_quantity(replace(stripped, override=title.override))
+            if quantity and not stripped.numbers:
+                name = joint_names[joint]
+                break
+        if not name:
+            quantity = title.override
+            if (
+                quantity is None
+                and len(title.quantities) == 1
+                and not title.is_commanded
+            ):
+                quantity = min(title.quantities)
+            name = _words_beside_quantity(title)
+        if quantity in QUANTITIES and name:
+            columns[quantity][name].append(column)
+    return columns
+
+
+def _words_beside_quantity(title: Title) -> str:
+    """Return a title without its quantity and unit; "" for a bare number, which is counted."""
+    not_names = {*QUANTITY_OF_TOKEN, *_UNIT_TOKENS, *_CURRENT, *_COMMANDED}
+    _, unitless = _split_bracketed_unit(title.text)
+    pieces = re.split(r"([^\W\d_]+)", split_camel_case(unitless))
+    kept = [piece for piece in pieces if piece.lower() not in not_names]
+    name = "".join(kept).strip(" ._/:-")
+    return name if re.search(r"[^\W\d_]", name) else ""
 
 
 def joint_quantity(title: Title) -> str | None:
@@ -392,18 +370,6 @@ def ambiguity_error(
     listed = " and ".join(repr(titles[column].text) for column in columns)
     of_joint = f" of joint {joint}" if joint else ""
     return InputError(f"{listed} could both be the {quantity}{of_joint}")
-
-
-def _match_names(titles: Sequence[Title], joint_names: Sequence[str]) -> Candidates:
-    """Return the candidates among titles that carry a joint's name; empty lists without any."""
-    candidates: Candidates = defaultdict(lambda: [[] for _ in joint_names])
-    for column, title in enumerate(titles):
-        for joint, stripped in _strip_joint_names(title, joint_names):
-            quantity = joint_quantity(replace(stripped, override=title.override))
-            if quantity and not stripped.numbers:
-                candidates[quantity][joint].append(column)
-                break
-    return candidates
 
 
 def _strip_joint_names(
@@ -457,14 +423,13 @@ def _match_numbers(
             numbered[quantity][numbers[0]].append(column)
     candidates: Candidates = defaultdict(lambda: [[] for _ in joint_names])
     for quantity, columns in numbered.items():
-        column_numbers = sorted(columns)
-        first = column_numbers[0]
-        joint_of_number: dict[int, int] = {}
-        if first < 2 and column_numbers == [*range(first, first + len(counted))]:
-            joint_of_number = dict(zip(column_numbers, counted))
-        elif not listed_joints and column_numbers == sorted(joint_numbers):
-            joint_of_number = {number: k for k, number in enumerate(joint_numbers)}
-        for number, joint in joint_of_number.items():
+        order = sorted(columns)
+        joints: dict[int, int] = {}
+        if order in ([*range(len(counted))], [*range(1, len(counted) + 1)]):
+            joints = dict(zip(order, counted))
+        elif not listed_joints and order == sorted(joint_numbers):
+            joints = {number: k for k, number in enumerate(joint_numbers)}
+        for number, joint in joints.items():
             if joint >= 0:
                 candidates[quantity][joint] = columns[number]
     return candidates

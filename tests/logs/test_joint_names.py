@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.joint_names import join_names, match_joint_names
+from robot_sysid.logs.joint_names import match_joint_names
 
 
 def count(name: str, last: int = 7, first: int = 1) -> list[str]:
@@ -54,15 +54,15 @@ def test_names_match_whatever_stands_around_them_and_in_any_order(names, joints)
 @pytest.mark.parametrize(
     ("names", "joints", "fault"),
     [
-        (LEFT + RIGHT, JOINTS, "2 sets .* joint1..7: left_joint1..7 and right_joint1..7$"),
+        (LEFT + RIGHT, JOINTS, "2 sets .* left_joint1, .* and right_joint1, "),
         (count("joint_") + ["joint1"], JOINTS, "joint_1 and joint1 could both"),
-        (count("a_joint") + count("b_joint"), JOINTS, "a_joint1..7 and b_joint1..7"),
+        (count("a_joint") + count("b_joint"), JOINTS, "a_joint1, .* and b_joint1, "),
         (["a_joint1", "b_joint1"], ["joint1"], "a_joint1 and b_joint1"),
-        (count("arm1_joint") + count("arm9_joint"), JOINTS, "arm1_joint1..7 and arm9_joint1..7"),
-        (LEFT, RIGHT, "left_joint1..7 are those of another arm than .* right_joint1..7: give"),
+        (count("arm1_joint") + count("arm9_joint"), JOINTS, "arm1_joint1, .* and arm9_joint1, "),
+        (LEFT, RIGHT, "left_joint1, .* are those of another arm than .* right_joint1, "),
         ([f"left_{n}" for n in UR], [f"right_{n}" for n in UR], "those of another arm"),
-        (JOINTS, count("joint", 6), "joint1..7 are 7, .* joint1..6 are 6: give the model"),
-        (count("panda_joint", 8), JOINTS, "are 8, the model's joint1..7 are 7"),
+        (JOINTS, count("joint", 6), "joint7 are 7, .* joint6 are 6: give the model"),
+        (count("panda_joint", 8), JOINTS, "are 8, the model's .* are 7"),
     ],
 )  # fmt: skip
 def test_names_of_two_arms_or_of_another_arm_are_refused(names, joints, fault):
@@ -76,7 +76,7 @@ def test_joints_of_the_model_beyond_the_arm_may_be_in_the_log():
     for names in (JOINTS, count("panda_joint")):
         match = match_joint_names(names, five, other_joints=["joint6", "joint7"])
         assert match is not None and match.unused == tuple(names[5:])
-        with pytest.raises(InputError, match="are 7, the model's joint1..5 are 5"):
+        with pytest.raises(InputError, match="are 7, the model's .* are 5"):
             match_joint_names(names, five)
 
 
@@ -98,10 +98,8 @@ def test_nothing_is_made_of_names_that_are_no_set(names):
 def test_what_was_matched_is_one_sentence_and_nothing_where_names_are_equal():
     match = match_joint_names(count("panda_joint") + FINGERS, JOINTS)
     assert match is not None and match.describe() == (
-        "log joints: panda_joint1..7 are joint1..7; "
+        "log joints: panda_joint1, ..., panda_joint7 are joint1, ..., joint7; "
         "not used: panda_finger_joint1, panda_finger_joint2"
     )
     equal = match_joint_names(JOINTS + FINGERS, JOINTS)
     assert equal is not None and equal.describe() == ""
-    assert join_names(UR) == ", ".join(UR)
-    assert join_names(["j1_link", "j2_link", "j3_link"]) == "j1..3_link"

@@ -81,5 +81,5 @@ def test_names_around_numbers_are_matched_as_a_whole_set(tmp_path, title):
     np.testing.assert_array_equal(log.samples.q, data.q)
     np.testing.assert_array_equal(log.samples.tau, data.tau)
     (note,) = [note for note in log.notes if note.startswith("log joints: ")]
-    assert "are joint1..3; not used: " in note
+    assert "are joint1, joint2, joint3; not used: " in note
     assert_refused("one position column .*each joint", path, JOINTS4)
