@@ -167,5 +167,5 @@ def use(case: Case, folder: Path) -> None:
         robot = load_robot_model(path)
         bodies = subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
         plan = plan_write_back(robot.prior.theta, bodies)
-        change = ModelChange((BodyChange(robot.body_name, 0, plan),), 0.1)
+        change = ModelChange((BodyChange(robot.body_name, 0, plan.theta),), 0.1)
         changed_model_text(path, change, folder / "out")

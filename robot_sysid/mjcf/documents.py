@@ -113,14 +113,6 @@ class ModelDocument:
         text = text.replace(_MASK.encode(), b"-") + b"\n"
         return text.replace(b"\n", b"\r\n") if "\r\n" in source else text
 
-    def line_in_file(self, line: int) -> int:
-        """Return the line in which an element stands in its file that ``text`` has in a line."""
-        written = _parse(self.text(), self.path)
-        for node, original in zip(written.iter("*"), self.root.iter("*")):
-            if node.sourceline == line and original.sourceline is not None:
-                return int(original.sourceline)
-        return line
-
 
 def read_document(path: Path) -> ModelDocument:
     """Read a model file, MJCF (root ``<mujoco>``) or URDF (``<robot>``), and what it includes.

@@ -9,8 +9,8 @@ those are made lighter.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import ModelDocument, Node
 from robot_sysid.records import Array, SubtreeBody
+from robot_sysid.records.messages import Detail
 
 NEGLIGIBLE = 1e-6
 """Mass, relative to the link's, below which a difference is only rounding."""
@@ -44,19 +45,16 @@ class WriteBack:
 
     Attributes:
         theta: (10,) inertial parameters of the terminal body alone, in its own frame.
-        emptied: the bodies whose inertia went into the terminal body and which weigh nothing now.
-        note: a sentence for the user on what was changed, or None.
+        shares: MuJoCo's id of another body of the link to the share of its inertia that it keeps, 0
+            to 1; bodies that are not in it keep all.
+        notes: for the user, a sentence each on what was changed.
         inflation: by how much all moments of inertia are larger than identified [kg m^2].
-        lightened: the bodies on joints of their own that keep only a share of their inertia.
-        scale: share of their inertia that the lightened bodies keep, 0 to 1.
     """
 
     theta: Array
-    emptied: tuple[SubtreeBody, ...] = ()
-    note: str | None = None
+    shares: Mapping[int, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
     inflation: float = 0.0
-    lightened: tuple[SubtreeBody, ...] = ()
-    scale: float = 1.0
 
     def written_composite(self, composite: Array) -> Array:
         """Return theta (10,) of the whole link as written, from the identified ``composite``."""
@@ -64,13 +62,9 @@ class WriteBack:
 
     def masses(self, bodies: Sequence[SubtreeBody]) -> list[float]:
         """Return the masses of bodies of the link as written, the terminal body first [kg]."""
-        emptied = {body.name for body in self.emptied}
-        lightened = {body.name for body in self.lightened}
         masses = [float(self.theta[0])]
         for body in bodies[1:]:
-            scale = self.scale if body.name in lightened else 1.0
-            scale = 0.0 if body.name in emptied else scale
-            masses.append(scale * float(body.theta[0]))
+            masses.append(self.shares.get(body.body_id, 1.0) * float(body.theta[0]))
         return masses
 
 
@@ -98,41 +92,29 @@ def plan_write_back(
             joints of their own.
     """
     mass = float(composite[0])
-
-    def possible(theta: Array) -> Array | None:
-        """Return theta (10,) as it can be written, or None where it is no possible body."""
-        return possible_body(theta, mass, least_moment, max_inflation)
-
-    emptied: tuple[SubtreeBody, ...] = ()
-    lightened: tuple[SubtreeBody, ...] = ()
-    scale = 1.0
-    described = sum_theta(bodies[1:])
-    if possible(composite - described) is None:
-        welded = list[SubtreeBody]()
-        hanging = list[SubtreeBody]()
-        for body in bodies[1:]:
-            # A body without mass and inertia takes nothing away.
-            if np.any(body.theta):
-                group = welded if body.welded else hanging
-                group.append(body)
-        emptied = tuple(welded)
-        described = sum_theta(hanging)
-        if possible(composite - described) is None:
-            scale = _largest_scale(composite, described)
-            lightened = tuple(hanging)
-    remainder = composite - scale * described
-    theta = possible(remainder)
-    if theta is None or scale < NEGLIGIBLE:
+    shares: dict[int, float] = {}
+    # A body without mass and inertia takes nothing away.
+    others = [body for body in bodies[1:] if np.any(body.theta)]
+    hanging = [body for body in others if not body.welded]
+    limits = least_moment, max_inflation
+    remainder = composite - sum_theta(others)
+    if possible_body(remainder, mass, *limits) is None:
+        shares = {body.body_id: 0.0 for body in others if body.welded}
+        remainder = composite - sum_theta(hanging)
+        if possible_body(remainder, mass, *limits) is None:
+            share = _largest_share(composite, sum_theta(hanging))
+            shares.update({body.body_id: share for body in hanging})
+            remainder = composite - share * sum_theta(hanging)
+    theta = possible_body(remainder, mass, *limits)
+    is_too_light = any(shares.get(b.body_id, 1.0) < NEGLIGIBLE for b in hanging)
+    if theta is None or is_too_light:
         raise ExportError(
             f"the identified parameters of body '{bodies[0].name}' are not a possible rigid body, "
             "so no model was written; use a longer motion"
         )
     # What was added to each moment of inertia; element 4 is Ixx.
-    inflation = float(theta[4] - remainder[4])
-    plan = WriteBack(
-        theta, emptied, inflation=inflation, lightened=lightened, scale=scale
-    )
-    return replace(plan, note="; ".join(_notes(bodies[0], plan)) or None)
+    plan = WriteBack(theta, shares, inflation=float(theta[4] - remainder[4]))
+    return replace(plan, notes=tuple(_notes(bodies[0], others, plan)))
 
 
 def sum_theta(bodies: Sequence[SubtreeBody]) -> Array:
@@ -140,7 +122,7 @@ def sum_theta(bodies: Sequence[SubtreeBody]) -> Array:
     return np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0)
 
 
-def _largest_scale(composite: Array, hanging: Array) -> float:
+def _largest_share(composite: Array, hanging: Array) -> float:
     """Return the largest share s, below 1, with a possible body composite - s hanging; 0 for none.
 
     Args:
@@ -161,31 +143,36 @@ def _largest_scale(composite: Array, hanging: Array) -> float:
     return low
 
 
-def _list_names(bodies: Sequence[SubtreeBody]) -> str:
-    """Return the names of bodies in quotes, separated by commas."""
-    return ", ".join(f"'{body.name}'" for body in bodies)
+def _quoted(names: Iterable[str]) -> str:
+    """Return names in quotes, separated by commas."""
+    return ", ".join(f"'{name}'" for name in names)
 
 
-def _notes(top: SubtreeBody, plan: WriteBack) -> Iterator[str]:
+def _notes(
+    top: SubtreeBody, others: Sequence[SubtreeBody], plan: WriteBack
+) -> Iterator[str]:
     """Yield a sentence each on emptied bodies, lightened bodies and larger moments of a plan.
 
-    ``top`` is the terminal body.
+    ``top`` is the terminal body, ``others`` are those below it.
     """
-    if plan.emptied:
-        verb = "weighs" if len(plan.emptied) == 1 else "weigh"
+    emptied = [b.name for b in others if plan.shares.get(b.body_id) == 0.0]
+    lightened = [b for b in others if plan.shares.get(b.body_id, 0.0) > 0.0]
+    if emptied:
+        verb = "weighs" if len(emptied) == 1 else "weigh"
         yield (
             f"body '{top.name}' now holds the inertia of all that is rigidly attached to it; "
-            f"{_list_names(plan.emptied)} {verb} nothing in the written model"
+            f"{_quoted(emptied)} {verb} nothing in the written model"
         )
-    if plan.lightened:
+    if lightened:
         yield (
-            f"{_list_names(plan.lightened)} on joints of their own below body '{top.name}' left no "
-            "possible body of what was identified of all of them, so their mass and inertia are "
-            f"{plan.scale:.4g} of the model's in the written model"
+            f"{_quoted(b.name for b in lightened)} on joints of their own below body '{top.name}' "
+            "left no possible body of what was identified of all of them, so their mass and "
+            f"inertia are {plan.shares[lightened[0].body_id]:.4g} of the model's in the written "
+            "model"
         )
     moments = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])
     if plan.inflation > SLACK * float(np.sum(moments)):  # by more than rounding
-        yield (
+        yield Detail(
             "the model file cannot hold moments of inertia as small as identified (its compiler "
             "settings, or what other bodies hold already), so all three are written "
             f"{plan.inflation:.2g} kg m^2 larger; that is less than their standard errors"

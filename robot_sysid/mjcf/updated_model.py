@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
@@ -28,7 +28,6 @@ from robot_sysid.mjcf.documents import (
     read_document,
 )
 from robot_sysid.mjcf.inertial import (
-    WriteBack,
     format_number,
     format_numbers,
     format_rmse,
@@ -47,43 +46,31 @@ class BodyChange:
     Attributes:
         label: the body's name, or "#7" for the nameless body with MuJoCo id 7.
         body_id: MuJoCo's id of the body, by which the written model is verified.
-        plan: the body's inertia, and which bodies below it are emptied.
+        theta: (10,) its parameters in its own frame; zeros empty it.
         addition: further text for the comment that is written beside the inertia.
     """
 
     label: str
     body_id: int
-    plan: WriteBack
+    theta: Array
     addition: str = ""
 
 
 @dataclass(frozen=True)
 class JointChange:
-    """New numbers for a joint; None leaves the file's number.
+    """New numbers for a joint.
 
     Attributes:
-        label: the joint's name, or "#3" for the nameless joint with id 3.
-        armature: rotor inertia seen at the joint [kg m^2 or kg]; a URDF cannot hold it.
-        damping, frictionloss: viscous and Coulomb friction [N m s/rad, N m or N s/m, N].
+        label: the joint's name.
+        numbers: new values by their name in MJCF: "armature" (rotor inertia at the joint, which
+            a URDF cannot hold), "damping" and "frictionloss" (viscous and Coulomb friction).
         nonlinear_damping: the model's coefficients of qd abs(qd) and of qd^3, which the attribute
             ``damping`` holds, too; () for none.
     """
 
     label: str
-    armature: float | None = None
-    damping: float | None = None
-    frictionloss: float | None = None
+    numbers: Mapping[str, float]
     nonlinear_damping: tuple[float, ...] = ()
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        """The numbers to be written, by their name in MJCF."""
-        numbers = {}
-        for name in ("armature", "damping", "frictionloss"):
-            value = getattr(self, name)
-            if value is not None:
-                numbers[name] = float(value)
-        return numbers
 
 
 @dataclass(frozen=True)
@@ -111,13 +98,13 @@ class ActuatorChange:
         actuator: its MuJoCo id.
         stiffness, damping: gains of a position actuator, which makes stiffness (ctrl - q) - damping
             qd [N m/rad or N/m; N m s/rad or N s/m]. A <position> has no damping before MuJoCo 3.1.
-        mechanical: new values by their name in MJCF: "armature", "damping".
+        numbers: new values by their name in MJCF: "armature", "damping".
     """
 
     actuator: int
     stiffness: float | None = None
     damping: float | None = None
-    mechanical: Mapping[str, float] = field(default_factory=dict)
+    numbers: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -201,25 +188,17 @@ def changed_model_text(
 
 
 def _write_bodies(document: ModelDocument, change: ModelChange) -> list[Node]:
-    """Write the inertias of ``change.bodies``, with comments, and zeros into the emptied bodies.
+    """Write the inertias of ``change.bodies``, with comments, and return their elements.
 
-    Returns the elements of all these bodies. ExportError where the file does not contain one of
-    them itself (see ``find_element``).
+    ExportError where the file does not contain one of them itself (see ``find_element``).
     """
-    zero_inertial = _inertial(document, np.zeros(10), change.principal)
     written = list[Node]()
     for body in change.bodies:
         node = find_element(document, "body", body.label)
-        theta = body.plan.theta
-        additions = filter(None, (body.addition, body.plan.note))
-        comment = _comment(f"body '{body.label}'", change.rmse, "; ".join(additions))
+        comment = _comment(f"body '{body.label}'", change.rmse, body.addition)
         put_comment(node, comment)
-        put_inertial(node, _inertial(document, theta, change.principal))
+        put_inertial(node, _inertial(document, body.theta, change.principal))
         written.append(node)
-        for emptied in body.plan.emptied:
-            node = find_element(document, "body", emptied.name)
-            put_inertial(node, zero_inertial)
-            written.append(node)
     return written
 
 
@@ -290,7 +269,7 @@ def _write_gravity(
 ) -> None:
     """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>``.
 
-    ExportError where the file switches gravity off, or the numbers are not finite.
+    ExportError where the file switches gravity off.
 
     Args:
         document: the model file.
@@ -302,8 +281,6 @@ def _write_gravity(
         if flag.get("gravity") == "disable":
             fault = '<flag gravity="disable"/> switches gravity off; remove it'
             raise ExportError(f"{document.path}: {fault}")
-    if not np.all(np.isfinite(gravity)):
-        raise ExportError(f"gravity cannot be written as {gravity}: it is no vector")
     # The last option that states it counts, in whichever file it stands.
     if not options:
         document.add_setting(etree.Element("option"))
@@ -414,7 +391,7 @@ def write_actuator(document: ModelDocument, change: ActuatorChange) -> None:
     """
     node = _section_child(document, "actuator", change.actuator)
     kinds = "an element of its own"
-    numbers = {name: format_number(x) for name, x in change.mechanical.items()}
+    numbers = {name: format_number(x) for name, x in change.numbers.items()}
     if node is not None and change.stiffness is not None:
         kp = format_number(change.stiffness)
         kv = format_number(change.damping or 0.0)
@@ -440,54 +417,24 @@ _MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
 def find_element(document: ModelDocument, element: str, label: str) -> Node:
     """Return the element of a compiled body or joint, which the file itself must contain.
 
-    ExportError where it comes from an element that makes bodies, such as ``<replicate>``.
+    ExportError where it is a nameless joint, or comes from an element that makes bodies, such as
+    ``<replicate>``.
 
     Args:
         element: "body", which is a ``<link>`` in a URDF, or "joint".
-        label: its name, or "#7" for the nameless one with MuJoCo id 7.
+        label: its name, or "#7" for the nameless body with MuJoCo id 7.
     """
-    nodes = list(_compiled_order(document, element))
-    matches = [node for node in nodes if node.get("name") == label]
-    number = re.fullmatch(r"#(\d+)", label)
-    has_multiplier = next(document.root.iter(*_MULTIPLIERS), None) is not None
-    if number and not matches and not document.is_urdf and not has_multiplier:
-        # The world is body 0, so "#1" is the first body, but the second joint.
-        index = int(number[1]) - (1 if element == "body" else 0)
-        matches = nodes[index : index + 1]
-    if not matches or next(matches[0].iterancestors(*_MULTIPLIERS), None) is not None:
-        raise ExportError(
-            f"{document.path}: {element} '{label}' is not written out in the file (it comes from "
-            "an attached, repeated or generated part); write it out, with a name"
-        )
-    return matches[0]
-
-
-def _compiled_order(document: ModelDocument, element: str) -> Iterator[Node]:
-    """Yield bodies or joints as MuJoCo numbers them: joints of a body before those of its bodies.
-
-    The world is left out; of a URDF, links or joints come in the order of the file.
-
-    ``element``: "body" or "joint".
-    """
+    path = f"worldbody//{element}"
     if document.is_urdf:
-        yield from document.root.findall("link" if element == "body" else "joint")
-        return
-    for world in document.root.findall("worldbody"):
-        if element == "body":
-            yield from world.iter("body")
-        else:
-            for body in world.iter(*_WITH_JOINTS):
-                yield from _joints_of(body)
-
-
-_WITH_JOINTS = ("worldbody", "body")
-"""Tags of the elements that may contain joints."""
-
-
-def _joints_of(body: Node) -> Iterator[Node]:
-    """Yield the joints of a body, those in a ``<frame>`` of it too."""
-    for child in body:
-        if child.tag == "frame":
-            yield from _joints_of(child)
-        elif child.tag in ("joint", "freejoint"):
-            yield child
+        path = "link" if element == "body" else "joint"
+    has_multiplier = next(document.root.iter(*_MULTIPLIERS), None) is not None
+    is_numbered = element == "body" and not has_multiplier
+    for number, node in enumerate(document.root.iterfind(path), 1):
+        name = node.get("name") or (f"#{number}" if is_numbered else None)
+        is_made = next(node.iterancestors(*_MULTIPLIERS), None) is not None
+        if name == label and not is_made:
+            return node
+    raise ExportError(
+        f"{document.path}: {element} '{label}' is not written out in the file (it has no name, or "
+        "comes from an attached, repeated or generated part); write it out, with a name"
+    )

@@ -23,6 +23,7 @@ from robot_sysid.mjcf.inertial import (
     MARGIN,
     URDF_MOMENTS,
     format_number,
+    setting,
     urdf_inertial_about_com,
 )
 from robot_sysid.records import Array
@@ -43,18 +44,15 @@ LARGEST = 1e12
 
 
 def make_compilable(
-    document: ModelDocument,
-    mesh_dir: Path | None = None,
-    with_minimum: bool = False,
-    is_raised: bool = False,
+    document: ModelDocument, mesh_dir: Path | None = None
 ) -> tuple[str, ...]:
     """Make a URDF one that MuJoCo can compile, and return notes on what was changed.
 
+    Impossible moments of inertia are raised, see ``inertia_increases``, without a note, as only the
+    arm tells whether it matters.
+
     Args:
         mesh_dir: folder of the meshes; default as the file says.
-        with_minimum: whether moving links without mass get a minimum of mass and inertia.
-        is_raised: whether impossible moments of inertia are raised, see ``inertia_increases``;
-            without a note, as only the arm tells whether it matters.
 
     Raises:
         ModelError: a mesh that decides a link's inertia is missing.
@@ -62,8 +60,7 @@ def make_compilable(
     """
     notes = list(_use_absolute_meshes(document, mesh_dir))
     document.set_compiler({"fusestatic": "false", "strippath": "false"})
-    if is_raised:
-        raise_inertias(document)
+    raise_inertias(document)
     inertias = link_inertias(document)
     for link in document.root.findall("link"):
         angles = _floats(get(link.find("inertial/origin"), "rpy"))
@@ -71,7 +68,7 @@ def make_compilable(
         if np.any(angles) and not _lacks_inertia(link):
             inertia = inertias[str(link.get("name"))]
             put_inertial(link, urdf_inertial_about_com(*inertia))
-    names = give_minimum(document) if with_minimum else []
+    names = give_minimum(document)
     if names:
         listed = "', '".join(names)
         notes.append(
@@ -154,9 +151,11 @@ def _missing_mesh_error(document: ModelDocument, link: Node, mesh: Asset) -> Mod
 def give_minimum(document: ModelDocument, excluded: Collection[Node] = ()) -> list[str]:
     """Give moving links that weigh nothing, but for the excluded ones, a minimum of inertia.
 
-    Returns the names of the links that got one.
+    Returns the names of the links that got one: none where the file's compiler settings do it.
     """
-    names = []
+    names: list[str] = []
+    if setting(document, "boundmass") and setting(document, "boundinertia"):
+        return names
     for link in _massless_moving_links(document):
         if link in excluded:
             continue
@@ -198,8 +197,8 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
 
     Only links with an inertia that no body has: a principal moment is not positive, or, unless
     ``balanceinertia`` mends that, larger than the sum of the other two, which of a flat body
-    rounding alone can make it where MuJoCo computes the principal axes. The increase has two digits
-    [kg m^2]. ValueError where a number cannot be read.
+    rounding alone can make it where MuJoCo computes the principal axes. The increase has three
+    digits [kg m^2]. ValueError where a number cannot be read.
     """
     settings = document.settings("compiler")
     is_balanced = any(node.get("balanceinertia") == "true" for node in settings)
@@ -216,10 +215,8 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
         if smallest <= _SMALLEST_MOMENT:
             excess = max(excess, least - smallest)
         if excess > 0.0:
-            excess *= 1.001  # rounding must not leave it on the edge
-            digit = 10.0 ** (math.floor(math.log10(excess)) - 1)
-            rounded_up = (math.floor(excess / digit) + 1) * digit
-            increases[name] = float(f"{rounded_up:.2g}")
+            # Rounding must not leave it on the edge.
+            increases[name] = float(f"{1.01 * excess:.3g}")
     return increases
 
 

@@ -160,7 +160,8 @@ def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
     except FAILURES as error:
         # Asked only now, so that MuJoCo's own rules decide what is missing.
         refuse_missing_assets(document, mesh_dir)
-        raise ModelError(_compiler_message(document.path, error, moved)) from None
+        is_file = moved is None
+        raise ModelError(_compiler_message(document.path, error, is_file)) from None
 
 
 def _compile_urdf(
@@ -168,33 +169,19 @@ def _compile_urdf(
 ) -> tuple[Any, tuple[str, ...], Mapping[str, float]]:
     """Return (MjModel, notes, inertia increases) of a URDF document, or raise ModelError.
 
-    Where MuJoCo refuses moving links without mass, these get a minimum; where it refuses moments of
-    inertia, those are raised that no body has. Other inertias are exact.
+    Moving links without mass get a minimum, and moments of inertia that no body has are raised.
+    Other inertias are exact.
     """
-    with_minimum = False
-    increases: dict[str, float] = {}
-    while True:
-        changed = read_document(document.path)
-        try:
-            notes = make_compilable(changed, mesh_dir, with_minimum, bool(increases))
-        except (ValueError, TypeError) as error:
-            raise ModelError(
-                f"{document.path}: a number cannot be read: {error}"
-            ) from None
-        try:
-            mj_model = mujoco.MjModel.from_xml_string(changed.text().decode())
-            break
-        except FAILURES as error:
-            # A link without mass is told by MuJoCo's constant for the smallest one.
-            lacks_minimum = "mjMINVAL" in str(error) and not with_minimum
-            new_increases = {} if increases else inertia_increases(document)
-            if lacks_minimum:
-                with_minimum = True
-            elif new_increases:
-                increases = new_increases
-            else:
-                message = _compiler_message(document.path, error, changed)
-                raise ModelError(message) from None
+    changed = read_document(document.path)
+    try:
+        increases = inertia_increases(document)
+        notes = make_compilable(changed, mesh_dir)
+    except (ValueError, TypeError) as error:
+        raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
+    try:
+        mj_model = mujoco.MjModel.from_xml_string(changed.text().decode())
+    except FAILURES as error:
+        raise ModelError(_compiler_message(document.path, error, False)) from None
     inertias = link_inertias(document)
     for name, increase in increases.items():
         mass, com, inertia = inertias[name]
@@ -203,12 +190,10 @@ def _compile_urdf(
     return mj_model, notes, increases
 
 
-def _compiler_message(
-    path: Path, error: BaseException, changed: ModelDocument | None
-) -> str:
+def _compiler_message(path: Path, error: BaseException, is_file: bool) -> str:
     """Return the first line of an error of MuJoCo's, with element and line number.
 
-    ``changed``: the document whose text MuJoCo refused, where that is not the file itself.
+    ``is_file``: whether MuJoCo refused the file itself, whose lines it then counts.
     """
     text = str(error).strip() or "unknown error"
     first = re.sub(r"^(XML )?Error: ", "", text.splitlines()[0])
@@ -217,10 +202,8 @@ def _compiler_message(
     location = []
     if name and name[1].strip():
         location.append(f"'{name[1].strip()}'")
-    if line and line[1] != "0":
-        number = int(line[1])
-        number = number if changed is None else changed.line_in_file(number)
-        location.append(f"line {number}")
+    if is_file and line and line[1] != "0":
+        location.append(f"line {line[1]}")
     where = f" ({', '.join(location)})" if location else ""
     return f"MuJoCo cannot compile {path}: {first}{where}"
 

@@ -34,14 +34,16 @@ def beside_actuators(robot: RobotModel, change: ModelChange) -> ModelChange:
         dof = robot.dof_index[robot.joint_names.index(joint.label)]
         on_joint = actuators_on(model, int(model.dof_jntid[dof]))
         numbers, smaller = _numbers_beside(model, on_joint, joint.numbers)
+        joint = replace(joint, numbers=numbers)
         if joint.nonlinear_damping:
             own_damping = np.array(joint.nonlinear_damping)
             rounding = 1e-12 * own_damping
             own_damping -= stated_at_actuators(model, on_joint, "dampingpoly")
             own_damping[own_damping <= rounding] = 0.0
             has_own = bool(np.any(own_damping))
-            numbers["nonlinear_damping"] = tuple(own_damping) if has_own else ()
-        joints.append(replace(joint, **numbers))
+            own = tuple(own_damping) if has_own else ()
+            joint = replace(joint, nonlinear_damping=own)
+        joints.append(joint)
         actuators += smaller
     tendons = []
     for tendon in change.tendons:
@@ -56,7 +58,7 @@ def beside_actuators(robot: RobotModel, change: ModelChange) -> ModelChange:
 
 def _numbers_beside(
     mj_model: Any, actuators: Sequence[int], numbers: Mapping[str, float]
-) -> tuple[dict[str, Any], list[ActuatorChange]]:
+) -> tuple[dict[str, float], list[ActuatorChange]]:
     """Return a joint's or tendon's own numbers beside its actuators', and changes of the latter.
 
     Args:
@@ -64,7 +66,7 @@ def _numbers_beside(
         actuators: ids of the actuators that pull at the joint or tendon.
         numbers: "armature", "damping" and others to their values of all of them together.
     """
-    own_numbers: dict[str, Any] = dict(numbers)
+    own_numbers = dict(numbers)
     changes = []
     for name in ("armature", "damping"):
         if name not in numbers:
@@ -76,5 +78,5 @@ def _numbers_beside(
             for actuator in actuators:
                 number = getattr(mj_model, f"actuator_{name}")[actuator]
                 smaller = {name: factor * float(number)}
-                changes.append(ActuatorChange(actuator, mechanical=smaller))
+                changes.append(ActuatorChange(actuator, numbers=smaller))
     return own_numbers, changes

@@ -135,7 +135,7 @@ def _required_values(original: Any, change: ModelChange) -> Iterator[_RequiredVa
             yield _RequiredValue(owner, field, (dof,), value, advice)
     for servo in change.actuators:
         owner = f"actuator number {servo.actuator}"
-        for name, value in servo.mechanical.items():
+        for name, value in servo.numbers.items():
             yield _RequiredValue(owner, f"actuator_{name}", (servo.actuator,), value)
         if servo.stiffness is None:
             continue
@@ -202,14 +202,13 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
         if new_body < 0 or changed.nbody != original.nbody + 1:
             name = welded.name
             raise ExportError(f"the written model has no body '{name}' of its own")
-    # Body id in the original to its parameters and to those that set the scale of deviations; an
-    # emptied body, whose mass moves to the changed one, has the scale of that.
+    # Body id in the original to its parameters and to those that set the scale of deviations.
     thetas: dict[int, tuple[Array, Array]] = {}
-    for body_change in change.bodies:
-        plan = body_change.plan
-        thetas[body_change.body_id] = plan.theta, plan.theta
-        for body in plan.emptied:
-            thetas[body.body_id] = np.zeros(10), plan.theta
+    for body in change.bodies:
+        body_id = body.body_id
+        has_mass = np.any(body.theta)
+        scale_theta = body.theta if has_mass else body_theta(original, body_id)
+        thetas[body_id] = body.theta, scale_theta
     required_values = list(_required_values(original, change))
     # Field to the rows of it that may differ.
     rows: dict[str, set[int]] = {name: set(thetas) for name in BODY_FIELDS}

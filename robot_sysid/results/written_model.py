@@ -23,7 +23,7 @@ from robot_sysid import __version__
 from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.inertial import WriteBack, plan_write_back, setting
+from robot_sysid.mjcf.inertial import plan_write_back, setting
 from robot_sysid.mjcf.updated_model import (
     ActuatorChange,
     BodyChange,
@@ -84,7 +84,9 @@ def write_model(
     thetas, errors = _links_without_payload(result)
     robot, target = _arm_of_kind(result.robot, file_kind or result.model_kind, target)
     terms = {} if result.file is None else result.file.joints
-    joints, notes = _changes_of_kind(robot, _joint_changes(robot, terms))
+    identified = [name for name in robot.joint_names if name in terms]
+    joint_changes = [JointChange(name, _numbers(terms[name])) for name in identified]
+    joints, notes = _changes_of_kind(robot, joint_changes)
     payload = result.payload
     welded = None
     comments = []
@@ -107,7 +109,10 @@ def write_model(
     if result.file is not None and result.file.omissions:
         omissions = " and ".join(result.file.omissions)
         comments.append(f"without {omissions}, which no URDF can hold")
-    bodies, written_thetas = _body_changes(robot, thetas, errors, "; ".join(comments))
+    bodies, written_thetas, body_notes = _body_changes(
+        robot, thetas, errors, "; ".join(comments)
+    )
+    notes += body_notes
     written_thetas[-1] += theta_beside
     tendons = () if result.file is None else tuple(_tendon_changes(robot, result.file))
     change = ModelChange(bodies, target.rmse, joints, welded, tendons=tendons)
@@ -115,7 +120,8 @@ def write_model(
         x, y, z = result.file.gravity.tolist()
         change = replace(change, gravity=(x, y, z))
         notes += (_GRAVITY_NOTE,) if robot.kind == "urdf" else ()
-    return notes + _write(robot, change, target, written_thetas)
+    _write(robot, change, target, written_thetas)
+    return notes
 
 
 def _arm_of_kind(
@@ -161,7 +167,8 @@ def write_joints(
     robot, target = _arm_of_kind(robot, file_kind, target)
     joint_changes, notes = _changes_of_kind(robot, joints)
     change = ModelChange((), target.rmse, joint_changes, None, tuple(actuators))
-    return notes + _write(robot, change, target, robot.thetas)
+    _write(robot, change, target, robot.thetas)
+    return notes
 
 
 def max_inflation(errors: Array) -> float:
@@ -194,30 +201,10 @@ def _links_without_payload(result: Result) -> tuple[Array, Array]:
     return thetas, errors
 
 
-def _joint_changes(
-    robot: RobotModel, terms_by_joint: Mapping[str, Mapping[str, Quantity]]
-) -> tuple[JointChange, ...]:
-    """Return the changes of the joints, base to terminal, whose friction terms are identified.
-
-    Args:
-        robot: the arm.
-        terms_by_joint: joint, or motor that turns several, to its terms ("coulomb", ...); motors
-            are passed over.
-    """
-    changes = []
-    for joint in robot.joint_names:
-        if joint not in terms_by_joint:
-            continue
-        terms = terms_by_joint[joint]
-        values = {term: quantity.value for term, quantity in terms.items()}
-        change = JointChange(
-            joint,
-            armature=values.get("armature"),
-            damping=values.get("viscous"),
-            frictionloss=values.get("coulomb"),
-        )
-        changes.append(change)
-    return tuple(changes)
+def _numbers(terms: Mapping[str, Quantity]) -> dict[str, float]:
+    """Return the values of friction terms that a file holds by their names in MJCF."""
+    names = _MJCF_ATTRIBUTES
+    return {names[term]: terms[term].value for term in names if term in terms}
 
 
 def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange]:
@@ -233,7 +220,7 @@ def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange
             tendon=next(new_indices) if motor.tendon is None else motor.tendon,
             is_new=motor.tendon is None,
             coefficients={joint: ratio for joint, ratio in ratios if ratio != 0.0},
-            numbers={_MJCF_ATTRIBUTES[term]: terms[term].value for term in terms},
+            numbers=_numbers(terms),
         )
 
 
@@ -245,22 +232,25 @@ def _changes_of_kind(
     The notes are one sentence or (). In an MJCF, nonlinear damping of the model stays.
     """
     if robot.kind == "urdf":
-        possible = tuple(replace(c, armature=None) for c in changes)
+        possible = []
+        for change in changes:
+            numbers = {k: v for k, v in change.numbers.items() if k != "armature"}
+            possible.append(replace(change, numbers=numbers))
         note = "a URDF cannot hold rotor inertia, so the written URDF lacks it"
-        return possible, (note,) if any(c.armature for c in changes) else ()
-    nonlinear_damping = dict(zip(robot.joint_names, robot.nonlinear_damping.tolist()))
+        has_rotors = any(change.numbers.get("armature") for change in changes)
+        return tuple(possible), (note,) if has_rotors else ()
     kept = []
     for change in changes:
-        coefficients = nonlinear_damping[change.label]
-        if any(coefficients):
-            change = replace(change, nonlinear_damping=tuple(coefficients))
-        kept.append(change)
+        index = robot.joint_names.index(change.label)
+        coefficients = tuple(robot.nonlinear_damping[index].tolist())
+        own = coefficients if any(coefficients) else ()
+        kept.append(replace(change, nonlinear_damping=own))
     return tuple(kept), ()
 
 
 def _body_changes(
     robot: RobotModel, thetas: Array, errors: Array, terminal_comment: str
-) -> tuple[tuple[BodyChange, ...], Array]:
+) -> tuple[tuple[BodyChange, ...], Array, tuple[str, ...]]:
     """Return the changes of the bodies of all links that differ from the model.
 
     A link may consist of several bodies; the change goes to one of them, and others may be made
@@ -273,7 +263,7 @@ def _body_changes(
         terminal_comment: comment on the terminal link, or "".
 
     Returns:
-        (changes, parameters (n, 10) of the links that they lead to).
+        (changes, parameters (n, 10) of the links that they lead to, notes for the user).
 
     Raises:
         ExportError: a joint moves no body of its own.
@@ -284,6 +274,7 @@ def _body_changes(
     written_thetas = np.array(thetas, dtype=float)
     indices = np.flatnonzero(np.any(thetas != robot.thetas, axis=1)).tolist()
     changes: list[BodyChange] = []
+    notes: list[str] = []
     for k in indices:
         link = robot.links[k]
         bodies = link_bodies(
@@ -297,15 +288,18 @@ def _body_changes(
         plan = plan_write_back(thetas[k], bodies, bound, max_inflation(errors[k]))
         # With the moments of inertia as they were inflated to be possible.
         written_thetas[k] = plan.written_composite(thetas[k])
-        comment = terminal_comment if k == len(body_ids) - 1 else ""
-        changes.append(BodyChange(link.body_name, link.body_id, plan, comment))
-        comment = f"mass and inertia {plan.scale:.4g} of the model's, for want of room in its link"
-        for body in plan.lightened:
-            theta = plan.scale * body_theta(robot.mj_model, body.body_id)
-            changes.append(
-                BodyChange(body.name, body.body_id, WriteBack(theta), comment)
-            )
-    return tuple(changes), written_thetas
+        notes += plan.notes
+        comments = [terminal_comment] if k == len(body_ids) - 1 else []
+        addition = "; ".join(filter(None, [*comments, *plan.notes]))
+        changes.append(BodyChange(link.body_name, link.body_id, plan.theta, addition))
+        for body in bodies:
+            if body.body_id not in plan.shares:
+                continue
+            share = plan.shares[body.body_id]
+            theta = share * body_theta(robot.mj_model, body.body_id)
+            addition = f"mass and inertia {share:.4g} of the model's, for want of room in its link"
+            changes.append(BodyChange(body.name, body.body_id, theta, addition))
+    return tuple(changes), written_thetas, tuple(notes)
 
 
 def _payload_body(
@@ -329,12 +323,12 @@ def _payload_body(
 
 def _write(
     robot: RobotModel, change: ModelChange, target: ModelTarget, thetas: Array
-) -> tuple[str, ...]:
-    """Write the text of a changed model as a draft file, verify the draft, and return notes.
+) -> None:
+    """Write the text of a changed model as a draft file, and verify the draft.
 
     The draft is compiled, compared with the original model, and its torques are compared with those
     of the links' parameters. Inertias are written as principal moments where the installed MuJoCo
-    reads full matrices inaccurately. The notes are those of the plans for the changed bodies.
+    reads full matrices inaccurately.
 
     Args:
         robot: the arm with the original model.
@@ -347,7 +341,7 @@ def _write(
         ExportError: the draft does not load, differs in more than ``change``, or takes other
             torques. The draft is withdrawn on this and on any other exception.
     """
-    written = [body.plan.theta for body in change.bodies]
+    written = [body.theta for body in change.bodies if np.any(body.theta)]
     if change.welded is not None:
         written.append(change.welded.theta)
     is_exact = all(map(verification.reads_fullinertia_exactly, written))
@@ -368,13 +362,6 @@ def _write(
     except BaseException:
         target.files.withdraw(path)
         raise
-    notes = []
-    for body in change.bodies:
-        plan = body.plan
-        if plan.note:
-            is_major = plan.emptied or plan.lightened
-            notes.append(plan.note if is_major else Detail(plan.note))
-    return tuple(notes)
 
 
 def versions() -> dict[str, str]:

@@ -160,17 +160,16 @@ class ServoIdentification:
         joint_changes = []
         actuator_changes = []
         for k in np.flatnonzero(self.is_new).tolist():
-            stiffness, damping, friction, armature = self.fit.numbers[:, k].tolist()
-            kv = float(actuators.damping_share[k]) * damping
-            name = self.robot.joint_names[k]
-            joint_changes.append(JointChange(name, armature, damping - kv, friction))
+            numbers = dict(zip(UNITS, self.fit.numbers[:, k]))
+            stiffness = numbers.pop("gain")
+            kv = actuators.damping_share[k] * numbers["damping"]
+            numbers["damping"] -= kv
+            joint_changes.append(JointChange(self.robot.joint_names[k], numbers))
             if np.isfinite(actuators.stiffness[k]):
-                squared_gear = float(actuators.gear[k]) ** 2
+                squared_gear = actuators.gear[k] ** 2
                 motor_kv = kv / squared_gear if kv > 0.0 else None
-                index = int(actuators.index[k])
-                actuator_changes.append(
-                    ActuatorChange(index, stiffness / squared_gear, motor_kv)
-                )
+                gains = stiffness / squared_gear, motor_kv
+                actuator_changes.append(ActuatorChange(actuators.index[k], *gains))
         return joint_changes, actuator_changes
 
     def json_content(self) -> dict[str, Any]:

@@ -205,16 +205,3 @@ def test_nothing_but_quotes_and_white_space_inside_tags_changes(tmp_path, text):
     marks = str.maketrans("'", '"', " \r\n")
     assert written.translate(marks) == text.translate(marks)
     assert written.count("\n") == written.count("\r\n") or "\r" not in text
-
-
-def test_a_line_of_the_text_is_found_in_the_file(tmp_path):
-    """MuJoCo names a line of what it compiled, where each tag is a line."""
-    text = "<robot\n\n name='r'>\n<!-- a\n -->\n<link/>\n<link\n/>\n<joint/></robot>"
-    document = document_of(tmp_path, text)
-    document.root.remove(document.root.find("link"))
-    document.set_compiler({"angle": "radian"})
-    lines = document.text().decode().splitlines()
-    (line,) = (k for k, content in enumerate(lines, 1) if "<joint" in content)
-    assert (
-        document.line_in_file(line) == text.splitlines().index("<joint/></robot>") + 1
-    )
