@@ -27,7 +27,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.workshop import COMMANDS, EXAMPLE, SEARCH, Run, Workshop
-from robot_sysid.records.file_access import LOCK_NAME
 from tests.support.command_line import files_in
 
 WRITING = 0.02
@@ -134,7 +133,7 @@ def is_whole(path: str, content: bytes, other: dict[str, bytes]) -> bool:
 def has_draft(folder: Path) -> bool:
     """Tell whether results are being written."""
     with contextlib.suppress(OSError):
-        return any(n.startswith(".") and n != LOCK_NAME for n in os.listdir(folder))
+        return any(name.startswith(".") for name in os.listdir(folder))
     return False
 
 

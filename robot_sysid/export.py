@@ -98,13 +98,13 @@ class Outcome:
 
 
 @contextlib.contextmanager
-def locked_folder(folder: Path, progress: Progress) -> Iterator[None]:
-    """Keep other runs out of an output folder, and note MuJoCo's warnings when the block ends.
+def writable_folder(folder: Path, progress: Progress) -> Iterator[None]:
+    """Note MuJoCo's warnings when the block, which writes to an output folder, ends.
 
-    InputError where the folder cannot be written to, or another run has it.
+    InputError where the folder cannot be written to.
     """
     file_access.require_writable(folder)
-    with warnings_as_notes(progress), file_access.lock_folder(folder):
+    with warnings_as_notes(progress):
         yield
 
 

@@ -15,7 +15,6 @@ import pytest
 
 from robot_sysid.cli import _message_lines, main
 from robot_sysid.errors import ColumnsError, SysidError
-from robot_sysid.records.file_access import lock_folder
 from robot_sysid.solver import identify_parameters
 from tests.support.arms import TWO_ARMS, Y, serial_arm
 from tests.support.command_line import files_in
@@ -251,13 +250,6 @@ def test_a_signal_at_work_leaves_the_old_results_and_no_drafts(
     monkeypatch.setattr("robot_sysid.results.verification.require_reproduction", stop)
     command.run(arm, *SHORT[:4], "--seed", "2", *EXPORT, code=130)
     assert files_in(arm.parent / "sysid_output") == old_files
-
-
-def test_two_runs_do_not_write_into_one_folder(command, arm):
-    with lock_folder(arm.parent / "sysid_output"):
-        assert "another run is writing to sysid_output" in command.refused(arm, *SHORT)
-        command.run(arm, *SHORT, "--output-dir", "elsewhere")
-    command.run(arm, *SHORT)
 
 
 def run_process(*arguments, cwd, **streams):

@@ -20,7 +20,7 @@ from robot_sysid.config import Config, PlanConfig
 from robot_sysid.dynamics.equations import split_name
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.export import Outcome, locked_folder, params_json_text
+from robot_sysid.export import Outcome, params_json_text, writable_folder
 from robot_sysid.model.compilation import lasting_folder
 from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.pipeline.planning import draft_plan
@@ -166,7 +166,7 @@ class Identified:
         """
         from robot_sysid.report.runs import save_data
 
-        with in_python(), one_thread(), locked_folder(Path(folder), Progress()):
+        with in_python(), one_thread(), writable_folder(Path(folder), Progress()):
             outcome = self._write(Path(folder))
             if self.result.is_measured:
                 save_data(Path(folder), self.traces(), outcome.result_hash)

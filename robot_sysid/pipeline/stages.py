@@ -30,7 +30,7 @@ from robot_sysid.dynamics.equations import (
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
-from robot_sysid.export import Outcome, locked_folder, save
+from robot_sysid.export import Outcome, save, writable_folder
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.parser import load_robot_model
@@ -90,7 +90,7 @@ def run(config: Config, progress: Progress | None = None) -> Outcome:
             progress,
             config.input_files(),
         )
-    with locked_folder(config.output.output_dir, progress):
+    with writable_folder(config.output.output_dir, progress):
         if not isinstance(config, MotionConfig):
             robot = load_arm(config.model, progress)
             return write_results(config, identify(config, robot, progress), progress)

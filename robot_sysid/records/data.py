@@ -6,7 +6,7 @@ Samples become square-root information, that becomes an ``Estimate``, which is j
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
@@ -144,23 +144,17 @@ class SquareRootInformation:
             weights: (joints,) weight of each joint's equations, 1/sigma; the prior's equations
                 come last. None weighs all joints alike and leaves the prior out.
         """
-        rows = np.vstack(list(self.equation_blocks(weights)))
-        return rows[:, :-1], rows[:, -1]
-
-    def equation_blocks(self, weights: Array | None = None) -> Iterator[Array]:
-        """Yield the rows [A b] (m, p+1) of ``equations``: m rows of each joint, then the prior's.
-
-        ``weights``: (joints,) weight of each joint's equations; None weighs all joints alike and
-        leaves the prior's rows out.
-        """
+        width = len(self.names) + 1
         scales = np.ones(len(self.joints)) if weights is None else np.asarray(weights)
+        blocks = [np.zeros((0, width))]
         for joint, weight in zip(self.joints, scales):
             # A joint's triangle has the columns of its own parameters, and the torque's.
-            block = np.zeros((len(joint.triangle), len(self.names) + 1))
-            block[:, [*joint.columns, -1]] = weight * joint.triangle
-            yield block
+            blocks.append(np.zeros((len(joint.triangle), width)))
+            blocks[-1][:, [*joint.columns, -1]] = weight * joint.triangle
         if weights is not None and self.prior is not None:
-            yield self.prior
+            blocks.append(self.prior)
+        rows = np.concatenate(blocks)
+        return rows[:, :-1], rows[:, -1]
 
     def squared_residuals(self, values: Array) -> Array:
         """Return each joint's sum of squared residuals (joints, ...) at values (p, ...) [N^2 m^2].
@@ -177,11 +171,6 @@ class SquareRootInformation:
         return np.array(sums)
 
 
-SampleSource = Iterable[tuple[int, Array, Array]]
-"""The equations of a ``SquareRootInformation`` sample by sample, for methods with several passes.
-
-Each pass yields (joint index, rows (N, k), tau (N,)) of every joint, in the order of time. tau is
-NaN where a sample is left out of the fit; its row stays, so that time lags keep their meaning."""
 DELAY_NAME = "delay"
 """Name of the parameter by which torque lags position."""
 
@@ -313,21 +302,26 @@ def validation_of(
         source: description of the data.
     """
 
-    def relative(error: float, torque: float) -> float | None:
-        """Return the relative error of sums of squares; None where the torque is zero."""
-        return float(np.sqrt(error / torque)) if torque > 0.0 else None
-
     total = float(np.sum(squared_errors))
-    rmse_per_joint = np.sqrt(squared_errors / np.maximum(counts, 1.0)).tolist()
-    relative_errors = map(relative, squared_errors, squared_torques)
+    of_all = _relative_errors([total], [float(np.sum(squared_torques))])
+    per_joint = np.sqrt(squared_errors / np.maximum(counts, 1.0)).tolist()
+    relative = _relative_errors(squared_errors, squared_torques)
     return Validation(
         source=source,
         n_samples=int(np.max(counts, initial=0)),
         rmse=float(np.sqrt(total / max(np.sum(counts), 1.0))),
-        relative_error=relative(total, float(np.sum(squared_torques))),
-        rmse_per_joint=dict(zip(joint_names, rmse_per_joint)),
-        relative_error_per_joint=dict(zip(joint_names, relative_errors)),
+        relative_error=of_all[0],
+        rmse_per_joint=dict(zip(joint_names, per_joint)),
+        relative_error_per_joint=dict(zip(joint_names, relative)),
     )
+
+
+def _relative_errors(
+    squared_errors: Iterable[float], squared_torques: Iterable[float]
+) -> list[float | None]:
+    """Return relative errors from sums of squares; None where the torque is zero."""
+    pairs = zip(squared_errors, squared_torques)
+    return [float(np.sqrt(e / t)) if t > 0.0 else None for e, t in pairs]
 
 
 @dataclass(frozen=True)
@@ -437,11 +431,9 @@ class Traces:
     truth: InertialParameters | None = None
 
     def __post_init__(self) -> None:
-        expected_shape = (len(self.time), len(self.joints))
-        for name in SIGNAL_NAMES:
-            shape = np.shape(getattr(self, name))
-            if shape != expected_shape:
-                raise InputError(f"{name} has shape {shape}, not {expected_shape}")
+        shapes = {np.shape(getattr(self, name)) for name in SIGNAL_NAMES}
+        if shapes != {(len(self.time), len(self.joints))}:
+            raise InputError(f"signals of a result have the shapes {shapes}")
 
     @property
     def residual(self) -> Array:

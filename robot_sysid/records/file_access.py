@@ -1,14 +1,13 @@
 """Files: results are written whole or not at all, what others wrote is read with care.
 
 A file is written as a draft, by a hidden name in the folder of its final path: an older file stays
-in place until the moment in which the draft replaces it. Whatever the system refuses, and a folder
-that another run has locked, raises InputError.
+in place until the moment in which the draft replaces it. Whatever the system refuses raises
+InputError.
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
 import stat
@@ -35,8 +34,6 @@ SERVO_NAME = "servo.json"
 """Name of the file with all numbers identified for an arm without torque measurement."""
 RUN_NAME = "run.toml"
 """Name of the file with all options of a run, from which it can be repeated."""
-LOCK_NAME = ".robot-sysid.lock"
-"""Name of the file that locks a folder while a run writes to it."""
 _DRAFT_PREFIX = ".robot-sysid-"
 """Begin of the name of a draft, a hidden file that is renamed when it is complete."""
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
@@ -296,67 +293,6 @@ def _hidden_path(path: Path) -> Path:
     return path.with_name(f"{_DRAFT_PREFIX}{os.urandom(4).hex()}{path.suffix[-25:]}")
 
 
-@contextlib.contextmanager
-def lock_folder(folder: Path) -> Iterator[None]:
-    """Create an output folder and keep other runs out of it while the block runs.
-
-    A folder that this function created and that is still empty is removed after the block.
-    InputError where another run has the folder.
-    """
-    files = AtomicFiles()
-    lock_path = folder / LOCK_NAME
-    try:
-        with _refusals_as_input_errors(folder):
-            files.create_folder(folder)
-            handle = _open_lock(lock_path)
-        try:
-            yield
-        finally:
-            # Windows keeps what is open.
-            with contextlib.suppress(OSError):
-                lock_path.unlink()
-            os.close(handle)
-    finally:
-        files.discard()
-
-
-def _open_lock(lock_path: Path) -> int:
-    """Return the handle of a lock file, which this process holds until it closes it or ends.
-
-    InputError where another process holds the file.
-    """
-    while True:
-        handle = os.open(lock_path, os.O_CREAT | os.O_RDWR, 0o666)
-        is_free = _try_lock(handle)
-        # A run that has just ended may have removed the file between opening and locking.
-        with contextlib.suppress(FileNotFoundError):
-            if is_free and os.path.samestat(os.fstat(handle), os.stat(lock_path)):
-                return handle
-        os.close(handle)
-        if not is_free:
-            remedy = "wait until it ends, or choose another --output-dir"
-            raise InputError(f"another run is writing to {lock_path.parent}; {remedy}")
-
-
-def _try_lock(handle: int) -> bool:
-    """Lock an open file (handle of the system); return False where another process has it locked.
-
-    True, without a lock, on a file system that has no locks.
-    """
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        return error.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-    return True
-
-
 def require_writable(folder: Path) -> None:
     """Raise InputError where files could not be written to a folder, which is not created.
 
@@ -367,15 +303,11 @@ def require_writable(folder: Path) -> None:
         absolute = folder.absolute()
     # Path.exists fails where a folder above cannot be entered, or a name is too long.
     existing = next(f for f in (absolute, *absolute.parents) if os.path.lexists(f))
-    fault = None
-    if not os.path.exists(existing):
-        fault = f"{existing} is a link that leads nowhere"
-    elif not existing.is_dir():
-        fault = f"{existing} is not a folder"
-    elif not os.access(existing, os.W_OK | os.X_OK):
-        fault = "no permission"
-    if fault is not None:
-        raise InputError(f"cannot write to {folder}: {fault}; choose another folder")
+    if not (os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)):
+        raise InputError(
+            f"cannot write to {folder}: {existing} is no folder in which this user may write; "
+            "choose another folder"
+        )
 
 
 def is_same_file(path: Path, other: Path | None) -> bool:

@@ -214,11 +214,11 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
 
 def given_arguments(record: Any, keys: Collection[str] | None = None) -> list[str]:
     """Return the arguments of a command line that state a record's given options, of some keys."""
+    given = {option.key for option in given_options(record)}
     values = {}
     for name, stated in options_of(record).items():
-        value = getattr(record, name)
-        if value != default_of(record, name) and (keys is None or stated.key in keys):
-            values[stated.key] = value
+        if stated.key in (given if keys is None else given & {*keys}):
+            values[stated.key] = getattr(record, name)
     return command_arguments(values, record)
 
 
@@ -259,22 +259,23 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
         raise InputError(f"{stated.flag}: {error}") from None
     # An option with several names in the help, such as LINK KG, takes rows, each of them a tuple.
     has_rows = isinstance(stated.metavar, tuple)
+    takes_many = stated.repeats or stated.takes_many
     # Whether the value is one value, or one row: a tuple that holds no tuple.
     is_single = not isinstance(value, tuple)
     if has_rows and not is_single:
-        is_single = not any(isinstance(row, tuple) for row in value)
-    takes_many = stated.repeats or stated.takes_many
+        is_single = not isinstance(value[:1] and value[0], tuple)
     if takes_many and is_single:
         value = (value,)
-    # A switch has no parser. A parser that _VALUE_TYPES does not list allows values of any type.
+    # A switch has no parser.
     parser_name = getattr(stated.parse, "__name__", "bool")
     types, type_text = _VALUE_TYPES.get(parser_name, ((object,), ""))
     takes_many = takes_many or has_rows or type_text.endswith(_PER_JOINT)
+    # Python counts a bool as a number; an option does not.
     fits = takes_many or is_single
     for leaf in _leaves(value):
-        # Python counts a bool as a number; an option does not.
-        fits &= isinstance(leaf, types)
-        fits &= bool in types or not isinstance(leaf, bool)
+        fits &= isinstance(leaf, types) and (
+            bool in types or not isinstance(leaf, bool)
+        )
     if not fits:
         raise InputError(f"{stated.flag} must be {type_text} (got {raw_value!r:.60})")
     return value
@@ -424,7 +425,7 @@ def joint_factors(
 def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, float]]:
     """Return joint name to factor and standard error of one table of a file, or raise InputError.
 
-    The error is NaN where the file is of version 1, which states none.
+    The error is NaN where the file states none.
 
     ``table``: ``SCALE`` or ``CONSTANTS``, the table's key in the file.
     """
@@ -439,13 +440,11 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, fl
         )
     factors = {}
     for joint, entry in content[table].items():
-        value = entry
+        stated = entry if isinstance(entry, dict) else {"value": entry}
         error = math.nan
-        if version == FACTORS_VERSION:
-            stated = entry if isinstance(entry, dict) else {}
-            value = stated.get("value")
-            error = _checked_factor(path, joint, stated.get("standard_error"))
-        factors[str(joint)] = _checked_factor(path, joint, value), error
+        if "standard_error" in stated:
+            error = _checked_factor(path, joint, stated["standard_error"])
+        factors[str(joint)] = _checked_factor(path, joint, stated.get("value")), error
     return factors
 
 

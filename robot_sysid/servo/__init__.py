@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import ExportError
-from robot_sysid.export import Outcome, locked_folder, remove_earlier
+from robot_sysid.export import Outcome, remove_earlier, writable_folder
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import (
     MeasurementLog,
@@ -287,7 +287,7 @@ def run_servo(
     Raises:
         InputError: the logs cannot be used; nothing is written then.
     """
-    with locked_folder(folder, progress):
+    with writable_folder(folder, progress):
         result, poses = identify_servos(robot, logs, progress)
         progress.note(*result.notes)
         fault = servo_fault(result.rollout, result.goal_errors)

@@ -16,11 +16,8 @@ from pathlib import Path
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import file_access as files
 from robot_sysid.records.file_access import (
-    LOCK_NAME,
     atomic_files,
-    lock_folder,
     plan_settings,
     read_json,
     read_toml,
@@ -137,15 +134,13 @@ def test_a_process_that_is_killed_leaves_whole_files_and_keeps_no_folder(old_set
     code = (
         "import os, signal; from pathlib import Path; from tests.records import test_file_access\n"
         "test_file_access.watch_commit(lambda n: n == 4 and os.kill(os.getpid(), signal.SIGKILL))\n"
-        "with test_file_access.lock_folder(Path.cwd()):\n"
-        "    test_file_access.write_set(Path.cwd(), 'new')"
+        "test_file_access.write_set(Path.cwd(), 'new')"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     killed = subprocess.run([sys.executable, "-c", code], cwd=old_set, env=environment)
     assert killed.returncode == -signal.SIGKILL
     assert_whole(old_set)
-    with lock_folder(old_set):
-        write_set(old_set, "new")
+    write_set(old_set, "new")
     assert {name: texts_in(old_set)[name] for name in NAMES} == dict.fromkeys(
         NAMES, "new"
     )
@@ -207,42 +202,6 @@ def test_a_path_that_cannot_be_written_is_one_line(tmp_path):
         with pytest.raises(InputError) as caught:
             write_atomically(path, "x")
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_only_one_run_at_a_time_has_a_folder(tmp_path):
-    folder = tmp_path / "new" / "out"
-    with pytest.raises(ZeroDivisionError), lock_folder(folder):
-        raise ZeroDivisionError
-    assert list(tmp_path.iterdir()) == []
-    with lock_folder(folder):
-        with (
-            pytest.raises(InputError, match="another run is writing to"),
-            lock_folder(folder),
-        ):
-            raise AssertionError("two at once")
-        (folder / "result").write_text("")
-    assert texts_in(folder) == {"result": ""}
-    with lock_folder(folder):
-        pass
-
-
-def test_a_lock_that_was_removed_while_it_was_taken_does_not_count(
-    tmp_path, monkeypatch
-):
-    try_lock = files._try_lock
-    handles = []
-
-    def take_late(handle):
-        """The other run ends between opening the file and locking it."""
-        if not handles:
-            (tmp_path / LOCK_NAME).unlink()
-        handles.append(handle)
-        return try_lock(handle)
-
-    monkeypatch.setattr(files, "_try_lock", take_late)
-    with lock_folder(tmp_path):
-        assert len(handles) == 2
-        assert os.path.samestat(os.fstat(handles[-1]), os.stat(tmp_path / LOCK_NAME))
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):

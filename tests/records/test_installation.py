@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shlex
-from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -14,17 +11,6 @@ from robot_sysid.records import installation
 from tests.support.places import ROOT
 
 WHEEL = f"robot_sysid-{robot_sysid.__version__}-py3-none-any.whl"
-
-
-class Record:
-    """Metadata of an installed package, with the record that pip leaves of a path or address."""
-
-    def __init__(self, url):
-        self.url = url
-
-    def read_text(self, name):
-        assert name == "direct_url.json"
-        return json.dumps({"url": self.url}) if self.url else None
 
 
 @pytest.fixture
@@ -44,27 +30,8 @@ def test_a_checkout_is_installed_again_from_wherever_the_user_stands(
     assert installation.install_command("logs") == f'pip install -e "{ROOT}[logs]"'
 
 
-def test_a_wheel_is_named_by_its_path_while_it_is_there(
-    site_packages, tmp_path, monkeypatch
-):
-    wheel = tmp_path / "with blank" / WHEEL
-    wheel.parent.mkdir()
-    wheel.touch()
-    monkeypatch.setattr(
-        metadata, "distribution", lambda name: Record(wheel.resolve().as_uri())
-    )
-    words = shlex.split(installation.install_command("can"))
-    assert words == ["pip", "install", f"{wheel.resolve()}[can]"]
-    wheel.unlink()
+def test_without_a_checkout_the_wheel_is_named(site_packages):
     assert installation.install_command("can") == f'pip install "{WHEEL}[can]"'
-
-
-@pytest.mark.parametrize("url", [None, f"https://example.org/{WHEEL}"])
-def test_without_a_file_the_wheel_of_the_release_is_named(
-    site_packages, monkeypatch, url
-):
-    monkeypatch.setattr(metadata, "distribution", lambda name: Record(url))
-    assert installation.install_command("report") == f'pip install "{WHEEL}[report]"'
 
 
 def test_no_message_or_page_installs_from_an_index_that_does_not_have_it():
