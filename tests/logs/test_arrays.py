@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import struct
 import zipfile
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -215,32 +213,6 @@ def test_arrays_of_a_matlab_struct_are_read_and_cells_are_not(tmp_path):
     assert_read(path)
 
 
-def matlab_element(element_type, content):
-    """An element of a .mat file: its type and size, its content, and zeros up to eight bytes."""
-    head = struct.pack("<II", element_type, len(content))
-    return head + content + bytes(-len(content) % 8)
-
-
-def matlab_object(name):
-    """A variable of MATLAB's own class, such as a table or a string, in a .mat file."""
-    flags = matlab_element(6, struct.pack("<II", 17, 0))
-    names = map(partial(matlab_element, 1), (name, b"MCOS", b"table"))
-    shape = matlab_element(5, struct.pack("<ii", 1, 1))
-    full = matlab_element(6, struct.pack("<II", 13, 0)) + shape + matlab_element(1, b"")
-    content = matlab_element(14, full + matlab_element(6, bytes(4)))
-    return matlab_element(14, flags + b"".join(names) + content)
-
-
-def test_a_matlab_file_with_objects_gives_its_arrays(tmp_path):
-    path = tmp_path / "log.mat"
-    savemat(path, COLUMNS)
-    head = path.read_bytes()[:128]
-    path.write_bytes(path.read_bytes() + matlab_object(b"remarks"))
-    assert_read(path)
-    path.write_bytes(head + matlab_object(b"remarks"))
-    assert_refused("log.mat holds no arrays with a row per sample", path)
-
-
 def test_an_empty_data_set_of_hdf5_is_no_column(h5py, tmp_path):
     path = tmp_path / "log.hdf5"
     hdf5(path, **COLUMNS)
@@ -275,22 +247,6 @@ def test_every_episode_is_a_piece(tmp_path, version):
     assert len(read_measurements(path, JOINTS, episode=(1,)).pieces) == 1
     assert len(read_measurements(path, JOINTS, episode=(1, 1)).pieces) == 1
     assert_refused("no episode 7; it has 3, the last of which is 2", path, episode=(7,))
-
-
-def test_arms_that_may_record_per_cent_are_said_to_be_read_in_degrees(tmp_path):
-    path = recorded.lerobot("v3.0", 1)(tmp_path, motion(500))
-    info = path / "meta" / "info.json"
-    content = json.loads(info.read_text())
-    for robot_type, count in (
-        ("so101_follower", 1),
-        ("bi_so_follower", 1),
-        ("koch", 1),
-        ("openarm_follower", 0),
-        (None, 0),
-    ):
-        info.write_text(json.dumps({**content, "robot_type": robot_type}))
-        notes = read_measurements(path, JOINTS).notes
-        assert sum("use_degrees was false" in note for note in notes) == count
 
 
 @pytest.mark.parametrize(

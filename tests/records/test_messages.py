@@ -25,7 +25,16 @@ def test_a_number_is_rounded_at_the_second_digit_of_its_error(value, error):
 
 
 @pytest.mark.parametrize(
-    ("count", "text"), [(0, "0 rows"), (1, "1 row"), (2, "2 rows")]
+    ("value", "error", "text"),
+    [
+        (-6e-5, 0.0012, "-0.0001"),
+        (-2e-5, 0.0012, "0.0000"),
+        (1e-15, 1e-5, "0.000000"),
+        (-1e-15, 1e-9, "0"),
+        (3.21e-7, 1.1e-8, "3.21e-07"),
+        (0.0, 0.1, "0"),
+        (1234.5, 130.0, "1234"),
+    ],
 )
 def test_what_is_far_below_its_error_is_a_zero_without_sign(value, error, text):
     assert number_text(value, error) == text
