@@ -33,7 +33,7 @@ COMMANDS = {
     "payload": f"payload {GUESS} --empty kinova/empty_arm.csv --loaded kinova/true_arm.csv",
     "plan": f"plan {GUESS} --duration 8 --seed 1 --save-trajectory plan.json",
     "motion": f"plan {GUESS} --duration 8 --excitation sines --seed 1 {MOTORS}",
-    "rehearsal": f"motors simulate motion/damiao_trajectory.csv --model {GUESS} --play "
+    "rehearsal": f"motors simulate motion/damiao_trajectory.csv --model {GUESS} "
     "--record measured.csv",
 }
 """Commands without test inputs; each runs in the same folder, after those before it."""

@@ -28,12 +28,13 @@ from robot_sysid.damiao.protocol import (
     encode_mit,
 )
 from robot_sysid.damiao.settings import Plan, PlaySettings, RecordingOptions
-from robot_sysid.damiao.simulated import SimulatedArm, serve, simulated_motor
+from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
 from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
 from tests.support.damiao_rig import Pendulums, swing
+from tests.support.realtime_arm import serve
 
 JOINTS = 7
 SECONDS = 8.0

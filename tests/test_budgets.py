@@ -17,8 +17,8 @@ from tests.support.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 5467,
-    "robot_sysid/commands": 13315,
-    "robot_sysid/damiao": 41142,
+    "robot_sysid/commands": 12972,
+    "robot_sysid/damiao": 39727,
     "robot_sysid/diagnosis": 19102,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29590,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4371,
     "robot_sysid": 12104,
-    "tests": 235070,
+    "tests": 234750,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -208,8 +208,8 @@ def test_a_run_starts_without_what_it_does_not_need_and_in_one_thread(tmp_path):
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-MUTABLE = {"ModelDocument", "SimulatedMotor", "ServiceReport"}
-"""Records with a state: nodes of XML files, simulated motors and reports of a running session."""
+MUTABLE = {"ModelDocument", "SimulatedMotor"}
+"""Records with a state: nodes of XML files and simulated motors."""
 
 
 def test_records_cannot_be_changed():

@@ -38,7 +38,7 @@ def main() -> int:
         print("1. export: robot-sysid MODEL --export-damiao --motor-type ...")
         trajectory = exported_trajectory(model, folder)
         print(
-            "2. play and record: robot-sysid motors simulate ... --play --record measured.csv"
+            "2. play and record: robot-sysid motors simulate ... --record measured.csv"
         )
         play_and_record(trajectory, folder / "measured.csv")
         print("3. identify: robot-sysid identify MODEL measured.csv")
@@ -89,16 +89,7 @@ def exported_trajectory(model: Path, folder: Path, duration: float = DURATION) -
 
 def play_and_record(trajectory: Path, record: Path) -> None:
     """Play on the simulated arm, in simulated time, and print how that went."""
-    played = (
-        "motors",
-        "simulate",
-        trajectory,
-        "--model",
-        TRUTH,
-        "--play",
-        "--record",
-        record,
-    )
+    played = ("motors", "simulate", trajectory, "--model", TRUTH, "--record", record)
     for line in succeeding(*played).splitlines():
         if line.startswith(("played ", "largest distance ")):
             print(f"   {line}")

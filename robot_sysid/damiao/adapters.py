@@ -132,13 +132,6 @@ def import_can() -> Any:
     return can
 
 
-def import_slcan() -> Any:
-    """Return python-can's class of slcan adapters, which speak in lines of text."""
-    from can.interfaces.slcan import slcanBus
-
-    return slcanBus
-
-
 def _driver_text(error: BaseException) -> str:
     """Return the message of a driver's exception; some drivers raise SystemExit, as programs do."""
     return repr(error) if isinstance(error, SystemExit) else error_text(error)

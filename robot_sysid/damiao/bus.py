@@ -82,7 +82,7 @@ class Link(Protocol):
 
 
 class GuardedLink:
-    """A link that refuses harmful frames and reports every frame to an observer.
+    """A link that refuses harmful frames.
 
     Args:
         link: link on which frames are sent and received.
@@ -94,8 +94,6 @@ class GuardedLink:
     Attributes:
         clock: as given.
         channels: as given, as a tuple.
-        observer: called with every frame and whether this program sent it; must not raise. None
-            at first; the user may set it.
     """
 
     def __init__(
@@ -111,24 +109,15 @@ class GuardedLink:
         self._fd = fd
         self.clock = clock
         self.channels = tuple(channels)
-        self.observer: Callable[[Frame, bool], None] | None = None
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise the error of ``refuse`` or LinkError."""
         self._refuse(frame)
-        frame = frame._replace(fd=self._fd)
-        self._link.send(frame)
-        if self.observer:
-            # True: this program sent the frame.
-            self.observer(frame._replace(time=self.clock.now()), True)
+        self._link.send(frame._replace(fd=self._fd))
 
     def receive(self, until: float) -> Frame | None:
         """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
-        frame = self._link.receive(until)
-        # The observer has got frames of this program, which come back as echoes, by ``send``.
-        if frame is not None and self.observer and not frame.echo:
-            self.observer(frame, False)
-        return frame
+        return self._link.receive(until)
 
     def drain(self) -> None:
         """Discard all frames that have already arrived."""

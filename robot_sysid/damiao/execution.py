@@ -38,7 +38,6 @@ from robot_sysid.damiao.recorder import (
     Aside,
     Centring,
     MeasurementRecorder,
-    RawFrameLog,
     SamplingRipple,
 )
 from robot_sysid.damiao.references import (
@@ -388,7 +387,9 @@ def run(
     writer = Aside(link.clock.live)
     try:
         with contextlib.ExitStack() as stack:
-            recorder = stack.enter_context(_open_recorder(link, plan, motors, writer))
+            recorder = _open_recorder(plan, motors, writer)
+            if recorder is not None:
+                stack.enter_context(recorder)
             watchdog = plan.permissions.watchdog
             if watchdog is not None:
                 client = RegisterClient(link)
@@ -424,32 +425,21 @@ def _require_complete(console: Aside, writer: Aside) -> None:
             )
 
 
-@contextlib.contextmanager
 def _open_recorder(
-    link: GuardedLink, plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
-) -> Iterator[MeasurementRecorder | None]:
-    """Yield a recorder that writes a plan's files, or None if nothing is recorded.
+    plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
+) -> MeasurementRecorder | None:
+    """Return a recorder that writes a plan's file; None if nothing is recorded.
 
-    Args:
-        link: link whose frames are logged.
-        plan: plan with the names of the files.
-        motors: motors whose registers are written into the file's head.
-        aside: runs the writing.
+    The registers of ``motors`` are written into the file's head; ``aside`` runs the writing.
     """
     recording = plan.recording
+    if recording.record is None:
+        return None
     played = plan.trajectory
-    if recording.record is None or recording.frames is None:
-        yield None
-        return
     registers = [motor.registers for motor in motors]
     head = recording_header(played.joints, registers, plan.settings, played.path.name)
     names = [f"j{j}" for j in range(played.n_joints)]
     centring = Centring(plan.settings.period, plan.ripple)
-    with (
-        RawFrameLog(recording.frames, link) as frames,
-        MeasurementRecorder(
-            *(recording.record, head, names, aside, centring),
-            *(frames, recording.overwrite),
-        ) as recorder,
-    ):
-        yield recorder
+    return MeasurementRecorder(
+        *(recording.record, head, names, aside, centring, recording.overwrite)
+    )

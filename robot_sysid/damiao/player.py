@@ -347,7 +347,6 @@ class Player:
             if record:
                 self._record(time, origin, replies, acted)
             if self._recorder:
-                # Frames of all phases are logged; otherwise they would pile up until the end.
                 self._recorder.end_cycle()
             is_lowered = self._follower is not None
             self._observer.check(

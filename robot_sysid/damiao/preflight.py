@@ -19,7 +19,6 @@ from robot_sysid.damiao.references import (
     PEAK_SPEED,
     FileHolding,
     HoldingCheck,
-    torque_doubt,
     transfer_time,
 )
 from robot_sysid.damiao.session import PAUSE
@@ -182,15 +181,13 @@ def _motion_checks(plan: Plan) -> Iterator[Check]:
 def _motor_checks(plan: Plan) -> Iterator[Check]:
     """Yield the checks of motors by the data of their types: torque, speed, resolution.
 
-    A rating that the motor cannot exceed stops the run, and so does a feed-forward torque that does
-    not even turn the rotor; a rating that can be exceeded briefly is noted. Further notes are the
-    motor type's own, and that a step of torque would shake a joint of little inertia.
+    A rating that the motor cannot exceed stops the run, one that can be exceeded briefly is noted.
+    Further notes are the motor type's own, and that a step of torque would shake a joint of little
+    inertia.
     """
     trajectory = plan.trajectory
     joints = trajectory.joints
     settings = plan.settings
-    doubt = torque_doubt(joints)
-    yield from map(_stop, motion.rotor_problems(trajectory, settings.speed, doubt))
     # Least change (n,) of the torque in a frame [N m], and inertia (n,) of the moved links.
     _, _, torque_steps = Scaling(joint.spec.limits for joint in joints).steps
     # Without a model the inertia is unknown; infinite means that nothing is noted.

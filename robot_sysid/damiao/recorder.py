@@ -36,16 +36,12 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.adapters import can_message, import_can
-from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.protocol import Frame, MitCommand
+from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
@@ -127,67 +123,6 @@ _EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
 """Titles of a joint's further columns, which follow the measured ones of all joints."""
 
 
-class RawFrameLog:
-    """Writes all frames on a link to a file while its ``with`` block lasts.
-
-    Frames are kept in memory until ``take_frames`` and ``write`` are called, or the block ends.
-    Time stamps are seconds since 1970.
-
-    Args:
-        path: file in candump's format, which is replaced if it exists.
-        link: link whose observer the log becomes.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-
-    def __init__(self, path: Path, link: GuardedLink) -> None:
-        self._can = import_can()
-        self._link = link
-        try:
-            self._writer: Any = self._can.CanutilsLogWriter(str(path))
-        except OSError as error:
-            raise InputError(f"cannot write {path}: {error.strerror}") from None
-        self._offset = time.time() - link.clock.now()
-        self._waiting: list[tuple[Frame, bool]] = []
-
-    def __enter__(self) -> RawFrameLog:
-        """Become the observer of the link, which passes every frame."""
-        self._link.observer = self
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop observing, write the remaining frames and close the file; suppress their errors."""
-        self._link.observer = None
-        with contextlib.suppress(Exception):
-            self.write(self.take_frames())
-        with contextlib.suppress(Exception):
-            self._writer.stop()
-
-    def __call__(self, frame: Frame, sent: bool) -> None:
-        """Store a frame until ``take_frames``; ``sent`` is whether this program sent it."""
-        self._waiting.append((frame, sent))
-
-    def take_frames(self) -> list[tuple[Frame, bool]]:
-        """Return the frames that came since the last call, for ``write``."""
-        frames = self._waiting
-        self._waiting = []
-        return frames
-
-    def write(self, frames: list[tuple[Frame, bool]]) -> None:
-        """Write frames of ``take_frames`` in order of time, and flush; any thread may call this."""
-        for frame, sent in sorted(frames, key=lambda entry: entry[0].time):
-            message = can_message(
-                self._can,
-                frame,
-                timestamp=frame.time + self._offset,
-                is_rx=not sent,
-                channel=self._link.channels[frame.bus],
-            )
-            self._writer.on_message_received(message)
-        self._writer.file.flush()
-
-
 class MeasurementRecorder:
     """Writes a run to a CSV file, row by row, without delaying the control loop.
 
@@ -201,7 +136,6 @@ class MeasurementRecorder:
         labels: label of each of the n joints, with which the titles of its columns begin.
         aside: runs the actions that write.
         centring: corrects sampled torques to mean torques.
-        frames: log of all frames, written after each cycle; None without one.
         overwrite: replace an existing file; otherwise it raises InputError.
     """
 
@@ -212,11 +146,9 @@ class MeasurementRecorder:
         labels: Sequence[str],
         aside: Aside,
         centring: Centring,
-        frames: RawFrameLog | None = None,
         overwrite: bool = False,
     ) -> None:
         self._aside = aside
-        self._frames = frames
         self._centring = centring
         columns = ["time"]
         for signals in (_MEASURED, _EXTRA):
@@ -272,15 +204,8 @@ class MeasurementRecorder:
         self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
 
     def end_cycle(self) -> None:
-        """Write the frames that have come, and flush them and all rows to the operating system.
-
-        What the operating system has is written even if this program dies.
-        """
+        """Flush all rows to the operating system, which writes them even if this program dies."""
         self._aside(self._file.flush)
-        if self._frames:
-            frame_log = self._frames
-            frames = frame_log.take_frames()
-            self._aside(lambda: frame_log.write(frames))
 
     def _row(
         self, time: float, origin: float, replies: Replies, acted: MitCommand

@@ -231,33 +231,25 @@ class Permissions(OptionRecord):
 class RecordingOptions(OptionRecord):
     """The files into which a run is recorded."""
 
-    record: Path | None = option(
-        None, "write the measurement CSV, and every frame beside it (.log)", "FILE"
-    )
-    overwrite: bool = option(False, "replace existing recordings")
-
-    @property
-    def frames(self) -> Path | None:
-        """File for every frame on the bus, the record with suffix .log; None without a record."""
-        return None if self.record is None else self.record.with_suffix(".log")
+    record: Path | None = option(None, "write the measurement CSV", "FILE")
+    overwrite: bool = option(False, "replace an existing recording")
 
     def require_free(self, *inputs: Path) -> None:
-        """Raise InputError where a recording would replace a file that must not be replaced.
+        """Raise InputError where the recording would replace a file that must not be replaced.
 
-        A recording never replaces one of the run's ``inputs`` or the other recording; without
-        --overwrite it replaces no file at all.
+        It never replaces one of the run's ``inputs``; without --overwrite it replaces no file.
         """
-        used = {os.path.realpath(path) for path in inputs}
-        for path in filter(None, (self.record, self.frames)):
-            if os.path.realpath(path) in used:
-                raise InputError(
-                    f"{path} is needed for something else; choose another name"
-                )
-            if os.path.exists(path) and not self.overwrite:
-                raise InputError(
-                    f"{path} exists; choose another --record file or give --overwrite"
-                )
-            used.add(os.path.realpath(path))
+        path = self.record
+        if path is None:
+            return
+        if os.path.realpath(path) in {os.path.realpath(used) for used in inputs}:
+            raise InputError(
+                f"{path} is needed for something else; choose another name"
+            )
+        if os.path.exists(path) and not self.overwrite:
+            raise InputError(
+                f"{path} exists; choose another --record file or give --overwrite"
+            )
 
 
 @dataclass(frozen=True)

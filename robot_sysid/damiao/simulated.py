@@ -10,30 +10,20 @@ The arm is simulated in simulated time, without waiting, or in real time behind 
 
 from __future__ import annotations
 
-import contextlib
 import heapq
 import itertools
 import math
-import os
-import select
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.adapters import LineReader, import_slcan
-from robot_sysid.damiao.bus import (
-    Link,
-    SimulatedClock,
-    SystemClock,
-    undisturbed_processor,
-)
+from robot_sysid.damiao.bus import SimulatedClock
 from robot_sysid.damiao.joints import DamiaoJoint, JointSpace
 from robot_sysid.damiao.protocol import BusTiming, Frame
-from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
 if TYPE_CHECKING:
@@ -455,145 +445,3 @@ class SimulatedLink:
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
-
-
-class _NearEnd:
-    """A pseudo-terminal, used by python-can in place of a serial port.
-
-    Attributes:
-        device: path at which another program opens the far end.
-    """
-
-    write_timeout: float | None = None
-
-    def __init__(self) -> None:
-        import tty
-
-        # The far end stays open here too, so that a client may come and go.
-        self._near, self._far = os.openpty()
-        tty.setraw(self._far)
-        os.set_blocking(self._near, False)
-        self.device = os.ttyname(self._far)
-
-    def fetch(self, patience: float) -> bytes:
-        """Return all bytes that have come; wait at most ``patience`` [s] for the first one."""
-        ready = select.select([self._near], [], [], patience)[0]
-        return os.read(self._near, 4096) if ready else b""
-
-    def write(self, data: bytes) -> None:
-        """Write bytes, or drop them where the far end is full because nobody reads it."""
-        with contextlib.suppress(BlockingIOError):
-            os.write(self._near, data)
-
-    def flush(self) -> None:
-        """Do nothing, because ``write`` holds nothing back."""
-
-    def close(self) -> None:
-        """Close both ends."""
-        os.close(self._near)
-        os.close(self._far)
-
-
-def slcan_terminal() -> tuple[Any, str]:
-    """Return a python-can bus behind a pseudo-terminal, and the path of its device.
-
-    A program that opens the device with python-can's slcan interface exchanges frames with this
-    bus. InputError where the system has no pseudo-terminals.
-    """
-    if not hasattr(os, "openpty"):
-        raise InputError("pseudo-terminals need a Unix system")
-    slcan_bus: Any = import_slcan()
-
-    class Terminal(slcan_bus):
-        """The adapter's end of a line: frames are the same text both ways, commands are ignored."""
-
-        def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
-            """Return the next frame and False (not filtered); None as frame for half a line."""
-            with contextlib.suppress(ValueError, IndexError):
-                return super()._recv_internal(timeout)
-            return None, False
-
-    # python-can opens a serial port that leads nowhere, which the pseudo-terminal then replaces.
-    bus: Any = Terminal("loop://", sleep_after_open=0)
-    line = _NearEnd()
-    bus.serialPortOrig = line
-    bus._read = LineReader(line.fetch)
-    return bus, line.device
-
-
-_TICK = 1e-3
-"""Time to wait for a frame before the physics are advanced [s]: one step of the physics."""
-_SAME_CYCLE = 2e-4
-"""Time to wait for another frame of the same control cycle before the physics are advanced [s]."""
-_LONGEST_CYCLE = 4e-3
-"""Delay of the physics after which they are advanced even if more frames are waiting [s]."""
-_MOST_BEHIND = DEFAULT_WATCHDOG
-"""Delay of the physics after which time is skipped [s]: the watchdogs have expired by then."""
-
-
-@dataclass
-class ServiceReport:
-    """How a simulated arm in real time kept up with the clock.
-
-    Attributes:
-        left_out: total time that was skipped because the simulation was too slow [s].
-        longest_delay: longest time between two checks for a received frame [s].
-    """
-
-    left_out: float = 0.0
-    longest_delay: float = 0.0
-
-
-def serve(
-    arm: SimulatedArm, link: Link, clock: SystemClock, running: Callable[[], bool]
-) -> ServiceReport:
-    """Simulate an arm in real time and answer the frames on a link; return how timely this was.
-
-    A computer that is too slow makes the arm skip time instead of falling behind more and more.
-
-    Args:
-        arm: arm to simulate.
-        link: link on which commands are received and answered.
-        clock: clock of the link.
-        running: called in each cycle; the simulation ends when it returns False.
-    """
-    report = ServiceReport()
-    with undisturbed_processor(clock.live):
-        _serve(arm, link, clock, running, report)
-    return report
-
-
-def _serve(
-    arm: SimulatedArm,
-    link: Link,
-    clock: SystemClock,
-    running: Callable[[], bool],
-    report: ServiceReport,
-) -> None:
-    """Simulate an arm and answer frames until ``running`` returns False; update ``report``.
-
-    ``arm``, ``link``, ``clock`` and ``running`` are as for ``serve``.
-    """
-    step = arm.mechanism.timestep
-    looked_at = clock.now()
-    # Clock time at the arm's time zero; ``now`` is the clock time in the arm's time.
-    start = looked_at - arm.time
-    patience = _TICK
-    while running():
-        # The waiting time begins now, so that there is some even where the physics are too slow: a
-        # block with real-time priority has to wait now and then.
-        frame = link.receive(clock.now() + patience)
-        moment = clock.now()
-        report.longest_delay = max(report.longest_delay, moment - looked_at)
-        looked_at = moment
-        now = moment - start
-        if now - arm.time > _MOST_BEHIND:
-            report.left_out += now - arm.time
-            arm.leave_out(now)
-        if frame is None or now - arm.time > _LONGEST_CYCLE:
-            # Only whole steps: advancing to the moment of each frame would need twice as many.
-            arm.advance(arm.time + math.floor((now - arm.time) / step) * step)
-        if frame is not None and not frame.echo:
-            for reply in arm.answers(frame, now):
-                link.send(reply)
-        patience = _TICK if frame is None else _SAME_CYCLE

@@ -261,44 +261,6 @@ def rating_warnings(
         )
 
 
-_MOMENT = 0.1
-"""Time between two accelerations within which the load of a joint hardly changes [s]."""
-
-
-def rotor_problems(
-    trajectory: DamiaoTrajectory, speed: float, doubt: Array
-) -> Iterator[str]:
-    """Yield a sentence for each joint whose feed-forward torque does not even turn its rotor.
-
-    A motor turns its own rotor at least. Between the moment at which a joint accelerates most and
-    the opposite extreme within 0.1 s of it, the feed-forward torque has to change by half of what
-    the rotor takes: less is the torque of another motion. No model of the arm is needed.
-
-    Args:
-        trajectory: trajectory of n joints.
-        speed: factor of the file's speed at which it is played.
-        doubt: torque (n,) of each joint that friction alone may explain [N m]; a joint whose rotor
-            takes less than twice this torque is not judged.
-    """
-    time = trajectory.time
-    signals = zip(trajectory.joints, trajectory.qdd.T, trajectory.tau.T)
-    for j, (joint, acceleration, tau) in enumerate(signals):
-        peak = int(np.argmax(np.abs(acceleration)))
-        sign = np.sign(acceleration[peak])
-        is_outside = np.abs(time - time[peak]) > _MOMENT
-        opposite = int(np.argmin(np.where(is_outside, np.inf, sign * acceleration)))
-        change = abs(acceleration[peak] - acceleration[opposite])
-        rotor_torque = speed**2 * joint.spec.rotor * change
-        fed_torque = sign * (tau[peak] - tau[opposite])
-        if rotor_torque > 2.0 * doubt[j] and fed_torque < 0.5 * rotor_torque:
-            yield (
-                f"{joint.label}: at {time[peak] - time[0]:.2f} s it is to turn with "
-                f"{speed**2 * acceleration[peak]:.0f} rad/s^2; its rotor alone takes "
-                f"{rotor_torque:.1f} N m to and fro, and the file feeds forward {fed_torque:.1f}, "
-                f"the torque of another motion; {CANNOT_FOLLOW}, export it again"
-            )
-
-
 def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     """Return the trajectory in a file.
 

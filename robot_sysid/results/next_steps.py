@@ -42,7 +42,7 @@ STEPS: Mapping[str, tuple[str, str]] = {
     ),
     "motion planned for motors": (
         "Next, rehearse the motion on simulated motors",
-        "motors simulate {trajectory} --model {model} {options} --play",
+        "motors simulate {trajectory} --model {model} {options}",
     ),
     "log is fine": ("Next, identify the arm", "identify {model} {log} {options}"),
     "motion recorded": (

@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 
-import can
 import numpy as np
 import pytest
 
@@ -133,7 +132,6 @@ def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
     recording = read_recording(record)
     assert recording.ending == "completed" and "kd=2 2" in recording.head
     assert len(recording.columns["time"]) == 51
-    assert (tmp_path / "measured.log").read_text().count(" T\n") > 2 * 51
 
 
 def test_dry_run_without_a_bus_checks_the_file(capsys, bus, trajectory):
@@ -164,14 +162,12 @@ def test_existing_recordings_are_kept_and_nobody_is_asked_first(
     capsys, bus, trajectory, tmp_path, person
 ):
     record = ("--record", tmp_path / "measured.csv")
-    for existing in (tmp_path / "measured.csv", tmp_path / "measured.log"):
-        existing.write_text("precious")
-        err = fail(capsys, 2, "play", trajectory, *CAN0, *record)
-        assert f"{existing.name} exists" in err
-        assert existing.read_text() == "precious"
-        assert sorted(tmp_path.iterdir()) == sorted([trajectory, existing])
-        existing.unlink()
+    existing = tmp_path / "measured.csv"
     existing.write_text("precious")
+    err = fail(capsys, 2, "play", trajectory, *CAN0, *record)
+    assert f"{existing.name} exists" in err
+    assert existing.read_text() == "precious"
+    assert sorted(tmp_path.iterdir()) == sorted([trajectory, existing])
     succeed(capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite")
     assert (
         read_recording(tmp_path / "measured.csv").ending == "completed"
@@ -233,7 +229,6 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
         (["simulate", "T"], "the following arguments are required: --model"),
         (["play", "T", *CAN0, *CAN0], "--channel names can0 twice; give each bus once"),
         (["check", "--channel", "a=can0", "--channel", "a=can1"], "--channel names a twice"),
-        (["simulate", "T", "--model", "M", "--interface", "pcan"], "--interface needs --channel"),
     ],
 )  # fmt: skip
 def test_bad_usage_is_one_line_and_exit_code_2(
@@ -258,7 +253,7 @@ def refused_by(capsys, folder, trajectory, path):
         ("play", trajectory, "--model", path, "--dry-run"),
         ("play", trajectory, "--model", path, *CAN0, "--dry-run"),
         ("play", trajectory, "--model", path, *CAN0, "--yes", "--record", record),
-        ("simulate", trajectory, "--model", path, "--play", "--record", record),
+        ("simulate", trajectory, "--model", path, "--record", record),
         ("simulate", trajectory, "--model", path, *CAN0),
     ):
         err = fail(capsys, 3, *arguments)
@@ -392,16 +387,7 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
         parser, "load_robot_model", lambda *a, **k: read.append(a) or load(*a, **k)
     )
     record = tmp_path / "measured.csv"
-    arguments = (
-        "--model",
-        model,
-        "--play",
-        "--fd",
-        "--rate",
-        "250",
-        "--record",
-        record,
-    )
+    arguments = ("--model", model, "--fd", "--rate", "250", "--record", record)
     out = succeed(capsys, "simulate", trajectory, *arguments)
     assert (
         "played 126 cycles, 0 skipped; started late by 0.00 ms" in out
@@ -410,31 +396,6 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     recording = read_recording(record)
     assert recording.ending == "completed"
     assert np.all(np.isfinite(recording.joint_values("pos")))
-    with can.LogReader(record.with_suffix(".log")) as reader:
-        assert {m.is_fd for m in reader if not m.is_rx} == {True}
-
-
-def test_a_simulated_arm_on_a_bus_says_how_to_reach_it(capsys, bus, trajectory, model):
-    address = ("--interface", "virtual", "--channel", "c")
-    fd = ("--fd",)
-    spaced = model.rename(model.with_name("an arm.xml"))
-    arm = ("--model", str(spaced), "--joint", "joint1")
-    out = succeed(capsys, "simulate", trajectory, *arm, *address, *fd, "--for", "2")
-    command_options = [
-        "play",
-        str(trajectory),
-        *address,
-        *fd,
-        *arm,
-        "--accept-directions",
-    ]
-    command_options += ["--record", "measured.csv"]
-    assert shlex.split(out.splitlines()[-1]) == [
-        "robot-sysid",
-        "motors",
-        *command_options,
-    ]
-    assert bus.clock.now() == pytest.approx(2.0, abs=2e-3)
 
 
 @pytest.fixture
@@ -453,26 +414,6 @@ def test_a_map_of_two_buses_needs_none_to_be_checked(capsys, trajectory, two_bus
     assert "ids are unique: 1, 1" in out
 
 
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
-def test_terminals_of_a_map_of_two_buses_have_its_names(
-    capsys, trajectory, model, two_buses
-):
-    arm = ("--model", model, "--joint-map", two_buses)
-    out = succeed(capsys, "simulate", trajectory, *arm, "--for", "0.01")
-    command_options = shlex.split(
-        next(line for line in out.splitlines() if line.startswith("  robot-sysid"))
-    )
-    channels = [
-        word
-        for previous, word in zip(command_options, command_options[1:])
-        if previous == "--channel"
-    ]
-    assert [name for name, _, _ in (c.partition("=/dev/") for c in channels)] == [
-        "can0",
-        "can1",
-    ]
-
-
 def test_a_map_names_the_joints_in_what_is_said_about_motors(
     capsys, bus, trajectory, tmp_path
 ):
@@ -489,14 +430,6 @@ def test_a_map_names_the_joints_in_what_is_said_about_motors(
     assert message and all("motor 1 (joint hip)" in line for line in message)
 
 
-def test_a_simulated_arm_goes_on_until_it_is_interrupted(
-    capsys, bus, trajectory, model
-):
-    bus.clock.at(3.0, lambda: signal.raise_signal(signal.SIGINT))
-    succeed(capsys, "simulate", trajectory, "--model", model, *CAN0)
-    assert bus.clock.now() == pytest.approx(3.0, abs=2e-3)
-
-
 # --- real time ----------------------------------------------------------------------------------
 
 # Wide enough for most computers; one that has other things to do keeps time for what may go first.
@@ -508,7 +441,11 @@ PROGRAM = (sys.executable, "-m", "robot_sysid", "motors")
 def simulator(trajectory, model, watchdog="2"):
     """A simulated arm in a process of its own; yields the device to reach it at."""
     server = subprocess.Popen(
-        [*PROGRAM, "simulate", trajectory, "--model", model, "--watchdog", watchdog],
+        [
+            *(sys.executable, "-m", "tests.support.realtime_arm", trajectory),
+            *("--model", model),
+            *("--watchdog", watchdog, "--frames", trajectory.with_name("frames.txt")),
+        ],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
@@ -556,7 +493,7 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(
     """The frames themselves show that each motor braked before it was disabled."""
     trajectory = write_trajectory(tmp_path, swing(2, duration=6.0, amplitude=0.4))
     record = tmp_path / "measured.csv"
-    frames = tmp_path / "measured.log"
+    frames = tmp_path / "frames.txt"
     with simulator(trajectory, model) as device:
         play = subprocess.Popen(
             [
@@ -589,12 +526,8 @@ def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(
     assert message in err
     if trouble != "disk full":
         assert read_recording(record).ending.startswith("stopped: stopped by SIGTERM")
-        with can.LogReader(frames) as reader:
-            sent = [
-                bytes(m.data)
-                for m in reader
-                if not m.is_rx and m.arbitration_id in (1, 2)
-            ]
+        received = [line.split() for line in frames.read_text().splitlines()]
+        sent = [bytes.fromhex(data) for number, data in received if number in "12"]
         disabled = sent.index(b"\xff" * 7 + b"\xfd")
         # The commanded speed is the twelve bits after the position's sixteen; zero is the middle.
         speeds = [

@@ -38,7 +38,7 @@ BASES = {
     "example": "kinova",
     "motors check": "motion.csv --channel can0",
     "motors play": "motion.csv --channel can0 --yes",
-    "motors simulate": "motion.csv --model two.xml --play",
+    "motors simulate": "motion.csv --model two.xml",
     "motors hold": "--model two.xml --channel can0 --yes --joint-map map.csv",
     "motors setup": "--channel can0",
     "motors monitor": "--channel can0",

@@ -28,7 +28,7 @@ def last_command(text):
 
 def play(command, folder, code=0):
     """Play a folder's trajectory on the true arm, simulated, and return what was printed."""
-    log = ("--play --record", folder / "log.csv")
+    log = ("--record", folder / "log.csv")
     file = folder / "damiao_trajectory.csv"
     return command.run("motors simulate", file, "--model", TRUTH, *log, code=code)
 
@@ -53,7 +53,7 @@ def test_a_motion_that_is_refused_is_played_after_a_smaller_one(command):
     printed = command.run("plan", GUESS, *weighing)
     rehearsal = last_command(printed.out)
     file = "first/weighing/damiao_trajectory.csv"
-    assert rehearsal == ["motors", "simulate", file, "--model", str(GUESS), "--play"]
+    assert rehearsal == ["motors", "simulate", file, "--model", str(GUESS)]
     printed = command.run(*rehearsal)
     words = ["motors", "check", file, "--channel", "can0", "--model", str(GUESS)]
     assert last_command(printed.out) == words

@@ -11,7 +11,6 @@ import threading
 import time
 
 import can
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,10 +32,9 @@ from robot_sysid.damiao.bus import (
     inspect_bus,
 )
 from robot_sysid.damiao.protocol import Address, BusTiming, Frame, disable_frame
-from robot_sysid.damiao.recorder import RawFrameLog
-from robot_sysid.damiao.simulated import slcan_terminal
 from robot_sysid.errors import InputError
 from tests.support.damiao_rig import two_motor_arm
+from tests.support.realtime_arm import slcan_terminal
 
 WALL = 1.7e9
 FRAMES = st.builds(
@@ -263,25 +261,6 @@ def test_frames_go_to_their_bus_and_come_back_with_its_number(clock):
     assert several.receive(0.5) is None and clock.now() == 0.5
     several.close()
     assert all(bus.closed for bus in buses)
-
-
-@given(st.lists(st.tuples(FRAMES, st.booleans()), min_size=1, max_size=20))
-def test_the_frame_log_is_lossless(tmp_path_factory, frames):
-    path = tmp_path_factory.mktemp("raw") / "measured.log"
-    clock = SimulatedClock()
-    with RawFrameLog(path, GuardedLink(None, clock, channels=["can0"])) as log:
-        # In whatever order they come, they are written in that of their times.
-        for k, (frame, sent) in reversed(list(enumerate(frames))):
-            log(frame._replace(time=0.001 * k), sent)
-        log.write(log.take_frames())
-        with can.LogReader(path) as reader:
-            messages = list(reader)
-    assert len(messages) == len(frames)
-    for message, (frame, sent) in zip(messages, frames):
-        assert message.arbitration_id == frame.id and bytes(message.data) == frame.data
-        assert message.is_fd == frame.fd and message.is_rx == (not sent)
-    stamps = np.array([message.timestamp for message in messages])
-    np.testing.assert_allclose(np.diff(stamps), 0.001, atol=2e-6)
 
 
 # --- a full queue, and what is never sent -------------------------------------------------------

@@ -41,7 +41,7 @@ def recorder_for(path, types=("DM4340",), overwrite=False):
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
     head = recording_header(joints, registers, settings, "swing.csv")
     labels = [f"j{j}" for j in range(len(joints))]
-    arguments = Aside(threaded=False), Centring(settings.period), None, overwrite
+    arguments = Aside(threaded=False), Centring(settings.period), overwrite
     return MeasurementRecorder(path, head, labels, *arguments)
 
 
@@ -130,23 +130,16 @@ def test_an_error_is_written_at_the_end(tmp_path):
 def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(
     tmp_path, monkeypatch
 ):
-    """By whatever name it is called; rows and frames do not go into one file either."""
+    """By whatever name it is called."""
     monkeypatch.chdir(tmp_path)
     options = RecordingOptions(record=tmp_path / "m.csv", overwrite=True)
     options.require_free(Path("other.csv"))
-    for read in (Path("m.csv"), Path("m.log")):
-        with pytest.raises(
-            InputError, match=f"{read} is needed for something else; choose"
-        ):
-            options.require_free(Path("other.csv"), read)
-    with pytest.raises(InputError, match="m.log is needed for something else"):
-        RecordingOptions(record=tmp_path / "m.log", overwrite=True).require_free()
-    for existing in (tmp_path / "m.csv", tmp_path / "m.log"):
-        existing.write_text("precious")
-        with pytest.raises(InputError, match=f"{existing.name} exists; .* --overwrite"):
-            RecordingOptions(record=tmp_path / "m.csv").require_free()
-        options.require_free()
-        existing.unlink()
+    with pytest.raises(InputError, match="m.csv is needed for something else; choose"):
+        options.require_free(Path("other.csv"), Path("m.csv"))
+    (tmp_path / "m.csv").write_text("precious")
+    with pytest.raises(InputError, match="m.csv exists; .* --overwrite"):
+        RecordingOptions(record=tmp_path / "m.csv").require_free()
+    options.require_free()
 
 
 # --- centring -----------------------------------------------------------------------------------

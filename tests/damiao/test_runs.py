@@ -567,17 +567,6 @@ def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):
     rig().run().assert_stopped("motor 1 would be asked for")
 
 
-def test_frames_are_written_as_the_run_goes_on(rig):
-    """An arm may be held for days: what is kept until the end fills the memory, and it falls."""
-    sizes = []
-    run = rig(1)
-    path = run.record_path.with_suffix(".log")
-    run.during("playing", 0.8, lambda rig: sizes.append(path.stat().st_size)).run()
-    assert (
-        run.error is None and 0.5 * path.stat().st_size < sizes[0] < path.stat().st_size
-    )
-
-
 @pytest.mark.parametrize(
     "kp", [(), (0.0, 60.0)], ids=["usual", "a joint without stiffness"]
 )

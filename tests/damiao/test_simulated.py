@@ -12,7 +12,8 @@ from robot_sysid.damiao.adapters import BusLink
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import Frame, Scaling, decode_mit
-from robot_sysid.damiao.simulated import simulated_motor, slcan_terminal
+from robot_sysid.damiao.simulated import simulated_motor
+from tests.support.realtime_arm import slcan_terminal
 
 
 def test_a_motor_reads_commands_as_the_codec_does():

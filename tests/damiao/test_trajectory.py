@@ -11,13 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from robot_sysid.damiao.joints import MOTORS
-from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.damiao.trajectory import (
     NO_LIMITS,
     excesses,
     export_damiao_trajectory,
     read_damiao_trajectory,
-    rotor_problems,
     user_bounds,
 )
 from robot_sysid.errors import InputError
@@ -172,62 +170,12 @@ def test_windows_line_ends_and_blank_lines_are_fine_and_a_missing_file_is_named(
     np.testing.assert_array_equal(reread(path)[0], [0.0, 1.0])
 
 
-@given(share=st.lists(st.floats(0.1, 0.95) | st.floats(1.05, 5.0), min_size=5, max_size=5),
-       speed=st.floats(0.2, 1.0))  # fmt: skip
-def test_limits_that_are_asked_for_hold_joint_by_joint_at_the_speed_that_is_played(
-    swinging, share, speed
-):
-    shaken = speed**2 * np.abs(np.gradient(swinging.qd, swinging.time, axis=0)).max(
-        axis=0
-    )
-    fast = speed * np.abs(swinging.qd).max(axis=0)
-    strong = np.abs(swinging.tau).max(axis=0)
-    top = float(shaken[0] / share[4])
-    limits = LimitOptions(tuple(fast / share[:2]), top, tuple(strong / share[2:4]))
-    due = [
-        *(("velocity", j) for j in (0, 1) if share[j] > 1.0),
-        # What four digits of the velocities make beside it.
-        *(("acceleration", j) for j in (0, 1) if shaken[j] > top + 0.01),
-        *(("torque", j) for j in (0, 1) if share[2 + j] > 1.0),
-    ]
-    bounds = user_bounds(limits, 2)
-    findings = [text.split() for text in excesses(swinging, speed, bounds)]
-    assert [(words[2], int(words[1].rstrip(":")) - 1) for words in findings] == due
+def test_a_users_limits_hold_at_the_speed_that_is_played(tmp_path):
+    swinging = trajectory_file(tmp_path, swing(2, rate=100.0))
+    for speed in (0.5, 1.0):
+        shaken = speed**2 * np.abs(swinging.qdd).max(axis=0)
+        # Four digits of the velocities make 0.01 rad/s^2 of it.
+        limits = LimitOptions(np.inf, tuple(shaken - [0.02, 0.0]), np.inf)
+        (finding,) = excesses(swinging, speed, user_bounds(limits, 2))
+        assert finding.startswith("motor 1: acceleration ")
     assert list(excesses(swinging, speed, user_bounds(NO_LIMITS, 2))) == []
-
-
-@pytest.fixture(scope="module")
-def swinging(tmp_path_factory):
-    return trajectory_file(tmp_path_factory.mktemp("swinging"), swing(2, rate=100.0))
-
-
-@given(
-    amplitude=st.floats(0.0, 0.3),
-    inertia=st.floats(0.02, 2.0),
-    speed=st.sampled_from([1.0, 0.5]),
-)
-def test_a_shaken_joint_is_refused_without_a_model_unless_it_is_fed_its_torque(
-    tmp_path_factory, amplitude, inertia, speed
-):
-    """10 Hz; a DM8009's rotor is 0.0158 kg m^2, and torques up to 2.4 N m say nothing."""
-    time, q, qd, tau = swing(2, duration=1.0, amplitude=0.3)
-    wave = 2 * np.pi * 10
-    q[:, 1] += amplitude * (1 - np.cos(wave * time))
-    qd[:, 1] += amplitude * wave * np.sin(wave * time)
-    rotor_torque = 0.0158 * speed**2 * amplitude * wave**2
-    for inertia_of_rotor in (0.0, inertia):
-        fed = tau + inertia_of_rotor * amplitude * wave**2 * np.cos(wave * time)[
-            :, None
-        ] * [0, 1]
-        file = trajectory_file(
-            tmp_path_factory.mktemp("shake"), (time, q, qd, fed), "DM8009"
-        )
-        problems = [*rotor_problems(file, speed, torque_doubt(file.joints))]
-        if inertia_of_rotor == 0.0 and rotor_torque > 1.1 * 2.4:
-            (why,) = problems
-            assert (
-                "motor 2: at" in why
-                and "the torque of another motion; it cannot" in why
-            )
-        elif inertia_of_rotor > 0.0 or rotor_torque < 0.9 * 2.4:
-            assert problems == []

@@ -81,17 +81,7 @@ def rehearse(arm: Arm, trajectory: Path, rate: float, folder: Path) -> list[Esti
     """Play a trajectory at a rate [Hz], identify the arm, and return what was found."""
     record = folder / f"measured_{rate:g}.csv"
     path, *joint = model(arm)
-    played = (
-        trajectory,
-        "--model",
-        path,
-        *joint,
-        "--play",
-        "--record",
-        record,
-        "--rate",
-        rate,
-    )
+    played = (trajectory, "--model", path, *joint, "--record", record, "--rate", rate)
     run("motors", "simulate", *played, *["--fd"] * (rate > FAST))
     identified = folder / f"identified_{rate:g}"
     run("identify", path, record, *joint, folder=identified)

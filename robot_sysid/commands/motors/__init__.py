@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -29,8 +28,8 @@ from robot_sysid.commands.motors.setup import (
     setup,
 )
 from robot_sysid.damiao import preflight
-from robot_sysid.damiao.adapters import BusAddress, BusLink, import_can
-from robot_sysid.damiao.bus import GuardedLink, Link, inspect_bus
+from robot_sysid.damiao.adapters import BusAddress
+from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.execution import lengthen_hold
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming, default_rate
@@ -40,7 +39,7 @@ from robot_sysid.damiao.settings import (
     PlaySettings,
     RecordingOptions,
 )
-from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, serve, slcan_terminal
+from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import HardwareAbort, InputError, SysidError
 from robot_sysid.model import PosedModelOptions
@@ -56,12 +55,8 @@ from robot_sysid.records.option_fields import (
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
 """Exit codes that a motors command may have, for its help."""
-_REAL_TIME_STEP = 1e-3
-"""Time step of an arm simulated in real time [s]: one that an ordinary computer keeps up with."""
 _UNLIMITED = 1e8
 """Time for which an arm is held without --for [s]."""
-_NOTABLE_DELAY = 3e-3
-"""Delay of a simulated arm's answers that is reported [s]: at 250 Hz they miss their cycle."""
 _WARNING = (
     "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that it "
     "sinks when it is disabled."
@@ -79,12 +74,9 @@ class PlayChoices(OptionRecord):
 
 
 @dataclass(frozen=True)
-class SimulatedMotorOptions(LifetimeOptions):
+class SimulatedMotorOptions(OptionRecord):
     """Options of the simulated motors of ``motors simulate``."""
 
-    play: bool = option(
-        False, "play the trajectory at once, in simulated time, without a bus"
-    )
     watchdog: float = option(DEFAULT_WATCHDOG, "of the simulated motors", "S [s] > 0")
 
 
@@ -150,33 +142,15 @@ def play(session: Session) -> int:
 
 
 def simulate(session: Session) -> int:
-    """Simulate an arm: in real time on a bus, or with --play in simulated time; return code 0.
+    """Play a trajectory on a simulated arm of a model, in simulated time; return the exit code 0.
 
-    In real time it answers until a signal or the end of its lifetime. HardwareAbort where a check
-    forbids to play.
+    HardwareAbort where a check forbids to play.
     """
-    options = record_from(SimulatedMotorOptions, session.values)
     plan = session.plan()
     checks = session.checks(plan)
-    if options.play:
-        arm = session.simulated_arm(plan, options.watchdog)
-        with session.open_simulated(arm) as link:
-            return _play_on(link, plan, checks, PlayChoices(yes=True), session)
-    preflight.require_no_stop(checks, "not rehearsed")
-    arm = session.simulated_arm(plan, options.watchdog, _REAL_TIME_STEP)
-    clock = session.clock
-    stop = StopRequest()
-    with contextlib.closing(_open_simulated_end(session)) as link, stop.on_signals():
-        end = clock.now() + (options.lifetime or float("inf"))
-        service = serve(arm, link, clock, lambda: not stop.count and clock.now() < end)
-    if service.left_out > 0.0:
-        session.console.stage(
-            f"this computer was too slow by {service.left_out:.1f} s in all"
-        )
-    if service.longest_delay > _NOTABLE_DELAY:
-        delay = f"{1e3 * service.longest_delay:.0f} ms"
-        session.console.stage(f"this computer kept commands waiting for up to {delay}")
-    return 0
+    watchdog = record_from(SimulatedMotorOptions, session.values).watchdog
+    with session.open_simulated(session.simulated_arm(plan, watchdog)) as link:
+        return _play_on(link, plan, checks, PlayChoices(yes=True), session)
 
 
 def hold(session: Session) -> int:
@@ -217,10 +191,9 @@ _ASKING = {"asking": (PlayChoices,)}
 _PLAYED = {
     "simulate": MotorCommand(
         simulate,
-        "damiao_trajectory.csv --model arm.xml --play --record measured.csv",
-        "Simulate the arm of a model with Damiao motors. Without --play it sits behind a "
-        "pseudo-terminal that acts as a serial CAN adapter, or on the bus of --interface and "
-        "--channel; the line to give to 'play' is printed.",
+        "damiao_trajectory.csv --model arm.xml --record measured.csv",
+        "Play a trajectory on the arm of a model with simulated Damiao motors, in simulated time "
+        "and without a bus, with all checks of play.",
         {
             "simulated motors": (SimulatedMotorOptions,),
             **_MOTION,
@@ -290,7 +263,6 @@ _MAIN = (
     "record",
     "dry_run",
     "yes",
-    "play",
     "joint_map",
     "accept_register_limits",
     "set_watchdog",
@@ -488,45 +460,6 @@ def _conclude_run(session: Session, plan: Plan, holds: bool, is_real: bool) -> N
         session.verdict = (verdict,)
         return
     session.conclude(verdict, step_after_play(session, plan, is_real))
-
-
-def _open_simulated_end(session: Session) -> Link:
-    """Open the simulated arm's end of the bus, print the command that plays on it, return the link.
-
-    Without --channel the other ends are pseudo-terminals. InputError where --interface comes
-    without --channel.
-    """
-    interface = session.address.interface
-    channels = session.address.channel
-    if channels:
-        link = session.open_link()
-    elif "interface" in session.values:
-        raise InputError("--interface needs --channel")
-    else:
-        import_can()
-        names = session.channels
-        # One pseudo-terminal per bus of the trajectory: (its end here, path of the other end).
-        ends = [slcan_terminal() for _ in names or ("",)]
-        terminals, channels = zip(*ends)
-        link = BusLink(terminals, session.clock)
-        interface = "slcan"
-        if len(names) > 1:
-            pairs = zip(names, channels)
-            channels = tuple(f"{name}={path}" for name, path in pairs)
-    # The motors of a simulated arm turn as its model does.
-    play_command = session.command(
-        "play",
-        record="measured.csv",
-        interface=interface,
-        channel=channels,
-        accept_directions=True,
-    )
-    sentence = (
-        "The simulated arm is parked at the first point until its motors are enabled; Ctrl-C ends "
-        "it. To play on it, in another terminal"
-    )
-    session.console.stage(*NextStep(sentence, play_command).lines())
-    return link
 
 
 def _conclude_dry_run(
