@@ -33,9 +33,9 @@ _TINY = 1e-30
 def validation(fitted: Fit) -> Validation:
     """Return the held-out error of the recordings that were fitted."""
     blocks = range(len(fitted.sums.logs))
-    squares = np.sum(fitted.held_out, axis=0)
     expected = np.sum(fitted.expected_held_out, axis=0)
-    record = _record(fitted, squares, blocks, OWN_SOURCE)
+    record = _record(fitted, fitted.held_out, blocks, OWN_SOURCE)
+    squares = np.sum(fitted.held_out, axis=0)
     informative = _is_informative(fitted, squares, expected, blocks)
     return replace(record, is_informative=informative)
 
@@ -86,11 +86,11 @@ def predicted(fitted: Fit, recordings: Sequence[Recording], source: str) -> Vali
 def _record(
     fitted: Fit, squares: Array, blocks: Sequence[int], source: str
 ) -> Validation:
-    """Return sums of squared errors (J,) over some blocks as a record."""
+    """Return sums of squared errors, (J,) or of each block (B, J), over some blocks as a record."""
     sums = fitted.sums
     torque = np.sum(fitted.sums.squared_torque[list(blocks)], axis=0)
     counts = np.sum(sums.counts[list(blocks)], axis=0)
-    return validation_of(sums.joints, squares, torque, counts, source)
+    return validation_of(sums.joints, np.atleast_2d(squares), torque, counts, source)
 
 
 def _is_informative(
@@ -120,12 +120,14 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
 
     The sum over blocks, and the geometric mean of the ratios of the blocks' errors, have to be
     lower by more than ``CLEAR_SHARE``; the mean logarithm of these ratios has to be negative by
-    more than ``CLEARLY`` standard errors.
+    more than ``CLEARLY`` standard errors. Fewer than two blocks show nothing.
 
     Args:
         errors: (B,) squared held-out errors, in any unit.
         reference: (B,) in the unit of ``errors``.
     """
+    if len(errors) < 2:
+        return False
     ratio = np.log((errors + _TINY) / (reference + _TINY))
     mean = float(np.mean(ratio))
     standard_error = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio))

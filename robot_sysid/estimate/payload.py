@@ -120,7 +120,7 @@ def payload_result(
         notes.append(Detail(unknown_inertia))
     written: ModelFile | None = None
     if file is not None:
-        verdict, reason = file_verdict(fitted, file)
+        verdict, reason = file_verdict(file)
         if verdict.is_trustworthy:
             written, file_notes = model_file(fitted, file)
             notes += file_notes

@@ -41,7 +41,6 @@ from robot_sysid.estimate.trust import (
     implausible_links,
     judge_file,
     missed_friction,
-    noise_share,
     unexplained_share,
     wrong_links,
 )
@@ -120,7 +119,7 @@ def link_result(
         written, file_notes = model_file(fitted, file)
         all_notes += file_notes
         findings += implausible_links(robot, file.thetas)
-        judgement = file_verdict(fitted, file)
+        judgement = file_verdict(file)
         verdict, _ = judgement
         if not verdict.is_trustworthy:
             findings.append(judgement)
@@ -161,9 +160,9 @@ def _wrong_link_line(link: WrongLink) -> str:
     )
 
 
-def file_verdict(fitted: Fit, file: FileFit) -> Judgement:
+def file_verdict(file: FileFit) -> Judgement:
     """Return (verdict, reason) on the written file compared with the given model."""
-    return judge_file(file.before, file.after, noise_share(fitted))
+    return judge_file(file.before, file.after)
 
 
 def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:

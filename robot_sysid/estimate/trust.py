@@ -68,12 +68,6 @@ WORST = 0.5
 WORST_OF_PAYLOAD = 0.25
 """Held-out error, as a share of the torque, above which neither a payload nor torque scales from a
 known mass are believed: logs of real arms have 0.4 to 5 %."""
-CLEARLY_LOWER = 0.9
-"""Ratio of the written file's held-out error to the given model's below which it is better."""
-WORSE = 1.1
-"""Ratio of the written file's held-out error to the given model's above which it is worse."""
-MUCH_WORSE = 1.5
-"""Ratio of one joint's held-out error, file to given model, above which the file is worse there."""
 NEGLIGIBLE = 1e-3
 """Held-out error, as a share of the torque, up to which a model counts as exact."""
 FARTHEST_PAYLOAD = 0.5
@@ -383,28 +377,17 @@ def _strangeness(name: str, model_theta: Array, theta: Array, size: float) -> st
     return ""
 
 
-def noise_share(fitted: Fit) -> float:
-    """Return the ratio of torque noise to measured torque in a fit, both root mean squares."""
-    squares = float(np.sum(fitted.noise**2 * np.sum(fitted.sums.counts, axis=0)))
-    torque = float(np.sum(fitted.sums.squared_torque))
-    return float(np.sqrt(squares / torque)) if torque > 0.0 else 0.0
-
-
 def judge_file(
-    model: Validation,
-    written: Validation,
-    noise: float = 0.0,
-    data: str = "held-out data",
+    model: Validation, written: Validation, data: str = "held-out data"
 ) -> Judgement:
     """Return the verdict on a written file from its held-out error and that of the given model.
 
-    A model whose error is no larger than the noise is right: a file that is worse than such a model
-    still counts as good.
+    What is clearly higher in paired blocks of time is worse, over all or at one joint. An error
+    that is small beside the torque does not count.
 
     Args:
         model: held-out error of the given model.
-        written: held-out error of the written file.
-        noise: ratio of torque noise to torque.
+        written: held-out error of the written file, in the same blocks.
         data: what the errors are of, in words.
     """
     old = model.relative_error
@@ -412,13 +395,15 @@ def judge_file(
     if old is None or new is None:
         return Verdict.NO_BETTER, "the measured torque is zero"
     sentence = f"torque error of the model on {data}: {percent(old)} -> {percent(new)}"
-    was_right = old <= WORSE * max(noise, NEGLIGIBLE)
-    if new > WORST or (new > WORSE * old + 1e-9 and not was_right):
+    before = np.sum(model.blocks, axis=1)
+    after = np.sum(written.blocks, axis=1)
+    if new > WORST or (new > NEGLIGIBLE and is_clearly_lower(before, after)):
         return Verdict.NO_BETTER, sentence
     worse = worse_joints(model, written)
-    if worse and not was_right:
+    if worse:
         return Verdict.NO_BETTER, f"{sentence}, but worse at {', '.join(worse)}"
-    return (Verdict.BETTER if new < CLEARLY_LOWER * old else Verdict.AS_GOOD), sentence
+    is_better = is_clearly_lower(after, before)
+    return (Verdict.BETTER if is_better else Verdict.AS_GOOD), sentence
 
 
 def worse_joints(model: Validation, written: Validation) -> list[str]:
@@ -427,13 +412,12 @@ def worse_joints(model: Validation, written: Validation) -> list[str]:
     An error that is small beside the joint's torque does not count.
     """
     worse = []
-    for joint, new in written.relative_error_per_joint.items():
-        old = model.relative_error_per_joint.get(joint)
-        if (
-            new is not None
-            and old is not None
-            and new > max(MUCH_WORSE * old, HARMLESS)
-        ):
+    errors = written.relative_error_per_joint.items()
+    for (joint, new), before, after in zip(errors, model.blocks.T, written.blocks.T):
+        old = model.relative_error_per_joint[joint]
+        if old is None or new is None or new <= HARMLESS:
+            continue
+        if is_clearly_lower(before, after):
             worse.append(f"{joint} ({percent(old)} -> {percent(new)})")
     return worse
 

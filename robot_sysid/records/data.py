@@ -6,7 +6,7 @@ Samples become square-root information, that becomes an ``Estimate``, which is j
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
@@ -125,49 +125,34 @@ class SquareRootInformation:
         names: (p,) global parameter names: the ten of ``spatial.PARAMETER_NAMES`` first, then
             nuisances such as ``coulomb[joint6]``.
         joints: the equations of each joint, base to terminal.
-        prior: (r, p+1) equations [A b] of unit variance that state the prior; None without one.
     """
 
     names: tuple[str, ...]
     joints: tuple[JointInformation, ...]
-    prior: Array | None = None
 
     @property
     def n_samples(self) -> int:
         """Number of scalar equations."""
         return sum(joint.n_samples for joint in self.joints)
 
-    def equations(self, weights: Array | None = None) -> tuple[Array, Array]:
-        """Return (A (M, p), b (M,)) with ||A x - b||^2 = sum_j w_j^2 ||Y_j x - tau_j||^2.
-
-        Args:
-            weights: (joints,) weight of each joint's equations, 1/sigma; the prior's equations
-                come last. None weighs all joints alike and leaves the prior out.
-        """
-        width = len(self.names) + 1
-        scales = np.ones(len(self.joints)) if weights is None else np.asarray(weights)
-        blocks = [np.zeros((0, width))]
-        for joint, weight in zip(self.joints, scales):
+    def equations(self) -> tuple[Array, Array]:
+        """Return (A (M, p), b (M,)) with ||A x - b||^2 = sum_j ||Y_j x - tau_j||^2."""
+        blocks = []
+        for joint in self.joints:
             # A joint's triangle has the columns of its own parameters, and the torque's.
-            blocks.append(np.zeros((len(joint.triangle), width)))
-            blocks[-1][:, [*joint.columns, -1]] = weight * joint.triangle
-        if weights is not None and self.prior is not None:
-            blocks.append(self.prior)
-        rows = np.concatenate(blocks)
+            block = np.zeros((len(joint.triangle), len(self.names) + 1))
+            block[:, [*joint.columns, -1]] = joint.triangle
+            blocks.append(block)
+        rows = np.vstack(blocks)
         return rows[:, :-1], rows[:, -1]
 
     def squared_residuals(self, values: Array) -> Array:
-        """Return each joint's sum of squared residuals (joints, ...) at values (p, ...) [N^2 m^2].
-
-        The prior's equations do not count.
-        """
+        """Return each joint's sum of squared residuals (joints,) at values (p,) [N^2 m^2]."""
         sums = []
         for joint in self.joints:
-            # The last column of a triangle is that of the torques. The transposition lets it be
-            # subtracted from one vector (k+1,) as well as from several (k+1, ...).
-            predicted = joint.triangle[:, :-1] @ values[joint.columns]
-            residual = predicted.T - joint.triangle[:, -1]
-            sums.append(np.sum((residual**2).T, axis=0))
+            # The last column of a triangle is that of the torques.
+            residual = joint.triangle[:, :-1] @ values[joint.columns]
+            sums.append(np.sum((residual - joint.triangle[:, -1]) ** 2))
         return np.array(sums)
 
 
@@ -274,6 +259,7 @@ class Validation:
         relative_error_per_joint: joint name to its relative error, or None.
         is_informative: whether the fitted data determines the torque of such a motion well enough
             for these errors to speak against the fit.
+        blocks: (B, n) sums of the squared errors of each joint in blocks of time [N^2 m^2].
     """
 
     source: str
@@ -283,11 +269,12 @@ class Validation:
     rmse_per_joint: Mapping[str, float]
     relative_error_per_joint: Mapping[str, float | None]
     is_informative: bool = True
+    blocks: Array = field(default_factory=lambda: np.zeros((0, 0)), compare=False)
 
 
 def validation_of(
     joint_names: Sequence[str],
-    squared_errors: Array,
+    blocks: Array,
     squared_torques: Array,
     counts: Array,
     source: str,
@@ -296,12 +283,13 @@ def validation_of(
 
     Args:
         joint_names: the n joints.
-        squared_errors: (n,) sum of the squared errors of each joint [N^2 m^2].
+        blocks: (B, n) sum of the squared errors of each joint in blocks of time [N^2 m^2].
         squared_torques: (n,) sum of the squared torques of each joint [N^2 m^2].
         counts: (n,) number of samples in these sums.
         source: description of the data.
     """
 
+    squared_errors = np.sum(blocks, axis=0)
     total = float(np.sum(squared_errors))
     of_all = _relative_errors([total], [float(np.sum(squared_torques))])
     per_joint = np.sqrt(squared_errors / np.maximum(counts, 1.0)).tolist()
@@ -313,6 +301,7 @@ def validation_of(
         relative_error=of_all[0],
         rmse_per_joint=dict(zip(joint_names, per_joint)),
         relative_error_per_joint=dict(zip(joint_names, relative)),
+        blocks=blocks,
     )
 
 

@@ -19,6 +19,8 @@ HORIZONS = (0.1, 0.3, 1.0, 3.0)
 """Durations over which the models are simulated [s]."""
 HELD_OUT_SHARE = 0.2
 """Share of each log, its end, that is held out; cross-validation leaves out as much."""
+BLOCKS = 10
+"""Number of blocks of a log in which two models are compared."""
 LAST_FIFTH = "the last fifth of every log, which was not fitted for it"
 """Description of the pieces that ``HELD_OUT_SHARE`` holds out."""
 
@@ -58,8 +60,8 @@ def torque_error(
     residual = np.where(usable, tau - predicted, 0.0)
     offset = np.sum(residual, axis=0) / np.maximum(counts, 1)
     residual = np.where(usable, residual - offset, 0.0)
-    squared_errors = np.sum(residual**2, axis=0)
+    blocks = [np.sum(b**2, axis=0) for b in np.array_split(residual, BLOCKS)]
     squared_torques = np.sum(np.where(usable, tau, 0.0) ** 2, axis=0)
     return validation_of(
-        robot.joint_names, squared_errors, squared_torques, counts, source
+        robot.joint_names, np.stack(blocks), squared_torques, counts, source
     )

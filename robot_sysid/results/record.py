@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -303,10 +303,10 @@ class RolloutError:
         return before, after
 
     @property
-    def ratio(self) -> float | None:
-        """Error of all joints with the new model over that with the old; None where that is 0."""
+    def ratio(self) -> float:
+        """Error of all joints with the new model over that with the old."""
         error_before, error_after = self.overall
-        return error_after / error_before if error_before > 0.0 else None
+        return error_after / max(error_before, 1e-12)
 
 
 @dataclass(frozen=True)
@@ -330,10 +330,17 @@ class RolloutTest:
     @property
     def score(self) -> float | None:
         """Geometric mean of the error ratios of all horizons; None without any."""
-        ratios = [error.ratio for error in self.errors if error.ratio is not None]
+        ratios = [error.ratio for error in self.errors]
         if not ratios:
             return None
         return float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-12)))))
+
+    @property
+    def worse(self) -> list[str]:
+        """Joints whose errors are clearly larger with the new model over some horizon."""
+        names = self.joint_names
+        is_worse = [error.is_worse for error in self.errors]
+        return [names[k] for k in np.flatnonzero(np.any(is_worse, axis=0))]
 
 
 @dataclass(frozen=True)
@@ -479,7 +486,7 @@ def json_text(content: Mapping[str, Any]) -> str:
 def _strict(value: Any) -> Any:
     """Return a value as strict JSON can hold it: records as dicts, quantities with an interval.
 
-    Numbers that are not finite become None.
+    Numbers that are not finite become None. Fields that do not count in comparisons are left out.
     """
     if isinstance(value, Quantity):
         entry = {
@@ -489,7 +496,8 @@ def _strict(value: Any) -> Any:
         }
         return _strict(entry)
     if is_dataclass(value) and not isinstance(value, type):
-        return _strict(asdict(value))
+        names = [entry.name for entry in fields(value) if entry.compare]
+        return _strict({name: getattr(value, name) for name in names})
     if isinstance(value, Mapping):
         return dict(zip(map(str, value), map(_strict, value.values())))
     if isinstance(value, (np.ndarray, np.generic)):

@@ -295,19 +295,11 @@ def rollout_lines(test: RolloutTest) -> Iterator[str]:
         "new model"
     )
     for error in test.errors:
-        ratio = "" if error.ratio is None else f", {error.ratio:.3g} times"
         old_error, new_error = error.overall
         yield (
             f"  {error.horizon:g} s ({error.windows} windows): {old_error:.3g} -> "
-            f"{new_error:.3g}{ratio}"
+            f"{new_error:.3g}, {error.ratio:.3g} times"
         )
     yield from map("  {}".format, test.notes)
-    if test.errors:
-        longest = test.errors[-1]
-        texts = []
-        for k in np.flatnonzero(longest.errors_after > 1.005 * longest.errors_before):
-            ratio_of_joint = longest.errors_after[k] / longest.errors_before[k]
-            name = test.joint_names[k]
-            texts.append(f"{name} ({ratio_of_joint:.3g} times)")
-        if texts:
-            yield f"  worse than before over the longest horizon: {', '.join(texts)}"
+    if test.worse:
+        yield f"  clearly worse than before: {', '.join(test.worse)}"

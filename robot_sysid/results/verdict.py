@@ -197,13 +197,9 @@ def limitations(result: Result) -> tuple[str, ...]:
 
     Sentences on what the errors allow for already are ``Detail``.
     """
-    return tuple(_limitation_sentences(result)) if result.is_measured else ()
-
-
-def _limitation_sentences(result: Result) -> Iterator[str]:
-    """Yield the sentences of ``limitations`` on a measured result."""
-    yield from _prior_conflicts(result)
-    yield from _worse_predictions(result)
+    if not result.is_measured:
+        return ()
+    return (*_prior_conflicts(result), *_worse_predictions(result))
 
 
 def _prior_conflicts(result: Result) -> Iterator[str]:

@@ -200,9 +200,7 @@ def rollout_error(
     lengths = [len(times) for _, times, _ in problem.windows]
     sums = np.add.reduceat(squares, np.cumsum([0, *lengths[:-1]]), axis=1)
     before, after = sums + FLOOR**2 * np.reshape(lengths, (-1, 1))
-    is_worse = [
-        len(lengths) > 1 and is_clearly_lower(*own) for own in zip(before.T, after.T)
-    ]
+    is_worse = [is_clearly_lower(*own) for own in zip(before.T, after.T)]
     horizon = float(problem.edges[-1])
     return RolloutError(horizon, len(lengths), old, new, np.array(is_worse))
 

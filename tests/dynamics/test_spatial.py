@@ -65,15 +65,6 @@ def test_theta_from_com_is_the_sum_over_point_masses(seed):
 
 
 @given(SEEDS)
-def test_pseudo_inertia_is_the_second_moment_of_the_points(seed):
-    masses, points = point_masses(default_rng(seed))
-    homogeneous = np.column_stack((points, np.ones(len(points))))
-    expected = np.einsum("n,ni,nj->ij", masses, homogeneous, homogeneous)
-    actual = spatial.pseudo_inertia(theta_of_points(masses, points))
-    assert_close(actual, expected, atol=1e-12)
-
-
-@given(SEEDS)
 def test_moving_the_frame_moves_the_points(seed):
     rng = default_rng(seed)
     masses, points = point_masses(rng)

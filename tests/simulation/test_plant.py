@@ -24,16 +24,7 @@ from robot_sysid.simulation.plant import (
 )
 from robot_sysid.simulator import ArmTorque, simulate_inverse
 from tests.support import arms
-from tests.support.arms import (
-    FREE_OBJECT_BESIDE,
-    THREE,
-    X,
-    Y,
-    Z,
-    random_motion,
-    robot_of,
-    serial_arm,
-)
+from tests.support.arms import THREE, X, Y, Z, random_motion, robot_of, serial_arm
 from tests.support.measured_logs import plan_of
 
 RATE = 200.0
@@ -133,11 +124,6 @@ def test_a_plant_keeps_its_own_inertials_friction_and_armature(robot, arm_file):
     np.testing.assert_array_equal(plant.friction.coulomb, 0.7)
     np.testing.assert_array_equal(plant.mj_model.dof_armature[plant.dof_index], 0.05)
     assert plant.notes == ()
-
-
-def test_a_plant_may_have_other_things_around_the_arm(robot, arm_file):
-    plant = load_plant(robot, arm_file(FREE_OBJECT_BESIDE, "plant.xml"))
-    assert plant.joint_names == robot.joint_names
 
 
 @pytest.mark.parametrize(
