@@ -6,7 +6,7 @@ Samples become square-root information, that becomes an ``Estimate``, which is j
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
