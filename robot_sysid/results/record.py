@@ -338,9 +338,8 @@ class RolloutTest:
     @property
     def worse(self) -> list[str]:
         """Joints whose errors are clearly larger with the new model over some horizon."""
-        names = self.joint_names
-        is_worse = [error.is_worse for error in self.errors]
-        return [names[k] for k in np.flatnonzero(np.any(is_worse, axis=0))]
+        is_worse = np.any([error.is_worse for error in self.errors], axis=0)
+        return [self.joint_names[k] for k in np.flatnonzero(is_worse)]
 
 
 @dataclass(frozen=True)
