@@ -152,7 +152,7 @@ def before_after_text(before: Validation, after: Validation | None) -> str:
 
     An error that is not known is left out, "not known" stands for both.
     """
-    errors = [before.relative_error, after and after.relative_error]
+    errors = [test.relative_error for test in (before, after) if test is not None]
     texts = [percent(error) for error in errors if error is not None]
     return " -> ".join(texts) or "not known"
 
