@@ -29,7 +29,7 @@ BUDGETS = {
     "robot_sysid/pipeline": 6859,
     "robot_sysid/records": 8713,
     "robot_sysid/report": 8319,
-    "robot_sysid/results": 14709,
+    "robot_sysid/results": 14704,
     "robot_sysid/servo": 6513,
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4371,

@@ -333,7 +333,7 @@ class RolloutTest:
         ratios = [error.ratio for error in self.errors]
         if not ratios:
             return None
-        return float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-12)))))
+        return float(np.exp(np.mean(np.log(ratios))))
 
     @property
     def worse(self) -> list[str]:
