@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 19102,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29537,
-    "robot_sysid/logs": 20085,
+    "robot_sysid/logs": 19800,
     "robot_sysid/mjcf": 8565,
     "robot_sysid/model": 9132,
     "robot_sysid/motion": 24361,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4371,
     "robot_sysid": 12104,
-    "tests": 234728,
+    "tests": 234551,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

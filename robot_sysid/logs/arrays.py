@@ -154,10 +154,7 @@ def npz_arrays(path: Path) -> dict[str, Any]:
             names = archive.namelist()
             unpacked = sum(member.file_size for member in archive.infolist())
         if not any(name.endswith(".npy") for name in names):
-            raise InputError(
-                f"{path} is no recording but an archive of {', '.join(names[:3]) or 'nothing'}; "
-                "unpack it, or export a table as CSV"
-            )
+            raise InputError(f"{path} is an archive without arrays; unpack it")
         refuse_bomb(path, unpacked, path.stat().st_size)
         stream.seek(0)
         return dict(np.load(stream))

@@ -1,8 +1,7 @@
 """Checks of a log's form, before anything is estimated from it.
 
 A check takes the usable rows and the robot. It returns notes (the run goes on) or raises InputError
-(the numbers cannot be those of this arm). Both name the first line and a remedy; the error of a log
-that is refused lists the faults of all checks.
+(the numbers cannot be those of this arm). Both name the first line and a remedy.
 
 The usable rows are ``LogRows``: ``samples`` in SI units (N rows, n chain joints), ``lines`` (N,)
 their numbers in the file. Of all rows of the file, ``n_read`` hold something of this arm and
@@ -17,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.logs.table import (
     BACKWARDS,
     MISSING,
@@ -109,49 +108,34 @@ def check_log(
         in_radians: whether the unit of angles was declared, so that it is not checked.
 
     Raises:
-        InputError: lists all faults, but not those that only follow from another one.
+        InputError: the first fault.
     """
-    notes = list[str]()
-    faults = list[InputError]()
-
-    def passes(check: Check) -> bool:
-        """Run a check, add its notes or its fault to the lists, and return whether it passed."""
-        try:
-            notes.extend(check(rows, robot) or ())
-        except InputError as error:
-            faults.append(error)
-            return False
-        return True
-
-    is_tolerable = {}
-    for anomaly in _TOLERANCES:
-        is_tolerable[anomaly] = passes(partial(require_few, anomaly))
-    has_time = is_tolerable[REPEATED] and is_tolerable[BACKWARDS]
-    if len(rows.lines) >= _FEWEST_ROWS:
-        notes.extend(_mending_notes(rows))
-        # Checks of speeds and positions need a plausible time, and then plausible radians.
-        if has_time and passes(clock_notes) and (in_radians or passes(require_radians)):
-            passes(require_no_jumps)
-            passes(rest_notes)
-            passes(limit_notes)
-        passes(require_torque)
-        passes(require_one_clock)
-    elif not faults:
-        faults.append(InputError(_too_few_rows(rows, robot)))
-    if faults:
-        # No option is enough where something else is wrong as well.
-        options = faults[0].options if len(faults) == 1 else ()
-        raise InputError(f"{name}: {'; '.join(map(str, faults))}", options)
+    checks: list[Check] = [partial(require_few, anomaly) for anomaly in _TOLERANCES]
+    checks += [require_rows, mending_notes, clock_notes]
+    if not in_radians:
+        checks.append(require_radians)
+    checks += [
+        require_no_jumps,
+        rest_notes,
+        limit_notes,
+        require_torque,
+        require_one_clock,
+    ]
+    notes: list[str] = []
+    with prefix_input_errors(name):
+        for check in checks:
+            notes += check(rows, robot) or ()
     return tuple(notes)
 
 
-def _too_few_rows(rows: LogRows, robot: RobotModel) -> str:
-    """Return the fault of a log of too few rows for any other check."""
+def require_rows(rows: LogRows, robot: RobotModel) -> None:
+    """Raise InputError where there are too few rows for any other check."""
     if not rows.n_read and rows.n_foreign:
         names = ", ".join(robot.joint_names)
-        return f"none of its rows holds a position and a torque of {names}"
-    usable_rows = count_text(len(rows.lines), "usable row")
-    return f"the log has only {usable_rows}; record longer"
+        raise InputError(f"none of its rows holds a position and a torque of {names}")
+    if len(rows.lines) < _FEWEST_ROWS:
+        usable_rows = count_text(len(rows.lines), "usable row")
+        raise InputError(f"the log has only {usable_rows}; record longer")
 
 
 def require_few(anomaly: str, rows: LogRows, robot: RobotModel) -> Iterator[str]:
@@ -163,20 +147,15 @@ def require_few(anomaly: str, rows: LogRows, robot: RobotModel) -> Iterator[str]
     count, first = rows.anomalies[anomaly]
     allowed = max(_ALWAYS_TOLERATED, share * rows.n_read) if share else 0
     if count > allowed:
-        where = f"first: {first}"
-        if anomaly == MISSING:
-            emptiest = sorted(rows.empty_cells.items(), key=lambda item: -item[1])
-            listed = ", ".join(f"{title!r} in {n}" for title, n in emptiest[:3])
-            where += f"; empty are {listed}"
         raise InputError(
             f"{count} of {rows.n_read} rows {description}, more than {100.0 * share:g} % "
-            f"({where}); {remedy}"
+            f"(first: {first}); {remedy}"
         )
     if count:
         yield f"left out rows that {description}: {count} (first: {first})"
 
 
-def _mending_notes(rows: LogRows) -> Iterator[str]:
+def mending_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield notes on unwrapped positions, rows without this arm's data, and thinning."""
     if rows.anomalies[WRAPPED].n_rows:
         first = rows.anomalies[WRAPPED].first

@@ -75,11 +75,11 @@ def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
             f"{path} has no /observations/effort, no measured torque; record effort"
         )
     shapes = {values.shape for values in arrays.values()}
+    width = arrays["qpos"].shape[-1]
     if len(shapes) > 1 or arrays["qpos"].ndim != 2:
         raise InputError(
             f"{path} does not hold the same joints in {list_shapes(arrays)}; record them together"
         )
-    width = arrays["qpos"].shape[1]
     joints = list(map("joint{}".format, range(width)))
     if width == len(_ALOHA_JOINTS):
         joints = list(_ALOHA_JOINTS)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,29 +105,6 @@ class LogSource:
     first_bytes: bytes
     joint_names: Sequence[str]
     options: LogOptions
-
-
-# Day, time of the day, and how far the clock is ahead of UTC.
-DATE = re.compile(
-    r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)(?:Z|([+-])(\d\d):?(\d\d))?",
-    re.ASCII | re.IGNORECASE,
-)
-
-
-def nanoseconds(cell: str) -> int:
-    """Return a date and time of ISO 8601 since 1970 [ns], or raise ValueError.
-
-    A time alone is taken to be of the first day of 1970.
-    """
-    match = DATE.fullmatch(cell)
-    if match is None:
-        raise ValueError(cell)
-    day, clock, sign, hours, minutes = match.groups()
-    stamp = np.datetime64(f"{day or '1970-01-01'}T{clock.replace(',', '.')}", "ns")
-    minutes_ahead = 60 * int(hours or 0) + int(minutes or 0)
-    if sign == "-":
-        minutes_ahead = -minutes_ahead
-    return int(stamp.astype(np.int64)) - minutes_ahead * 60 * 10**9
 
 
 LARGEST = 8e8
@@ -228,7 +204,6 @@ class LogRows:
         n_read: number of rows in the file that hold something of this arm.
         n_foreign: number of rows that hold nothing of this arm.
         anomalies: UNREADABLE, MISSING, REPEATED, BACKWARDS and WRAPPED to their counts.
-        empty_cells: column title to the number of MISSING rows in which its cell is empty.
         thinning: how many rows were low-passed into one.
         row_noun: what a row is called: "line", "message" or "row".
     """
@@ -237,7 +212,6 @@ class LogRows:
     samples: Measurement
     n_read: int
     anomalies: Mapping[str, Anomaly]
-    empty_cells: Mapping[str, int]
     n_foreign: int
     thinning: int
     row_noun: str
@@ -285,7 +259,6 @@ def read_rows(
         # A servo's torque follows its position error, the measure of torque here [rad].
         command = tau
         tau = command - q
-    counts = zip(used, cleaner.empty_cells.tolist())
     return LogRows(
         lines=np.round(lines[:, 0]).astype(np.int64),
         samples=Measurement(
@@ -298,7 +271,6 @@ def read_rows(
         ),
         n_read=cleaner.n_read,
         anomalies=cleaner.anomalies,
-        empty_cells={column.title: count for column, count in counts if count},
         n_foreign=cleaner.n_foreign,
         thinning=thinning.every if thinning else 1,
         row_noun=table.row_noun,
@@ -332,7 +304,6 @@ class _RowCleaner:
         n_read: number of rows so far that hold something of this arm.
         n_foreign: number of rows so far that hold nothing of this arm.
         anomalies: UNREADABLE, MISSING, REPEATED, BACKWARDS and WRAPPED to their counts so far.
-        empty_cells: (C,) number of MISSING rows in which each column is empty.
     """
 
     def __init__(
@@ -350,7 +321,6 @@ class _RowCleaner:
         self._turns = np.zeros(self._n)
         self.n_read = 0
         self.n_foreign = 0
-        self.empty_cells = np.zeros(len(self._factors), dtype=int)
         anomalies = (UNREADABLE, MISSING, REPEATED, BACKWARDS, WRAPPED)
         self.anomalies = dict.fromkeys(anomalies, Anomaly())
 
@@ -411,9 +381,14 @@ class _RowCleaner:
         self.n_read += int(np.count_nonzero(~foreign))
         finite = np.isfinite(cells).all(axis=1)
         self._count(UNREADABLE, block.lines[impossible], block.complaint)
-        missing = ~finite & ~impossible & ~foreign
-        self._count(MISSING, block.lines[missing])
-        self.empty_cells += (~np.isfinite(block.cells[missing])).sum(axis=0)
+        missing = np.flatnonzero(~finite & ~impossible & ~foreign)
+        first = ""
+        if len(missing):
+            empty = ~np.isfinite(block.cells[missing[0]])
+            columns = self._columns.columns()
+            listed = [columns[k].title for k in np.flatnonzero(empty)]
+            first = f"{self._row_noun} {block.lines[missing[0]]}, columns {', '.join(listed)}"
+        self._count(MISSING, block.lines[missing], first)
         return np.asarray(finite & ~impossible)
 
     def _find_later(self, lines: Lines, time: Array) -> Mask:

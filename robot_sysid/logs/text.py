@@ -25,7 +25,7 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
-from robot_sysid.logs.table import DATE, Block, LogSource, LogTable, nanoseconds
+from robot_sysid.logs.table import Block, LogSource, LogTable
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.file_access import atomic_file
 
@@ -157,6 +157,13 @@ def is_number(cell: str) -> bool:
     return False
 
 
+# Day, time of the day, and zone, which is left out: time counts from the first row.
+_DATE = re.compile(
+    r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)(?:Z|[+-]\d\d:?\d\d)?",
+    re.ASCII | re.IGNORECASE,
+)
+
+
 def _parse_cell(cell: str, start: str = "") -> float:
     """Return the number in a cell, NaN where it is marked empty, or raise ValueError.
 
@@ -166,23 +173,28 @@ def _parse_cell(cell: str, start: str = "") -> float:
     if cell.lower() in _EMPTY:
         return float("nan")
     if ":" in cell:
-        return 1e-9 * (nanoseconds(cell) - _start_of_time(start))
+        return float((_date(cell) - _date(start)) / np.timedelta64(1, "s"))
     return float(cell.replace(",", "."))
 
 
-@functools.lru_cache(maxsize=1)
-def _start_of_time(cell: str) -> int:
-    """Return the date in a cell [ns since 1970], 0 where it holds none."""
-    return nanoseconds(cell) if DATE.fullmatch(cell) else 0
+@functools.lru_cache(maxsize=4)
+def _date(cell: str) -> np.datetime64:
+    """Return the date and time in a cell, 1970 for "", or raise ValueError.
+
+    A time alone is taken to be of the first day of 1970.
+    """
+    match = _DATE.fullmatch(cell or "00:00:00")
+    if match is None:
+        raise ValueError(cell)
+    day, clock = match.groups()
+    return np.datetime64(f"{day or '1970-01-01'}T{clock.replace(',', '.')}", "ns")
 
 
 def _read_lines(
     path: Path, encoding: str, size: int
 ) -> Iterator[tuple[int, list[str], float]]:
-    """Yield (number of the first line, lines, share of the file that is read) in chunks.
-
-    A chunk has about ``size`` characters and ends with a line; a line that is too long for a table
-    is cut off.
+    """Yield (number of the first line, lines, share of the file that is read) in chunks of about
+    ``size`` characters.
     """
     file_size = max(1, path.stat().st_size)
     number = 1
@@ -191,15 +203,12 @@ def _read_lines(
         path.open("rb") as binary,
         TextIOWrapper(binary, encoding, errors="replace") as stream,
     ):
-        while text := stream.read(size):
-            tail = "" if text.endswith("\n") else stream.readline(_LONGEST_LINE)
-            text += tail
-            # Drop what a line that is too long has beyond its beginning.
-            while len(tail) == _LONGEST_LINE and not tail.endswith("\n"):
-                tail = stream.readline(_LONGEST_LINE)
-            lines = text.removesuffix("\n").split("\n")
-            shortened = [line[:_LONGEST_LINE] for line in lines]
-            yield number, shortened, binary.tell() / file_size
+        while lines := stream.readlines(size):
+            yield (
+                number,
+                [line.rstrip("\n") for line in lines],
+                binary.tell() / file_size,
+            )
             number += len(lines)
 
 

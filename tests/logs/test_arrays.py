@@ -117,11 +117,11 @@ def test_no_more_arrays_are_read_than_a_log_has(tmp_path, monkeypatch):
     assert_refused("more than the 20 of a log; save those of the arm", path)
 
 
-def test_an_archive_of_something_else_says_what_it_holds(tmp_path):
+def test_an_archive_of_something_else_is_refused(tmp_path):
     path = tmp_path / "log.zip"
     with zipfile.ZipFile(path, "w") as packed:
         packed.writestr("log.csv", "time,q1\n")
-    assert_refused("no recording but an archive of log.csv; unpack it, or", path)
+    assert_refused("an archive without arrays; unpack it", path)
 
 
 @pytest.mark.parametrize(

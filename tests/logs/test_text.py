@@ -151,16 +151,6 @@ def test_each_column_of_dates_counts_from_its_own_first_date(tmp_path):
     np.testing.assert_allclose(log.samples.joint_time, stamps, atol=1e-9)
 
 
-def test_dates_go_on_over_a_change_of_the_clock(tmp_path):
-    rows = table(motion(40)).tolist()
-    for row, second in zip(rows, range(40)):
-        day, hour = ("02", "01") if second < 20 else ("01", "22")
-        ahead = "+02:00" if second < 20 else "-01:00"
-        row[0] = f"2024-05-{day}T{hour}:59:{30 + second * 0.02:06.3f}{ahead}"
-    log = read_table(tmp_path, rows)
-    np.testing.assert_allclose(log.samples.time, 0.02 * np.arange(40), atol=1e-12)
-
-
 def test_text_columns_that_are_not_used_do_not_matter(tmp_path):
     data = motion(30)
     rows = table(data).tolist()
