@@ -23,8 +23,8 @@ BUDGETS = {
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29537,
     "robot_sysid/logs": 19800,
-    "robot_sysid/mjcf": 8565,
-    "robot_sysid/model": 9132,
+    "robot_sysid/mjcf": 8432,
+    "robot_sysid/model": 9048,
     "robot_sysid/motion": 24361,
     "robot_sysid/pipeline": 6859,
     "robot_sysid/records": 8713,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4371,
     "robot_sysid": 12104,
-    "tests": 234551,
+    "tests": 234415,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -221,8 +221,12 @@ def relocate(
     """
     assets = find_assets(document, mesh_dir)
     if document.is_urdf:
-        paths = [asset.path for asset in assets if asset.path is not None]
-        _rename(document, assets, {path: reference(path, folder) for path in paths})
+        for asset in assets:
+            if asset.path is not None:
+                asset.node.set(asset.attribute, reference(asset.path, folder))
+        if any("/" in asset.node.get(asset.attribute, "") for asset in assets):
+            # MuJoCo before 3.7 drops the folders of a URDF's mesh names unless told otherwise.
+            document.set_compiler({"strippath": "false"})
         return
     folders = asset_folders(document, mesh_dir)
     kinds = {asset.node.tag for asset in assets}
@@ -245,22 +249,6 @@ def relocate(
             # Relative to the folder of its kind.
             name = reference(asset.path, asset_folder if folder else None)
             asset.node.set(asset.attribute, name)
-
-
-def _rename(
-    document: ModelDocument, assets: Iterable[Asset], names: Mapping[Path, str]
-) -> None:
-    """Make a document refer to the files that it finds by other names."""
-    has_folder = False
-    for asset in assets:
-        name = asset.name
-        if asset.path is not None:
-            name = names[asset.path]
-            asset.node.set(asset.attribute, name)
-        has_folder |= "/" in name
-    if document.is_urdf and has_folder:
-        # MuJoCo before 3.7 drops the folders of a URDF's mesh names unless told otherwise.
-        document.set_compiler({"strippath": "false"})
 
 
 def _set_folders(document: ModelDocument, values: Mapping[str, str]) -> None:

@@ -24,8 +24,6 @@ from robot_sysid.records.file_access import refuse_special_file, require_utf8
 
 Node = Any
 """An element of lxml's tree; its tag has no namespace unless it has a prefix."""
-_ENCODING = re.compile(rb"^\s*<\?xml[^>]*encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']")
-"""XML declaration with the encoding that it states."""
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Ends of the names of model files."""
 _MAX_INCLUDE_DEPTH = 50
@@ -221,21 +219,17 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _decoded(raw: bytes, path: Path) -> str:
-    """Return a file's bytes as text, or raise ModelError where they are none.
+    """Return a file's bytes as text: as UTF-8, or else as Latin-1, as old programs write them.
 
-    They are read as UTF-8, else in the declared encoding, else, with none declared, as UTF-16.
+    ModelError where there are none.
     """
     if not raw.strip():
         raise ModelError(f"Expected an XML model file, but {path} is empty")
-    declared = _ENCODING.match(raw)
-    other_encoding = declared.group(1).decode() if declared else "utf-16"
-    for encoding in ("utf-8-sig", other_encoding):
-        try:
-            # MuJoCo tolerates white space before the declaration, strict parsers do not.
-            return raw.decode(encoding).lstrip()
-        except (UnicodeError, LookupError):
-            continue
-    raise ModelError(f"Expected an XML model file, but {path} is not text")
+    try:
+        # MuJoCo tolerates white space before the declaration, strict parsers do not.
+        return raw.decode("utf-8-sig").lstrip()
+    except UnicodeError:
+        return raw.decode("latin-1").lstrip()
 
 
 def _parse(raw: bytes, path: Path) -> Node:

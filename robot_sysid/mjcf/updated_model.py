@@ -356,10 +356,6 @@ def _write_tendon(document: ModelDocument, change: TendonChange, rmse: float) ->
         put_comment(node, comment)
         _set_numbers(node, texts)
         return
-    nameless = [joint for joint in joints if joint.startswith("#")]
-    if nameless:
-        fault = f"a tendon cannot refer to joint {nameless[0]}, which has no name; give it one"
-        raise ExportError(f"{document.path}: {fault}")
     fixed = etree.Element("fixed", texts)
     for joint, coefficient in change.coefficients.items():
         etree.SubElement(fixed, "joint", joint=joint, coef=format_number(coefficient))

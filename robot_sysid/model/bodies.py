@@ -4,8 +4,8 @@ one, and which of them touch.
 The flange is the frame, fixed to the terminal body, in which controllers want a payload: a site or
 a body of the model, or plain numbers. A frame that moves against the terminal body is no flange.
 
-Links next to each other often overlap in a model: one carries the other, and it does not matter
-that a model leaves out their joint's housing. Any other two bodies that touch are a collision.
+Links next to each other often overlap in a model: it does not matter that a model leaves out the
+housing of the joint between them. Any other two bodies that touch are a collision.
 """
 
 from __future__ import annotations
@@ -347,31 +347,6 @@ def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
     return counts
 
 
-def adjacent_bodies(mj_model: Any) -> NDArray[np.bool_]:
-    """Return whether two bodies (ids) are next to each other in the tree, (nbody, nbody).
-
-    Bodies welded together count as one. A body that stands still is next to a link only if it
-    carries it or is fixed to the body that does: the arm's base and its housing are, a table in the
-    same world is not.
-    """
-    n_bodies = mj_model.nbody
-    # The topmost body that each is welded to, and the body that this one hangs on, (nbody,).
-    weld = mj_model.body_weldid
-    parent = mj_model.body_parentid[weld]
-    # Element [a, b] of the arrays (nbody, nbody): whether a carries b, b is a or below a, ...
-    carries = (weld[:, None] == weld[parent]) & (weld[:, None] != weld)
-    is_above = np.zeros((n_bodies, n_bodies), dtype=bool)
-    for body in range(n_bodies):
-        is_above[body, subtree(mj_model, body)] = True
-    # ... and whether a hangs on the same body as b, which is not the world.
-    is_beside = is_above[parent].T & (parent != 0)
-    stands_still = weld == 0
-    is_world = np.arange(n_bodies) == 0
-    is_fixed = (is_above | is_beside) & ~is_world[:, None]
-    carries &= ~stands_still[:, None] | is_fixed
-    return np.asarray(carries | carries.T)
-
-
 def update_contacts(mj_model: Any, data: Any) -> None:
     """Compute frames and contacts at the positions that ``data`` has, in place.
 
@@ -393,36 +368,51 @@ def touching_by_design(
 ) -> set[tuple[int, int]]:
     """Return those of some touching pairs of body ids that touch by the model's design.
 
-    One carries the other, or they touch whatever the joints between them do (MuJoCo takes the
-    convex hull of a mesh): no position would avoid it. A pair of the arm and something beside it is
-    not by design. In a pair the lower id is first.
-    """
-    is_adjacent = adjacent_bodies(robot.mj_model)
-    return {pair for pair in pairs if is_adjacent[pair] or _never_part(robot, pair)}
-
-
-def _never_part(robot: RobotModel, pair: tuple[int, int]) -> bool:
-    """Return whether two bodies touch at every tried position of the chain joints between them, a
-    grid of ``_POSITIONS`` per joint over their ranges; the other joints are at reference.
-
-    False without a try for a pair of the arm and something beside it (MuJoCo's root body differs),
-    and for a pair with more than ``_MAX_JOINTS_BETWEEN`` joints between.
+    In a pair the lower id is first. One carries the other (bodies welded together count as one), or
+    they touch at every tried position of the chain joints between them, a grid of ``_POSITIONS``
+    per joint over their ranges, the others at reference (MuJoCo takes the convex hull of a mesh):
+    no position would avoid it. Not by design is a pair of the arm and something beside it (MuJoCo's
+    root body differs), or one with more than ``_MAX_JOINTS_BETWEEN`` joints between.
     """
     model = robot.mj_model
-    # The chain joints first, ..., last - 1 are between the two bodies.
-    first, last = sorted(count_moving_joints(robot)[list(pair)].tolist())
-    first_root, second_root = model.body_rootid[list(pair)]
-    if last - first > _MAX_JOINTS_BETWEEN or first_root != second_root:
-        return False
+    counts = count_moving_joints(robot)
+    weld = model.body_weldid
+    carrier = weld[model.body_parentid[weld]]
     data = data_at_pose(model, robot.reference_qpos)
+    by_design = set()
+    for pair in pairs:
+        # The chain joints first, ..., last - 1 are between the two bodies.
+        first, last = sorted(counts[list(pair)].tolist())
+        first_root, second_root = model.body_rootid[list(pair)]
+        if last - first > _MAX_JOINTS_BETWEEN or first_root != second_root:
+            continue
+        one, other = pair
+        is_carried = weld[one] == carrier[other] or weld[other] == carrier[one]
+        if is_carried or _never_part(robot, data, pair, slice(first, last)):
+            by_design.add(pair)
+    return by_design
+
+
+def _never_part(
+    robot: RobotModel, data: Any, pair: tuple[int, int], between: slice
+) -> bool:
+    """Return whether two bodies touch at all tried positions of the chain joints between them.
+
+    ``data``, with all joints at reference, is used and left so.
+    """
+    model = robot.mj_model
     lowest, highest = joint_ranges(robot)
-    grid = np.linspace(lowest[first:last], highest[first:last], _POSITIONS)
+    grid = np.linspace(lowest[between], highest[between], _POSITIONS)
+    is_touching = True
     for positions in product(*grid.T):
-        data.qpos[robot.qpos_index[first:last]] = positions
+        data.qpos[robot.qpos_index[between]] = positions
         update_contacts(model, data)
         geoms = data.contact.geom[data.contact.dist <= 0.0].reshape(-1, 2)
         # A flexible body's contact has the geom -1.
         geoms = geoms[np.all(geoms >= 0, axis=1)]
-        if list(pair) not in np.sort(model.geom_bodyid[geoms], axis=1).tolist():
-            return False
-    return True
+        bodies = np.sort(model.geom_bodyid[geoms], axis=1)
+        is_touching = list(pair) in bodies.tolist()
+        if not is_touching:
+            break
+    data.qpos[:] = robot.reference_qpos
+    return is_touching

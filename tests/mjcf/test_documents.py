@@ -31,7 +31,7 @@ def names(path):
         (b"\x89PNG\r\n\x1a\n\x00\xff", "Expected an XML model file"),
         (ARM[:200].encode(), "Expected an XML model file, but .* is not XML"),
         (LAUGHS.encode(), "declares XML entities"),
-        (OUTSIDE.encode("utf-16"), "declares XML entities"),
+        (OUTSIDE.encode("utf-16"), "is not XML"),
         (b"<mujoco>" * 300, "not XML: Excessive depth"),
         (b"<default/>", "is a fragment, not a whole model: its root is <default>"),
         (b"<mujoco/>", "is a fragment, not a whole model: no <worldbody>"),

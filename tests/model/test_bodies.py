@@ -10,9 +10,9 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.model.bodies import (
-    adjacent_bodies,
     find_flange,
     link_reach,
+    touching_by_design,
     update_contacts,
 )
 from tests.support import arms
@@ -142,36 +142,19 @@ def test_what_is_no_flange_is_refused_with_what_is_wanted(text):
     assert "nail'," not in str(error.value)
 
 
-def names_of_neighbours(xml):
-    model = robot_of(xml).mj_model
-    label = [model.body(k).name for k in range(model.nbody)]
-    return {
-        (label[a], label[b]) for a, b in np.argwhere(np.triu(adjacent_bodies(model)))
-    }
-
-
-def test_neighbours_are_what_carries_and_what_is_carried():
-    camera = '<body name="camera"><geom size=".01"/></body>'
+def test_neighbours_touch_by_design_but_no_table_and_no_other_links():
+    ball = '<geom size=".3"/>'
     arm = link(
-        hinge("turn", Z),
-        link(hinge("bend", Y), camera, "tip", pos=".4 0 0")
-        + camera[:-7].replace("camera", "lamp")
-        + "</body>",
-        "upper",
-        pos="0 0 .5",
+        ball + hinge("turn", Z), link(ball + hinge("bend", Y), "", "tip"), "upper"
     )
-    base = f'<body name="base"><geom size=".1"/><body name="cover"/>{arm}</body>'
-    table = '<body name="table"><geom size=".1"/></body>'
-    assert names_of_neighbours(world(base + table)) == {
-        ("base", "upper"),
-        ("base", "lamp"),
-        ("cover", "upper"),
-        ("cover", "lamp"),
-        ("upper", "tip"),
-        ("upper", "camera"),
-        ("tip", "lamp"),
-        ("camera", "lamp"),
-    }
+    base = f'<body name="base">{ball}<body name="cover">{ball}</body>{arm}</body>'
+    robot = robot_of(world(base + f'<body name="table">{ball}</body>'))
+    name = {k: robot.mj_model.body(k).name for k in range(robot.mj_model.nbody)}
+    pairs = [(a, b) for a in name for b in name if 0 < a < b]
+    by_design = {(name[a], name[b]) for a, b in touching_by_design(robot, pairs)}
+    neighbours = {("base", "upper"), ("cover", "upper"), ("upper", "tip")}
+    # Balls at one place never part.
+    assert by_design >= neighbours and not any("table" in pair for pair in by_design)
 
 
 def test_more_contacts_than_mujoco_holds_are_a_matter_of_the_model():

@@ -426,14 +426,6 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
     assert "without a rotor, which no URDF can hold" in text
 
 
-def test_a_motor_of_a_joint_without_a_name_is_refused(tmp_path):
-    robot = load_arm(tmp_path, arms.NAMELESS)
-    motor = coupling(robot, np.array([1.0] * 2 + [0.0] * (robot.n_joints - 2)))
-    file = file_of(robot, joints={motor.name: {"viscous": record.Quantity(0.5, 0.1)}})
-    with pytest.raises(ExportError, match="has no name"):
-        write_and_compile(robot, result_of(robot, file=replace(file, motors=(motor,))))
-
-
 def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
     robot = load_arm(tmp_path, arms.SHARED_BODIES)
     thetas = new_links(robot, np.random.default_rng(0))
