@@ -30,9 +30,11 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     turn_gravity,
 )
-from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.links import own_errors
 from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import LINKS
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import (
@@ -45,7 +47,6 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DELAY_NAME, Measurement
-from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, sample_count
 from tests.support.places import GUESS, MODELS
 
@@ -138,7 +139,7 @@ def identification_errors(predicted, motion, rng, exact):
     tau = tau + SIGMA * rng.normal(size=tau.shape)
     recording = Measurement(motion.time, q, None, tau, None)
     recordings, _ = low_pass_recordings(robot, [Piece("log", recording)])
-    fitted, _ = identify_link(robot, recordings, OPTIONS, Progress(), None)
+    fitted = solved(robot, recordings, Question(OPTIONS))
     theta = robot.prior.theta
     return fitted.values[:10] - theta, fitted.free[:10] - theta, fitted.errors[:10]
 

@@ -86,7 +86,7 @@ def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
         pieces.append(replace(recording, order=position))
     recordings, _ = low_pass_recordings(robot, pieces)
     question = Question(estimation, loaded=True, drifts=drifts, **question_options)
-    fits = identify_payload(robot, recordings, question, Progress(), unchanged=None)
+    fits = identify_payload(robot, recordings, question, Progress())
     return payload_result(*fits, find_flange(robot, "0,0,0"), ORIGIN)
 
 

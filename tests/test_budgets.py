@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 39727,
     "robot_sysid/diagnosis": 19102,
     "robot_sysid/dynamics": 6427,
-    "robot_sysid/estimate": 29537,
+    "robot_sysid/estimate": 29496,
     "robot_sysid/logs": 19800,
     "robot_sysid/mjcf": 8432,
     "robot_sysid/model": 9048,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4371,
     "robot_sysid": 12104,
-    "tests": 234415,
+    "tests": 234302,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

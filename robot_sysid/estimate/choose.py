@@ -183,7 +183,8 @@ def _motor_prior(fitted: Fit, motor: Coupling) -> Prior:
     They make at least a share ``LEAST_DRY`` of a joint's root mean square torque.
     """
     arm = fitted.arm
-    torque = fitted.sums.rms_torque
+    squares = fitted.sums.squares
+    torques = np.sum(fitted.sums.squared_torque, axis=0)
     sizes = []
     for name in arm.terms[motor.name].names:
         term = name.partition("[")[0]
@@ -192,12 +193,10 @@ def _motor_prior(fitted: Fit, motor: Coupling) -> Prior:
         for joint in np.flatnonzero(motor.ratios):
             own = f"{term}[{arm.robot.joint_names[joint]}]"
             size = max(size, abs(fitted.by_name.get(own, 0.0)))
-            columns = fitted.sums.columns[joint]
-            at = np.flatnonzero(columns == index)
-            square = fitted.sums.totals[joint][at, at].sum()
-            count = max(float(np.sum(fitted.sums.counts[:, joint])), 1.0)
-            if square > 0.0:
-                size = max(size, LEAST_DRY * torque[joint] / np.sqrt(square / count))
+            if squares[joint, index] > 0.0:
+                size = max(
+                    size, LEAST_DRY * np.sqrt(torques[joint] / squares[joint, index])
+                )
         sizes.append(size)
     return independent(sizes)
 

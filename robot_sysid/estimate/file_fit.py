@@ -31,7 +31,14 @@ from robot_sysid.estimate.options import (
     FILE_ROTORS,
 )
 from robot_sysid.estimate.questions import FILE_TILT, links_term
-from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, TILT, Term, independent
+from robot_sysid.estimate.terms import (
+    LINKS,
+    MOTORS,
+    PAYLOAD_NAMES,
+    TILT,
+    Term,
+    independent,
+)
 from robot_sysid.records import Array, Validation
 
 CLEAR_ROTOR = 3.0
@@ -111,25 +118,23 @@ def _fit_kind(
     payload = {}
     if carried is not None:
         payload = dict(zip(PAYLOAD_NAMES, carried.tolist()))
-    held = {**payload}
-    for owner, rotor in rotors.items():
-        held[f"armature[{owner}]"] = rotor
+    held = {**payload, **{f"armature[{owner}]": rotors[owner] for owner in rotors}}
     terms = _terms(estimate, unchanged, kind)
-    offsets = [arm.terms["offset"]]
-    before = _solved(estimate, offsets, payload)
-    # Gravity is turned only where the torques clearly show it.
-    level = [term for term in terms if term.cause != TILT]
-    fitted = _solved(estimate, level, held)
-    known = _known_offsets(fitted)
-    terms = [known if term is offsets[0] else term for term in terms]
-    level = [term for term in terms if term.cause != TILT]
-    fitted = _solved(estimate, level, held)
+    offset = arm.terms["offset"]
+    before = _solved(estimate, [offset], payload)
+    fitted = _solved(estimate, [*terms, offset], held)
+    terms.append(_known_offsets(fitted))
+    fitted = _solved(estimate, terms, held)
     gravity = None
-    if len(level) < len(terms) and fitted.gain(terms[-1]) > CLEAR:
-        fitted = _solved(estimate, terms, held)
-        angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
-        axes = tilt_axes(gravity_vector(arm.robot), fitted.point.gravity)
-        gravity = turn_gravity(fitted.point.gravity, angles, axes)
+    if TILT in arm.terms and FILE_GRAVITY not in unchanged:
+        prior = independent(np.full(2, FILE_TILT))
+        tilt = replace(arm.terms[TILT], prior=prior)
+        # Gravity is turned only where the torques clearly show it.
+        if fitted.gain(tilt) > CLEAR:
+            fitted = _solved(estimate, [*terms, tilt], held)
+            angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
+            axes = tilt_axes(gravity_vector(arm.robot), fitted.point.gravity)
+            gravity = turn_gravity(fitted.point.gravity, angles, axes)
     return FileFit(
         fitted,
         kind,
@@ -174,31 +179,23 @@ def _solved(estimate: Fit, terms: Sequence[Term], held: Mapping[str, float]) -> 
 
 
 def _terms(estimate: Fit, unchanged: Sequence[str], kind: str) -> list[Term]:
-    """Return the terms that a file holds, and offsets of torque sensors; gravity's tilt last."""
+    """Return the terms that a file holds, but for rotors and gravity's tilt."""
     arm = estimate.arm
+    motors = {motor.name for motor in arm.motors}
+    left_out = {"armature", TILT, *motors.difference(estimate.question.motors)}
+    if FILE_FRICTION in unchanged:
+        left_out |= {"coulomb", "viscous", *motors}
+    if FILE_LINKS in unchanged or estimate.question.options.priors.link <= 0.0:
+        left_out.add(LINKS)
     terms = []
     for key, term in arm.terms.items():
-        if kind not in term.held_by and key != "offset":
-            continue
-        if key in ("coulomb", "viscous") and FILE_FRICTION in unchanged:
-            continue
-        if key in ("armature",) or (key == LINKS and FILE_LINKS in unchanged):
-            continue
-        if key in estimate.question.motors:
-            term = term.only(term.names[:2])
-            if FILE_FRICTION in unchanged:
-                continue
-        elif term.cause == "couplings":
+        if key in left_out or kind not in term.held_by:
             continue
         if key == LINKS:
-            if estimate.question.options.priors.link <= 0.0:
-                continue
             term = links_term(arm, estimate.question)
-        if key != TILT:
-            terms.append(term)
-    if TILT in arm.terms and FILE_GRAVITY not in unchanged:
-        prior = independent(np.full(2, FILE_TILT))
-        terms.append(replace(arm.terms[TILT], prior=prior))
+        elif term.cause == MOTORS:
+            term = term.only(term.names[:2])
+        terms.append(term)
     return terms
 
 

@@ -66,6 +66,7 @@ class Equations:
 
     Attributes:
         index: (k,) of the estimated parameters in ``sums.names``.
+        own: the sums in the estimated parameters alone.
         names: (k,) their names.
         usual: (k,) values that stay where nothing shows them.
         prior: (k + 1, k + 1) products of the priors' equations.
@@ -78,6 +79,7 @@ class Equations:
         self.names = tuple(name for term in terms for name in term.names)
         self.index = sums.at(self.names)
         self.others = np.setdiff1d(np.flatnonzero(held), self.index)
+        self.own = sums.of(self.names, held)
         size = len(self.names)
         self.prior = np.zeros((size + 1, size + 1))
         self.usual = np.zeros(size)
@@ -102,16 +104,7 @@ class Equations:
 
     def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the products (k + 1, k + 1) of weighted rows, the held torque subtracted."""
-        normal = self.sums.normal(weights, blocks)
-        at = np.append(self.index, -1)
-        reduced = normal[np.ix_(at, at)]
-        if len(self.others):
-            held = self.held[self.others]
-            moved = normal[np.ix_(at, self.others)] @ held
-            reduced[:, -1] -= moved
-            reduced[-1] -= moved
-            reduced[-1, -1] += held @ normal[np.ix_(self.others, self.others)] @ held
-        return reduced
+        return self.own.normal(weights, blocks)
 
     def inside(self, values: Array) -> Array:
         """Return values (k,) with those that cross a bound moved to it."""
@@ -221,6 +214,11 @@ class Fit:
     def weights(self) -> Array:
         """Weights (J,) of each joint's rows [1/(N m)]."""
         return 1.0 / (self.noise * np.sqrt(self.correlation))
+
+    @cached_property
+    def normal(self) -> Array:
+        """Normal matrix (p + 1, p + 1) of all rows, without priors."""
+        return self.sums.normal(self.weights)
 
     @cached_property
     def full(self) -> Array:
@@ -333,8 +331,7 @@ class Fit:
         """Squared errors (B, J) of blocks predicted from the others [N^2 m^2]."""
         squares = []
         for block, values in enumerate(self.alone):
-            full = self.equations.full(values)
-            squares.append(self.sums.squared_residuals(full, block))
+            squares.append(self.equations.own.squared_residuals(values, block))
         return np.array(squares)
 
     def expected(self, inverse: Array, block: int) -> Array:
@@ -342,14 +339,8 @@ class Fit:
 
         ``inverse`` (k, k) is the covariance of the estimate [N^2 m^2].
         """
-        sums = self.sums
-        spread = np.zeros((len(sums.names), len(sums.names)))
-        spread[np.ix_(self.equations.index, self.equations.index)] = inverse
-        expected = sums.counts[block] * self.noise**2
-        for joint, columns in enumerate(sums.columns):
-            gram = sums.grams[joint][block][:-1, :-1]
-            expected[joint] += np.vdot(gram, spread[np.ix_(columns, columns)])
-        return expected
+        own = self.equations.own
+        return own.counts[block] * self.noise**2 + own.spread(inverse, block)
 
     @cached_property
     def expected_held_out(self) -> Array:
@@ -420,7 +411,9 @@ class Fit:
             blocks: those in which they act; None for all.
         """
         at = self.sums.at(names)
-        normal = self.sums.normal(self.weights, blocks)
+        normal = self.normal
+        if blocks is not None:
+            normal = self.sums.normal(self.weights, blocks)
         pull = normal[at, -1] - normal[at, :-1] @ self.equations.full(self.free)
         crossed = normal[np.ix_(at, self.equations.index)]
         unseen = normal[np.ix_(at, at)] - crossed @ self.inverse @ crossed.T
@@ -600,8 +593,8 @@ def _shown(term: Term, sums: Sums) -> Term:
     """Return a term without the parameters that have neither data nor prior."""
     if term.prior is not None or term.bodies:
         return term
-    nonzero = sums.nonzero[sums.at(term.names)]
-    return term.only([n for n, is_seen in zip(term.names, nonzero) if is_seen])
+    squares = np.sum(sums.squares, axis=0)[sums.at(term.names)]
+    return term.only([name for name, square in zip(term.names, squares) if square])
 
 
 def _noise(
@@ -611,17 +604,10 @@ def _noise(
 
     sigma_j^2 = |r_j|^2 / (n_j - l_j), l_j the number of parameters that the joint's rows determine.
     """
-    sums = equations.sums
-    squares = sums.squared_residuals(equations.full(values))
-    spread = np.zeros((len(sums.names), len(sums.names)))
-    spread[np.ix_(equations.index, equations.index)] = inverse
-    noise = []
-    for joint, columns in enumerate(sums.columns):
-        gram = sums.totals[joint][:-1, :-1]
-        leverage = weights[joint] ** 2 * np.vdot(gram, spread[np.ix_(columns, columns)])
-        freedom = max(np.sum(sums.counts[:, joint]) - leverage, 1.0)
-        noise.append(np.sqrt(squares[joint] / freedom))
-    return np.array(noise)
+    own = equations.own
+    leverage = weights**2 * own.spread(inverse)
+    freedom = np.maximum(np.sum(own.counts, axis=0) - leverage, 1.0)
+    return np.sqrt(own.squared_residuals(values) / freedom)
 
 
 def _within_bounds(

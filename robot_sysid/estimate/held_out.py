@@ -57,8 +57,7 @@ def held_out_logs(fitted: Fit) -> list[Validation]:
         squares = np.zeros(len(fitted.sums.joints))
         expected = np.zeros(len(fitted.sums.joints))
         for block in blocks:
-            full = fitted.equations.full(values)
-            squares += fitted.sums.squared_residuals(full, block)
+            squares += fitted.equations.own.squared_residuals(values, block)
             expected += fitted.expected(inverse, block)
         test = _record(fitted, squares, blocks, source)
         if _is_informative(fitted, squares, expected, blocks):

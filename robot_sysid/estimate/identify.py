@@ -100,20 +100,18 @@ def identify_link(
     recordings: Sequence[Recording],
     options: EstimationOptions,
     progress: Progress,
-    unchanged: Sequence[str] | None = (),
-) -> tuple[Fit, FileFit | None]:
+    unchanged: Sequence[str] = (),
+) -> tuple[Fit, FileFit]:
     """Return the fits of all terms and of the model file, from recordings without a payload.
 
     Args:
-        unchanged: parts of the model file that stay as they are; None for no file.
+        unchanged: parts of the model file that stay as they are.
 
     Raises:
         InputError: no joint moves fast enough for its equations to be used.
     """
     progress.stage("Solving for parameters...")
     fitted = solved(robot, recordings, Question(options))
-    if unchanged is None:
-        return fitted, None
     progress.stage(Detail("Fitting the model file..."))
     return fitted, fit_file(fitted, unchanged)
 
@@ -123,7 +121,7 @@ def identify_payload(
     recordings: Sequence[Recording],
     question: Question,
     progress: Progress,
-    unchanged: Sequence[str] | None = (),
+    unchanged: Sequence[str] = (),
 ) -> tuple[Fit, Fit, FileFit | None]:
     """Return the fits with the known mass, without it, and of the arm's model file.
 
@@ -133,8 +131,7 @@ def identify_payload(
     weighed = solved(robot, recordings, replace(question, known_mass=None))
     if question.known_mass is not None:
         return solved(robot, recordings, question), weighed, None
-    can_have_file = question.options.torques == "chain" and not question.resting
-    if unchanged is None or not can_have_file:
+    if question.options.torques != "chain" or question.resting:
         return weighed, weighed, None
     progress.stage(Detail("Fitting the model file..."))
     carried, _ = written_payload(weighed)

@@ -79,7 +79,7 @@ _MOST_ROWS = 1500
 
 def link_result(
     fitted: Fit,
-    file: FileFit | None,
+    file: FileFit,
     tests: Sequence[Validation],
     origin: DataOrigin,
     notes: Sequence[str] = (),
@@ -87,13 +87,13 @@ def link_result(
     """Return the result for an arm from recordings without a payload.
 
     Its verdict is that of the first reason against the fit, the links or the model file; without
-    such a reason, that on the model file or, without a file, whether the data identifies all
-    parameters. Where too much torque is unexplained (``UNEXPLAINED``), or the given friction model
-    misses terms that the torques show, it is never better than ``Verdict.TORQUES_ONLY``.
+    such a reason, that on the model file. Where too much torque is unexplained (``UNEXPLAINED``),
+    or the given friction model misses terms that the torques show, it is never better than
+    ``Verdict.TORQUES_ONLY``.
 
     Args:
         fitted: the fit of all terms.
-        file: the fit of the model file; None where none is written.
+        file: the fit of the model file.
         tests: errors on logs that were not fitted.
         origin: where the recordings come from.
         notes: sentences for the user so far.
@@ -111,18 +111,13 @@ def link_result(
         all_notes.append(sentence)
     findings += implausible_link(robot, links[-1])
     findings += implausible_joints(robot, common.joints, fitted.torque)
-    identifiability = common.estimate.identifiability
-    is_full = identifiability.rank >= identifiability.n_parameters
-    verdict = Verdict.OK if is_full else Verdict.PARTLY_FROM_MODEL
-    written = None
-    if file is not None:
-        written, file_notes = model_file(fitted, file)
-        all_notes += file_notes
-        findings += implausible_links(robot, file.thetas)
-        judgement = file_verdict(file)
-        verdict, _ = judgement
-        if not verdict.is_trustworthy:
-            findings.append(judgement)
+    written, file_notes = model_file(fitted, file)
+    all_notes += file_notes
+    findings += implausible_links(robot, file.thetas)
+    judgement = file_verdict(file)
+    verdict, _ = judgement
+    if not verdict.is_trustworthy:
+        findings.append(judgement)
     status, reasons = first(findings, verdict)
     missed = missed_friction(fitted)
     doubts = [sentence] if share > UNEXPLAINED else []

@@ -202,12 +202,12 @@ class Sums:
         return np.asarray(np.sqrt(np.sum(self.squared_torque, axis=0) / counts))
 
     @cached_property
-    def nonzero(self) -> Mask:
-        """Which parameters (p,) act in some row."""
-        nonzero = np.zeros(len(self.names), dtype=bool)
-        for columns, total in zip(self.columns, self.totals):
-            nonzero[columns] |= np.diag(total)[:-1] > 0.0
-        return nonzero
+    def squares(self) -> Array:
+        """Sum of squares (J, p) of each parameter's column in each joint's rows."""
+        squares = np.zeros((len(self.joints), len(self.names)))
+        for joint, columns in enumerate(self.columns):
+            squares[joint, columns] = np.diag(self.totals[joint])[:-1]
+        return squares
 
     def normal(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the normal matrix (p + 1, p + 1) of weighted rows.
@@ -236,6 +236,30 @@ class Sums:
             logs=tuple(self.logs[k] for k in kept),
         )
 
+    def of(self, names: Sequence[str], held: Array) -> Sums:
+        """Return the sums in named parameters alone, the torque of all others subtracted.
+
+        ``held`` (p,) are the values of the others.
+        """
+        index = self.at(names)
+        number = np.full(len(self.names), -1, dtype=np.int64)
+        number[index] = np.arange(len(index))
+        columns = []
+        grams = []
+        for own, gram in zip(self.columns, self.grams):
+            estimated = np.flatnonzero(number[own] >= 0)
+            others = np.flatnonzero((number[own] < 0) & (held[own] != 0.0))
+            torque = gram[:, :, -1] - gram[:, :, others] @ held[own[others]]
+            at = np.append(estimated, len(own))
+            reduced = gram[:, at[:, None], at]
+            reduced[:, -1] = reduced[:, :, -1] = torque[:, at]
+            reduced[:, -1, -1] -= torque[:, others] @ held[own[others]]
+            columns.append(number[own[estimated]])
+            grams.append(reduced)
+        return replace(
+            self, names=tuple(names), columns=tuple(columns), grams=tuple(grams)
+        )
+
     def squared_residuals(self, values: Array, block: int | None = None) -> Array:
         """Return each joint's sum of squared residuals (J,) at values (p,) [N^2 m^2]."""
         sums = []
@@ -243,6 +267,17 @@ class Sums:
             gram = self.totals[joint] if block is None else self.grams[joint][block]
             change = np.append(-values[columns], 1.0)
             sums.append(max(float(change @ gram @ change), 0.0))
+        return np.array(sums)
+
+    def spread(self, covariance: Array, block: int | None = None) -> Array:
+        """Return each joint's sum of squares (J,) to expect of errors in parameters [N^2 m^2].
+
+        ``covariance`` (p, p) is that of the errors.
+        """
+        sums = []
+        for joint, columns in enumerate(self.columns):
+            gram = self.totals[joint] if block is None else self.grams[joint][block]
+            sums.append(np.vdot(gram[:-1, :-1], covariance[np.ix_(columns, columns)]))
         return np.array(sums)
 
 

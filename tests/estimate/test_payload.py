@@ -28,7 +28,7 @@ ROBOT = four_joint_arm()
 FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 
-def result_of(recordings, kept=None, **question):
+def result_of(recordings, kept=(), **question):
     """Return (result of recordings with a payload, the fit of its file)."""
     question = Question(EstimationOptions(), loaded=True, **question)
     fits = identify_payload(ROBOT, recordings, question, Progress(), kept)
@@ -37,7 +37,7 @@ def result_of(recordings, kept=None, **question):
 
 @pytest.fixture(scope="module")
 def result_and_file(recordings):
-    return result_of(recordings, kept=())
+    return result_of(recordings)
 
 
 def test_a_payload_is_given_in_the_flange_frame_with_its_errors(result_and_file):
@@ -82,7 +82,7 @@ def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
     """In the payload, in the link with it and in the file; a note has its errors."""
     ball = spatial.aluminium_ball(0.4, np.array([0.03, -0.02, 0.08]))
     arm = TrueArm(ROBOT, 0, model_error=0.03, payload=ball)
-    result, file = result_of(arm.abba(0, sigma=0.1), kept=())
+    result, file = result_of(arm.abba(0, sigma=0.1))
     payload = result.payload
     theta = result.body.inertial.theta
     assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.verdict.is_trustworthy

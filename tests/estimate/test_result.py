@@ -25,7 +25,7 @@ from tests.support.measured_logs import XML, log_of, plan_of
 
 
 def fits_of(robot, log, kept=(), **options):
-    """Return the fits of a log and of its file, which keeps the parts ``kept``; None for none."""
+    """Return the fits of a log and of its file, which keeps the parts ``kept``."""
     options = EstimationOptions(**options)
     return identify_link(robot, filter_logs(robot, log), options, Progress(), kept)
 
@@ -112,7 +112,7 @@ def test_sensor_parameters_are_the_deviation_from_the_model(plant, seed):
     )
     arm = ImperfectArm(plant, rng, sizes)
     log = arm.log(plan_of(plant, seed, 20.0), np.zeros(10), rng)
-    result = result_of(plant, log, kept=None)
+    result = result_of(plant, log)
     truth = arm.sensors()
     assert truth.keys() <= result.sensors.keys()
     for name, (value, error) in result.sensors.items():

@@ -12,8 +12,10 @@ from numpy.random import default_rng
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.errors import InputError
-from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import LINKS, SCALES
 from robot_sysid.motion import PoseOptions
 from robot_sysid.motion.expected_errors import (
@@ -26,7 +28,6 @@ from robot_sysid.motion.expected_errors import (
 )
 from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.static import design_poses
-from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
@@ -63,10 +64,7 @@ def identify_recording(options, seed):
     recording = replace(exact, tau=exact.tau + noise, qd=None, qdd=None)
     measured_options = replace(options, friction_model=DEFAULT_MEASURED)
     recordings, _ = low_pass_recordings(robot(ARM), [Piece("log", recording)])
-    fitted, _ = identify_link(
-        robot(ARM), recordings, measured_options, Progress(), None
-    )
-    return fitted
+    return solved(robot(ARM), recordings, Question(measured_options))
 
 
 def test_predicted_errors_of_an_exact_arm_equal_reported_errors():

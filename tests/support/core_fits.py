@@ -7,13 +7,10 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.estimate.choose import solved
-from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
+from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.result import link_result
 from robot_sysid.records import DataOrigin, Source
-from robot_sysid.records.messages import Progress
-from robot_sysid.signals.resampling import split_at_gaps
 from tests.support.measured_logs import CUTOFF
 
 BASIC = DEFAULT_MEASURED
@@ -43,19 +40,6 @@ def fit_logs(robot, *logs, **options):
     return fit_recordings(
         robot, filter_logs(robot, *logs), EstimationOptions(**options)
     )
-
-
-def result_of_logs(robot, logs, options, kept=None):
-    """Return the result of measurements of the arm alone, cut where they have gaps.
-
-    ``kept`` are the parts of the model file that stay as they are; None fits no file.
-    """
-    pieces = []
-    for number, log in enumerate(logs):
-        pieces += [Piece(f"log{number}", piece) for piece in split_at_gaps(log)]
-    recordings, _ = low_pass_recordings(robot, pieces, options.cutoff)
-    fits = identify_link(robot, recordings, options, Progress(), kept)
-    return link_result(*fits, (), ORIGIN)
 
 
 def body_error(theta, true_theta):
