@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 19102,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29496,
-    "robot_sysid/logs": 19800,
+    "robot_sysid/logs": 19779,
     "robot_sysid/mjcf": 8432,
     "robot_sysid/model": 9048,
     "robot_sysid/motion": 24361,

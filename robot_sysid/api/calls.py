@@ -99,7 +99,7 @@ def _refuse_unusable(arrays: Mapping[str, Array]) -> None:
     names_by_quantity: dict[str, list[str]] = {}
     times = []
     for name, array in arrays.items():
-        quantity = read_title(name).measured_quantity
+        quantity = read_title(name).quantity
         if quantity == "time" and array.ndim:
             times.append(name)
         elif quantity not in ("time", None):

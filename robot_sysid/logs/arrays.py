@@ -95,7 +95,7 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
             columns[short_name if uses[short_name] == 1 else name] = values
     # The longer side of an array are the samples. Their number is that of the times, else the most
     # frequent one.
-    times = [n for n in columns if read_title(n).measured_quantity == "time"]
+    times = [n for n in columns if read_title(n).quantity == "time"]
     lengths = [max(columns[name].shape) for name in times or columns]
     if not lengths:
         listed = list_shapes(arrays) or "nothing"

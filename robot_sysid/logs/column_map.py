@@ -35,6 +35,7 @@ from pathlib import Path
 from robot_sysid.errors import InputError
 from robot_sysid.logs.joint_names import JointMatch
 from robot_sysid.logs.titles import (
+    CURRENTS,
     QUANTITIES,
     TIME_UNITS,
     UNITS,
@@ -447,9 +448,7 @@ class _ColumnFinder:
             return self._column("time", joint=0, index=index, factor=factor)
         if self.choices.rate is not None:
             return None
-        times = {
-            k: t for k, t in enumerate(self.titles) if t.measured_quantity == "time"
-        }
+        times = {k: t for k, t in enumerate(self.titles) if t.quantity == "time"}
         of_joints = {*chain(*joint_times)}
         rows = [k for k, t in times.items() if not t.numbers and k not in of_joints]
         # ROS: the stamp in the message header is when it was sampled, the other one when received.
@@ -465,9 +464,8 @@ class _ColumnFinder:
 
     @property
     def _currents(self) -> list[str]:
-        """Titles of the columns of motor currents that are not declared as something else."""
-        titles = [title for title in self.titles if title.override is None]
-        return [title.text for title in titles if title.is_current]
+        """Titles of the columns of motor currents that are not read."""
+        return [t.text for t in self.titles if t.is_current and t.reads != CURRENTS]
 
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""
@@ -488,7 +486,7 @@ class _ColumnFinder:
             fault += " (titles such as action, command, q_des or goal_position)"
         elif quantity == "torque" and not candidates:
             fault += "; with commanded positions, identify --torque-from position-error needs none"
-        if any(t.is_commanded and t.override != "command" for t in self.titles):
+        if any(t.is_commanded and t.quantity != "command" for t in self.titles):
             fault += "; commanded columns are not measurements"
         return InputError(f"{fault}. Columns: {', '.join(self._texts)}")
 

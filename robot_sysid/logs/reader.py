@@ -323,7 +323,7 @@ def content_lines(path: Path, options: LogOptions) -> list[str]:
     lines = [f"log layout: {table.layout}; its columns and first {table.row_noun}:"]
     for text, cell in zip_longest(table.titles, cells, fillvalue=""):
         title = read_title(text)
-        quantity = joint_quantity(title) or title.measured_quantity
+        quantity = joint_quantity(title) or title.quantity
         line = f"  {text:{width}}  {cell:>12.40}"
         lines.append(line + (f"  ({quantity})" if quantity else ""))
     lines.append(

@@ -125,6 +125,14 @@ _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 """Text in round, square or curly brackets."""
 
 
+CURRENTS = "currents"
+"""What a log is read for where motor currents stand for torques."""
+COMMANDS = "commands"
+"""What a log is read for where commanded positions stand for torques."""
+# A title with any other token does not stand for a quantity.
+_VOCABULARY = {*QUANTITY_OF_TOKEN, *_NEUTRAL, *_COMMANDED}
+
+
 @dataclass(frozen=True)
 class Title:
     """A column title, cut into tokens, numbers and unit.
@@ -134,15 +142,14 @@ class Title:
         tokens: the title's words in lower case, without units and numbers.
         numbers: the whole numbers in the title.
         unit: in lower case, letters and digits alone ("deg/s" is "degs"); "" for none.
-        override: quantity of the title in place of that of its tokens, "" for no quantity; None
-            where the tokens decide.
+        reads: what stands for the torque: CURRENTS, COMMANDS, or "" for torques.
     """
 
     text: str
     tokens: tuple[str, ...]
     numbers: tuple[int, ...]
     unit: str
-    override: str | None = None
+    reads: str = ""
 
     @property
     def quantities(self) -> set[str]:
@@ -150,9 +157,9 @@ class Title:
         return {QUANTITY_OF_TOKEN[t] for t in self.tokens if t in QUANTITY_OF_TOKEN}
 
     @property
-    def is_foreign(self) -> bool:
-        """Whether it holds a token outside the vocabulary."""
-        return bool({*self.tokens} - {*QUANTITY_OF_TOKEN} - _NEUTRAL - _COMMANDED)
+    def quantity(self) -> str | None:
+        """The one quantity that it names; None for none, for several, or with a foreign token."""
+        return None if {*self.tokens} - _VOCABULARY else self.quantity_beside_name
 
     @property
     def is_commanded(self) -> bool:
@@ -160,35 +167,44 @@ class Title:
         return bool(_COMMANDED & {*self.tokens})
 
     @property
-    def measured_quantity(self) -> str | None:
-        """The one measured quantity that it names; None for none, for several, or where a token is
-        foreign.
+    def quantity_beside_name(self) -> str | None:
+        """The one quantity that it names beside any other words; None for none, or for several.
+
+        It is "command" for a commanded position, such as ``q_des[0]``, ``action 1``, if those are
+        read.
         """
-        if len(self.quantities) != 1 or self.is_foreign or self.is_commanded:
-            return None
-        return min(self.quantities)
+        if self.is_commanded:
+            marks = {*self.tokens} & (_COMMANDED - _FEED_FORWARD)
+            # A bare d is too short to stand for a command without a position beside it.
+            is_marked = marks and (marks != {"d"} or "position" in self.quantities)
+            is_position = self.quantities <= {"position"} and not self._has_current
+            return (
+                "command"
+                if self.reads == COMMANDS and is_marked and is_position
+                else None
+            )
+        if self.reads == CURRENTS:
+            if self.is_current:
+                return "torque"
+            if "torque" in self.quantities:
+                return None
+        return min(self.quantities) if len(self.quantities) == 1 else None
+
+    @property
+    def _has_current(self) -> bool:
+        """Whether a token is that of a motor's current, which may mean "present" as well."""
+        return bool(_CURRENT & {*self.tokens})
 
     @property
     def is_current(self) -> bool:
         """Whether it names a motor's current, and no other quantity."""
-        has_token = bool(_CURRENT & {*self.tokens})
-        return has_token and not self.quantities and not self.is_commanded
-
-    @property
-    def is_commanded_position(self) -> bool:
-        """Whether it names a commanded position, such as ``q_des[0]`` or ``action 1``."""
-        marks = {*self.tokens} & (_COMMANDED - _FEED_FORWARD)
-        # A bare d is too short to stand for a command without a position beside it.
-        if not marks or (marks == {"d"} and self.quantities != {"position"}):
-            return False
-        has_other_quantity = self.quantities - {"position"} or _CURRENT & {*self.tokens}
-        return not (self.is_foreign or has_other_quantity)
+        return self._has_current and not self.quantities and not self.is_commanded
 
 
 def interpret_titles(
     titles: Sequence[Title], joint_names: Sequence[str], currents: bool, commanded: bool
 ) -> list[Title]:
-    """Return titles with their unit and override set; joint names are not searched for units.
+    """Return titles with what they read and their unit; joint names are not searched for units.
 
     Args:
         titles: of ``read_title``.
@@ -197,27 +213,25 @@ def interpret_titles(
             fewer such columns than joints, the torque columns are taken to hold the currents.
         commanded: whether commanded positions are read, such as ``q_des[0]``, ``action 1``.
     """
-    count = sum(title.is_current for title in titles)
-    has_currents = currents and count >= len(joint_names)
+    reads = COMMANDS if commanded else ""
+    if currents and sum(title.is_current for title in titles) >= len(joint_names):
+        reads = CURRENTS
     interpreted = []
     for title in titles:
         # Of several joints' names in a title, the one that takes most of it is left out.
         stripped_titles = [t for _, t in _strip_joint_names(title, joint_names)]
         nameless = min(stripped_titles, key=lambda t: len(t.tokens), default=title)
         unit = nameless.unit
-        is_command = commanded and nameless.is_commanded_position
-        override = "command" if is_command else None
-        if has_currents and "torque" in title.quantities:
-            override = ""
-        if has_currents and title.is_current:
-            override = "torque"
-            unit = "" if unit in _AMPERES else unit
-        interpreted.append(replace(title, unit=unit, override=override))
+        if reads == CURRENTS and title.is_current and unit in _AMPERES:
+            unit = ""
+        # A word of a joint's name makes no command.
+        is_plain = reads == COMMANDS and not nameless.is_commanded
+        interpreted.append(replace(title, unit=unit, reads="" if is_plain else reads))
     return interpreted
 
 
 def read_title(text: str) -> Title:
-    """Return a title cut into tokens, numbers and unit; its override is None."""
+    """Return a title cut into tokens, numbers and unit, of a log of torques."""
     unit, unitless = _split_bracketed_unit(text.strip().lstrip("%#"))
     numbers = []
     tokens = []
@@ -321,18 +335,12 @@ def columns_by_joint_name(
         name = ""
         quantity = None
         for joint, stripped in _strip_joint_names(title, joint_names):
-            quantity = joint_quantity(replace(stripped, override=title.override))
+            quantity = joint_quantity(stripped)
             if quantity and not stripped.numbers:
                 name = joint_names[joint]
                 break
         if not name:
-            quantity = title.override
-            if (
-                quantity is None
-                and len(title.quantities) == 1
-                and not title.is_commanded
-            ):
-                quantity = min(title.quantities)
+            quantity = title.quantity_beside_name
             name = _words_beside_quantity(title)
         if quantity in QUANTITIES and name:
             columns[quantity][name].append(column)
@@ -351,10 +359,8 @@ def _words_beside_quantity(title: Title) -> str:
 
 def joint_quantity(title: Title) -> str | None:
     """Return which of QUANTITIES, of one joint, a title stands for, or None."""
-    if title.override is not None:
-        return None if title.is_foreign else title.override or None
-    if title.measured_quantity != "time":
-        return title.measured_quantity
+    if title.quantity != "time":
+        return title.quantity
     # A bare "t" beside a joint could as well be its torque or temperature.
     is_stamp = bool({*title.tokens} & {"time", "stamp", "timestamp"})
     return "joint_time" if is_stamp else None
@@ -386,9 +392,9 @@ def _strip_joint_names(
         suffix = text[len(name) :]
         prefix = text[: -len(name)]
         if text.startswith(name) and suffix and not suffix[0].isalnum():
-            yield joint, read_title(suffix)
+            yield joint, replace(read_title(suffix), reads=title.reads)
         elif text.endswith(name) and prefix and not prefix[-1].isalnum():
-            yield joint, read_title(prefix)
+            yield joint, replace(read_title(prefix), reads=title.reads)
 
 
 def _match_numbers(

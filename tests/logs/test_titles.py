@@ -38,7 +38,7 @@ COMMANDS = (
 def test_what_a_title_says_where_commands_are_asked_for_and_where_not(
     title, measured, commanded
 ):
-    assert read_title(title).measured_quantity == measured
+    assert read_title(title).quantity == measured
     (interpreted,) = interpret_titles(
         [read_title(title)], ("ref_joint", "joint1"), False, commanded=True
     )
