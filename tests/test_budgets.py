@@ -30,9 +30,9 @@ BUDGETS = {
     "robot_sysid/records": 8713,
     "robot_sysid/report": 8319,
     "robot_sysid/results": 14704,
-    "robot_sysid/servo": 6513,
+    "robot_sysid/servo": 6487,
     "robot_sysid/signals": 5330,
-    "robot_sysid/simulation": 4371,
+    "robot_sysid/simulation": 4368,
     "robot_sysid": 12104,
     "tests": 234302,
 }

@@ -274,7 +274,7 @@ def run_servo(
 ) -> Outcome:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
-    The folder is locked meanwhile. A model is written only if it plays the held-out data better, or
+    A model is written only if it plays the held-out data better, or
     the log options accept it anyway.
 
     Args:
@@ -287,26 +287,37 @@ def run_servo(
     Raises:
         InputError: the logs cannot be used; nothing is written then.
     """
-    with writable_folder(folder, progress):
+    with writable_folder(folder, progress), file_access.atomic_files() as files:
         result, poses = identify_servos(robot, logs, progress)
         progress.note(*result.notes)
         fault = servo_fault(result.rollout, result.goal_errors)
         failure = None
+        # A URDF holds no rotor inertia, which the rollouts had: an MJCF is written beside it.
+        kinds = list(dict.fromkeys(("mjcf", robot.kind)))
         if fault is not None and "rollout" not in logs.accept:
             failure = f"no model was written: {fault}; to write it all the same: --accept rollout"
-        with file_access.atomic_files() as files:
-            # No torque was measured, so there is no residual to state.
-            target = ModelTarget(files, folder, poses, rmse=0.0, mesh_dir=mesh_dir)
-            models: list[Path] = []
-            notes: list[str] = []
-            if failure is None:
-                failure = _write_models(result, target, models, notes)
-            result = replace(result, notes=(*result.notes, *notes))
-            path = folder / file_access.SERVO_NAME
-            files.write(path, json_text(result.json_content()))
-            written = (*models, path)
-            read = [*filter(None, input_files), *read_document(robot.path).contents]
-            notes += remove_earlier(files, folder, written, read)
+            kinds = []
+        models: list[Path] = []
+        notes: list[str] = []
+        try:
+            for kind in kinds:
+                path = folder / file_access.MODEL_NAMES[kind]
+                # No torque was measured, so there is no residual to state.
+                target = ModelTarget(files, path, poses, rmse=0.0, mesh_dir=mesh_dir)
+                notes += write_joints(robot, *result.changes(), target, kind)
+                models.append(path)
+        except ExportError as error:
+            for model in models:
+                files.withdraw(model)
+            models = []
+            failure = (
+                f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
+            )
+        result = replace(result, notes=(*result.notes, *notes))
+        written = (*models, folder / file_access.SERVO_NAME)
+        files.write(written[-1], json_text(result.json_content()))
+        read = [*filter(None, input_files), *read_document(robot.path).contents]
+        notes += remove_earlier(files, folder, written, read)
     progress.note(*notes)
     lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
     if failure is not None:
@@ -318,31 +329,6 @@ def run_servo(
             f"{result.rollout.score:.2g} times those before"
         )
     return Outcome(lines, (judgement, *use_lines(models[0])), None, written, result)
-
-
-def _write_models(
-    result: ServoIdentification,
-    target: ModelTarget,
-    models: list[Path],
-    notes: list[str],
-) -> str | None:
-    """Write the new model; append the paths of its files to ``models``, and notes for the user.
-
-    A URDF holds no rotor inertia, which the rollouts had: an MJCF is written, the URDF beside it.
-    Returned is why the numbers cannot be exported, or None. The path of ``target`` is the folder.
-    """
-    for file_kind in dict.fromkeys(("mjcf", result.robot.kind)):
-        path = target.path / file_access.MODEL_NAMES[file_kind]
-        file = replace(target, path=path)
-        try:
-            notes += write_joints(result.robot, *result.changes(), file, file_kind)
-        except ExportError as error:
-            for model in models:
-                target.files.withdraw(model)
-            models.clear()
-            return f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
-        models.append(path)
-    return None
 
 
 def identify_servos(

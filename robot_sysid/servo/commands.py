@@ -16,8 +16,11 @@ from robot_sysid.servo.windows import MAX_DELAY_PERIODS
 
 MOVING_RANGE = 0.02
 """Range of positions from which on a joint moves [rad or m]."""
-_SLOPES = {"degrees": 180.0 / np.pi, "steps of 4096 a turn": 4096 / (2 * np.pi)}
-"""Change of commands per change of positions where they are in other units than rad."""
+_UNITS = {
+    ", as degrees do": 180.0 / np.pi,
+    ", as steps of 4096 a turn do": 4096 / (2 * np.pi),
+}
+"""Other units than rad to the change of commands in them per change of positions."""
 _COPIED_SHARE = 0.98
 """Share of commands that equal a position from which on they are a copy of the positions."""
 _COPY_LAGS = 4
@@ -82,20 +85,18 @@ def _command_faults(pairs: Sequence[tuple[Array, Array]]) -> Iterator[str]:
             "repeat the measured positions: the log holds no real commands; record what was sent "
             "to the servos"
         )
-    for unit, unit_slope in _SLOPES.items():
-        if 0.7 < abs(slope) / unit_slope < 1.4:
-            yield (
-                f"change {abs(slope):.3g} times as much as its positions: they look like {unit}; "
-                "say what they are with --units, or scale the columns with --columns FILE, such as "
-                f"'command.JOINT = {1.0 / slope:.4g} * TITLE'"
-            )
     if correlation < _LEAST_CORRELATION:
         yield (
             f"are not followed (correlation {correlation:.2f} at the best delay); check the "
             "columns, and that the servos were on"
         )
     if not 0.5 < slope < 2.0:
-        yield f"change {slope:.3g} times as much as its positions; check their units and sign"
+        likely = [name for name, size in _UNITS.items() if 0.7 < slope / size < 1.4]
+        yield (
+            f"change {slope:.3g} times as much as its positions{''.join(likely)}; check the sign, "
+            "and say their units with --units, or scale the columns with --columns FILE, such as "
+            f"'command.JOINT = {1.0 / slope:.4g} * TITLE'"
+        )
     if lag < 0:
         yield (
             f"come {-lag} samples after its positions; check the time stamps, and whether the "

@@ -34,7 +34,7 @@ from robot_sysid.servo.windows import MAX_DELAY_PERIODS, ServoProblem, smooth_st
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
     ServoParameters,
-    ServoWindow,
+    mean_commands,
     servos_in_model,
 )
 
@@ -116,9 +116,8 @@ class LoopEquations:
             half = 0.5 * self.period
             edges = np.hstack((piece.time[0] - half, middles, piece.time[-1] + half))
             assert piece.command is not None
-            window = ServoWindow(0.0, piece.q[0], piece.q[0], piece.time, piece.command)
-            mean_command = window.controls(delay, edges)
-            smooth_command, _ = smooth_states(replace(piece, q=mean_command))
+            command = mean_commands(piece.time, piece.command, edges - delay)
+            smooth_command, _ = smooth_states(replace(piece, q=command))
             commands.append(_average(_average(smooth_command)))
         return np.asarray(np.concatenate(commands) - self.position)
 
@@ -144,7 +143,9 @@ def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEqua
         q = _average(_average(q))
         motion = dynamics.motion(q, qd, qdd)
         torque = motion.torque(robot.thetas)
-        columns = np.stack((torque, qd, np.sign(qd), qdd), axis=-1)
+        sign, _ = smooth_states(replace(piece, q=np.sign(qd)))
+        sign = _average(_average(sign))
+        columns = np.stack((torque, qd, sign, qdd), axis=-1)
         is_inner = np.arange(len(q)) >= MAX_DELAY_PERIODS
         rows.append((q, columns, is_inner, motion.columns(links) @ factor))
     position, columns, is_inner, link_columns = map(np.concatenate, zip(*rows))
@@ -190,10 +191,11 @@ def fit_joint(
         weight = 1.0 / (noise * np.sqrt(_CORRELATED_SAMPLES))
         weighted = weight * rows[is_used]
         normal = weighted.T @ weighted + prior.T @ prior
+        values, inverse = solve(normal, mean)
         is_kept = np.ones(len(mean), dtype=bool)
         for _ in mean:
-            values, inverse = solve(normal, np.where(is_kept, mean, 0.0), is_kept)
             is_kept[:-1] &= values[:-1] > 0.0
+            values, _ = solve(normal, np.where(is_kept, mean, 0.0), is_kept)
         by_links = weight * values[0] * links[is_used]
         spread = inverse @ weighted[:, :-1].T @ by_links
         residual = np.abs(error - columns @ values)
@@ -246,8 +248,7 @@ def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
     in_model = servos_in_model(robot).numbers
     inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature
     has_gain = np.isfinite(in_model[0])
-    usual = np.median(inertia) * _DEFAULT_RATE**2
-    gain = np.where(has_gain, in_model[0], usual)
+    gain = np.where(has_gain, in_model[0], np.median(inertia) * _DEFAULT_RATE**2)
     moves = np.any(equations.is_moving, axis=0)
     # Of each joint 1/K, D/K, f/K, A/K, and its own delay; zero of one that does not move.
     values = np.zeros((len(moves), 5))
@@ -277,16 +278,17 @@ def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
     free = np.full(len(moves), np.inf)
     for _ in range(_DELAY_STEPS):
         fit_joints(delay, np.inf, free)
-        shift = float(np.median(values[moves, 4]))
+        weights = 1.0 / covariances[moves, 4, 4]
+        shift = float(np.average(values[moves, 4], weights=weights))
         delay = min(max(delay - shift, 0.0), MAX_DELAY_PERIODS * period)
     delay_error = DELAY_ERROR * period
     fit_joints(delay, delay_error, free)
     inverse = values[:, 0]
     has_scale = np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * inverse
-    is_like_others = has_gain & np.any(has_scale)
-    gain_error = np.where(is_like_others, OWN_GAIN, UNKNOWN_GAIN)
+    gain_error = np.full(len(moves), UNKNOWN_GAIN)
     if np.any(has_scale):
         gain *= np.median(1.0 / (inverse * gain)[has_scale])
+        gain_error[has_gain] = OWN_GAIN
     fit_joints(delay, delay_error, gain_error)
 
     found = 1.0 / np.maximum(values[:, 0], 1e-9)
@@ -327,6 +329,8 @@ def refine_played(problem: ServoProblem, fit: ServoFit, in_model: Array) -> Serv
     from scipy.optimize import least_squares
 
     fast = np.flatnonzero(fit.is_fast)
+    if not len(fast):
+        return fit
     start = np.where(in_model > 0.0, in_model, np.maximum(fit.numbers, 1e-4))[:, fast]
     # Friction changes by as much as is typical: small changes move the rollouts less than chance.
     steps = np.append(np.repeat(_STEPS, len(fast)), _STEPS[0])

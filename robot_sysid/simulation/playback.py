@@ -275,18 +275,26 @@ class ServoWindow:
             delay: time by which the commands act late [s].
             edges: (S + 1,) ends of the steps, from the start of the window [s].
         """
-        times = self.start + edges - delay
-        # A mean command is the difference of the commands' integral over time at the step's ends.
-        # The integral is piecewise linear: the last command is taken to hold for 1 s, and the first
-        # one to have held at all times before it.
-        knots = np.append(self.time, self.time[-1] + 1.0)
-        durations = np.diff(self.time, append=self.time[-1] + 1.0)[:, None]
-        steps = self.command * durations
-        integral = np.cumsum(np.vstack((np.zeros_like(self.q), steps)), axis=0)
-        time_before_first = np.minimum(times - self.time[0], 0.0)[:, None]
-        values = interpolate(times, knots, integral)
-        values += time_before_first * self.command[0]
-        return np.asarray(np.diff(values, axis=0) / np.diff(edges)[:, None])
+        return mean_commands(self.time, self.command, self.start + edges - delay)
+
+
+def mean_commands(time: Array, command: Array, edges: Array) -> Array:
+    """Return the mean commanded position (S, n) between S + 1 times.
+
+    Args:
+        time: (N,) when each command was given [s].
+        command: (N, n) commanded positions [rad or m].
+        edges: (S + 1,) the times [s].
+    """
+    # A mean command is the difference of the commands' integral over time at the step's ends. The
+    # integral is piecewise linear: the last command is taken to hold for 1 s, and the first one to
+    # have held at all times before it.
+    knots = np.append(time, time[-1] + 1.0)
+    steps = command * np.diff(knots)[:, None]
+    integral = np.cumsum(np.vstack((0.0 * command[:1], steps)), axis=0)
+    values = interpolate(edges, knots, integral)
+    values += np.minimum(edges - time[0], 0.0)[:, None] * command[0]
+    return np.asarray(np.diff(values, axis=0) / np.diff(edges)[:, None])
 
 
 class ServoRollouts:
