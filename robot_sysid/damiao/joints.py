@@ -65,7 +65,6 @@ class MotorSpec:
         gear_ratio: rotor turns per turn of the output shaft.
         supply: usual supply voltage [V].
         no_load_rpm: output speed without load at ``supply`` [rev/min]; None where unknown.
-        rotor: rotor inertia times the gear ratio squared [kg m^2]; 0 where unknown.
         note: warning that is printed for plans with this type; "" for none.
     """
 
@@ -76,26 +75,25 @@ class MotorSpec:
     gear_ratio: float
     supply: float = 24.0
     no_load_rpm: float | None = None
-    rotor: float = 0.0
     note: str = ""
 
 
-# Name, (PMAX, VMAX, TMAX), rated torque, peak torque, gear ratio, supply, no-load rpm, rotor.
+# Name, (PMAX, VMAX, TMAX), rated torque, peak torque, gear ratio, supply, no-load rpm.
 _SPECS = (
-    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 10.0, 24.0, 200.0, 0.0018),
-    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 40.0, 24.0, 52.0, 0.032),
-    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 40.0, 48.0, 100.0, 0.032),
-    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 6.0, 24.0, 240.0, 0.0021),
-    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 6.0, 24.0, 200.0, 0.0041),
-    MotorSpec("DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 10.0, 24.0, 100.0, 0.056),
-    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 9.0, 24.0, 160.0, 0.0158),
-    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 7.0, 24.0, 460.0, 0.00043),
+    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 10.0, 24.0, 200.0),
+    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 40.0, 24.0, 52.0),
+    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 40.0, 48.0, 100.0),
+    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 6.0, 24.0, 240.0),
+    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 6.0, 24.0, 200.0),
+    MotorSpec("DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 10.0, 24.0, 100.0),
+    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 9.0, 24.0, 160.0),
+    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 7.0, 24.0, 460.0),
     MotorSpec(
-        *("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 10.0, 48.0, 400.0, 0.0018),
+        *("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 10.0, 48.0, 400.0),
         note="the maker's sources disagree about VMAX (30 or 50 rad/s)",
     ),
-    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, 48.0, 48.0, None, 0.124),
-    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 10.0, 48.0, 150.0, 0.055),
+    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, 48.0, 48.0, None),
+    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 10.0, 48.0, 150.0),
     MotorSpec("DMH3510", (12.5, 280.0, 1.0), 0.18, 0.45, 1.0),
     MotorSpec("DMH6215", (12.5, 45.0, 10.0), 1.0, 2.0, 1.0),
     MotorSpec(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,6 @@ from robot_sysid.damiao.trajectory import (
     user_bounds,
 )
 from robot_sysid.errors import InputError
-from robot_sysid.motion import LimitOptions
 from tests.support.damiao_rig import swing, trajectory_file
 
 
@@ -175,7 +175,7 @@ def test_a_users_limits_hold_at_the_speed_that_is_played(tmp_path):
     for speed in (0.5, 1.0):
         shaken = speed**2 * np.abs(swinging.qdd).max(axis=0)
         # Four digits of the velocities make 0.01 rad/s^2 of it.
-        limits = LimitOptions(np.inf, tuple(shaken - [0.02, 0.0]), np.inf)
+        limits = replace(NO_LIMITS, max_acceleration=tuple(shaken - [0.02, 0.0]))
         (finding,) = excesses(swinging, speed, user_bounds(limits, 2))
         assert finding.startswith("motor 1: acceleration ")
     assert list(excesses(swinging, speed, user_bounds(NO_LIMITS, 2))) == []
