@@ -16,9 +16,9 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 5467,
-    "robot_sysid/commands": 12972,
-    "robot_sysid/damiao": 39727,
+    "robot_sysid/api": 5328,
+    "robot_sysid/commands": 12714,
+    "robot_sysid/damiao": 39130,
     "robot_sysid/diagnosis": 19102,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29496,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4368,
     "robot_sysid": 12104,
-    "tests": 234302,
+    "tests": 232885,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -21,7 +21,7 @@ def test_names_are_the_public_ones_and_nothing_else():
     assert dir(rs) == sorted([*rs.__all__, "__version__"])
     exec("from robot_sysid import *", star := {})
     assert {*star} - {"__builtins__"} == {*rs.__all__}
-    assert dir(rs.motors) == ["Say", "hold", "play"]
+    assert dir(rs.motors) == ["Say", "play"]
     with pytest.raises(AttributeError, match="has no attribute 'regressors'"):
         getattr(rs, "regressors")  # noqa: B009
 
@@ -67,7 +67,7 @@ def types_of(owner):
 
 
 @pytest.mark.skipif(sys.version_info < (3, 10), reason="evaluates X | None")
-@pytest.mark.parametrize("name", [*FUNCTIONS, "motors.play", "motors.hold"])
+@pytest.mark.parametrize("name", [*FUNCTIONS, "motors.play"])
 def test_what_a_function_takes_and_returns_can_be_named(name):
     owner = rs
     for part in name.split("."):

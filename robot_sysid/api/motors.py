@@ -1,4 +1,4 @@
-"""Damiao motors from Python: ``rs.motors.play`` and ``rs.motors.hold``.
+"""Damiao motors from Python: ``rs.motors.play``.
 
 Nothing is printed, and nobody is asked whether the arm may move.
 """
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_sysid.api.keywords import MOTORS, Model, path_of, with_keywords
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
-from robot_sysid.damiao.execution import MotorRun, lengthen_hold
+from robot_sysid.damiao.execution import MotorRun
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.preflight import require_no_stop
 from robot_sysid.damiao.settings import Plan
@@ -26,7 +26,7 @@ from robot_sysid.records.option_fields import given_options
 if TYPE_CHECKING:
     from robot_sysid.api.results import PlanResult
 
-__all__ = ["Say", "hold", "play"]
+__all__ = ["Say", "play"]
 
 
 def __dir__() -> list[str]:
@@ -85,43 +85,6 @@ def play(
             return _play_plan(run, link, plan, say, is_real=not simulate)
 
 
-@with_keywords(*MOTORS)
-def hold(
-    model: Model,
-    seconds: float,
-    *,
-    joint_map: Path | str | None = None,
-    say: Say = lambda sentence: None,
-    **options: Any,
-) -> PlayReport:
-    """Hold an arm at its present position, as ``robot-sysid motors hold`` does.
-
-    Args:
-        model: MJCF or URDF file of the arm.
-        seconds: how long the arm is held [s].
-        joint_map: file that says how each joint's motor is mounted.
-        say: called with a sentence for each thing that happens.
-        options: those of ``robot-sysid motors hold``, such as ``channel="can0"``.
-
-    Returns:
-        A report with number of cycles, lateness [s], missed commands and the largest tracking error
-        of each joint [rad].
-
-    Raises:
-        InputError: an option or a file cannot be used, or ``seconds`` is not positive.
-        HardwareAbort: a check forbids it, or the run was stopped; its message says whether a motor
-            may still be enabled.
-    """
-    if not seconds > 0.0:
-        raise InputError(f"seconds must be above 0, got {seconds}")
-    run = _motor_run(say, model=path_of(model), joint_map=joint_map, **options)
-    with run.open_guarded() as link:
-        plan = run.hold_plan(inspect_bus(link))
-        require_no_stop(run.checks(plan), "not held")
-        run.require_free(plan)
-        return _play_plan(run, link, lengthen_hold(plan, seconds), say, is_real=False)
-
-
 def _motor_run(say: Say, **values: Any) -> MotorRun:
     """Return a run with the values of its options by key; ``say`` hears of a driver that stalls."""
     return MotorRun(values, tell=lambda sentence, last: say(sentence))
@@ -138,7 +101,7 @@ def _play_plan(
         plan: the motion.
         say: called with a sentence for each thing that happens.
         is_real: whether the signs of the motors' directions are checked, too: not of a simulated
-            arm, nor of one that is only held.
+            arm.
 
     Raises:
         HardwareAbort: a check forbids it, or the run was stopped.

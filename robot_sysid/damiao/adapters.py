@@ -374,7 +374,7 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         name, equals, value = text.partition("=")
         if not equals or not name.isidentifier():
             raise InputError(f"--bus-option takes NAME=VALUE, got {text!r}")
-        options[name] = _parse_value(value)
+        options[name] = can.util.cast_from_string(value)
     try:
         if interface == SERIAL_ADAPTER:
             return SerialAdapter(channel, **options)
@@ -389,14 +389,6 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         # Each adapter's driver raises what it likes.
         problem = f"cannot open {interface} channel {channel}: {_driver_text(error)}"
         raise InputError(problem) from error
-
-
-def _parse_value(text: str) -> Any:
-    """Return the number, True or False that a text stands for, or the text itself."""
-    for number_type in (int, float):
-        with contextlib.suppress(ValueError):
-            return number_type(text)
-    return {"true": True, "false": False}.get(text.lower(), text)
 
 
 def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:

@@ -24,13 +24,7 @@ from robot_sysid.damiao.bus import (
     SystemClock,
     watchdogs_set_to,
 )
-from robot_sysid.damiao.joints import (
-    DamiaoJoint,
-    JointSpace,
-    map_joints,
-    matching_types,
-    read_joint_map,
-)
+from robot_sysid.damiao.joints import DamiaoJoint, map_joints, read_joint_map
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
 from robot_sysid.damiao.preflight import Check
 from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, refuse_harmful
@@ -54,8 +48,7 @@ from robot_sysid.damiao.settings import (
     recording_header,
 )
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
-from robot_sysid.damiao.trajectory import DamiaoTrajectory
-from robot_sysid.errors import HardwareAbort, InputError, SysidError, error_text
+from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.option_fields import given_options, record_from
@@ -85,7 +78,11 @@ class MotorRun:
         self.timing = record_from(BusTiming, values)
 
     def plan(self) -> Plan:
-        """Return the plan of the trajectory file.
+        """Return the plan of the trajectory file with the options' settings.
+
+        With a model it also has the inertia (n,) that each joint moves [kg m^2], the lower and the
+        upper limits (n,) of the joints [rad], and the SamplingRipple, which computes the ripple
+        that torque steps between control cycles add to the recorded motion.
 
         InputError where the file does not fit the model or the joint map.
         """
@@ -96,69 +93,17 @@ class MotorRun:
                 f"{trajectory.path} has {trajectory.n_joints} joints but the chain of "
                 f"{robot.path} has {robot.n_joints}: {', '.join(robot.joint_names)}"
             )
-        mounted = replace(trajectory, joints=self._with_joint_map(trajectory.joints))
-        return self._plan_of(mounted)
-
-    def hold_plan(self, inspection: Inspection) -> Plan:
-        """Return a plan that holds the arm for a second in the pose of an inspection.
-
-        The feed-forward torques are those of the model's gravity. Each motor's type is the first
-        one whose scaling limits agree with the motor's registers. HardwareAbort where a motor does
-        not answer, does not report its state or is of no known type.
-        """
-        from robot_sysid.damiao.model_check import gravity_check
-
-        joints = []
-        motor_positions = []
-        # Without a joint map the motors have the CAN ids 1, 2, 3, ...
-        can_ids = range(1, self.robot.n_joints + 1)
-        unmapped = [DamiaoJoint(motor_type="", can_id=i, master_id=0) for i in can_ids]
-        for joint in self._with_joint_map(unmapped):
-            motor = inspection.motors.get(joint.address)
-            types = matching_types(motor.limits) if motor else ()
-            problem = ""
-            if motor is None:
-                problem = "does not answer"
-            elif not types:
-                problem = "is of no known type"
-            elif motor.feedback is None:
-                problem = "does not tell its state"
-            if motor is None or problem:
-                finding = f"{joint.label} {problem}"
-                raise HardwareAbort(f"{finding}; motors check says more")
-            master_id = joint.master_id or motor.master_id
-            joints.append(replace(joint, motor_type=types[0], master_id=master_id))
-            motor_positions.append(motor.position)
-        q = JointSpace.of(joints).joint_position(np.array(motor_positions))
-        gravity_torque = gravity_check(self.robot, tuple(joints)).torque(q)
-        at_rest = DamiaoTrajectory(
-            Path("holding"),
-            tuple(joints),
-            line=np.arange(2),
-            time=np.array([0.0, 1.0]),
-            q=np.tile(q, (2, 1)),
-            qd=np.zeros((2, len(q))),
-            tau=np.tile(gravity_torque, (2, 1)),
-        )
-        return self._plan_of(at_rest)
-
-    def _plan_of(self, trajectory: DamiaoTrajectory) -> Plan:
-        """Return the plan of a trajectory with the options' settings.
-
-        With a model it also has the inertia (n,) that each joint moves [kg m^2], the lower and the
-        upper limits (n,) of the joints [rad], and the SamplingRipple, which computes the ripple
-        that torque steps between control cycles add to the recorded motion.
-        """
+        trajectory = replace(trajectory, joints=self._with_joint_map(trajectory.joints))
         inertia = None
         ripple = None
         model_range = None
-        if self.robot is not None:
+        if robot is not None:
             from robot_sysid.simulation.plant import ArmStepper
 
-            arm = ArmStepper(self.robot, trajectory.q[0])
+            arm = ArmStepper(robot, trajectory.q[0])
             inertia = arm.moved_inertia()
-            ripple = SamplingRipple(arm.mobility, self.robot.friction.viscous)
-            model_range = self.robot.limits.lower, self.robot.limits.upper
+            ripple = SamplingRipple(arm.mobility, robot.friction.viscous)
+            model_range = robot.limits.lower, robot.limits.upper
         return Plan(
             trajectory,
             settings=record_from(PlaySettings, self.values),
@@ -344,12 +289,6 @@ class MotorRun:
             raise InputError(problem)
         with contextlib.closing(self.open_link()) as link:
             yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
-
-
-def lengthen_hold(plan: Plan, seconds: float) -> Plan:
-    """Return a plan of ``MotorRun.hold_plan``, of two rows, that lasts ``seconds`` [s] instead."""
-    time = np.array([0.0, seconds])
-    return replace(plan, trajectory=replace(plan.trajectory, time=time))
 
 
 def run(

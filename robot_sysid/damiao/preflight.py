@@ -13,7 +13,6 @@ from robot_sysid.damiao import protocol
 from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.joints import DamiaoJoint, JointSpace, id_problems, limits_agree
-from robot_sysid.damiao.protocol import Scaling
 from robot_sysid.damiao.references import (
     PEAK_ACCELERATION,
     PEAK_SPEED,
@@ -51,11 +50,6 @@ _NO_WATCHDOG = 5.0
 """Watchdog time above which the watchdog is no protection at all [s] (a judgement)."""
 _ANSWER_SHARE = 0.9
 """Share of a control cycle for which the player waits for answers."""
-_SHAKING_SPEED = 0.3
-"""Largest speed that one step of torque may give a joint within a cycle [rad/s].
-
-A judgement: a third of the speed error at which a run is stopped by default.
-"""
 
 
 @dataclass(frozen=True)
@@ -181,17 +175,12 @@ def _motion_checks(plan: Plan) -> Iterator[Check]:
 def _motor_checks(plan: Plan) -> Iterator[Check]:
     """Yield the checks of motors by the data of their types: torque, speed, resolution.
 
-    A rating that the motor cannot exceed stops the run, one that can be exceeded briefly is noted.
-    Further notes are the motor type's own, and that a step of torque would shake a joint of little
-    inertia.
+    A rating that the motor cannot exceed stops the run, one that can be exceeded briefly is noted,
+    and so is the motor type's own note.
     """
     trajectory = plan.trajectory
     joints = trajectory.joints
     settings = plan.settings
-    # Least change (n,) of the torque in a frame [N m], and inertia (n,) of the moved links.
-    _, _, torque_steps = Scaling(joint.spec.limits for joint in joints).steps
-    # Without a model the inertia is unknown; infinite means that nothing is noted.
-    inertias = np.full(len(joints), np.inf) if plan.inertia is None else plan.inertia
     speeds = np.abs(trajectory.qd).max(axis=0) * settings.speed
     torques = np.abs(trajectory.tau).max(axis=0)
     for j, joint in enumerate(joints):
@@ -200,15 +189,6 @@ def _motor_checks(plan: Plan) -> Iterator[Check]:
             yield Check(STOP if motion.CANNOT_FOLLOW in warning else NOTE, warning)
         if joint.spec.note:
             yield _note(f"{joint.label}, {joint.motor_type}: {joint.spec.note}")
-        step = torque_steps[j]
-        inertia = inertias[j]
-        speed_change = step * settings.period / inertia
-        if speed_change > _SHAKING_SPEED:
-            yield _note(
-                f"{joint.label} moves only {inertia:.2g} kg m^2 in the model, and a step of a "
-                f"{joint.motor_type}'s torque is {step:.2g} N m: it will shake; give the model the "
-                "rotor's inertia (armature), or the joint a smaller motor"
-            )
 
 
 def _load_check(

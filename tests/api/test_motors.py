@@ -12,7 +12,7 @@ import robot_sysid as rs
 from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
 from robot_sysid.damiao import execution
-from robot_sysid.damiao.protocol import DISABLED, REFRESH, REGISTER_ID
+from robot_sysid.damiao.protocol import DISABLED
 from tests.support import arms
 from tests.support.clocks import ScriptedClock
 from tests.support.damiao_rig import (
@@ -82,15 +82,6 @@ def test_what_cannot_be_used_is_said(trajectory, options, message):
         rs.motors.play(trajectory, **options)
 
 
-def test_an_arm_that_is_held_plays_nothing(model):
-    with pytest.raises(rs.InputError, match="unknown option 'trajectory'"):
-        rs.motors.hold(model, 0.5, channel="can0", trajectory="motion.csv")
-    with pytest.raises(
-        rs.InputError, match="a model is the path of an MJCF or URDF file"
-    ):
-        rs.motors.hold(None, 0.5, channel="can0")
-
-
 @pytest.fixture
 def arm(monkeypatch):
     """Two motors on a bus in simulated time."""
@@ -107,36 +98,21 @@ def arm(monkeypatch):
     return arm
 
 
-HELD = {"channel": "can0", "max_torque_error": 27.0, "rate": 100}
-
-
-def test_an_arm_is_held_from_any_thread(model, arm):
+def test_an_arm_is_moved_from_any_thread(trajectory, arm):
     """Signals are for the main thread; a run does not need them."""
     reports = []
-    thread = threading.Thread(
-        target=lambda: reports.append(rs.motors.hold(model, 0.5, **HELD))
-    )
+    play = lambda: reports.append(rs.motors.play(trajectory, **BUS))  # noqa: E731
+    thread = threading.Thread(target=play)
     thread.start()
     thread.join()
-    assert reports[0].cycles == 51 and [m.status for m in arm.motors] == [DISABLED] * 2
+    assert reports[0].cycles > 1 and [m.status for m in arm.motors] == [DISABLED] * 2
 
 
-def test_what_cannot_be_held_is_said(model, arm, monkeypatch):
-    for seconds in (0.0, -1.0, float("nan")):
-        with pytest.raises(rs.InputError, match="seconds must be above 0"):
-            rs.motors.hold(model, seconds, **HELD)
-    precious = model.read_bytes()
+BUS = {"channel": "can0", "rate": 100}
+
+
+def test_nothing_that_is_read_is_recorded_over(trajectory, arm):
+    precious = trajectory.read_bytes()
     with pytest.raises(rs.InputError, match="is needed for something else"):
-        rs.motors.hold(model, 0.5, **HELD, record=model, overwrite=True)
-    assert model.read_bytes() == precious
-    answer = arm.motors[1].handle
-    asks = lambda frame: frame.id == REGISTER_ID and frame.data[2] == REFRESH  # noqa: E731
-    monkeypatch.setattr(
-        arm.motors[1],
-        "handle",
-        lambda frame, time: None if asks(frame) else answer(frame, time),
-    )
-    with pytest.raises(
-        rs.HardwareAbort, match="motor 2 .* does not tell its state; motors check"
-    ):
-        rs.motors.hold(model, 0.5, **HELD)
+        rs.motors.play(trajectory, **BUS, record=trajectory, overwrite=True)
+    assert trajectory.read_bytes() == precious

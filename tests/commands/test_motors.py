@@ -20,11 +20,8 @@ from robot_sysid import parser
 from robot_sysid.cli import main
 from robot_sysid.commands.motors import session
 from robot_sysid.damiao.bus import SystemClock
-from robot_sysid.damiao.joints import damiao_joints, write_joint_map
-from robot_sysid.damiao.model_check import gravity_check
+from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.damiao.protocol import DISABLED, TIMEOUT
-from robot_sysid.parser import load_robot_model
-from robot_sysid.simulation.plant import ArmStepper
 from tests.support import arms
 from tests.support.command_line import fail, succeed
 from tests.support.command_line import run_motors as run
@@ -218,7 +215,7 @@ def test_a_terminal_that_takes_nothing_does_not_keep_it_from_ending(monkeypatch)
 @pytest.mark.parametrize(
     ("arguments", "command_options"),
     [
-        (["fly"], "unknown command 'fly'; valid: simulate, check, play, hold, setup"),
+        (["fly"], "unknown command 'fly'; valid: simulate, check, play, setup"),
         (["check"], "check needs --channel"),
         (["play", "T"], "play needs --channel"),
         (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
@@ -309,70 +306,6 @@ def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file)
     err = fail(capsys, 2, "play", trajectory, *CAN0, "--model", arm_file(arms.THREE))
     assert "has 2 joints but the chain" in err and "has 3" in err
     assert bus.wire is None
-
-
-# --- hold ---------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def leaning(bus, arm_file):
-    """A model whose second joint carries weight, and that arm on the bus, leaning."""
-    path = arm_file(arms.serial_arm((arms.Z, arms.Y)))
-    start = np.array([0.4, 0.6])
-    bus.arm.mechanism = ArmStepper(load_robot_model(path), start, 4e-3)
-    return path, start
-
-
-SOFT = ("--kp", "5", "--kd", "1", "--rate", "100")
-
-
-def test_an_arm_is_held_where_it_stands_without_sagging(capsys, bus, leaning, tmp_path):
-    """With this stiffness alone the second joint would sink by several degrees."""
-    model, start = leaning
-    load = gravity_check(
-        load_robot_model(model), damiao_joints(["DM4340"] * 2, 2)
-    ).torque(start)
-    assert np.max(np.abs(load)) / 5.0 > 0.05
-    record = tmp_path / "held.csv"
-    command_options = (
-        "hold",
-        "--model",
-        model,
-        *CAN0,
-        *SOFT,
-        "--yes",
-        "--for",
-        "0.5",
-        "--record",
-        record,
-    )
-    out = succeed(capsys, *command_options)
-    assert "holding; Ctrl-C ends it" in out
-    q = read_recording(record).joint_values("pos")
-    assert len(q) == 51 and np.max(np.abs(q - start)) < 5e-3
-    assert [m.status for m in bus.motors] == [DISABLED] * 2
-
-
-def test_holding_ends_well_when_it_is_asked_to_and_badly_when_a_motor_fails(
-    capsys, bus, leaning
-):
-    command_options = ("hold", "--model", leaning[0], *CAN0, *SOFT, "--yes")
-    bus.clock.at(4.0, lambda: signal.raise_signal(signal.SIGINT))
-    out = succeed(capsys, *command_options)
-    assert out.endswith("Done: held, and all motors are disabled\n")
-    bus.clock.at(bus.clock.now() + 4.0, lambda: fault("status", 1, 0xA)(bus))
-    err = fail(capsys, 3, *command_options)
-    assert "motor 2 (joint joint1) reports status A" in err
-
-
-def test_a_motor_that_cannot_hold_is_named_before_anything_moves(capsys, bus, leaning):
-    fault("vmax", 1, 17.0)(bus)
-    err = fail(capsys, 3, "hold", "--model", leaning[0], *CAN0, "--yes")
-    assert "motor 2 (joint joint1) is of no known type" in err
-    fault("silent", 1)(bus)
-    err = fail(capsys, 3, "hold", "--model", leaning[0], *CAN0, "--yes")
-    assert "motor 2 (joint joint1) does not answer" in err
-    assert only_asks(bus.wire.sent)
 
 
 # --- simulate -----------------------------------------------------------------------------------

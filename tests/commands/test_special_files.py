@@ -39,7 +39,6 @@ BASES = {
     "motors check": "motion.csv --channel can0",
     "motors play": "motion.csv --channel can0 --yes",
     "motors simulate": "motion.csv --model two.xml",
-    "motors hold": "--model two.xml --channel can0 --yes --joint-map map.csv",
     "motors setup": "--channel can0",
     "motors monitor": "--channel can0",
     "motors map": "--channel can0 --model two.xml",

@@ -385,11 +385,3 @@ def test_a_silent_slcan_bus_keeps_no_other_one_waiting():
     for bus, _ in ends:
         bus.shutdown()
     assert min(took) < 0.05
-
-
-@NEEDS_TERMINALS
-def test_can_fd_is_refused_because_it_would_be_classic_frames():
-    with pytest.raises(InputError, match="leave --fd off"):
-        open_bus(
-            BusAddress("damiao", ("/dev/null",)), BusTiming(fd=True), SystemClock()
-        )

@@ -15,7 +15,6 @@ from robot_sysid.damiao.preflight import NOTE, OK, STOP
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
-from robot_sysid.motion import LimitOptions
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
@@ -198,24 +197,3 @@ def test_each_way_is_compared_too(angle):
     ends = np.zeros(1), np.array([angle])
     stops = [check.text for check in Contacts(robot).transfer_checks("going", *ends)]
     assert ["wall" in text for text in stops] == [True] * (angle > 1.5)
-
-
-def test_planes_and_boxes_hold_for_what_is_played_approached_and_parked(folder):
-    """The ball of 0.02 m goes round at 0.5 m; it may not come above y = 0.3 m."""
-    robot = arms.robot_of(WALL, max_velocity=np.inf)
-    low = turn(0.5)
-    high = turn(1.0)
-    for limits in (
-        LimitOptions(
-            keep_out=((0.0, -1.0, 0.0, -0.3),), clearance=0.0, below_base=True
-        ),
-        LimitOptions(
-            workspace=(-1.0, 1.0, -1.0, 0.3, -1.0, 1.0), clearance=0.0, below_base=True
-        ),
-    ):
-        (fits,) = check_trajectory(folder, low, 1.0, robot, limits)
-        assert fits.severity == OK
-        (beyond,) = check_trajectory(folder, high, 1.0, robot, limits)
-        assert beyond.severity == STOP and "0.3 m" in beyond.text
-        (stop,) = Contacts(robot, limits).transfer_checks("", np.zeros(1), np.ones(1))
-        assert "0.3 m" in stop.text

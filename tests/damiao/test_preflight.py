@@ -12,23 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
-from robot_sysid.damiao.preflight import (
-    NOTE,
-    OK,
-    STOP,
-    _watchdog_check,
-    plan_checks,
-    stops,
-)
+from robot_sysid.damiao.preflight import NOTE, OK, STOP, _watchdog_check, plan_checks
 from robot_sysid.damiao.protocol import BusTiming, bus_load
 from robot_sysid.damiao.settings import Permissions, PlaySettings
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.records.option_fields import record_from
-
-# Beside the limit, so that rounding does not decide.
-SHARES = st.floats(0.01, 0.999) | st.floats(1.001, 4.0)
-WHAT = ("position", "velocity", "torque", "velocity")
-COUNTS_WITH_SPEED = (False, True, False, True)
 
 
 def rows_of(n, position=0.0, velocity=0.0, torque=0.0, seconds=1.0):
@@ -50,39 +38,9 @@ def checks_of(rows, types, timing=None, inertia=None, **settings):
     return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))
 
 
-BEYOND = re.compile(
-    r"motor (\d+): ([a-z ]+?) [\d.e+]+ \S+.* is beyond its type's limit"
-)
-
-
-def beyond(checks):
-    """(joint, what) of each limit that is said to be exceeded."""
-    findings = filter(None, map(BEYOND.match, stops(checks)))
-    return {(int(match[1]) - 1, match[2]) for match in findings}
-
-
 def severities(checks, words):
     """The severity of each check whose text contains these words."""
     return [check.severity for check in checks if words in check.text]
-
-
-@given(
-    types=st.lists(st.sampled_from(sorted(MOTORS)), min_size=1, max_size=4),
-    speed=st.floats(0.05, 1.0),
-    data=st.data(),
-)
-def test_each_joint_and_limit_is_judged_by_itself_at_the_speed_it_is_played_at(
-    types, speed, data
-):
-    tops = np.array([MOTORS[name].limits for name in types]).T[[0, 1, 2, 1]]
-    shares = np.array([[data.draw(SHARES) for _ in types] for _ in WHAT])
-    slower = np.where(COUNTS_WITH_SPEED, speed, 1.0)[:, None]
-    *peaks, step = shares * tops / slower
-    checks = checks_of(rows_of(len(types), *peaks, peaks[0] / step), types, speed=speed)
-    expected = {(int(j), WHAT[i]) for i, j in np.argwhere(shares > 1.0)}
-    assert beyond(checks) == expected
-    within = "the trajectory stays within its type's limits"
-    assert (within in [check.text for check in checks]) == (not expected)
 
 
 @given(worst=st.floats(0.0, 0.2), speed=st.floats(0.05, 1.0))

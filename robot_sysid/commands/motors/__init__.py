@@ -21,7 +21,6 @@ from robot_sysid.commands.motors.session import (
 )
 from robot_sysid.commands.motors.setup import (
     SILENT,
-    LifetimeOptions,
     MonitorOptions,
     SetupOptions,
     monitor,
@@ -30,7 +29,6 @@ from robot_sysid.commands.motors.setup import (
 from robot_sysid.damiao import preflight
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
-from robot_sysid.damiao.execution import lengthen_hold
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming, default_rate
 from robot_sysid.damiao.settings import (
@@ -41,7 +39,7 @@ from robot_sysid.damiao.settings import (
 )
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
 from robot_sysid.damiao.trajectory import LIMITS
-from robot_sysid.errors import HardwareAbort, InputError, SysidError
+from robot_sysid.errors import InputError, SysidError
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import NextStep
@@ -55,8 +53,6 @@ from robot_sysid.records.option_fields import (
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
 """Exit codes that a motors command may have, for its help."""
-_UNLIMITED = 1e8
-"""Time for which an arm is held without --for [s]."""
 _WARNING = (
     "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that it "
     "sinks when it is disabled."
@@ -153,21 +149,6 @@ def simulate(session: Session) -> int:
         return _play_on(link, plan, checks, PlayChoices(yes=True), session)
 
 
-def hold(session: Session) -> int:
-    """Hold the arm in its present pose with gravity torques of its model; return the exit code.
-
-    It ends after the lifetime of the options, or when somebody stops it. Errors are those of
-    ``_play_on``.
-    """
-    seconds = record_from(LifetimeOptions, session.values).lifetime or _UNLIMITED
-    choices = record_from(PlayChoices, session.values)
-    with session.open_guarded() as link:
-        plan = session.hold_plan(inspect_bus(link))
-        checks = session.checks(plan)
-        long_plan = lengthen_hold(plan, seconds)
-        return _play_on(link, long_plan, checks, choices, session, holds=True)
-
-
 class MotorCommand(NamedTuple):
     """One subcommand of motors.
 
@@ -218,18 +199,6 @@ _PLAYED = {
 }
 COMMANDS: Mapping[str, MotorCommand] = {
     **_PLAYED,
-    "hold": MotorCommand(
-        hold,
-        "--channel can0 --model arm.xml --park rest",
-        "Hold the arm where it stands, stiff, its weight carried by torques of its model. Ctrl-C "
-        "lowers it with --park rest, and lets go of it without. All checks of play are made.",
-        {
-            "holding": (LifetimeOptions,),
-            **_MOTION,
-            "recording": (RecordingOptions,),
-            **_ASKING,
-        },
-    ),
     "setup": MotorCommand(
         setup,
         "--channel can0 --motor 1 --new-id 2 --new-master-id 0x12 --mit --watchdog 0.1 --store",
@@ -275,7 +244,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
     ``command`` is a key of ``COMMANDS``. Without ``full``, the help has the main options only.
     """
     spec = COMMANDS[command]
-    is_run = command in (*_PLAYED, "hold")
+    is_run = command in _PLAYED
     main = list(_MAIN)
     if not is_run:
         main = ["interface", "channel", "fd"]
@@ -324,7 +293,7 @@ def _add_arm_options(parser: Parser, command: str) -> None:
             type=Path,
             help="how each joint's motor is mounted (see: motors map)",
         )
-    is_required = command in ("simulate", "hold", "map")
+    is_required = command in ("simulate", "map")
     group.add_argument(
         "--model", metavar="MODEL", type=Path, required=is_required, help=help_text
     )
@@ -384,7 +353,6 @@ def _play_on(
     checks: Sequence[preflight.Check],
     choices: PlayChoices,
     session: Session,
-    holds: bool = False,
     is_real: bool = False,
 ) -> int:
     """Check a plan on inspected motors, ask the user, play it, and print how it ended.
@@ -394,16 +362,14 @@ def _play_on(
 
     Args:
         link: link of the open bus.
-        plan: plan of the motion, or of the pose to hold.
+        plan: plan of the motion.
         checks: checks that were made without a bus.
         choices: whether to stop after the checks, and whether to ask the user.
         session: run of the command.
-        holds: whether the plan holds the arm until somebody stops it.
         is_real: whether the motors are real ones.
 
     Raises:
-        HardwareAbort: a check forbids the run, or the run was stopped; for a run that ``holds``, a
-            stop by the user is the normal end.
+        HardwareAbort: a check forbids the run, or the run was stopped.
         InputError: the user does not confirm, or a recording would replace a file.
     """
     console = session.console
@@ -425,41 +391,18 @@ def _play_on(
     stop = StopRequest()
 
     def show_progress(time: float) -> None:
-        """Show how much of the plan has been played at ``time`` [s]; a hold has no known end."""
-        if not holds:
-            console.advance("Playing", done=time, total=plan.duration, text="")
+        """Show how much of the plan has been played at ``time`` [s]."""
+        console.advance("Playing", done=time, total=plan.duration, text="")
 
-    def show_phase(phase: str) -> None:
-        """Print the phase of the run that begins; holding is played like a trajectory."""
-        if holds and "playing" in phase:
-            phase = "holding; Ctrl-C ends it"
-        console.stage(phase)
-
-    try:
-        report = session.play(link, plan, inspection, stop, show_phase, show_progress)
-        console.stage(*run_lines(report))
-    except HardwareAbort as error:
-        # A stop is the normal end of holding, if nothing else went wrong.
-        if not holds or str(error) != stop.reason:
-            raise
-    _conclude_run(session, plan, holds, is_real)
-    return 0
-
-
-def _conclude_run(session: Session, plan: Plan, holds: bool, is_real: bool) -> None:
-    """Set the verdict of a run that ended well, with the next command.
-
-    The arguments are those of ``_play_on``.
-    """
+    report = session.play(link, plan, inspection, stop, console.stage, show_progress)
+    console.stage(*run_lines(report))
     record = plan.recording.record
-    done = f"{'held' if holds else 'played'}, and all motors are disabled"
+    done = "played, and all motors are disabled"
     verdict = f"Done: {done}"
     if record is not None:
         verdict = f"Usable: {done}; recorded to {record}"
-    if holds:
-        session.verdict = (verdict,)
-        return
     session.conclude(verdict, step_after_play(session, plan, is_real))
+    return 0
 
 
 def _conclude_dry_run(

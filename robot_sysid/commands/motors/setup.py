@@ -96,17 +96,12 @@ class SetupOptions(OptionRecord):
 
 
 @dataclass(frozen=True)
-class LifetimeOptions(OptionRecord):
-    """Time for which a command runs that otherwise goes on until Ctrl-C."""
+class MonitorOptions(OptionRecord):
+    """Options of ``motors monitor``, which goes on until Ctrl-C without ``lifetime``."""
 
     lifetime: float | None = option(
         None, "end after this time", "S [s] > 0", flag="--for", default_text="Ctrl-C"
     )
-
-
-@dataclass(frozen=True)
-class MonitorOptions(LifetimeOptions):
-    """Options of ``motors monitor``."""
 
     interval: float = option(0.2, "time between two looks", "S [s] > 0", flag="--every")
 

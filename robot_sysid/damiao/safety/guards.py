@@ -115,20 +115,6 @@ class _Samples(NamedTuple):
         return _Samples._make(map(partial(np.where, selected), self, other))
 
 
-class _Change(NamedTuple):
-    """Plausibility of the changes of n joints between two samples.
-
-    Attributes:
-        jumps: (n,) whether the position changed by more than a joint can move.
-        bends: (n,) whether reported minus commanded torque changed by more than plausible.
-        is_plausible: (n,) whether position, velocity, torque and temperature all are plausible.
-    """
-
-    jumps: Mask
-    bends: Mask
-    is_plausible: Mask
-
-
 class SampleFilter:
     """Decides which answers of n joints are believed; holds the last believed samples.
 
@@ -187,15 +173,16 @@ class SampleFilter:
         came = replies.answered
         # An answer is believed if it follows the last believed one, or repeats the suspect one. A
         # motor that was enabled and reports that it is not has to say so twice.
-        change = self._compare(self._last, now)
-        follows = change.is_plausible & (now.enabled | ~self._last.enabled)
-        repeated = self._compare(self._suspect, now).is_plausible & self._is_suspected
+        jumps, bends, is_plausible = self._compare(self._last, now)
+        follows = is_plausible & (now.enabled | ~self._last.enabled)
+        *_, repeats = self._compare(self._suspect, now)
+        repeated = repeats & self._is_suspected
         repeated &= now.enabled == self._suspect.enabled
         # A repeated jump is not believed where the torque does not match the new position, which
         # the motor's own control then does not measure, nor where the motor is disabled.
-        repeated &= ~(change.jumps & (change.bends | ~now.enabled))
+        repeated &= ~(jumps & (bends | ~now.enabled))
         believed = came & (follows | repeated)
-        jumped = believed & ~follows & change.jumps
+        jumped = believed & ~follows & jumps
         jump = np.where(jumped, q - self._last.q, 0.0)
         self._is_suspected = np.where(came, ~believed, self._is_suspected)
         self._suspect = now.where(came, self._suspect)
@@ -209,10 +196,13 @@ class SampleFilter:
             jump=np.nan_to_num(jump),
         )
 
-    def _compare(self, previous: _Samples, now: _Samples) -> _Change:
-        """Return how plausible the samples ``now`` are after ``previous`` ones.
+    def _compare(self, previous: _Samples, now: _Samples) -> tuple[Mask, Mask, Mask]:
+        """Return how plausible the samples ``now`` are after ``previous`` ones, three masks (n,).
 
-        A quantity that is NaN in either of them is not compared, and counts as plausible.
+        The first says whether the position changed by more than a joint can move, the second
+        whether reported minus commanded torque changed by more than plausible, and the third
+        whether position, velocity, torque and temperature all are plausible. A quantity that is NaN
+        in either of them is not compared, and counts as plausible.
         """
         passed = np.maximum(np.nan_to_num(now.time - previous.time), 0.0)
         expected_change = 0.5 * (now.qd + previous.qd) * passed
@@ -227,7 +217,7 @@ class SampleFilter:
         torque_change = np.abs(now.torque_error - previous.torque_error)
         bends = torque_change > _TORQUE_DOUBT * self._peak
         heats = np.abs(now.heat - previous.heat) > _HEAT_CHANGE
-        return _Change(jumps, bends, ~(jumps | accelerates | bends | heats))
+        return jumps, bends, ~(jumps | accelerates | bends | heats)
 
 
 def hide_answers(
@@ -453,33 +443,35 @@ class CommandBounds:
             q: (n,) last believed positions [rad]; NaN where a joint has never answered.
 
         """
-        lowest, highest = self._reach(last, elapsed)
-        slack = self.position_step + _ROUNDING
-        below = lowest - slack - command.position
-        beyond = np.maximum(below, command.position - highest - slack)
-        # Written so that a NaN counts as too much.
-        for j in np.flatnonzero(~(beyond <= 0.0)).tolist():
-            raise BeyondBounds(
-                f"{labels[j]} would be sent to {command.position[j]:.3f} rad; from the last "
-                f"command it may go from {lowest[j]:.3f} to {highest[j]:.3f}"
-            )
-        top_speed = self.command_range.speed + self.velocity_step
-        too_fast = ~(np.abs(command.velocity) <= top_speed)
-        for j in np.flatnonzero(too_fast).tolist():
-            limit = self.command_range.speed[j]
-            raise BeyondBounds(
-                f"{labels[j]} would be told {command.velocity[j]:.2f} rad/s, limit {limit:.2f}"
-            )
+        allowed = self.confine(command, last, elapsed, q)
         # A joint that has never answered has an unknown position error: only its torque counts.
-        error = np.nan_to_num(command.position - q)
-        requested = np.abs(command.kp * error + command.torque)
-        available = self.torque + self.torque_step + command.kp * self.position_step
-        for j in np.flatnonzero(~(requested <= available * (1.0 + _ROUNDING))).tolist():
-            raise BeyondBounds(
-                f"{labels[j]} would be asked for {requested[j]:.1f} N m and makes "
-                f"{self.torque[j]:.1f} at most: something holds the arm back, or it needs "
-                "more than this motor has (see plan --for weight)"
-            )
+        asked, makes = (
+            given.kp * np.nan_to_num(given.position - q) + given.torque
+            for given in (command, allowed)
+        )
+        torque_slack = self.torque_step + command.kp * self.position_step
+        for wanted, limited, slack, text in (
+            (
+                *(command.position, allowed.position, self.position_step),
+                "be sent to {:.3f} rad; from the last command it may go to {:.3f}",
+            ),
+            (
+                *(command.velocity, allowed.velocity, self.velocity_step),
+                "be told {:.2f} rad/s, limit {:.2f}",
+            ),
+            (
+                *(asked, makes, torque_slack),
+                "be asked for {:.1f} N m and makes {:.1f} at most: something holds the arm back, "
+                "or it needs more than this motor has (see plan --for weight)",
+            ),
+        ):
+            tolerance = slack + _ROUNDING * (1.0 + np.abs(limited))
+            # Written so that a NaN counts as too much.
+            beyond = ~(np.abs(wanted - limited) <= tolerance)
+            for j in np.flatnonzero(beyond).tolist():
+                raise BeyondBounds(
+                    f"{labels[j]} would {text.format(wanted[j], limited[j])}"
+                )
 
     def confine(
         self, command: MitCommand, last: Array, elapsed: Array, q: Array
