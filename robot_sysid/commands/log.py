@@ -102,7 +102,7 @@ def _check_log(
     Raises:
         SysidError: a finding is not accepted; raised when all is printed.
     """
-    from robot_sysid.diagnosis.log_checks import check_against_model, require_acceptable
+    from robot_sysid.diagnosis.log_checks import check_pieces, require_acceptable
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
@@ -117,7 +117,7 @@ def _check_log(
     count = len(log.samples)
     rate = (count - 1) / log.duration
     console.stage(f"{count} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
-    findings = check_against_model(robot, log.pieces, divided=log.torque_scale)
+    findings, _ = check_pieces(robot, log.pieces, divided=log.torque_scale)
     console.stage(*(finding.line() for finding in findings))
     entries = [
         {**asdict(finding), "level": finding.level.value} for finding in findings

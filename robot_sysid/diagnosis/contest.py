@@ -1,39 +1,37 @@
 """What is wrong with a log or its model: explanations and corrections compete by evidence.
 
 A log is fitted first. Each explanation is one more term of the same fit, and is scored by the gain
-in log marginal likelihood, both fits with the noise that it leaves. The best one is named where it
-gains ``CLEAR`` nats, together with those within ``TIE`` nats of it, because the log cannot
-distinguish them. Then it joins the fit, and the others are scored again. Corrections of columns
-(``relabelling``) compete with the first explanation.
+in log marginal likelihood, both fits with the noise that it leaves; corrections of mistaken columns
+(``relabelling``) by that of the corrected log. The best one is named where it gains ``CLEAR`` nats,
+together with the explanations within ``TIE`` nats of it, because the log cannot distinguish them.
+Then it joins the fit, and the others are scored again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.causes import Explanation, explanations
+from robot_sysid.diagnosis.causes import SURE, Explanation, explanations, too_long
 from robot_sysid.diagnosis.log_fit import (
     LogFit,
     LogRows,
+    compare,
     dry_friction,
-    evidence,
-    fixed_evidence,
     log_rows,
-    with_term,
 )
 from robot_sysid.diagnosis.relabelling import Correction, corrections, odd_unit_finding
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.dynamics import spatial
 from robot_sysid.estimate.choose import CLEAR
-from robot_sysid.estimate.fit import Fit, correlation_times
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import percent, with_error
 
@@ -56,8 +54,6 @@ UNEXPLAINED = 0.05
 ALL_OFF = 1.4
 """Ratio of the torque of all links but the last to the model's, or its inverse, above which the
 model or the torques are wrong as a whole: links that are off by 20 %, one by 40 %, reach 1.34."""
-SURE = 2.0
-"""Standard errors that count as sure."""
 ALL_LINKS = (
     "all links make {:.3g} times the model's torque: either the torques read that many times too "
     "much, or all masses of the model are wrong by as much, or it is the model of another arm; "
@@ -75,14 +71,26 @@ ODD_MODEL = (
 """Text of the finding that links are off as no usual arm's."""
 OTHER_ARM = 0.3
 """Share of unexplained torque above which the model is taken for that of another arm."""
+ALIKE = 3
+"""Number of different masses with the same inertia from which it is a placeholder."""
 LIKE_GRAVITY = ("force", "gravity", "tilt", "payload-step")
 """Checks whose explanations may stand for gravity in another direction."""
+FRICTIONLESS = 0.004
+"""Largest error of dry friction, as a share of the torque, with which none can be told."""
+EXACT = 0.001
+"""Error of filtering in dry friction, as a share of the joint's torque."""
+COMPUTED = (
+    "the torque follows rigid-body dynamics and has no friction: it was computed, or commanded, "
+    "not measured; record the measured torque"
+)
+"""Text of the finding that no torque was measured."""
 # Number of explanations whose noise is estimated anew in each round.
-_REFITTED = 4
+_REFITTED = 6
 # Least gain of an explanation before that, at white noise [nats].
 _WORTH = 8.0
-# Largest number of explanations that act together.
+# Largest number of explanations and corrections that act together.
 _MOST_ROUNDS = 5
+_ASCENDING = (Level.NOTE, Level.WARN, Level.REFUSE)
 
 
 @dataclass(frozen=True)
@@ -107,28 +115,24 @@ class Score:
         at = self.log.fit.at(self.explanation.term.names)
         return self.log.fit.free[at], np.sqrt(np.diag(self.log.fit.inverse)[at])
 
+    @cached_property
+    def joint_shares(self) -> Array:
+        """Standard deviation of the explanation's torque, as a share of each joint's (J,)."""
+        rows = self.log.rows
+        torque = rows.torque_of(self.explanation.term.names, self.values[0])
+        return np.asarray(np.std(torque, axis=0) / rows.typical_torque)
+
     @property
     def torque_share(self) -> float:
         """Standard deviation of the explanation's torque over time, as a share of all torque."""
         typical = self.log.rows.typical_torque
-        return float(
-            np.linalg.norm(self.joint_shares * typical) / np.linalg.norm(typical)
-        )
-
-    @cached_property
-    def joint_shares(self) -> Array:
-        """Standard deviation of the explanation's torque, as a share of each joint's (J,)."""
-        names = self.explanation.term.names
-        values, _ = self.values
-        is_old = np.isin(names, self.before.names)
-        old = [self.before.by_name.get(name, 0.0) for name in names]
-        torque = self.log.rows.torque_of(names, values - np.where(is_old, old, 0.0))
-        return np.asarray(np.std(torque, axis=0) / self.log.rows.typical_torque)
+        size = np.linalg.norm(self.joint_shares * typical)
+        return float(size / np.linalg.norm(typical))
 
     @property
-    def is_possible(self) -> bool:
-        """Whether the values are of the sign and size that the explanation's words imply."""
-        return self.explanation.is_possible(*self.values)
+    def is_gross(self) -> bool:
+        """Whether the first value is as large as is harmful in any case."""
+        return bool(abs(self.values[0][0]) >= self.explanation.harmful_from)
 
     @property
     def is_reportable(self) -> bool:
@@ -138,7 +142,7 @@ class Score:
         is_large = self.torque_share > LEAST_SHARE
         if explanation.is_norm:
             is_large |= float(np.max(self.joint_shares)) > LEAST_OF_JOINT
-        return is_of_log or is_large
+        return is_of_log or is_large or self.is_gross
 
     @property
     def level(self) -> Level:
@@ -150,16 +154,12 @@ class Score:
         explanation = self.explanation
         if explanation.level is Level.REFUSE:
             return Level.REFUSE
-        last = self.before.at(PARAMETER_NAMES)
-        moved = self.log.fit.free[self.log.fit.at(PARAMETER_NAMES)]
+        last = self.before.at(spatial.PARAMETER_NAMES)
+        moved = self.log.fit.free[self.log.fit.at(spatial.PARAMETER_NAMES)]
         change = np.abs(moved - self.before.free[last])
-        is_harmful = (
-            abs(float(self.values[0][0])) >= explanation.harmful_from
-            or bool(
-                np.any(change > MATTERS * np.sqrt(np.diag(self.before.inverse)[last]))
-            )
-            or self.torque_share > HARMFUL_SHARE
-        )
+        errors = np.sqrt(np.diag(self.before.inverse)[last])
+        is_harmful = self.is_gross or bool(np.any(change > MATTERS * errors))
+        is_harmful |= self.torque_share > HARMFUL_SHARE
         return explanation.level if is_harmful else Level.NOTE
 
 
@@ -168,39 +168,32 @@ class Contest:
 
     Args:
         log: the fit of a log.
+        found: explanations that act in it.
 
     Attributes:
         rows: with the columns of explanations.
     """
 
-    def __init__(self, log: LogFit) -> None:
+    def __init__(self, log: LogFit, found: Sequence[Explanation] = ()) -> None:
         self.log = log
-        self.offered: list[Explanation] = []
-        self.offer(explanations(log.fit))
+        self.offered = [*found, *explanations(log.fit)]
+        self.rows = self.rows_of(self.offered)
 
-    def offer(self, more: Sequence[Explanation]) -> None:
-        """Add explanations to those that are scored."""
-        self.offered += more
-        self.rows = self.rows_of([each.term for each in self.offered])
-
-    def rows_of(self, terms: Sequence[Term]) -> LogRows:
-        """Return the rows of the log with the columns of terms that it has not."""
+    def rows_of(self, offered: Sequence[Explanation]) -> LogRows:
+        """Return the rows of the log with the columns of explanations."""
         fitted = self.log.fit
-        known = {*fitted.arm.names}
-        new = [term for term in terms if term.names[0] not in known]
-        return log_rows(fitted.arm, fitted.recordings, fitted.point, new)
+        families = {each.family.names[0]: each.family for each in offered}
+        return log_rows(
+            fitted.arm, fitted.recordings, fitted.point, [*families.values()]
+        )
 
     def score(self, current: Fit, explanation: Explanation, rows: LogRows) -> Score:
         """Return the score of an explanation; both fits have the noise that it leaves."""
-        terms = current.equations.terms
-        wider_terms = with_term(terms, explanation.term)
-        wider = rows.fit(wider_terms, current, np.ones(len(current.noise)))
-        correlation = correlation_times(rows.residuals(wider))
-        correlation = np.minimum(correlation, current.correlation)
-        wider = rows.fit(wider_terms, wider, correlation)
-        before = rows.fit(terms, current, correlation)
-        gain = evidence(wider) - evidence(before) - float(np.log(explanation.choices))
-        return Score(explanation, gain, before, LogFit(wider, rows))
+        terms = [*current.equations.terms, explanation.term]
+        wider = rows.fit(terms, current, np.ones(len(current.noise)))
+        gain, log = compare(LogFit(current, rows), LogFit(wider, rows))
+        choices = float(np.log(explanation.choices))
+        return Score(explanation, gain - choices, current, log)
 
     def ranked(self, current: Fit) -> list[Score]:
         """Return the scores of the best explanations that are possible, the largest gain first.
@@ -208,19 +201,20 @@ class Contest:
         Of those of one check and joint that differ in a setting, the best one counts. A fault makes
         noise slow, and hides in it: explanations are compared as if it were white.
         """
-        white = self.rows.fit(
-            current.equations.terms, current, np.ones(len(current.noise))
-        )
+        ones = np.ones(len(current.noise))
+        white = self.rows.fit(current.equations.terms, current, ones)
+        fitted = self.rows.all_of(white)
         best: dict[object, tuple[float, Explanation]] = {}
         for explanation in self.offered:
-            gain = white.gain(explanation.term) - float(np.log(explanation.choices))
-            family = (*explanation.subject, len(explanation.term.names))
-            if gain > best.get(family, (_WORTH,))[0]:
-                best[family] = gain, explanation
+            if explanation.term.names[0] not in fitted.names:
+                gain = fitted.gain(explanation.term) - np.log(explanation.choices)
+                family = (*explanation.subject, len(explanation.term.names))
+                if gain > best.get(family, (_WORTH,))[0]:
+                    best[family] = float(gain), explanation
         scores: list[Score] = []
         for _, explanation in sorted(best.values(), key=lambda pair: -pair[0]):
             score = self.score(current, explanation, self.rows)
-            if score.is_possible:
+            if explanation.is_possible(*score.values):
                 scores.append(score)
             if len(scores) == _REFITTED:
                 break
@@ -229,42 +223,24 @@ class Contest:
             scores[0] = self.refine(current, scores[0])
         return scores
 
+    def is_time_wrong(self, share: float) -> bool:
+        """Return whether time is rather too long by a share than right, by the torques."""
+        clock = next(e for e in self.offered if e.term.cause == "clock")
+        value = float(self.score(self.log.fit, clock, self.rows).values[0][0])
+        return abs(value - share) < abs(value)
+
     def refine(self, current: Fit, score: Score) -> Score:
         """Return the best score that ``Explanation.nearby`` leads to, step by step."""
-        terms = current.equations.terms
-        first = score
         while nearby := score.explanation.nearby():
-            rows = self.rows_of([*terms, *(each.term for each in nearby)])
-            gains = [
-                fixed_evidence(rows, with_term(terms, each.term), score.log.fit)
-                for each in nearby
-            ]
-            better = self.score(current, nearby[int(np.argmax(gains))], rows)
+            rows = self.rows_of([*self.offered, *nearby])
+            scores = [self.score(current, each, rows) for each in nearby]
+            better = max(scores, key=lambda each: each.gain)
             if better.gain < score.gain:
                 break
             score = better
-        if score is not first:
-            self.offer([score.explanation])
-            score = self.score(current, score.explanation, self.rows)
+            self.offered.append(better.explanation)
+            self.rows = rows
         return score
-
-    def rounds(self) -> list[list[Score]]:
-        """Return per round the scores within ``TIE`` nats of the largest gain, the winner first.
-
-        Of these one with a single value wins. Each round starts from the fit with the
-        winners of the rounds before.
-        """
-        winners: list[list[Score]] = []
-        current = self.log.fit
-        while len(winners) < _MOST_ROUNDS:
-            ranked = self.ranked(current)
-            if not ranked or ranked[0].gain < CLEAR:
-                break
-            ties = [score for score in ranked if score.gain > ranked[0].gain - TIE]
-            ties.sort(key=lambda score: len(score.values[0]) > 1)
-            winners.append(ties)
-            current = ties[0].log.fit
-        return winners
 
 
 def findings(
@@ -272,6 +248,7 @@ def findings(
     recordings: Sequence[Recording],
     options: EstimationOptions,
     divided: Array,
+    share: float = 0.0,
 ) -> list[Finding]:
     """Return what is wrong with a log or its model; nothing where the log fits its model.
 
@@ -280,39 +257,103 @@ def findings(
         recordings: the log's pieces.
         options: prior uncertainties of the estimate.
         divided: (n,) torque scales by which the torques were divided already.
+        share: by which time is too long if recorded velocities are right; 0 where they say nothing.
     """
-    log = LogFit.of(robot, recordings, options)
+    first = log = LogFit.of(robot, recordings, options)
     if is_computed(log):
         return [Finding("computed", Level.WARN, COMPUTED)]
-    rounds = Contest(log).rounds()
-    winner = rounds[0][0] if rounds else None
-    best = log if winner is None else winner.log
-    is_of_gravity = winner is not None and winner.explanation.term.cause in LIKE_GRAVITY
     odd_unit = odd_unit_finding(log)
-    corrected = corrections(log, best, options, divided, is_of_gravity)
-    is_exchanged = bool(corrected) and corrected[0].finding.name in ("order", "tilt")
-    # An exchange of joints also gives one of them torque that is far too large for it.
-    if odd_unit and not is_exchanged:
-        return [odd_unit]
-    if corrected and is_better(corrected[0], winner, best.is_plausible):
-        return [corrected[0].finding]
-    last = rounds[-1][0].log if rounds else log
-    named = name_causes(rounds[:MOST_NAMES])
-    if last.misfit > UNEXPLAINED:
-        return [*named, unexplained_torque(last)]
-    if not last.is_plausible:
-        return [*named, implausible_links(last)]
+    contest = Contest(log)
+    if share and contest.is_time_wrong(share):
+        return [Finding("clock", Level.REFUSE, wrong_time(share))]
+    rounds: list[list[Score]] = []
+    corrected: list[Finding] = []
+    while len(rounds) + len(corrected) < _MOST_ROUNDS:
+        ranked = contest.ranked(log.fit)
+        winner = ranked[0] if ranked and ranked[0].gain > CLEAR else None
+        best = log if winner is None else winner.log
+        found = [scores[0].explanation for scores in rounds]
+        cause = "" if winner is None else winner.explanation.term.cause
+        tried = corrections(
+            log,
+            best,
+            [each.term for each in found],
+            options,
+            divided,
+            cause in LIKE_GRAVITY,
+        )
+        is_exchanged = bool(tried) and tried[0].finding.name in ("order", "tilt")
+        # An exchange of joints also gives one of them torque that is far too large for it.
+        if odd_unit and not corrected and not is_exchanged:
+            return [odd_unit]
+        if tried and is_better(tried[0], winner, best.is_plausible):
+            corrected.append(tried[0].finding)
+            contest = Contest(tried[0].log, found)
+            log = LogFit(tried[0].log.fit, contest.rows)
+        elif winner is None:
+            break
+        else:
+            ties = [score for score in ranked if score.gain > winner.gain - TIE]
+            # Of equally likely ones, one with a single value joins the fit.
+            ties.sort(key=lambda score: len(score.values[0]) > 1)
+            rounds.append(ties)
+            log = ties[0].log
+    named = [*corrected, *name_causes(rounds[:MOST_NAMES]), *placeholders(robot)]
+    if all(finding.level is Level.NOTE for finding in named):
+        named += wrong_models(first, log, options)
+    return named
+
+
+def wrong_models(
+    first: LogFit, last: LogFit, options: EstimationOptions
+) -> list[Finding]:
+    """Return what is wrong as a whole, where no cause is named that forbids an estimate.
+
+    Args:
+        first: the fit of the log.
+        last: that with all that is named.
+        options: prior uncertainties of the estimate.
+    """
     ratio, error = last.links_ratio
     # Of few joints, other links take up what the last one does not: the ratio is hardly known.
     off = max(abs(ratio - 1.0) - SURE * error, 0.0)
-    is_named = any(finding.level is not Level.NOTE for finding in named)
-    if not is_named and off > (ALL_OFF - 1.0) / max(1.0, ALL_OFF * (ratio < 1.0)):
-        return [*named, Finding("torque-scale", Level.WARN, ALL_LINKS.format(ratio))]
-    spread = log.fit.question.link_scales.mass
-    if not is_named and spread > ODD_LINKS:
+    if off > (ALL_OFF - 1.0) / max(1.0, ALL_OFF * (ratio < 1.0)):
+        return [Finding("torque-scale", Level.REFUSE, ALL_LINKS.format(ratio))]
+    if last.misfit > UNEXPLAINED:
+        return [unexplained_torque(last)]
+    if not last.is_plausible:
+        return [implausible_links(last)]
+    spread = first.fit.question.link_scales.mass
+    if spread > ODD_LINKS:
         share = percent(spread * PER_CENT * options.priors.link)
-        return [*named, Finding("model", Level.WARN, ODD_MODEL.format(share))]
-    return named
+        return [Finding("model", Level.WARN, ODD_MODEL.format(share))]
+    return []
+
+
+def wrong_time(share: float) -> str:
+    """Return the text on time stamps that are too long by a share, by recorded velocities."""
+    return (
+        f"by the recorded velocities, time in the log is {too_long(share)}; record the "
+        "controller's own time stamps, or scale them with --columns FILE: time = "
+        f"{1.0 / (1.0 + share):.3g} * TITLE"
+    )
+
+
+def placeholders(robot: RobotModel) -> Iterator[Finding]:
+    """Yield a note where links of different masses have the same inertia about their centres."""
+    groups: dict[tuple[str, ...], dict[float, str]] = defaultdict(dict)
+    for link in robot.links:
+        if link.has_mass:
+            mass, _, inertia = spatial.com_from_theta(link.theta)
+            moments = np.linalg.eigvalsh(inertia)
+            groups[tuple(f"{moment:.4g}" for moment in moments)][mass] = link.body_name
+    for sizes, names in groups.items():
+        if len(names) >= ALIKE:
+            text = f"the model's inertias of {', '.join(names.values())} are all alike, about "
+            text += (
+                f"{sizes[-1]} kg m^2: they are placeholders, and errors allow for less"
+            )
+            yield Finding("model", Level.NOTE, text)
 
 
 def is_better(correction: Correction, winner: Score | None, is_plausible: bool) -> bool:
@@ -337,7 +378,6 @@ def name_causes(rounds: Sequence[Sequence[Score]]) -> list[Finding]:
     """
     named: list[Finding] = []
     known: set[tuple[str, int | None]] = set()
-    ascending = (Level.NOTE, Level.WARN, Level.REFUSE)
     for ranked in rounds:
         best: dict[str, Score] = {}
         for score in ranked:
@@ -348,35 +388,24 @@ def name_causes(rounds: Sequence[Sequence[Score]]) -> list[Finding]:
             continue
         known |= {score.explanation.subject for score in ranked}
         texts = [score.explanation.text(*score.values) for score in best.values()]
-        severity = max(ascending.index(score.level) for score in best.values())
+        severity = max(_ASCENDING.index(score.level) for score in best.values())
         named.append(
-            Finding(winner.term.cause, ascending[severity], "; or ".join(texts))
+            Finding(winner.term.cause, _ASCENDING[severity], "; or ".join(texts))
         )
     return named
 
 
-EXACT = 0.004
-"""Largest unexplained torque of one that was computed, as a share of the joint's."""
-FRICTIONLESS = 0.004
-"""Largest dry friction of a torque that was computed, as a share of the joint's."""
-COMPUTED = (
-    "the torque follows rigid-body dynamics and has no friction: it was computed, or commanded, "
-    "not measured; record the measured torque"
-)
-
-
 def is_computed(log: LogFit) -> bool:
-    """Return whether the torque was computed from a model: no joint that links load has friction.
+    """Return whether the torque was computed from a model: no joint has friction.
 
-    Noise that was added to it does not matter.
+    It has to be so well known that friction of a real arm would show.
     """
-    loaded = log.loaded
-    typical = log.rows.typical_torque
+    torque = log.rows.typical_torque
     dry, error = dry_friction(log.fit)
-    least = np.maximum(np.abs(dry) - 2.0 * error, 0.0) / typical
-    is_known = 2.0 * error < FRICTIONLESS * typical
-    is_none = is_known & (least < 0.25 * FRICTIONLESS)
-    return bool(np.all((is_none & (log.misfit_by_joint < EXACT))[loaded]))
+    known = np.linalg.norm(error[log.loaded]) / np.linalg.norm(torque[log.loaded])
+    distance = np.sum((dry / np.hypot(error, EXACT * torque)) ** 2)
+    limit = len(dry) + 3.0 * np.sqrt(2.0 * len(dry))
+    return bool(known < FRICTIONLESS and distance < limit)
 
 
 def unexplained_torque(log: LogFit) -> Finding:

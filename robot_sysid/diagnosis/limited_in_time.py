@@ -11,7 +11,7 @@ Throughout, K is the number of rows per joint, n that of joints.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import compress
 from typing import NamedTuple
@@ -60,8 +60,9 @@ _MOVING = 0.05
 
 
 class Stretch(NamedTuple):
-    """A stretch of a log with a fault: begin and end [s], and which joints (n,) show it."""
+    """A stretch of a log with a fault: its check, begin and end [s], which joints (n,) show it."""
 
+    check: str
     start: float
     stop: float
     joints: NDArray[np.bool_]
@@ -72,13 +73,21 @@ def failed_sensors(pieces: Sequence[Measurement]) -> Iterator[Stretch]:
     for piece in pieces:
         joints = np.eye(piece.q.shape[1], dtype=bool)
         for joint, q, tau in zip(joints, piece.q.T, piece.tau.T):
-            runs = [*frozen_positions(piece.time, q)]
-            if len(np.unique(tau)) >= MANY_VALUES:
-                held = equal_runs(piece.time, tau)
-                runs += [rows for rows in held if _moves(piece, rows)]
-            for rows in runs:
+            runs = [("held", rows) for rows in frozen_positions(piece.time, q)]
+            runs += held_torques(piece, tau)
+            for check, rows in runs:
                 start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
-                yield Stretch(start, stop, joint)
+                yield Stretch(check, start, stop, joint)
+
+
+def held_torques(piece: Measurement, tau: Array) -> Iterator[tuple[str, slice]]:
+    """Yield (check, rows) where a torque (N,) repeats its value while the arm moves."""
+    if len(np.unique(tau)) < MANY_VALUES:
+        return
+    ends = np.min(tau), np.max(tau)
+    for rows in equal_runs(piece.time, tau):
+        if _moves(piece, rows):
+            yield "saturated" if tau[rows.start] in ends else "held", rows
 
 
 def _moves(piece: Measurement, rows: slice) -> bool:
@@ -126,7 +135,7 @@ def unusual_torque(
                 start = time[rows.start] - (margin if rows.start else lost)
                 stop = time[rows.stop - 1]
                 stop += margin if rows.stop < len(size) else lost
-                yield Stretch(float(start), float(stop), joints)
+                yield Stretch("contact", float(start), float(stop), joints)
 
 
 def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
@@ -139,39 +148,30 @@ def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
     question = Question(options, dry=tuple((_DRY * torque).tolist()))
     terms = arm_question(log.arm, question, torque)
     equations = Equations(log.sums, terms, log.held)
-    columns = log.columns[:, :, equations.index]
-    right_sides = (
-        log.right_sides
-        - log.columns[:, :, equations.others] @ (log.held[equations.others])
-    )
+    own = log.columns[:, :, equations.index]
+    known = log.columns[:, :, equations.others] @ log.held[equations.others]
+    rows = np.concatenate((own, (log.right_sides - known)[:, :, None]), axis=2)
     size = 0.05 * typical
     weights = log.used.astype(float)
-    relative = np.zeros_like(right_sides)
     for _ in range(_ROUNDS):
-        normal = equations.prior.copy()
-        for joint in range(len(size)):
-            full = np.column_stack((columns[:, joint], right_sides[:, joint]))
-            weight = weights[:, joint] / (_CORRELATED * size[joint] ** 2)
-            normal += full.T @ (full * weight[:, None])
-        values, _ = solve(normal, equations.usual)
-        left = right_sides - columns @ values
+        share = weights / (_CORRELATED * size**2)
+        products = np.einsum("kjp,kj,kjq->pq", rows, share, rows, optimize=True)
+        values, _ = solve(products + equations.prior, equations.usual)
+        left = (rows[:, :, -1] - own @ values) * log.used
         for joint, residual in enumerate(left.T):
-            used = log.used[:, joint]
-            median = np.median(np.abs(residual[used])) if np.any(used) else 0.0
-            least = _LEAST_SIZE * typical[joint]
-            size[joint] = max(1.4826 * float(median), float(least))
-            relative[:, joint] = residual * used / size[joint]
-        distance = np.abs(relative)
+            used = np.abs(residual[log.used[:, joint]])
+            median = float(np.median(used)) if len(used) else 0.0
+            size[joint] = max(1.4826 * median, _LEAST_SIZE * typical[joint])
+        distance = np.abs(left / size)
         weights = log.used / np.maximum(1.0, 0.5 * distance)
         weights[distance > _OUTLYING] = 0.0
-    return relative
+    return np.asarray(left / size)
 
 
 def leave_out(
-    name: str,
     joint_names: Sequence[str],
     pieces: Sequence[Measurement],
-    stretches: Iterable[Stretch],
+    stretches: Sequence[Stretch],
 ) -> tuple[list[Measurement], list[Finding]]:
     """Return the pieces of a log with the rows of stretches marked as left out, and what to say.
 
@@ -179,37 +179,40 @@ def leave_out(
     no jump. Where too much would be left out, the pieces are returned as they are, with a warning.
 
     Args:
-        name: of the check that found the stretches.
         joint_names: (n,) of the chain.
         pieces: the log without gaps.
         stretches: may overlap.
     """
     kept = []
+    notes = []
     phrases = []
     left_out_count = 0
     for piece in pieces:
         wrong = np.zeros(piece.q.shape, dtype=bool)
-        for start, stop, joints in stretches:
-            wrong[(piece.time >= start) & (piece.time <= stop)] |= joints
+        checks = np.full(len(piece), "contact", dtype=object)
+        for check, start, stop, joints in stretches:
+            within = (piece.time >= start) & (piece.time <= stop)
+            wrong[within] |= joints
+            checks[within] = check
         left_out = np.any(wrong, axis=1)
         for rows in true_runs(left_out):
             start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
             names = ", ".join(compress(joint_names, np.any(wrong[rows], axis=0)))
-            phrases.append(f"from {start:.2f} s to {stop:.2f} s ({names})")
+            phrase = f"from {start:.2f} s to {stop:.2f} s ({names})"
+            phrases.append(phrase)
+            text = f"something touched the arm, or a sensor failed, {phrase}: left out"
+            name = str(checks[rows.start])
+            notes.append(Finding(name, Level.NOTE, text, is_left_out=True))
         left_out_count += int(np.sum(left_out))
         if not np.any(left_out):
             kept.append(piece)
         elif not np.all(left_out):
             kept.append(_mark(piece, left_out))
     is_much = left_out_count > MOST_SHARE * sum(map(len, pieces))
-    if is_much or len(phrases) > MOST_STRETCHES:
-        text = f"something touches the arm, or a sensor fails, {count_text(len(phrases), 'time')}"
+    if is_much or len(notes) > MOST_STRETCHES:
+        text = f"something touches the arm, or a sensor fails, {count_text(len(notes), 'time')}"
         text += f", first {phrases[0]}: too much to leave out; record again without it"
-        return list(pieces), [Finding(name, Level.WARN, text)]
-    notes = []
-    for phrase in phrases:
-        text = f"something touched the arm, or a sensor failed, {phrase}: left out"
-        notes.append(Finding(name, Level.NOTE, text, is_left_out=True))
+        return list(pieces), [Finding(notes[0].name, Level.WARN, text)]
     return kept, notes
 
 

@@ -56,24 +56,24 @@ def _duration(piece: Measurement) -> float:
     return float(piece.time[-1] - piece.time[0])
 
 
-def slow_findings(qd: Array) -> Iterator[Finding]:
-    """Yield a finding where no speed in qd (K, n) reaches ``SLOWEST``, too slow for friction.
-
-    K is the number of instants.
-    """
-    fastest = float(np.max(np.abs(qd)))
+def slow_findings(recordings: Sequence[Recording]) -> Iterator[Finding]:
+    """Yield a finding where no speed reaches ``SLOWEST``, too slow for friction."""
+    fastest = max(float(np.max(np.abs(each.motion.qd))) for each in recordings)
     if fastest < SLOWEST:
         text = f"no joint moves faster than {fastest:.2g} rad/s; record a faster motion"
         yield Finding("too-little", Level.REFUSE, text)
 
 
-def enough_findings(pieces: Sequence[Measurement], cutoff: float) -> Iterator[Finding]:
+def enough_findings(
+    pieces: Sequence[Measurement], recordings: Sequence[Recording]
+) -> Iterator[Finding]:
     """Yield findings where the sampling rate, or the number of independent samples, is too low.
 
-    Args:
-        pieces: the log without gaps.
-        cutoff: cut-off f of the low-pass [Hz], which leaves 2 f independent samples per second.
+    A low-pass of f [Hz], as of the recordings, leaves 2 f independent samples per second.
     """
+    signals = recordings[0].signals
+    assert signals is not None
+    cutoff = signals.cutoff
     span = _length(pieces)
     rows = int(2.0 * cutoff * span)
     rate = 1.0 / sampling_period(pieces[0].time)
@@ -150,34 +150,55 @@ WRONG_TIME = 0.03
 whose velocities pass a low-pass of 3 Hz has 0.028."""
 OTHER = 0.5
 """Relative difference above which the velocities are of another motion, or in another unit."""
+WRONG_VELOCITY = 0.1
+"""Relative difference above which the velocities of single joints are noted."""
 ALIKE = 0.02
 """Largest difference between joints in the relative error of the time stamps."""
 
 
-def velocity_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
-    """Yield a finding where recorded velocities are a factor times the derivatives of positions.
+def velocity_ratios(pieces: Sequence[Measurement]) -> Array:
+    """Return recorded velocities over the derivatives of positions, of each joint (n,).
 
-    A factor that all joints have in common is an error of the time stamps. Pieces without
-    velocities are left out.
+    It is one of joints that hardly move, and where no velocities were recorded.
 
     The displacements p of a joint by its positions and v by its velocities are compared by the sums
     p.p and p.v over all windows of time. The velocities are p.v / p.p times the derivatives.
     """
+    n_joints = pieces[0].q.shape[1]
     recordings = [piece for piece in pieces if piece.qd is not None]
     if not recordings:
-        return
-    n_joints = recordings[0].q.shape[1]
+        return np.ones(n_joints)
     products = np.array([_products(recordings, k) for k in range(n_joints)])
     largest = np.max(products[:, 0, 0], initial=0.0)
     # Joints that move enough, with a tenth of the largest displacement.
-    moving = products[products[:, 0, 0] > 0.01 * largest]
-    ratios = moving[:, 1, 0] / moving[:, 0, 0]
-    share = float(np.median(ratios)) - 1.0 if len(ratios) else 0.0
-    if WRONG_TIME < abs(share) < OTHER and np.ptp(ratios) < ALIKE:
-        text = f"by the recorded velocities, time in the log is {100.0 * abs(share):.2g} % too "
-        text += f"{'long' if share > 0.0 else 'short'}; record the controller's own time stamps, "
-        text += f"or scale them with --columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
-        yield Finding("clock", Level.REFUSE, text)
+    moving = products[:, 0, 0] > 0.01 * largest
+    size = np.where(moving, products[:, 0, 0], 1.0)
+    return np.where(moving, products[:, 1, 0] / size, 1.0)
+
+
+def time_share(ratios: Array) -> float:
+    """Return the share by which time is too long if velocities are right, from ratios (n,).
+
+    It is zero where joints do not have it in common.
+    """
+    off = ratios[ratios != 1.0] - 1.0
+    share = float(np.median(off)) if len(off) else 0.0
+    is_common = WRONG_TIME < abs(share) < OTHER and np.ptp(off) < ALIKE
+    return share if is_common else 0.0
+
+
+def velocity_notes(ratios: Array, joint_names: Sequence[str]) -> Iterator[Finding]:
+    """Yield a note where ratios (n,) of ``velocity_ratios`` are not one."""
+    off = np.abs(ratios - 1.0)
+    odd = np.flatnonzero((off > WRONG_VELOCITY) & (off < OTHER))
+    if len(odd):
+        names = ", ".join(joint_names[k] for k in odd.tolist())
+        factor = float(np.median(ratios[odd]))
+        text = (
+            f"recorded velocities of {names} are {factor:.3g} times the derivatives of "
+        )
+        text += "positions, which are used in their place"
+        yield Finding("clock", Level.NOTE, text)
 
 
 def _products(pieces: Sequence[Measurement], joint: int) -> Array:
@@ -330,14 +351,14 @@ def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
     return [windows[k] for k in np.unique(spread.astype(int))]
 
 
-def check_against_model(
+def check_pieces(
     robot: RobotModel,
     pieces: Sequence[Measurement],
     options: EstimationOptions | None = None,
     links_known: bool = True,
     divided: Sequence[float] | Array | None = None,
-) -> tuple[Finding, ...]:
-    """Return the findings of all checks of a log.
+) -> tuple[tuple[Finding, ...], tuple[Measurement, ...]]:
+    """Return the findings of all checks of a log, and its pieces with what is to be used of them.
 
     Checks against the model are left out where a check of the recording by itself refuses the log.
 
@@ -352,53 +373,36 @@ def check_against_model(
     Raises:
         InputError: the log is too short to be looked at.
     """
-    return check_pieces(robot, pieces, options, links_known, divided)[0]
-
-
-def check_pieces(
-    robot: RobotModel,
-    pieces: Sequence[Measurement],
-    options: EstimationOptions | None = None,
-    links_known: bool = True,
-    divided: Sequence[float] | Array | None = None,
-) -> tuple[tuple[Finding, ...], tuple[Measurement, ...]]:
-    """Return the findings of all checks of a log, and its pieces with what is to be used of them.
-
-    Args and exceptions are those of ``check_against_model``.
-    """
     options = options or EstimationOptions()
-    joint_names = robot.joint_names
-    failures = [*failed_sensors(pieces)]
-    pieces, raw = leave_out("held", joint_names, pieces, failures)
+    names = robot.joint_names
+    pieces, raw = leave_out(names, pieces, [*failed_sensors(pieces)])
     lasts_a_moment = all(finding.is_left_out for finding in raw)
-    raw += [*clock_findings(pieces), *velocity_findings(pieces)]
-    raw += saturation_findings(pieces, joint_names)
+    raw += [*clock_findings(pieces), *saturation_findings(pieces, names)]
     if any(finding.level is Level.REFUSE for finding in raw):
         return tuple(raw), tuple(pieces)
     recordings = low_pass(pieces, options.cutoff)
-    signals = recordings[0].signals
-    assert signals is not None
-    model_findings = [*enough_findings(pieces, signals.cutoff)]
-    if not model_findings:
+    found = [*enough_findings(pieces, recordings)]
+    if not found:
         touched = [*_touched(robot, pieces, options)] if lasts_a_moment else []
-        pieces, contacts = leave_out("contact", joint_names, pieces, touched)
+        pieces, contacts = leave_out(names, pieces, touched)
         if touched:
             recordings = low_pass(pieces, options.cutoff)
-        scales = (
-            np.ones(robot.n_joints) if divided is None else np.array(divided, float)
-        )
+        scales = np.ones(len(names)) if divided is None else np.array(divided, float)
         # Later checks count only where earlier ones find nothing.
-        model_findings = findings(robot, recordings, options, scales)
-        qd = np.concatenate([recording.motion.qd for recording in recordings])
-        model_findings = model_findings or [*slow_findings(qd)]
-        if model_findings:
+        ratios = velocity_ratios(pieces)
+        share = time_share(ratios)
+        found = findings(robot, recordings, options, scales, share)
+        found = found or [*slow_findings(recordings)]
+        if found:
             contacts = [finding for finding in contacts if finding.is_left_out]
         raw += contacts
-    of_links = set() if links_known else set(OF_LINKS)
-    for k, finding in enumerate(model_findings):
-        if finding.name in of_links:
-            model_findings[k] = replace(finding, level=Level.NOTE)
-    return (*raw, *model_findings), tuple(pieces)
+        if not any(finding.name == "clock" for finding in found):
+            raw += velocity_notes(ratios, names)
+    if not links_known:
+        for k, finding in enumerate(found):
+            if finding.name in OF_LINKS:
+                found[k] = replace(finding, level=Level.NOTE)
+    return (*raw, *found), tuple(pieces)
 
 
 def _touched(
@@ -444,8 +448,8 @@ def check_log(
         log: the log that was read.
         accepted: names of checks whose warnings are accepted.
         progress: receives the notes.
-        options: see ``check_against_model``.
-        links_known: see ``check_against_model``.
+        options: see ``check_pieces``.
+        links_known: see ``check_pieces``.
         checks: names of the checks whose findings count.
 
     Raises:

@@ -10,18 +10,17 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.dynamics.equations import names_of, split_name
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Equations, Fit, correlation_times, fit, solve
-from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.questions import USUAL_SCALE, Question
 from robot_sysid.estimate.rows import Mask, Part, Recording, Sums, add_up
-from robot_sysid.estimate.terms import LINKS, ArmTerms, Point, Prior, Term
+from robot_sysid.estimate.terms import LAST_LINK, LINKS, ArmTerms, Point, Term
 from robot_sysid.records import Array, RobotModel
 
 LEAST_TORQUE = 0.02
@@ -57,18 +56,6 @@ class LogRows:
     used: Mask
 
     @property
-    def torque(self) -> Array:
-        """Measured torque (K, J), low-passed [N m]."""
-        torque = np.concatenate([recording.torque for recording in self.recordings])
-        return np.asarray(torque[:, self.arm.indices])
-
-    @property
-    def moving(self) -> list[int]:
-        """Numbers of the joints that move fast enough for some row to count."""
-        counts = np.sum(self.sums.counts, axis=0)
-        return [int(self.arm.indices[row]) for row in np.flatnonzero(counts)]
-
-    @property
     def held(self) -> Array:
         """Values (p,) of parameters that are not estimated: the model's."""
         return np.array([self.arm.model.get(name, 0.0) for name in self.sums.names])
@@ -76,65 +63,77 @@ class LogRows:
     @cached_property
     def typical_torque(self) -> Array:
         """Root mean square torque (J,), at least ``LEAST_TORQUE`` of the largest [N m]."""
-        torque = np.sqrt(np.mean(self.right_sides**2, axis=0))
+        torque = root_mean_square(self.right_sides)
         return np.maximum(torque, LEAST_TORQUE * float(np.max(torque)))
+
+    def columns_of(self, names: Sequence[str]) -> Array:
+        """Return the columns (K, J, e) of named parameters."""
+        return self.columns[:, :, [self.sums.names.index(name) for name in names]]
 
     def torque_of(self, names: Sequence[str], values: Array) -> Array:
         """Return the torque (K, J) of named parameters with values [N m]."""
-        at = [self.sums.names.index(name) for name in names]
-        return np.asarray(self.columns[:, :, at] @ values)
+        return np.asarray(self.columns_of(names) @ values)
 
     def residuals(self, fitted: Fit) -> Array:
         """Return the residual torque (K, J) of a fit [N m]; NaN where a row is not used."""
-        at = np.flatnonzero(fitted.full)
-        predicted = self.columns[:, :, at] @ fitted.full[at]
+        names = np.array(fitted.sums.names)[fitted.full != 0.0].tolist()
+        predicted = self.torque_of(names, fitted.full[fitted.full != 0.0])
         return np.where(self.used, self.right_sides - predicted, np.nan)
 
-    def with_torque(self, torque: Array) -> LogRows:
-        """Return the rows with other measured torques (K, J) [N m], added up as one block."""
-        right_sides = self.right_sides + torque - self.torque
-        grams = []
-        for joint, columns in enumerate(self.sums.columns):
-            used = self.used[:, joint]
-            b = right_sides[used, joint]
-            gram = self.sums.totals[joint].copy()
-            gram[:-1, -1] = gram[-1, :-1] = self.columns[used, joint][:, columns].T @ b
-            gram[-1, -1] = b @ b
-            grams.append(gram[None])
-        counts = np.sum(self.sums.counts, axis=0, keepdims=True)
-        sums = replace(
-            self.sums, grams=tuple(grams), counts=counts, logs=self.sums.logs[:1]
-        )
-        return replace(self, sums=sums, right_sides=right_sides)
-
     def fit(
-        self,
-        terms: Sequence[Term],
-        like: Fit,
-        correlation: Array | None = None,
-        is_alike: bool = True,
+        self, terms: Sequence[Term], like: Fit, correlation: Array | None = None
     ) -> Fit:
         """Return the fit of terms to a question that has been asked before.
 
         Args:
             terms: of the question.
-            like: a fit of it; noise begins with its noise, where it ``is_alike``.
+            like: a fit of it.
             correlation: (J,) rows that count as one; those of ``like`` by default.
-            is_alike: whether the other fit's noise and correlation tell something of this one.
         """
-        if correlation is None and is_alike:
-            correlation = like.correlation
+        held = {name for name, value in self.arm.model.items() if value}
+        names = {name for term in terms for name in term.names}
         return fit(
             self.arm,
             self.recordings,
             self.point,
-            self.sums,
+            _narrowed(self.sums, names | held),
             terms,
-            noise=like.noise if is_alike else None,
-            correlation=correlation,
+            noise=like.noise,
+            correlation=like.correlation if correlation is None else correlation,
             possible=False,
             question=like.question,
         )
+
+    def all_of(self, fitted: Fit) -> Fit:
+        """Return a fit of these rows with the columns of all terms, to be asked for gains."""
+        equations = Equations(self.sums, fitted.equations.terms, self.held)
+        return replace(fitted, equations=equations)
+
+
+def _narrowed(sums: Sums, names: set[str]) -> Sums:
+    """Return the sums of some parameters, all blocks as one."""
+    is_kept = np.array([name in names for name in sums.names])
+    places = np.cumsum(is_kept) - 1
+    columns = []
+    grams = []
+    for own, total in zip(sums.columns, sums.totals):
+        at = np.flatnonzero(is_kept[own])
+        columns.append(places[own[at]])
+        at = np.append(at, len(own))
+        grams.append(total[None][:, at[:, None], at])
+    return Sums(
+        tuple(np.array(sums.names)[is_kept].tolist()),
+        sums.joints,
+        tuple(columns),
+        tuple(grams),
+        np.sum(sums.counts, axis=0, keepdims=True),
+        sums.logs[:1],
+    )
+
+
+def root_mean_square(torque: Array) -> Array:
+    """Return the root mean square (J,) of torques (K, J)."""
+    return np.asarray(np.sqrt(np.mean(torque**2, axis=0)))
 
 
 def log_rows(
@@ -162,37 +161,6 @@ def log_rows(
     return LogRows(arm, tuple(recordings), point, sums, columns, tau, used)
 
 
-def with_term(terms: Sequence[Term], added: Term) -> list[Term]:
-    """Return a question with one more term; its prior widens that of parameters that it has."""
-    wider = []
-    is_new = True
-    for term in terms:
-        if added.names[0] in term.names and term.prior is not None:
-            at = [term.names.index(name) for name in added.names]
-            covariance = term.prior.factor @ term.prior.factor.T
-            assert added.prior is not None
-            covariance[np.ix_(at, at)] += added.prior.factor @ added.prior.factor.T
-            factor = np.asarray(np.linalg.cholesky(covariance), dtype=float)
-            term = replace(term, prior=Prior(term.prior.mean, factor))
-            is_new = False
-        wider.append(term)
-    return [*wider, added] if is_new else wider
-
-
-def unbounded(fitted: Fit) -> tuple[Array, Array]:
-    """Return (values (k,), standard errors (k,)) of a fit without bounds, by formal errors."""
-    equations = fitted.equations
-    normal = equations.data(fitted.weights) + equations.prior
-    values, inverse = solve(normal, equations.usual)
-    return values, np.sqrt(np.maximum(np.diag(inverse), 0.0))
-
-
-def coulomb_indices(fitted: Fit) -> NDArray[np.int64]:
-    """Return the indices of Coulomb friction; a joint that stands still has none."""
-    names = names_of("coulomb", fitted.arm.joints)
-    return fitted.at([name for name in names if name in fitted.names])
-
-
 def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     """Return Coulomb friction (J,) without its bound and its standard error [N m].
 
@@ -201,11 +169,14 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     joints = fitted.arm.joints
     dry = np.zeros(len(joints))
     error = dry + np.inf
-    values, errors = unbounded(fitted)
-    for k in coulomb_indices(fitted):
-        row = joints.index(split_name(fitted.names[k])[1])
-        dry[row] = values[k]
-        error[row] = errors[k]
+    equations = fitted.equations
+    normal = equations.data(fitted.weights) + equations.prior
+    values, inverse = solve(normal, equations.usual)
+    for name in set(names_of("coulomb", joints)).intersection(fitted.names):
+        row = joints.index(split_name(name)[1])
+        (at,) = fitted.at([name])
+        dry[row] = values[at]
+        error[row] = np.sqrt(max(inverse[at, at], 0.0))
     return dry, error
 
 
@@ -217,14 +188,15 @@ def evidence(fitted: Fit) -> float:
     return fitted.log_evidence + float(np.sum(log_ndtr(dry / error)))
 
 
-def fixed_evidence(rows: LogRows, terms: Sequence[Term], like: Fit) -> float:
-    """Return the log marginal likelihood of terms with the noise of a fit, up to a constant."""
-    equations = Equations(rows.sums, terms, rows.held)
-    normal = equations.data(like.weights) + equations.prior
-    values, inverse = solve(normal, equations.usual)
-    change = np.append(-values, 1.0)
-    misfit = float(change @ normal @ change)
-    return float(0.5 * (np.linalg.slogdet(inverse)[1] - misfit) - equations.log_prior)
+def wide_priors(priors: Priors) -> Priors:
+    """Return priors that are no narrower than the default ones."""
+    wide: dict[str, Any] = {}
+    for name in ("link", "zero", "gravity", "delay", "friction"):
+        wide[name] = max(getattr(priors, name), getattr(Priors(), name))
+    if priors.scale is not None:
+        scales = np.maximum(np.ravel(priors.scale), USUAL_SCALE)
+        wide["scale"] = tuple(scales.tolist())
+    return replace(priors, **wide)
 
 
 @dataclass(frozen=True)
@@ -240,12 +212,24 @@ class LogFit:
         robot: RobotModel,
         recordings: Sequence[Recording],
         options: EstimationOptions,
+        found: Sequence[Term] = (),
     ) -> LogFit:
-        """Return the fit of recordings with all that they decide on the question of the arm."""
-        # A log is judged with the friction that arms have, whatever is asked of it.
-        usual = replace(options, friction_model=None, no_friction=False)
+        """Return the fit of recordings with all that they decide on the question of the arm.
+
+        A log is judged with the friction that arms have, and with the default priors where the
+        user's are smaller, whatever is asked of it. ``found`` are explanations that act as well.
+        """
+        usual = replace(
+            options,
+            friction_model=None,
+            no_friction=False,
+            priors=wide_priors(options.priors),
+        )
         fitted = solved(robot, recordings, Question(usual))
-        return cls(fitted, log_rows(fitted.arm, recordings, fitted.point))
+        rows = log_rows(fitted.arm, recordings, fitted.point, found)
+        if found:
+            fitted = rows.fit([*fitted.equations.terms, *found], fitted)
+        return cls(fitted, rows)
 
     @cached_property
     def misfit_by_joint(self) -> Array:
@@ -265,59 +249,46 @@ class LogFit:
         slow = np.linalg.norm(self.misfit_by_joint * typical)
         return float(slow / np.linalg.norm(typical))
 
+    def _torque_of_model(self, causes: Sequence[str]) -> Array:
+        """Return the torque (K, J) that the model's values of some causes make [N m]."""
+        arm = self.rows.arm
+        present = [arm.terms[cause] for cause in causes if cause in arm.terms]
+        names = [name for term in present for name in term.names]
+        values = np.array([arm.model[name] for name in names])
+        return self.rows.torque_of(names, values)
+
     @cached_property
+    def links_torque(self) -> Array:
+        """Torque (K, J) of the model's links [N m]."""
+        return self._torque_of_model((LAST_LINK, LINKS))
+
+    @property
     def model_torque(self) -> Array:
         """Root mean square torque (J,) of the model's links [N m]."""
-        arm = self.fit.arm
-        parts = [
-            recording.links_torque(
-                arm.robot, gravity_vector(arm.robot), arm.robot.thetas
-            )
-            for recording in self.fit.recordings
-        ]
-        torque = np.concatenate(parts)[:, arm.indices]
-        return np.asarray(np.sqrt(np.mean(torque**2, axis=0)))
+        return root_mean_square(self.links_torque)
 
     @property
     def links_ratio(self) -> tuple[float, float]:
         """Ratio of the torque of the fitted links to the model's, and its standard error.
 
-        It is that of the median loaded joint. The last link does not count: what is bolted to it
-        may be heavy.
+        The last link does not count: what is bolted to it may be heavy.
         """
-        sums = self.fit.sums
         links = [term for term in self.fit.equations.terms if term.cause == LINKS]
         if not links:
             return 1.0, 0.0
         names = links[0].names
+        model = self._torque_of_model([LINKS])
+        columns = self.rows.columns_of(names)
+        ratio = np.einsum("kj,kjp->p", model, columns) / np.sum(model**2)
         at = self.fit.at(names)
-        model = np.array([self.fit.arm.model[name] for name in names])
-        places = [sums.names.index(name) for name in names]
-        sizes = []
-        for columns, total in zip(sums.columns, sums.totals):
-            gram = np.zeros((len(sums.names), len(sums.names)))
-            gram[np.ix_(columns, columns)] = total[:-1, :-1]
-            gram = gram[np.ix_(places, places)]
-            pull = gram @ self.fit.free[at]
-            own = np.sqrt(max(float(self.fit.free[at] @ pull), 0.0))
-            size = np.sqrt(max(float(model @ gram @ model), 0.0))
-            error = np.sqrt(
-                max(float(pull @ self.fit.inverse[np.ix_(at, at)] @ pull), 0.0)
-            )
-            sizes.append((size, own, error / max(own, 1e-12)))
-        largest = max(sizes)[0]
-        ratios = []
-        for size, own, error in sizes:
-            if size > LOADED * largest:
-                ratios.append((own / size, error / size))
-        ratios.sort()
-        return ratios[len(ratios) // 2] if ratios else (1.0, 0.0)
+        error = np.sqrt(ratio @ self.fit.inverse[np.ix_(at, at)] @ ratio)
+        return float(ratio @ self.fit.free[at]), float(error)
 
     @property
     def torque_ratio(self) -> Array:
         """Ratio (J,) of root mean square measured torque to that of the model's links."""
-        measured = np.sqrt(np.mean(self.rows.torque**2, axis=0))
-        return np.asarray(measured / np.maximum(self.model_torque, 1e-12))
+        measured = root_mean_square(self.rows.right_sides)
+        return measured / np.maximum(self.model_torque, 1e-12)
 
     @property
     def loaded(self) -> Mask:
@@ -340,36 +311,35 @@ class LogFit:
         robot = self.fit.arm.robot
         largest = max(HEAVIEST * robot.mass, robot.prior.mass + 0.3 * robot.mass)
         mass, error = self.last_mass
-        is_possible = mass + 2.0 * error > 0.0 and mass - 2.0 * error < largest
-        strain = 0.0
+        is_possible = -2.0 * error < mass < largest + 2.0 * error
         for term, span in zip(self.fit.equations.terms, self.fit.equations.spans):
             if term.cause == LINKS and term.prior is not None:
-                rows = term.prior.rows
-                strain = float(
-                    np.sum((rows[:, :-1] @ self.fit.free[span] - rows[:, -1]) ** 2)
-                )
-        return is_possible and strain < FAR
+                values = np.append(self.fit.free[span], -1.0)
+                is_possible &= float(np.sum((term.prior.rows @ values) ** 2)) < FAR
+        return is_possible
 
 
-def gain_of(log: LogFit, corrected: LogFit, density: Array | float = 0.0) -> float:
-    """Return by how much a corrected log is likelier than a log, with the noise of the former.
+def compare(
+    before: LogFit, after: LogFit, density: Array | float = 0.0
+) -> tuple[float, LogFit]:
+    """Return by how much the second of two fits is likelier, and it with the noise it leaves.
 
-    ``density`` (J,): logarithm of the factor by which torques were divided.
+    A fault makes noise slow, and hides in it: both are compared with the noise of the second.
+    ``density`` (J,): logarithm of the factor by which its torques were divided.
     """
-    correlation = np.minimum(
-        correlation_times(corrected.rows.residuals(corrected.fit)), log.fit.correlation
-    )
-    after = corrected.rows.fit(
-        corrected.fit.equations.terms, corrected.fit, correlation
-    )
-    before = log.rows.fit(log.fit.equations.terms, log.fit, correlation)
-    independent = np.sum(log.rows.sums.counts, axis=0) / correlation
-    volume = -float(np.sum(independent * density))
+    correlation = correlation_times(after.rows.residuals(after.fit))
+    correlation = np.minimum(correlation, before.fit.correlation)
+    terms = after.fit.equations.terms
+    refitted = after.rows.fit(terms, after.fit, correlation)
+    old = before.rows.fit(before.fit.equations.terms, before.fit, correlation)
+    gain = evidence(refitted) - evidence(old)
     # A parameter without a prior is unknown in proportion to the torque, not in its unit.
-    of_joint = dict(zip(log.fit.arm.joints, np.broadcast_to(density, len(correlation))))
-    for term in after.equations.terms:
-        if term.prior is None:
-            for name in term.names:
-                joint = name.partition("[")[2].rstrip("]")
-                volume += float(of_joint.get(joint, np.mean(density)))
-    return evidence(after) - evidence(before) + volume
+    joints = before.fit.arm.joints
+    of_joint = dict(zip(joints, np.broadcast_to(density, len(joints)).tolist()))
+    usual = float(np.mean(density))
+    for term in terms:
+        for name in term.names if term.prior is None else ():
+            gain += of_joint.get(name.partition("[")[2].rstrip("]"), usual)
+    independent = np.sum(before.rows.sums.counts, axis=0) / correlation
+    gain -= float(np.sum(independent * density))
+    return gain, LogFit(refitted, after.rows)

@@ -23,7 +23,7 @@ def refuse_for(log: MeasurementLog, finding: Finding) -> InputError:
     """Return the error that refuses a log for a finding; ColumnsError where columns are wrong."""
     text = f"{log.path}: {finding.text}"
     payload_options = finding.payload_options
-    if finding.correction is not None:
+    if finding.correction is not None and not finding.options:
         lines = _corrected_lines(log.columns, finding.correction)
         if lines:
             reason = text.removesuffix(COLUMNS_ADVICE)

@@ -109,7 +109,7 @@ def test_a_turned_sign_is_put_right_with_the_command_that_is_named(folder, comma
 
 
 def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
-    check = log_checks.check_against_model
+    check = log_checks.check_pieces
     findings = []
 
     def check_once(*arguments, **options):
@@ -117,7 +117,7 @@ def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
         findings[:] = findings or check(*arguments, **options)
         return findings
 
-    monkeypatch.setattr(log_checks, "check_against_model", check_once)
+    monkeypatch.setattr(log_checks, "check_pieces", check_once)
     printed = command.run("log late.csv arm.xml --json", code=1)
     answer = json.loads(printed.out)
     assert {finding["level"] for finding in answer["findings"]} == {"warn"}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.confusion_causes import resting_torque
-from robot_sysid.diagnosis.log_checks import check_against_model
+from robot_sysid.diagnosis.log_checks import check_pieces
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,
@@ -139,7 +139,7 @@ def check(four_joints):
             samples = SAMPLES[fault](four_joints.log)
         log = replace(four_joints.log, **samples)
         divided = [2.0] * 4
-        return log, check_against_model(four_joints.robot, [log], divided=divided)
+        return log, check_pieces(four_joints.robot, [log], divided=divided)[0]
 
     return check_fault
 
@@ -168,7 +168,7 @@ def test_a_change_of_load_is_within_its_error_at_any_instant(four_joints, instan
     """The instant need not be that of a row, of which there are a few per second."""
     tau = four_joints.log.tau + late_payload(four_joints, instant)
     log = replace(four_joints.log, tau=tau)
-    findings = check_against_model(four_joints.robot, [log])
+    findings, _ = check_pieces(four_joints.robot, [log])
     (text,) = [finding.text for finding in findings if finding.name == "payload-step"]
     mass, error = map(float, re.search("carries (.*) ± (.*) kg more", text).groups())
     true_mass = 0.8 * four_joints.theta[0]
@@ -197,7 +197,7 @@ def test_the_advised_remedy_puts_the_log_right(check, four_joints, fault):
     name = fault.partition(":")[0]
     (named, *_) = [finding for finding in findings if finding.name == name]
     remedied = REMEDIES[fault](log, named)
-    assert check_against_model(four_joints.robot, [remedied]) == ()
+    assert check_pieces(four_joints.robot, [remedied])[0] == ()
 
 
 @pytest.mark.parametrize(("seed", "scale", "pull"), [(5, 0.12, 0.0), (1, 0.0, 0.5)])
@@ -209,5 +209,5 @@ def test_torque_scales_or_a_tilted_base_are_no_fault_of_the_clock(
     torque = weight(truth, [pull, 0.6 * pull, 0.0])
     scales = 1.0 + scale * np.array([1.0, -1.0, 1.0, -1.0])
     log = replace(truth.log, tau=(truth.log.tau + torque) * scales)
-    findings = check_against_model(truth.robot, [log])
+    findings, _ = check_pieces(truth.robot, [log])
     assert {finding.name for finding in findings} <= {"torque-scale", "tilt"}, findings

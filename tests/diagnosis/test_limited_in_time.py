@@ -122,7 +122,9 @@ def test_nothing_of_a_right_log_is_left_out(four_joints, truth):
 
 SPANS = st.lists(
     st.builds(
-        lambda start, length: Stretch(start, start + length, np.array([0, 1, 0]) > 0),
+        lambda start, length: Stretch(
+            "held", start, start + length, np.array([0, 1, 0]) > 0
+        ),
         st.floats(-1.0, 11.0),
         st.floats(0.0, 0.6),
     ),
@@ -142,9 +144,9 @@ def used_times(pieces):
 @given(SPANS, SPANS)
 def test_leaving_out_more_never_uses_more_rows(first, second):
     """Nothing but what is left out changes, and the order of stretches does not matter."""
-    once, _ = leave_out("contact", JOINTS, [SAMPLES], first)
-    twice, _ = leave_out("contact", JOINTS, once, second)
-    together, _ = leave_out("contact", JOINTS, [SAMPLES], [*second, *first])
+    once, _ = leave_out(JOINTS, [SAMPLES], first)
+    twice, _ = leave_out(JOINTS, once, second)
+    together, _ = leave_out(JOINTS, [SAMPLES], [*second, *first])
     left_out = np.zeros(len(SAMPLES), dtype=bool)
     for stretch in (*first, *second):
         left_out |= rows_between(SAMPLES, stretch.start, stretch.stop)
@@ -166,9 +168,9 @@ def test_what_is_left_out_does_not_depend_on_the_order_of_joints(order, joint, s
     order = list(order)
     turned = replace(log, q=q[:, order], tau=tau[:, order])
     names = [JOINTS[joint] for joint in order]
-    (piece,), notes = leave_out("held", JOINTS, [log], [*failed_sensors([log])])
+    (piece,), notes = leave_out(JOINTS, [log], [*failed_sensors([log])])
     failures = [*failed_sensors([turned])]
-    (turned_piece,), turned_notes = leave_out("held", names, [turned], failures)
+    (turned_piece,), turned_notes = leave_out(names, [turned], failures)
     assert notes and all(note.is_left_out for note in notes)
     np.testing.assert_array_equal(piece.left_out, turned_piece.left_out)
     np.testing.assert_array_equal(piece.q[:, order], turned_piece.q)

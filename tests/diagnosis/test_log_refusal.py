@@ -10,7 +10,7 @@ import pytest
 
 from robot_sysid.diagnosis import Finding, Level
 from robot_sysid.diagnosis.log_refusal import refuse_for
-from robot_sysid.diagnosis.relabelling import relabellings
+from robot_sysid.diagnosis.relabelling import mistakes
 from robot_sysid.errors import ColumnsError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnChoices, parse_columns, recognise_columns
@@ -27,8 +27,7 @@ FILE = (
     "# mine\ntime = #1\nposition = #2-4\nvelocity = #5-7\n"
     "torque = #8-10\ntorque.joint1 = 0.5 * #9\n"
 )
-FINDINGS = [mistake.finding for mistake in relabellings(ROBOT)]
-CORRECTIONS = [f.correction for f in FINDINGS if f.correction is not None]
+CORRECTIONS = [mistake.correction for mistake in mistakes(ROBOT)]
 
 
 def columns_of(titles, text):
