@@ -17,9 +17,9 @@ from tests.support.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 5328,
-    "robot_sysid/commands": 12714,
+    "robot_sysid/commands": 12713,
     "robot_sysid/damiao": 39130,
-    "robot_sysid/diagnosis": 19102,
+    "robot_sysid/diagnosis": 17992,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29496,
     "robot_sysid/logs": 19779,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4368,
     "robot_sysid": 12104,
-    "tests": 232885,
+    "tests": 232884,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -119,9 +119,6 @@ def _check_log(
     console.stage(f"{count} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
     findings, _ = check_pieces(robot, log.pieces, divided=log.torque_scale)
     console.stage(*(finding.line() for finding in findings))
-    entries = [
-        {**asdict(finding), "level": finding.level.value} for finding in findings
-    ]
     console.result(
         {
             "log": str(log.path),
@@ -129,7 +126,7 @@ def _check_log(
             "duration": log.duration,
             "sample_rate": rate,
             "notes": log.notes,
-            "findings": entries,
+            "findings": [{**asdict(f), "level": f.level.value} for f in findings],
         }
     )
     require_acceptable(log, findings, log_options.accept)

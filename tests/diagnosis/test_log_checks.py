@@ -141,20 +141,6 @@ def log_of(truth):
     )
 
 
-def test_a_note_is_printed_without_a_second_prefix(four_joints, monkeypatch):
-    """A console puts "note: " before what it is progress."""
-    notes = []
-    progress = Progress()
-    finding = Finding("delay", Level.NOTE, "it lags")
-    monkeypatch.setattr(progress, "note", notes.append)
-    log = log_of(four_joints)
-    monkeypatch.setattr(
-        "robot_sysid.diagnosis.log_checks.check_pieces", lambda *_: ((finding,), ())
-    )
-    check_log(four_joints.robot, log, (), progress)
-    assert notes == ["it lags [delay]"] and finding.line() == "note: it lags [delay]"
-
-
 def test_a_log_that_cannot_be_checked_is_named(four_joints):
     log = log_of(four_joints)
     with pytest.raises(
