@@ -135,17 +135,6 @@ def test_hdf5_whose_arrays_are_too_much_together_is_refused(h5py, tmp_path, name
     assert_refused("unpacks to 1.12 GB", path)
 
 
-def test_hdf5_links_within_the_file_are_followed(h5py, tmp_path):
-    path = tmp_path / "log.hdf5"
-    with h5py.File(path, "w") as file:
-        file["raw/q"] = DATA.q
-        file["observations/effort"] = DATA.tau
-        file["state"] = h5py.SoftLink("raw")
-        file["observations/qpos"] = h5py.SoftLink("/state/q")
-    names = [f"joint{k}" for k in range(3)]
-    np.testing.assert_array_equal(read_measurements(path, names).samples.q, DATA.q)
-
-
 def assert_read(path):
     (piece,) = read_measurements(path, JOINTS).pieces
     for name in ("time", "q", "qd", "tau"):

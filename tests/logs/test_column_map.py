@@ -152,17 +152,6 @@ def test_numbers_are_those_of_the_models_names_where_these_are_not_in_order():
         recognise(from_zero, joints)
 
 
-def test_names_in_other_signs_that_go_on_counting_are_another_arms():
-    quantities = ("position", "effort")
-    titles = ["time"]
-    titles += [f"joint{k}_{q}" for q, k in product(quantities, range(1, 5))]
-    joints = ("joint_1", "joint_2", "joint_3")
-    with pytest.raises(
-        InputError, match="are 4, the model's joint_1, joint_2, joint_3 are 3"
-    ):
-        recognise(",".join(titles), joints)
-
-
 def test_ros_names_in_the_first_row_outrank_counting_and_its_header_the_receipt():
     titles = (
         "%time,field.name0,field.name1,field.name2,field.position0,field.position1,"

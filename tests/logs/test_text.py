@@ -137,20 +137,6 @@ def test_a_decimal_comma_need_not_be_in_the_first_row_nor_unquoted(
     assert_samples(data, read_measurements(path, JOINTS).samples)
 
 
-def test_each_column_of_dates_counts_from_its_own_first_date(tmp_path):
-    data = motion(50)
-    titles = (*TITLES, *(f"{joint}_time" for joint in JOINTS))
-    rows = table(data).tolist()
-    for row, time in zip(rows, data.time):
-        dates = [f"{hour}:15:{time:012.9f}" for hour in (12, 13, 14, 15)]
-        row[0] = dates[0]
-        row += dates[1:]
-    log = read_measurements(write(tmp_path / "log.csv", rows, titles), JOINTS)
-    np.testing.assert_allclose(log.samples.time, data.time, atol=1e-9)
-    stamps = np.tile(data.time[:, None], 3)
-    np.testing.assert_allclose(log.samples.joint_time, stamps, atol=1e-9)
-
-
 def test_text_columns_that_are_not_used_do_not_matter(tmp_path):
     data = motion(30)
     rows = table(data).tolist()
