@@ -264,8 +264,8 @@ class ColumnMap:
     Attributes:
         time: None for a log without time stamps.
         rate: samples per second of a log without time stamps [Hz].
-        velocity: None where velocities are differentiated from positions.
-        joint_time: time stamps of each joint, where the log has them.
+        velocity: () where velocities are differentiated from positions.
+        joint_time: time stamps of each joint; () where the log has none.
         titles: of all columns of the log, used or not.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
         commanded: whether ``torque`` holds commanded positions in place of torques.
@@ -276,8 +276,8 @@ class ColumnMap:
     rate: float | None
     position: tuple[Column, ...]
     torque: tuple[Column, ...]
-    velocity: tuple[Column, ...] | None
-    joint_time: tuple[Column, ...] | None
+    velocity: tuple[Column, ...]
+    joint_time: tuple[Column, ...]
     titles: Sequence[str]
     angle_declared: bool
     commanded: bool = False
@@ -285,7 +285,7 @@ class ColumnMap:
 
     def groups(self) -> tuple[tuple[Column, ...], ...]:
         """Return the columns of position, torque, velocity and joint time; () for a missing one."""
-        return self.position, self.torque, self.velocity or (), self.joint_time or ()
+        return self.position, self.torque, self.velocity, self.joint_time
 
     def columns(self) -> list[Column]:
         """Return all columns: time, where there is one, then ``groups`` one after the other."""
@@ -391,8 +391,8 @@ class _ColumnFinder:
             rate=self.choices.rate,
             position=position,
             torque=torque,
-            velocity=found["velocity"] or None,
-            joint_time=found["joint_time"] or None,
+            velocity=found["velocity"],
+            joint_time=found["joint_time"],
             titles=self._texts,
             angle_declared=bool(self.choices.angle_unit) or has_unit,
             commanded=self.driven == "command",
@@ -448,11 +448,14 @@ class _ColumnFinder:
             return self._column("time", joint=0, index=index, factor=factor)
         if self.choices.rate is not None:
             return None
-        times = {k: t for k, t in enumerate(self.titles) if t.quantity == "time"}
         of_joints = {*chain(*joint_times)}
-        rows = [k for k, t in times.items() if not t.numbers and k not in of_joints]
+        rows = []
+        for index, title in enumerate(self.titles):
+            is_time = title.quantity == "time" and not title.numbers
+            if is_time and index not in of_joints:
+                rows.append(index)
         # ROS: the stamp in the message header is when it was sampled, the other one when received.
-        stamped = [k for k in rows if "header" in times[k].tokens]
+        stamped = [k for k in rows if "header" in self.titles[k].tokens]
         rows = stamped if len(stamped) == 1 else rows
         if len(rows) > 1:
             raise ambiguity_error("time", "", self.titles, rows)

@@ -245,13 +245,19 @@ def read_rows(
     chunks = [np.empty((0, sum(widths)))]
     thinning = None
     indices = [column.index for column in used]
-    for block in read_blocks(table, indices, progress or Progress()):
+    progress = progress or Progress()
+    label = f"Reading {table.path.name}"
+    for block in table.blocks(indices):
         rows = cleaner.clean(block)
+        # All is done only behind the loop, though the last blocks may report a share of 1.
+        done = min(block.share_read, 0.999)
+        progress.advance(label, done, total=1.0, text=f"{cleaner.n_read} rows")
         if thinning is None and len(rows) > 1:
             # The number of rows and the sampling period are estimated from the first rows.
             expected = cleaner.n_read / max(block.share_read, 1e-9)
             thinning = Thinning(rows[:, 1], expected)
         chunks.append(thinning.push(rows) if thinning else rows)
+    progress.advance(label, done=1.0, total=1.0, text="")
     groups = np.split(np.concatenate(chunks), np.cumsum(widths)[:-1], axis=1)
     lines, time, q, tau, qd, stamps = map(np.ascontiguousarray, groups)
     command = None
@@ -275,21 +281,6 @@ def read_rows(
         thinning=thinning.every if thinning else 1,
         row_noun=table.row_noun,
     )
-
-
-def read_blocks(
-    table: LogTable, columns: Sequence[int], progress: Progress
-) -> Iterator[Block]:
-    """Yield the blocks of a log with the columns of these indices, and report the progress."""
-    label = f"Reading {table.path.name}"
-    rows = 0
-    for block in table.blocks(columns):
-        yield block
-        rows += len(block.lines)
-        # All is done only behind the loop, though the last blocks may report a share of 1.
-        done = min(block.share_read, 0.999)
-        progress.advance(label, done, total=1.0, text=f"{rows} rows")
-    progress.advance(label, done=1.0, total=1.0, text="")
 
 
 class _RowCleaner:

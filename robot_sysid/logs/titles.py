@@ -294,7 +294,10 @@ def match_joints(
     by_name = columns_by_joint_name(titles, joint_names)
     if joint_match is None:
         names = [*by_name["position"]]
-        joint_match = match_joint_names(names, joint_names, robot.other_joint_names)
+        # Of equal names, further ones may be those of a gripper that counts on.
+        is_equal = {*joint_names} <= {*names}
+        others = None if is_equal else robot.other_joint_names
+        joint_match = match_joint_names(names, joint_names, others)
     log_names = joint_match.model_names if joint_match else joint_names
     # Names decide for all joints of a quantity or for none.
     named: Candidates = {}

@@ -191,7 +191,6 @@ def test_units_in_titles_become_factors():
     )
     assert columns.time is not None and columns.time.factor == 1e-3
     assert set(factors(columns.position)) == {math.pi / 180}
-    assert columns.velocity is not None
     assert set(factors(columns.velocity)) == {math.pi / 180}
     assert factors(columns.torque) == [1.0, 1.0, 1e-3]
     assert columns.angle_declared
@@ -268,7 +267,7 @@ def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     text = "rate = 100\nposition = #1, #2, #3\ntorque = #4, #5, #6\nvelocity = none\n"
     columns = recognise("q1,q2,q3,qd1,qd2,qd3", choices=read_choices(tmp_path, text))
     assert where(columns) == ([0, 1, 2], [3, 4, 5])
-    assert columns.velocity is None and columns.time is None and columns.rate == 100.0
+    assert columns.velocity == () and columns.time is None and columns.rate == 100.0
 
 
 def test_a_blank_columns_file_is_filled_in_and_read(tmp_path):

@@ -83,3 +83,14 @@ def test_names_around_numbers_are_matched_as_a_whole_set(tmp_path, title):
     (note,) = [note for note in log.notes if note.startswith("log joints: ")]
     assert "are joint1, joint2, joint3; not used: " in note
     assert_refused("one position column .*each joint", path, JOINTS4)
+
+
+def test_a_gripper_that_counts_on_is_no_joint_of_an_arm_with_equal_names(tmp_path):
+    data = motion()
+    rows = np.column_stack((data.time, data.q, data.q[:, 0], data.tau))
+    titles = ["time", *(f"{joint}_pos" for joint in JOINTS4)]
+    titles += [f"{joint}_tau" for joint in JOINTS4[:3]]
+    path = write(tmp_path / "log.csv", rows, titles)
+    log = read_measurements(path, JOINTS4[:3])
+    np.testing.assert_array_equal(log.samples.q, data.q)
+    assert_refused("are 4, the model's", path, ("a1", "a2", "a3"))
