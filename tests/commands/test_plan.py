@@ -123,7 +123,10 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     stiff = pulled.replace('"-2.5 2.5"', '"-.1 .1"')
     too_weak = (*SINES, "--max-torque 100,0.5,100")
     message = command.refused("plan", arm_file(stiff, "stiff.xml"), *too_weak)
-    takes = "holding still at joint joint1 takes 4.37 N·m, with the reserve for errors of the links"
+    takes = (
+        "moving off against gravity and dry friction at joint joint1 takes 4.37 N·m, with the "
+        "reserve for errors of the links"
+    )
     assert f"{takes}, more than 95 % of its torque" in message
     assert (
         "raise the torque limit of joint1 in the model if the joint can carry it"
