@@ -23,6 +23,7 @@ from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import centre_slopes, prior_knowledge
 from robot_sysid.motion.information import Criterion, random_motion
+from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
@@ -142,7 +143,7 @@ def line(path, joint, seeds):
         ratios.append(left_by(design, result.trajectory))
     spent = (time.process_time() - began) / len(seeds)
     best = np.median(ratios, axis=0)
-    check = result.limit_check
+    check = check_limits(problem, result.trajectory)
     stated = check.closest.distance
     real = nearest(robot, result.trajectory)
     pairs = zip(NAMES, sines / best, least / best)

@@ -12,7 +12,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import WEIGHT, ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.checked import CheckedPlan
-from robot_sysid.records import RobotModel
+from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import (
     TrajectoryOptions,
@@ -86,28 +86,24 @@ def make_plan(
     options = request.trajectory
     if request.is_checked and options.file is None:
         _require_checkable(options.duration / options.speed)
-    checked = _new_plan(request, robot, seed, progress)
+    plan, problem = _new_plan(request, robot, seed, progress)
     if options.speed != 1.0:
         from robot_sysid.motion.trajectories import at_speed
 
-        # Without the check of a design, which is one at full speed.
-        checked = CheckedPlan(at_speed(checked.plan, options.speed), checked.problem)
-    plan = checked.plan
+        plan = at_speed(plan, options.speed)
     require_countable(plan.duration, options.sample_rate)
-    if checked.problem is None:
-        return checked
+    if problem is None:
+        return CheckedPlan(plan)
     _require_checkable(plan.duration)
-    if not request.is_designed:
-        progress.note(*checked.problem.notes)
     from robot_sysid.motion.limit_check import check_limits
     from robot_sysid.motion.solids import unguarded_text
 
-    unguarded = unguarded_text(checked.problem.unguarded)
+    progress.note(*problem.notes)
+    unguarded = unguarded_text(problem.unguarded)
     # The lines on a plan have this, and its verdict says what to do.
     if unguarded and not options.plan_only:
         progress.note(unguarded)
-    check = checked.check or check_limits(checked.problem, plan, options.sample_rate)
-    return replace(checked, check=check)
+    return CheckedPlan(plan, problem, check_limits(problem, plan, options.sample_rate))
 
 
 def _require_checkable(duration: float) -> None:
@@ -121,9 +117,9 @@ def _require_checkable(duration: float) -> None:
 
 def _new_plan(
     request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
-) -> CheckedPlan:
-    """Return the trajectory at full speed and the limits that it has to keep, with the check of the
-    limits where the design of the trajectory includes it; arguments as in ``make_plan``.
+) -> tuple[MotionPlan, ExcitationProblem | None]:
+    """Return the trajectory at full speed, and the limits that it has to keep, if it has to keep
+    any; arguments as in ``make_plan``.
     """
     options = request.trajectory
     rng = np.random.default_rng(seed)
@@ -138,67 +134,44 @@ def _new_plan(
                 f"{options.file} was made for another model file; it is checked against the "
                 f"limits of {robot.path}"
             )
-        return CheckedPlan(saved.plan, _problem(request, robot))
-    if request.poses.sets_its_time:
-        return _slow_plan(request, robot, rng, progress)
+        return saved.plan, _problem(request, robot)
+    poses = request.poses
+    if poses.sets_its_time:
+        from robot_sysid.motion.static import design_poses, design_sweeps
+
+        stage = "Looking for room to sweep each joint in..."
+        if poses.static:
+            stage = f"Choosing {poses.poses} poses to rest in..."
+        progress.stage(stage)
+        problem = _problem(request, robot)
+        if poses.static:
+            return design_poses(problem, poses, rng), problem
+        return design_sweeps(problem), problem
     verb = "Designing" if request.is_designed else "Generating"
     sampling = f"{options.duration:.1f}s, {options.sample_rate:g} Hz"
     progress.stage(f"{verb} excitation trajectory ({sampling})...")
-    make = _designed_plan if request.is_designed else _random_plan
-    return make(request, robot, rng, progress)
-
-
-def _slow_plan(
-    request: MotionRequest,
-    robot: RobotModel,
-    rng: np.random.Generator,
-    progress: Progress,
-) -> CheckedPlan:
-    """Return a motion through resting poses, or sweeps of one joint after the other, not checked.
-
-    Arguments are as in ``make_plan``; ``rng`` draws the poses.
-    """
-    from robot_sysid.motion.static import design_poses, design_sweeps
-
-    poses = request.poses
-    if poses.static:
-        progress.stage(f"Choosing {poses.poses} poses to rest in...")
-        problem = _problem(request, robot)
-        return CheckedPlan(design_poses(problem, poses, rng), problem)
-    progress.stage("Looking for room to sweep each joint in...")
-    problem = _problem(request, robot)
-    return CheckedPlan(design_sweeps(problem), problem)
-
-
-def _random_plan(
-    request: MotionRequest,
-    robot: RobotModel,
-    rng: np.random.Generator,
-    progress: Progress,
-) -> CheckedPlan:
-    """Return a random motion, scaled down until it keeps all limits where these are checked.
-
-    Arguments are as in ``make_plan``; ``rng`` draws the motion.
-    """
-    rate = request.trajectory.sample_rate
+    if request.is_designed:
+        return _designed_plan(request, _problem(request, robot), rng, progress)
     # Ends on a sample, so that the last one is at rest.
-    duration = (trajectory.sample_count(request.trajectory.duration, rate) - 1) / rate
-    problem = _problem(request, robot) if request.is_checked else None
+    rate = options.sample_rate
+    duration = (trajectory.sample_count(options.duration, rate) - 1) / rate
+    torque = ArmTorque(robot)
+    if not request.is_checked:
+        plan, notes = trajectory.generate_excitation_trajectory(
+            robot, rng, duration, torque
+        )
+        progress.note(*notes)
+        return plan, None
+    problem = _problem(request, robot)
     # The arm with the problem's torque limits (without the margin that the generator takes) and its
     # start as the pose at rest.
-    arm = robot
-    if problem is not None:
-        torque = problem.limits.torque / trajectory.TORQUE_MARGIN
-        qpos = robot.reference_qpos.copy()
-        qpos[robot.qpos_index] = problem.rest
-        limits = replace(robot.limits, torque=torque)
-        arm = replace(robot, limits=limits, reference_qpos=qpos)
-    plan, notes = trajectory.generate_excitation_trajectory(
-        arm, rng, duration, ArmTorque(robot)
-    )
+    qpos = robot.reference_qpos.copy()
+    qpos[robot.qpos_index] = problem.rest
+    largest = problem.limits.torque / trajectory.TORQUE_MARGIN
+    limits = replace(robot.limits, torque=largest)
+    arm = replace(robot, limits=limits, reference_qpos=qpos)
+    plan, notes = trajectory.generate_excitation_trajectory(arm, rng, duration, torque)
     progress.note(*notes)
-    if problem is None:
-        return CheckedPlan(plan)
     from robot_sysid.motion.limit_check import scale_to_limits
 
     plan, factors = scale_to_limits(problem, plan, rate)
@@ -209,23 +182,21 @@ def _random_plan(
             f"motion scaled down to keep all limits and clearances, most at {joint}: "
             f"{percentage:.3g} %"
         )
-    return CheckedPlan(plan, problem)
+    return plan, problem
 
 
 def _designed_plan(
     request: MotionRequest,
-    robot: RobotModel,
+    problem: ExcitationProblem,
     rng: np.random.Generator,
     progress: Progress,
-) -> CheckedPlan:
-    """Return the motion that a search finds to identify the arm best, and its check.
-
-    Arguments are as in ``make_plan``; ``rng`` draws the motions with which the search begins.
+) -> tuple[MotionPlan, ExcitationProblem]:
+    """Return the motion that a search finds to identify the arm best, and its limits; ``rng`` draws
+    the motions with which the search begins.
     """
     from robot_sysid.motion.expected_errors import prior_knowledge
     from robot_sysid.motion.search import Design, design_excitation
 
-    problem = _problem(request, robot)
     knowledge = prior_knowledge(problem, request.estimation, request.poses.target)
     design = Design(problem, request.excitation, request.trajectory, knowledge)
     result = design_excitation(design, rng, progress)
@@ -237,7 +208,7 @@ def _designed_plan(
             "the best random one"
         )
     )
-    return CheckedPlan(result.trajectory, problem, result.limit_check)
+    return result.trajectory, problem
 
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:

@@ -161,77 +161,52 @@ def motion_lines(
     """Yield, mostly as details, how a motion uses its limits, and where it starts;
     assumed limits are no detail.
     """
-    yield Detail("Peaks (share of limit):")
-    yield from map(Detail, _joint_lines(problem, check))
-    yield from _assumed_lines(problem)
-    yield from map(Detail, _room_lines(check))
-    yield from _start_lines(problem, plan)
-
-
-def _joint_lines(problem: ExcitationProblem, check: LimitCheck) -> Iterator[str]:
-    """Yield a line per joint with its range and its peaks, and one for the tool's speed."""
-    # Row 0 is the distance from the middle of the range; the line has the range itself.
-    peaks = check.joints[1:]
-    width = max(len(name) for name in problem.joint_names)
-    limits = problem.limits.largest[1:]
+    yield Detail("Ranges, and peaks of their limits:")
+    limits = problem.limits.largest
     for j, name in enumerate(problem.joint_names):
-        reach = f"{check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
-        line = f"  {name:{width}s}  position {reach}"
-        for label, peak, limit in zip(LIMIT_NAMES[1:], peaks[:, j], limits[:, j]):
-            line += f"  {label} {peak:6.2f}{_share_text(peak, limit)}"
-        yield line
-    fastest = check.largest[-1]
-    limit = problem.limits.tool_speed
-    share = _share_text(fastest, limit)
+        line = f"  {name}: position {check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
+        # Row 0 is the distance from the middle of the range; the line has the range itself.
+        for row, family in enumerate(LIMIT_NAMES[1:], 1):
+            line += f", {family} {check.joints[row, j]:.2f} of {limits[row, j]:.2f}"
+        yield Detail(line)
+    fastest = f"{check.largest[-1]:.2f} of {problem.limits.tool_speed:.2f} m/s"
     when = f"at {check.time[-1]:.2f} s"
-    yield f"Fastest point of the tool: {fastest:.2f} m/s{share} {when}"
+    yield Detail(f"Fastest point of the tool: {fastest} {when}")
+    limits_text = "; ".join(_assumed_limits(problem))
+    if limits_text:
+        yield f"Limits of this program (check them against the arm's): {limits_text}"
+    start, is_at_rest = _start_pose(problem, plan)
+    pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
+    if is_at_rest:
+        yield Detail(f"Start: the model's pose at rest, {pose}")
+    else:
+        contact = contact_before(problem, plan)
+        state = (
+            "free" if contact is None else f"NOT free, by the clearance of {contact}"
+        )
+        yield f"Start: {pose}"
+        yield f"  the straight way in joint space there from the model's pose at rest is {state}"
+    yield "The way there from where the arm stands now is no part of this motion, and not checked"
 
 
-def _share_text(peak: float, limit: float) -> str:
-    """Return the percentage of its limit that a peak reaches, in brackets, such as " ( 80 %)"."""
-    return f" ({100.0 * peak / limit:3.0f} %)" if np.isfinite(limit) else " (no limit)"
-
-
-def _assumed_lines(problem: ExcitationProblem) -> Iterator[str]:
-    """Yield a line on the limits that neither the model nor an option states: a real arm may allow
-    less than that.
+def _assumed_limits(problem: ExcitationProblem) -> Iterator[str]:
+    """Yield the limits that neither the model nor an option states, such as "velocity 2 rad/s of
+    joint0, joint1": a real arm may allow less than that.
     """
-    limits: list[str] = []
-    for family in problem.assumed:
+    for family, is_assumed in problem.assumed.items():
         for is_slide in (False, True):
-            limits += _assumed_limits(problem, family, is_slide)
-    if limits:
-        yield f"Limits of this program (check them against the arm's): {'; '.join(limits)}"
-
-
-def _assumed_limits(
-    problem: ExcitationProblem, family: str, is_slide: bool
-) -> Iterator[str]:
-    """Yield the assumed limits of a family in words, such as "velocity 2 rad/s of joint0, joint1",
-    those of slides or those of hinges; nothing where there are none.
-    """
-    is_listed = problem.assumed[family] & (problem.robot.is_slide == is_slide)
-    joints = np.flatnonzero(is_listed).tolist()
-    if not joints:
-        return
-    names = ", ".join(problem.joint_names[j] for j in joints)
-    if len(joints) == problem.n_joints:
-        names = "all joints"
-    if family == "position":
-        yield f"position of {names}"
-        return
-    limit = problem.limits.largest[LIMIT_NAMES.index(family), joints]
-    unit = f"{position_unit(is_slide)}/s{'²' if family == 'acceleration' else ''}"
-    values = ", ".join(f"{value:.4g}" for value in np.unique(limit))
-    yield f"{family} {values} {unit} of {names}"
-
-
-def _room_lines(check: LimitCheck) -> Iterator[str]:
-    """Yield when and by how much the pair with the least room is beyond its clearance."""
-    closest = check.closest
-    if np.isfinite(closest.distance):
-        slack = f"about {1000.0 * closest.slack:.0f} mm more than required"
-        yield f"Least room: {slack}, between {closest.label} at {closest.time:.2f} s"
+            is_listed = is_assumed & (problem.robot.is_slide == is_slide)
+            names = np.array(problem.joint_names)[is_listed].tolist()
+            text = f"of {', '.join(names)}"
+            if np.all(is_listed):
+                text = "of all joints"
+            if family != "position":
+                limit = problem.limits.largest[LIMIT_NAMES.index(family), is_listed]
+                values = ", ".join(f"{value:.4g}" for value in np.unique(limit))
+                squared = "²" if family == "acceleration" else ""
+                text = f"{values} {position_unit(is_slide)}/s{squared} {text}"
+            if names:
+                yield f"{family} {text}"
 
 
 def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:
@@ -248,19 +223,3 @@ def _start_pose(problem: ExcitationProblem, plan: MotionPlan) -> tuple[Array, bo
     """
     start = plan.evaluate(np.zeros(1)).q[0]
     return start, np.allclose(start, problem.robot.reference, atol=_SAME_POSE)
-
-
-def _start_lines(problem: ExcitationProblem, plan: MotionPlan) -> Iterator[str]:
-    """Yield where the motion starts, and whether the straight line there is free."""
-    start, is_at_rest = _start_pose(problem, plan)
-    pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
-    if is_at_rest:
-        yield Detail(f"Start: the model's pose at rest, {pose}")
-    else:
-        contact = contact_before(problem, plan)
-        state = (
-            "free" if contact is None else f"NOT free, by the clearance of {contact}"
-        )
-        yield f"Start: {pose}"
-        yield f"  the straight way in joint space there from the model's pose at rest is {state}"
-    yield "The way there from where the arm stands now is no part of this motion, and not checked"

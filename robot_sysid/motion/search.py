@@ -32,7 +32,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions
 from robot_sysid.motion.information import Criterion, PriorKnowledge, gradient_of
-from robot_sysid.motion.limit_check import LimitCheck, check_limits, keeps_limits
+from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.motion.trajectories import harmonics
 from robot_sysid.records import Array, Motion
@@ -100,8 +100,6 @@ touches nothing."""
 DRAW_SHARE = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
 """Share of the limits of position, speed and acceleration that a random motion uses at grid points;
 the remainder is for peaks between them."""
-COARSE_STEP = 8
-"""A random motion is first checked at every eighth grid point, which is cheap."""
 CHECK_TIME = 2.0
 """Time of a budget that is reserved for the final check of all limits [s]: what the check of a 15 s
 motion of a seven-joint arm takes."""
@@ -135,7 +133,6 @@ class Design:
 
     Attributes:
         problem: the arm and its limits.
-        sample_rate: of the recording [Hz].
         options: of the search.
         duration: of the motion [s].
         top_frequency_hz: frequency of the last harmonic [Hz].
@@ -158,7 +155,6 @@ class Design:
         knowledge: PriorKnowledge,
     ) -> None:
         self.problem = problem
-        self.sample_rate = motion.sample_rate
         self.options = options
         self.duration = motion.duration
         self._periods = max(1, math.ceil(self.duration / LONGEST_PERIOD))
@@ -419,15 +415,13 @@ class ExcitationResult:
         objective: exp of the criterion's value: the geometric mean of the standard deviations of
             the scaled parameters.
         start_objective: objective of the best random trajectory.
-        limit_check: of the trajectory.
         stopped: "" where the search was finished, else "interrupted" or "time budget".
-        notes: sentences for the user on the limits, and on a search that ended early.
+        notes: sentences for the user on a search that ended early.
     """
 
     trajectory: SineTrajectory
     objective: float
     start_objective: float
-    limit_check: LimitCheck
     stopped: str
     notes: tuple[str, ...]
 
@@ -464,14 +458,12 @@ def design_excitation(
         best = next((start for start in starts if start.feasible_x is not None), None)
     if best is None or best.feasible_x is None:
         raise interruption or InputError(_infeasibility(search.draws, design))
-    trajectory = design.trajectory(best.feasible_x)
     return ExcitationResult(
-        trajectory=trajectory,
+        trajectory=design.trajectory(best.feasible_x),
         objective=float(np.exp(best.feasible_score)),
         start_objective=float(np.exp(min(draw.score for draw in search.draws))),
-        limit_check=check_limits(design.problem, trajectory, design.sample_rate),
         stopped=stopped,
-        notes=design.problem.notes + _STOP_NOTES[stopped],
+        notes=_STOP_NOTES[stopped],
     )
 
 
@@ -670,13 +662,8 @@ def _shrink_to_limits(design: Design, full: Array) -> Draw:
     for factor in SHRINK_FACTORS:
         x = factor * full
         motion = design.motion(x)
-        # Most motions that break a limit on the grid break it at one of every eighth points too.
-        for step in (COARSE_STEP, 1):
-            q, qd, qdd = (signal[::step] for signal in motion)
-            value = constraints_of(design.problem, (q, qd, qdd)).value
-            if np.max(value) > ROUNDING:
-                break
-        else:  # No limit is broken at either step.
+        value = constraints_of(design.problem, motion).value
+        if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
     # The constraint that the smallest multiple exceeds most.
     sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
@@ -684,6 +671,6 @@ def _shrink_to_limits(design: Design, full: Array) -> Draw:
     if column < len(names):
         obstacle = names[column]
     else:
-        closest = design.problem.obstacles.closest(q[sample])
+        closest = design.problem.obstacles.closest(motion[0][sample])
         obstacle = f"clearance of {closest.label}"
     return Draw(np.inf, np.zeros_like(full), obstacle)

@@ -40,7 +40,9 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
     assert any(line.startswith("Limits of this program ") for line in promise)
     assert "Not ready: after this motion the mass " in printed.out
     assert "Next, play it" not in printed.out
-    assert len(promise) <= 16 and "Peaks (share of limit):" not in printed.out
+    assert (
+        len(promise) <= 16 and "Ranges, and peaks of their limits:" not in printed.out
+    )
     saved = load_trajectory(path.parent / "sysid_output" / "trajectory.json")
     assert isinstance(saved.plan, SineTrajectory)
     assert saved.joint_names == ("joint0", "joint1", "joint2")
@@ -69,7 +71,7 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
     assert "acceleration" not in assumed.search(repeated.out)[0]
     lines = assumed.sub("", promise).splitlines()
     assert lines == [line for line in repeated.out.splitlines() if line in lines]
-    assert "Peaks (share of limit):" in repeated.out
+    assert "Ranges, and peaks of their limits:" in repeated.out
     command.run("plan", path, "--trajectory plan.json --speed 0.5", *export(3))
     rows = (
         (path.parent / "sysid_output" / "damiao_trajectory.csv")

@@ -162,10 +162,3 @@ def test_a_recording_that_cannot_be_processed_has_no_predicted_errors():
     ):
         with pytest.raises(InputError, match=message):
             predict(PROBLEM, plan, RecordingPlan(rate, USUAL))
-
-
-def test_the_first_part_of_a_long_motion_is_processed(monkeypatch):
-    whole = predict_errors().errors
-    monkeypatch.setattr("robot_sysid.motion.expected_errors.MOST_SAMPLES", 1000)
-    part = predict(PROBLEM, PLAN, RecordingPlan(RATE, USUAL)).errors
-    assert np.all(part > whole)

@@ -15,18 +15,16 @@ from scipy.optimize import brentq
 from robot_sysid.motion.clearance import Closest
 from robot_sysid.motion.limit_check import (
     CLEARANCE_RESOLUTION,
-    RESERVE,
     check_limits,
     first_contact,
     keeps_limits,
-    scale_to_limits,
 )
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.records import Motion
-from robot_sysid.trajectory import SineTrajectory, generate_excitation_trajectory
+from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms
 from tests.support.arms import SEEDS
-from tests.support.excitation_arms import TUBES_AND_POST, make_problem, robot
+from tests.support.excitation_arms import TUBES_AND_POST, make_problem
 
 
 def series(rest, coefficients, duration=0.4, fade=0.15):
@@ -151,27 +149,6 @@ def test_the_failure_names_the_worst_limit():
     start = "this trajectory must not be run: it breaks the "
     failure = check_limits(THREE, replace(plan, amplitude=coefficients)).failure
     assert failure.startswith(f"{start}position limit of joint joint2 (5.0 % ")
-
-
-@pytest.mark.slow
-@given(SEEDS, st.floats(0.1, 2.0), st.floats(0.3, 5.0))
-def test_only_joints_beyond_their_limits_are_scaled(seed, v, a):
-    """Without torque limits and obstacles nothing couples the joints."""
-    velocity, acceleration, torque = np.outer((v, a, np.inf), np.ones(3))
-    rates = {"velocity": velocity, "acceleration": acceleration, "torque": torque}
-    problem = replace(THREE, limits=replace(THREE.limits, **rates))
-    plan, _ = generate_excitation_trajectory(robot(arms.THREE), default_rng(seed), 1.0)
-    scaled, factors = scale_to_limits(problem, plan, 0.0)
-
-    def largest_share(motion):
-        joints = check_limits(problem, motion).joints
-        return np.maximum(joints[1] / v, joints[2] / a)
-
-    share = largest_share(plan)
-    assert_allclose(factors, np.minimum(1.0, (1.0 - RESERVE) / share), rtol=1e-9)
-    expected = np.minimum(1.0 - RESERVE, share)
-    assert_allclose(largest_share(scaled), expected, rtol=1e-9)
-    assert keeps_limits(problem, scaled)
 
 
 @pytest.mark.parametrize(

@@ -44,24 +44,6 @@ def test_limits_are_those_of_the_model_less_margins():
     assert np.allclose(problem.limits.acceleration, 2.0 * np.pi * TOP_FREQUENCY_HZ)
 
 
-def test_limit_options_tighten_those_of_the_model():
-    arm = limited_arm(torque=100.0)
-    problem = build(arm, max_acceleration=3.0, max_torque=(50.0, 60.0, 200.0))
-    assert np.allclose(problem.limits.acceleration, 3.0)
-    assert np.allclose(problem.limits.torque, [47.5, 57.0, 95.0])
-
-
-@pytest.mark.parametrize(
-    "changes", [{"lower": -np.inf, "upper": np.inf}, {"upper": np.inf}]
-)
-def test_a_joint_without_a_limit_gets_an_assumed_range(changes):
-    problem = build(limited_arm(**changes))
-    lower = problem.limits.lower
-    upper = problem.limits.upper
-    assert np.all((-np.inf < lower) & (lower < problem.rest))
-    assert np.all((problem.rest < upper) & (upper < np.inf))
-
-
 def test_a_reference_beyond_a_limit_is_moved_to_it_and_noted():
     problem = build(limited_arm(lower=0.5))
     assert np.allclose(problem.rest, 0.5 + 0.02 * 1.5)
