@@ -102,11 +102,11 @@ def walk_from_recording(path, model, arm, record_again=None):
     return walk
 
 
-def small_arm(tool=0.05):
+def small_arm():
     """A small arm, whose model is in a file with a quote in its name."""
     path = Path("it's.xml")
     path.write_text(SMALL)
-    return path, TrueArm(load_robot_model(path), tool=tool)
+    return path, TrueArm(load_robot_model(path))
 
 
 def test_from_a_log_to_the_file_to_use(short_search):

@@ -26,7 +26,7 @@ def write_bag(path, rows):
         selected = [np.asarray(array)[joints] for array in values]
         messages.append(recorded.joint_state(store.types, time, *selected))
     topic = ("/joint_states", recorded.STATE, messages)
-    return recorded.write_bag2(path, [topic], store)
+    return recorded.write_bag(path, [topic], store)
 
 
 def rows_of(indices, joints=(0, 1, 2)):
@@ -76,13 +76,13 @@ def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_
         ("/desired", recorded.STATE, desired),
         ("/joint_states", recorded.STATE, measured),
     ]
-    path = recorded.write_bag2(tmp_path / "bag", topics, store)
+    path = recorded.write_bag(tmp_path / "bag", topics, store)
     assert "topic /joint_states" in read_measurements(path, JOINTS).notes[0]
     assert_refused("topic /desired has no effort", path, topic="/desired")
     assert_refused("no joint states in topic '/up'; its topics", path, topic="/up")
     mirrored = list(recorded.shuffled_states(types, replace(DATA, q=-DATA.q)))
     both = [("/left", recorded.STATE, measured), ("/right", recorded.STATE, mirrored)]
-    path = recorded.write_bag2(tmp_path / "both", both, store)
+    path = recorded.write_bag(tmp_path / "both", both, store)
     assert_refused(r"/left .*/right .*--topic", path)
     assert len(read_measurements(path, JOINTS, topic="/right").samples) == len(DATA)
 
@@ -96,7 +96,7 @@ def test_names_that_differ_in_a_prefix_are_the_models_unless_two_do(tmp_path):
     wide = []
     for time, *row in zip(DATA.time, q, qd, tau):
         wide.append(recorded.joint_state(store.types, time, [*left, *right], *row))
-    path = recorded.write_bag2(tmp_path / "bag", [("/js", recorded.STATE, wide)], store)
+    path = recorded.write_bag(tmp_path / "bag", [("/js", recorded.STATE, wide)], store)
     assert_refused(
         "left_base, left_elbow, left_wrist and right_base, right_elbow, right_wrist",
         path,
@@ -117,8 +117,8 @@ def test_a_topic_whose_type_the_bag_does_not_define_is_left_out(tmp_path):
         ("/franka/robot_state", recorded.FRANKA, frankas),
         ("/joint_states", recorded.STATE, states),
     ]
-    path = recorded.write_bag2(tmp_path / "bag", topics, store)
-    alone = recorded.write_bag2(tmp_path / "alone", topics[:1], store)
+    path = recorded.write_bag(tmp_path / "bag", topics, store)
+    alone = recorded.write_bag(tmp_path / "alone", topics[:1], store)
     for folder in (path, alone):
         with contextlib.closing(sqlite3.connect(next(folder.glob("*.db3")))) as file:
             # Releases for Python 3.9 write no definitions at all.

@@ -7,7 +7,7 @@ measures nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -20,23 +20,8 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel
 from tests.support import recorded
 from tests.support.places import MODELS
-from tests.support.recorded import START_NS, STATE, joint_state
+from tests.support.recorded import START_NS, STATE, joint_state, typestore, write_bag
 from tests.support.wrong_logs import truth_of
-
-_DEFINITIONS = {
-    "kortex_driver/msg/ActuatorFeedback": "uint32 command_id\nuint32 status_flags\n"
-    "uint32 jitter_comm\nfloat32 position\nfloat32 velocity\nfloat32 torque\n"
-    "float32 current_motor\nfloat32 voltage\nfloat32 temperature_motor\n"
-    "float32 temperature_core\nuint32 fault_bank_a\nuint32 fault_bank_b\n"
-    "uint32 warning_bank_a\nuint32 warning_bank_b\n",
-    # The real message has the base's and the interconnect's feedback, too.
-    KORTEX: "uint32 frame_id\nActuatorFeedback[] actuators\n",
-}
-
-StampedMessage = tuple[float, Any]
-"""(time from the start [s], message)."""
-Topic = tuple[str, str, Iterable[StampedMessage]]
-"""(name, message type, messages)."""
 
 
 @cache
@@ -68,13 +53,6 @@ def states(types: Any, data: Measurement, names: Sequence[str], order: Any = Non
         yield time, joint_state(types, time, listed, q[order], qd[order], tau[order])
 
 
-def gripper_states(types: Any, time: Any, names: Sequence[str], width: float):
-    """Yield JointState messages of fingers that stand still; velocity and effort are zero."""
-    zero = np.zeros(len(names))
-    for stamp in time:
-        yield stamp, joint_state(types, stamp, names, zero + width, zero, zero)
-
-
 def with_extra_joints(data: Measurement, count: int, position: float) -> Measurement:
     """Return a motion with further joints that stand still, whose velocity and effort are zero."""
     zero = np.zeros((len(data), count))
@@ -82,23 +60,6 @@ def with_extra_joints(data: Measurement, count: int, position: float) -> Measure
     qd = np.column_stack((data.qd, zero))
     tau = np.column_stack((data.tau, zero))
     return Measurement(data.time, q, qd, tau)
-
-
-def write_bag(path: Path, topics: Sequence[Topic], storage: str, store: Any) -> Path:
-    """Write a bag and return its path; ``storage``: "SQLITE3" or "MCAP" of ROS 2, or "ROS1"."""
-    if storage == "ROS1":
-        return recorded.write_bag1(path.with_suffix(".bag"), topics, store)
-    return recorded.write_bag2(path, topics, store, storage)
-
-
-def typestore(storage: str = "") -> Any:
-    """Return the message types of a ROS release, those of KUKA's and Kinova's drivers included."""
-    from rosbags.typesys import get_types_from_msg
-
-    store = recorded.typestore(ros1=storage == "ROS1")
-    for name, text in _DEFINITIONS.items():
-        store.register(get_types_from_msg(text, name))
-    return store
 
 
 def _numbered(name: str, count: int = 7) -> list[str]:
@@ -124,13 +85,13 @@ def franka(
     both = with_extra_joints(slow, 2, 0.035)
     contents = {
         "/franka/joint_states": states(types, data, joints),
-        "/franka_gripper/joint_states": gripper_states(
-            types, slow.time, fingers, 0.035
+        "/franka_gripper/joint_states": states(
+            types, both, [*joints, *fingers], [7, 8]
         ),
         "/joint_states": states(types, both, [*joints, *fingers]),
     }
     topics = [(name, STATE, contents[name]) for name in topic_names]
-    return write_bag(folder / "franka", topics, storage, store)
+    return write_bag(folder / "franka", topics, store, storage)
 
 
 UR_JOINTS = (
@@ -168,7 +129,7 @@ def universal_robots(
     if storage != "ROS1":
         dynamic = recorded.dynamic_states(types, data, UR_JOINTS, [[0, 1, 2]] * 6)
         topics.append(("/dynamic_joint_states", recorded.DYNAMIC, dynamic))
-    return write_bag(folder / "ur", topics, storage, store)
+    return write_bag(folder / "ur", topics, store, storage)
 
 
 def rtde(folder: Path, torque: str, load: float = 0.0) -> Path:
@@ -196,7 +157,7 @@ def xarm(folder: Path, storage: str) -> Path:
         gripper.append((time, state))
     messages = sorted([*arm, *gripper], key=lambda stamped: stamped[0])
     topics = [("/xarm/joint_states", STATE, messages)]
-    return write_bag(folder / "xarm", topics, storage, store)
+    return write_bag(folder / "xarm", topics, store, storage)
 
 
 IIWA = "kuka_iiwa_14/iiwa14.xml"
@@ -212,7 +173,7 @@ def lbr(folder: Path, storage: str, topic_names: Sequence[str]) -> Path:
         "/lbr/state": (LBR, lbr_states(types, data)),
     }
     topics = [(name, *contents[name]) for name in topic_names]
-    return write_bag(folder / "lbr", topics, storage, store)
+    return write_bag(folder / "lbr", topics, store, storage)
 
 
 def lbr_states(types: Any, data: Measurement):
@@ -248,7 +209,7 @@ def kortex(folder: Path, topic_names: Sequence[str]) -> Path:
         "base_feedback": (KORTEX, kortex_feedback(types, data)),
     }
     topics = [(f"/my_gen3/{name}", *contents[name]) for name in topic_names]
-    return write_bag(folder / "kortex", topics, "ROS1", store)
+    return write_bag(folder / "kortex", topics, store, "ROS1")
 
 
 def kortex_feedback(types: Any, data: Measurement):

@@ -19,9 +19,15 @@ import numpy as np
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel
 from tests.support import arms
-from tests.support.driver_logs import states, typestore, with_extra_joints, write_bag
+from tests.support.driver_logs import states, with_extra_joints
 from tests.support.places import MODELS
-from tests.support.recorded import STATE, joint_state, write_data_set
+from tests.support.recorded import (
+    STATE,
+    joint_state,
+    typestore,
+    write_bag,
+    write_data_set,
+)
 from tests.support.wrong_logs import truth_of
 
 SIX_JOINTS = arms.serial_arm(
@@ -83,7 +89,7 @@ def piper(folder: Path) -> Path:
         ("/joint_states_feedback", STATE, measured),
         ("/joint_ctrl", STATE, commanded),
     ]
-    return write_bag(folder / "piper", topics, "MCAP", store)
+    return write_bag(folder / "piper", topics, store, "MCAP")
 
 
 def openarm_bag(folder: Path) -> Path:
@@ -96,7 +102,7 @@ def openarm_bag(folder: Path) -> Path:
     names += [f"openarm_right_joint{k}" for k in range(1, 8)]
     names += ["openarm_right_finger_joint1"]
     topics = [("/joint_states", STATE, states(store.types, data, names))]
-    return write_bag(folder / "openarm", topics, "MCAP", store)
+    return write_bag(folder / "openarm", topics, store, "MCAP")
 
 
 def openarm_data_set(folder: Path, version: str) -> Path:

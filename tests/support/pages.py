@@ -121,7 +121,7 @@ def add_recordings(folder: Path) -> None:
     store = recorded.typestore()
     messages = recorded.shuffled_states(store.types, data, titles)
     topics = [("/joint_states", recorded.STATE, messages)]
-    recorded.write_bag2(folder / "run1.mcap", topics, store, "MCAP")
+    recorded.write_bag(folder / "run1.mcap", topics, store, "MCAP")
 
 
 def make_models(folder: Path) -> None:

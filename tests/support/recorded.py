@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from robot_sysid.logs.ros_messages import DEFINITIONS, DYNAMIC, FRANKA, STATE
+from robot_sysid.logs.ros_messages import DEFINITIONS, DYNAMIC, FRANKA, KORTEX, STATE
 from robot_sysid.records import Measurement
 from tests.support.log_files import JOINTS, write
 
@@ -24,15 +25,24 @@ ORDERS = ([2, 0, 1], [1, 0, 2], [2, 0, 1])
 _DEFINITIONS = {
     # The fields of the real message that stand before and behind the one that is read.
     FRANKA: "std_msgs/Header header\nsensor_msgs/JointState measured_joint_state\n"
-    "sensor_msgs/JointState desired_joint_state\nfloat64 time\n"
+    "sensor_msgs/JointState desired_joint_state\nfloat64 time\n",
+    "kortex_driver/msg/ActuatorFeedback": "uint32 command_id\nuint32 status_flags\n"
+    "uint32 jitter_comm\nfloat32 position\nfloat32 velocity\nfloat32 torque\n"
+    "float32 current_motor\nfloat32 voltage\nfloat32 temperature_motor\n"
+    "float32 temperature_core\nuint32 fault_bank_a\nuint32 fault_bank_b\n"
+    "uint32 warning_bank_a\nuint32 warning_bank_b\n",
+    # The real message has the base's and the interconnect's feedback, too.
+    KORTEX: "uint32 frame_id\nActuatorFeedback[] actuators\n",
 }
 
 
-def typestore(ros1: bool = False):
-    """The message types of a ROS release and those that tests need."""
+def typestore(storage: str = ""):
+    """The message types of a ROS release, of ROS 1 for "ROS1", and those that tests need."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    store = get_typestore(
+        Stores.ROS1_NOETIC if storage == "ROS1" else Stores.ROS2_HUMBLE
+    )
     for name, text in {**DEFINITIONS, **_DEFINITIONS}.items():
         store.register(get_types_from_msg(text, name))
     return store
@@ -64,8 +74,16 @@ def shuffled_states(types, data: Measurement, names=JOINTS):
         yield joint_state(types, time, ["finger"], [0.01], [0.0], [1.0])
 
 
-def write_bag2(path: Path, topics, store, storage="SQLITE3") -> Path:
-    """A ROS 2 bag; ``topics`` are (name, type, messages), see ``_written``."""
+def write_bag(path: Path, topics, store, storage="SQLITE3") -> Path:
+    """A bag; ``topics`` are (name, type, messages), see ``_written``.
+
+    ``storage``: "SQLITE3" or "MCAP" of ROS 2, or "ROS1".
+    """
+    if storage == "ROS1":
+        from rosbags.rosbag1 import Writer
+
+        path = path.with_suffix(".bag")
+        return _written(path, Writer(path), topics, store, store.serialize_ros1)
     import rosbags.rosbag2 as rosbag2
 
     plugins = getattr(rosbag2, "StoragePlugin", None)
@@ -74,13 +92,6 @@ def write_bag2(path: Path, topics, store, storage="SQLITE3") -> Path:
     options = {"version": 9, "storage_plugin": plugins[storage]} if plugins else {}
     writer = rosbag2.Writer(path, **options)
     return _written(path, writer, topics, store, store.serialize_cdr)
-
-
-def write_bag1(path: Path, topics, store) -> Path:
-    """A ROS 1 bag."""
-    from rosbags.rosbag1 import Writer
-
-    return _written(path, Writer(path), topics, store, store.serialize_ros1)
 
 
 def _written(path: Path, writer, topics, store, serialize) -> Path:
@@ -97,22 +108,16 @@ def _written(path: Path, writer, topics, store, serialize) -> Path:
     return path
 
 
-def rosbag2(folder: Path, data: Measurement, storage: str = "SQLITE3") -> Path:
-    store = typestore()
+def rosbag(folder: Path, data: Measurement, storage: str = "SQLITE3") -> Path:
+    store = typestore(storage)
     topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
-    return write_bag2(folder / "bag", topics, store, storage)
+    return write_bag(folder / "bag", topics, store, storage)
 
 
 def single_mcap(folder: Path, data: Measurement) -> Path:
     """The .mcap file alone, without its folder's metadata."""
-    (file,) = rosbag2(folder, data, "MCAP").glob("*.mcap")
+    (file,) = rosbag(folder, data, "MCAP").glob("*.mcap")
     return file.rename(folder / "alone.mcap")
-
-
-def rosbag1(folder: Path, data: Measurement) -> Path:
-    store = typestore(ros1=True)
-    topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
-    return write_bag1(folder / "log.bag", topics, store)
 
 
 def dynamic_states(types, data: Measurement, names, orders):
@@ -130,7 +135,7 @@ def dynamic_joint_state(folder: Path, data: Measurement) -> Path:
     """DynamicJointState with the interfaces in another order for every joint."""
     store = typestore()
     messages = dynamic_states(store.types, data, JOINTS, ORDERS)
-    return write_bag2(folder / "bag", [("/states", DYNAMIC, messages)], store)
+    return write_bag(folder / "bag", [("/states", DYNAMIC, messages)], store)
 
 
 def franka_state(folder: Path, data: Measurement) -> Path:
@@ -146,7 +151,7 @@ def franka_state(folder: Path, data: Measurement) -> Path:
             yield types[FRANKA](header(types, time), measured, desired, time)
 
     topics = [("/franka_robot_state_broadcaster/robot_state", FRANKA, messages())]
-    return write_bag2(folder / "bag", topics, store, "MCAP")
+    return write_bag(folder / "bag", topics, store, "MCAP")
 
 
 def write_data_set(
@@ -279,9 +284,9 @@ def plotjuggler(folder: Path, data: Measurement) -> Path:
 
 
 FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
-    "ROS 2 db3": rosbag2,
+    "ROS 2 db3": rosbag,
     "ROS 2 single mcap": single_mcap,
-    "ROS 1 bag": rosbag1,
+    "ROS 1 bag": partial(rosbag, storage="ROS1"),
     "ROS 2 DynamicJointState": dynamic_joint_state,
     "ROS 2 FrankaRobotState": franka_state,
     "LeRobot": lerobot("v2.1"),

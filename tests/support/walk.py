@@ -14,19 +14,17 @@ import json
 import re
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from robot_sysid.cli import main
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.motion.trajectories import load_trajectory
-from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
-from robot_sysid.trajectory import generate_excitation_trajectory
+from robot_sysid.records import Array, MotionPlan, RobotModel
+from tests.support.wrong_logs import truth_of
 
 MOST_STEPS = 8
 """Number of commands within which a walk has to end."""
@@ -40,12 +38,11 @@ _PUNCTUATION = set("();<>|&")
 
 
 class TrueArm:
-    """A robot whose links differ from its model, with friction, and with a tool bolted on.
+    """An arm whose truth is known, and whose log is written for any motion and load.
 
     Args:
         robot: what the model says.
         seed: draws what differs.
-        tool: mass of the tool over the mass of all links.
         constants: torque per recorded ampere [N m/A]; 1 records torques.
 
     Attributes:
@@ -53,48 +50,29 @@ class TrueArm:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        seed: int = 1,
-        tool: float = 0.05,
-        constants: Array | float = 1.0,
+        self, robot: RobotModel, seed: int = 1, constants: Array | float = 1.0
     ) -> None:
-        rng = np.random.default_rng(seed)
         self.robot = robot
+        self._seed = seed
         self._constants = constants
-        self._thetas = robot.thetas * rng.uniform(0.9, 1.1, (robot.n_joints, 1))
-        self._dynamics = LinkDynamics(robot)
-        self._rng = rng
-        self._reach = max(0.05 * robot.length, 0.01)
-        self.tool_mass = tool * float(np.sum(robot.thetas[:, 0]))
-        no_torque = lambda motion: np.zeros_like(motion.q)  # noqa: E731
-        self.first_plan = generate_excitation_trajectory(robot, rng, 12.0, no_torque)[0]
-        motion = self.first_plan.evaluate(np.linspace(0.0, 12.0, 500))
-        torque = self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(
-            self._thetas
-        )
-        typical = np.sqrt(np.mean(torque**2, axis=0))
-        self._typical = np.maximum(typical, 0.03 * np.max(typical))
-        self.noise = 0.01 * self._typical
-        self._coulomb = self._typical * rng.uniform(0.03, 0.1, robot.n_joints)
+        self._rng = np.random.default_rng(seed)
+        self.tool_mass = 0.05 * float(np.sum(robot.thetas[:, 0]))
+        first = truth_of(robot, seed)
+        self.first_plan = first.plan
+        typical = np.sqrt(np.mean(first.rigid**2, axis=0))
+        typical = np.maximum(typical, 0.03 * np.max(typical))
+        self.noise = 0.01 * typical
+        self._coulomb = typical * self._rng.uniform(0.03, 0.1, robot.n_joints)
 
     def record(self, path: Path, plan: MotionPlan, load: float) -> None:
         """Write the log of a motion with a load of this mass on the terminal link [kg]."""
-        time = np.arange(round(RATE * plan.duration)) / RATE
-        motion = plan.evaluate(time)
-        thetas = self._thetas.copy()
-        offset = self._reach * np.array([0.3, -0.2, 1.0])
-        moments = (0.5 * self._reach) ** 2 * np.diag([0.5, 0.6, 0.4])
-        thetas[-1] += spatial.theta_from_com(load, offset, load * moments)
-        rigid = self._dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
-        friction = self._coulomb * (np.sign(motion.qd) + motion.qd)
-        noise = self.noise * self._rng.standard_normal(rigid.shape)
-        tau = rigid + self.robot.armature * motion.qdd + friction + noise
-        step = 2.0 * np.pi / 2**17
-        q = np.round(motion.q / step) * step
-        samples = Measurement(time, q, motion.qd, tau / self._constants)
+        truth = truth_of(self.robot, self._seed, rate=RATE, load=load, played=plan)
+        qd = truth.log.qd
+        noise = self.noise * self._rng.standard_normal(qd.shape)
+        tau = truth.rigid + self._coulomb * (np.sign(qd) + qd) + noise
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_measurement_csv(path, self.robot.joint_names, [samples])
+        samples = [replace(truth.log, tau=tau / self._constants)]
+        write_measurement_csv(path, self.robot.joint_names, samples)
 
 
 @dataclass(frozen=True)

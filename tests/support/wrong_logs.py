@@ -12,7 +12,7 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records import Measurement, MotionPlan, RobotModel
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 RATE = 250.0
@@ -25,6 +25,7 @@ class Truth:
 
     Attributes:
         robot: the model as the user has it.
+        plan: the motion that the seed gives.
         theta: (10,) the true terminal link.
         log: a right log.
         still: (N, n) the torque at rest, by the truth [N m].
@@ -33,6 +34,7 @@ class Truth:
     """
 
     robot: RobotModel
+    plan: MotionPlan
     theta: np.ndarray
     log: Measurement
     still: np.ndarray
@@ -47,16 +49,21 @@ def truth_of(
     wrong_links: float = 0.02,
     rate: float = RATE,
     load: float = 0.0,
+    played: MotionPlan | None = None,
 ) -> Truth:
     """A right log of an arm whose links are a little off and that carries something.
 
-    ``load`` is the mass of a weight that is bolted on beside it [kg].
+    Args:
+        robot, seed, wrong_links, rate: of the model, its arm and its log.
+        load: mass of a weight that is bolted on beside it [kg].
+        played: the motion of the log; None for the one that the seed gives.
     """
     rng = np.random.default_rng(seed)
     no_torque = lambda motion: np.zeros_like(motion.q)  # noqa: E731
     plan = generate_excitation_trajectory(robot, rng, DURATION, no_torque)[0]
-    time = np.arange(round(rate * DURATION)) / rate
-    motion = plan.evaluate(time)
+    played = played or plan
+    time = np.arange(round(rate * played.duration)) / rate
+    motion = played.evaluate(time)
     thetas = robot.thetas
     thetas *= 1.0 + wrong_links * rng.normal(size=(len(thetas), 1))
     total = float(np.sum(thetas[:, 0]))
@@ -80,7 +87,7 @@ def truth_of(
     step = 2.0 * np.pi / 2**17
     q = np.round(motion.q / step) * step
     log = Measurement(time, q, motion.qd, tau)
-    return Truth(robot, thetas[-1], log, still, rigid, friction, rng)
+    return Truth(robot, plan, thetas[-1], log, still, rigid, friction, rng)
 
 
 def _friction(rng, rigid, qd):
