@@ -21,7 +21,6 @@ Shapes: n joints of the chain, base to terminal; W windows at a time; S steps in
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any
@@ -50,6 +49,8 @@ MAX_WINDOWS = 60
 """Number of windows of one horizon that are played, spread evenly over the pieces of the logs."""
 NO_ACTUATOR = -1
 """Value in place of a MuJoCo actuator id for a joint without an actuator that a rollout can use."""
+_LARGEST = 1e6
+"""Position beyond which a rollout has diverged [rad or m]."""
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 """MuJoCo's bits for the state from which a rollout starts."""
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
@@ -362,49 +363,44 @@ class ServoRollouts:
 
     def play(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:
         """Return chain positions (W, S + 1, n) under inputs (W, S, nu + nv) of the model."""
+        model = self.model
+        data = self._data[0]
+        starts = np.empty((len(windows), mujoco.mj_stateSize(model, _STATE)))
+        for start, window in zip(starts, windows):
+            set_chain_state(self.robot, model, data, window.q, window.qd)
+            mujoco.mj_getState(model, data, start, _STATE)
         run = self._run_stepwise if self._pool is None else self._run_threads
         with captured_warnings():
-            played = run(windows, inputs)
-        start = np.stack([window.q for window in windows])
-        q = np.concatenate((start[:, None], played), axis=1)
-        is_lost = ~np.all(np.isfinite(q), axis=2)
-        q[np.logical_or.accumulate(is_lost, axis=1)] = np.nan
-        return q
-
-    def _run_threads(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:
-        """Return positions (W, S, n) after each step, by ``mujoco.rollout``; NaN once diverged."""
-        model = self.model
-        data = self._data[0]
-        states = np.empty((len(windows), mujoco.mj_stateSize(model, _STATE)))
-        for state, window in zip(states, windows):
-            set_chain_state(self.robot, model, data, window.q, window.qd)
-            mujoco.mj_getState(model, data, state, _STATE)
-        trajectories, _ = self._pool.rollout(
-            [model] * len(states), self._data, states, inputs, control_spec=_INPUTS
-        )
+            states = run(starts, inputs)
         # A state is the time, then the positions, then more.
-        q = np.array(trajectories[:, :, 1 + self.robot.qpos_index])
-        # A rollout that diverges stands still from there, and so does its clock.
+        states = np.concatenate((starts[:, None], states), axis=1)
+        q = states[:, :, 1 + self.robot.qpos_index]
+        # The clock of a rollout that diverges stands still, or starts again.
         timestep = model.opt.timestep
-        expected_time = timestep * np.arange(1, q.shape[1] + 1)
-        q[trajectories[:, :, 0] < expected_time - 0.5 * timestep] = np.nan
-        return q
+        late = timestep * np.arange(q.shape[1]) - states[:, :, 0]
+        is_well = np.all(np.abs(q) < _LARGEST, axis=2) & (late < 0.5 * timestep)
+        q[~np.logical_and.accumulate(is_well, axis=1)] = np.nan
+        return np.asarray(q)
 
-    def _run_stepwise(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:
-        """Return positions (W, S, n) after each step, one step of one rollout at a time.
+    def _run_threads(self, starts: Array, inputs: Array) -> Array:
+        """Return the states (W, S, s) after each step from starts (W, s), on all processors."""
+        states, _ = self._pool.rollout(
+            [self.model] * len(starts), self._data, starts, inputs, control_spec=_INPUTS
+        )
+        return np.asarray(states)
 
-        This is for releases without ``mujoco.rollout``. Steps after a divergence are NaN.
+    def _run_stepwise(self, starts: Array, inputs: Array) -> Array:
+        """Return the states (W, S, s) after each step, from starts (W, s), one after the other.
+
+        This is for releases without ``mujoco.rollout``.
         """
-        robot = self.robot
-        model = self.model
         data = self._data[0]
-        q: Array = np.full((*inputs.shape[:2], robot.n_joints), math.nan)
-        for row, window in enumerate(windows):
-            set_chain_state(robot, model, data, window.q, window.qd)
-            for step, values in enumerate(inputs[row]):
-                data.ctrl[:], data.qfrc_applied[:] = np.split(values, [model.nu])
-                mujoco.mj_step(model, data)
-                if any(warning.number for warning in data.warning):
-                    break
-                q[row, step] = data.qpos[robot.qpos_index]
-        return q
+        states = np.empty((*inputs.shape[:2], starts.shape[1]))
+        for start, rows, played in zip(starts, inputs, states):
+            mujoco.mj_resetData(self.model, data)
+            mujoco.mj_setState(self.model, data, start, _STATE)
+            for values, state in zip(rows, played):
+                mujoco.mj_setState(self.model, data, values, _INPUTS)
+                mujoco.mj_step(self.model, data)
+                mujoco.mj_getState(self.model, data, state, _STATE)
+        return states

@@ -38,11 +38,11 @@ def arm(mass=0.3, kp=17.8, limit=""):
     return robot_of(ARM.format(mass=mass, kp=kp, limit=limit))
 
 
-def log(robot, scale=1.0, truth=TRUTH):
-    """A log of an arm behind servos with the true numbers."""
+def log(robot, scale=1.0, truth=TRUTH, steps=20):
+    """A log of an arm behind servos with the true numbers, in some steps a sample."""
     time, command = commanded(20.0)
     command = scale * command
-    q = positions(robot, time, command, truth, steps=20)
+    q = positions(robot, time, command, truth, steps=steps)
     return Measurement(time, q, None, command - q, command=command)
 
 
@@ -136,7 +136,8 @@ def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
         frictionloss=np.array([0.11, 0.1]),
         delay=0.02,
     )
-    piece = log(robot, truth=truth)
+    # In steps of 2 ms like the rollouts: MuJoCo's integrator adds rotor inertia with the step.
+    piece = log(robot, truth=truth, steps=10)
     fit = fit_to(robot, piece)
     assert fit.is_fast.all()
     problem = make_problem(ServoRollouts(robot), [piece], 4, 3.0, 0.6)
