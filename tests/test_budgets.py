@@ -32,9 +32,9 @@ BUDGETS = {
     "robot_sysid/results": 14704,
     "robot_sysid/servo": 6487,
     "robot_sysid/signals": 5330,
-    "robot_sysid/simulation": 4368,
+    "robot_sysid/simulation": 4323,
     "robot_sysid": 12104,
-    "tests": 231393,
+    "tests": 231320,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
