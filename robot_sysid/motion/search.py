@@ -34,7 +34,6 @@ from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions
 from robot_sysid.motion.information import Criterion, PriorKnowledge, gradient_of
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
-from robot_sysid.motion.trajectories import harmonics
 from robot_sysid.records import Array, Motion
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import Series, SineTrajectory, TrajectoryOptions
@@ -162,7 +161,12 @@ class Design:
         # A quotient that rounding puts just below a whole number counts as that number.
         count = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         self.size = 2 * count + 1
-        self._waves = harmonics(base, count)
+        # A constant, sines and cosines.
+        number = np.arange(1.0, count + 1.0)
+        quarter = np.full(count, 0.5 * np.pi)
+        frequency = base * np.concatenate(([0.0], number, number))
+        phase = np.concatenate(([0.5 * np.pi], 0.0 * quarter, quarter))
+        self._waves = frequency, phase
         self._fade = min(LONGEST_FADE, 0.25 * self.duration)
         top = self.top_frequency_hz = count * base
         if top > 0.5 * motion.sample_rate:

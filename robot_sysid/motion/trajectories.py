@@ -9,7 +9,7 @@ loading it gives back every bit. A CSV file of samples is for other programs and
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
@@ -28,7 +28,7 @@ REST_TOLERANCE = 1e-6
 rounding leaves a thousandth of it."""
 FORMAT = "robot-sysid trajectory"
 """Name of the file format of trajectories, in each file."""
-VERSION = 1
+VERSION = 2
 """Version of that format in written files, and the only one that is read."""
 
 
@@ -133,57 +133,9 @@ def _cruise(elapsed: Array, length: Array, ramp: Array) -> Series:
     )
 
 
-_KINDS = ("sines", "fourier", "poses", "sweeps")
-"""Types of trajectories in files."""
+_KINDS = {"sines": SineTrajectory, "lines": LineTrajectory}
+"""Type of a trajectory in files to its class."""
 _Plan = TypeVar("_Plan", bound=MotionPlan)
-
-
-def _build_trajectory(kind: str, content: Mapping[str, Any]) -> MotionPlan:
-    """Return the trajectory of a type in ``_KINDS`` that a file's entries define.
-
-    Earlier releases wrote Fourier series (an offset, then sines, then cosines), and poses without
-    ramps and sweeps without dwells.
-
-    Raises:
-        KeyError: an entry is missing.
-        InputError, TypeError, ValueError, IndexError, OverflowError: the entries define no
-            trajectory.
-    """
-
-    def of(name: str) -> Array:
-        """Return the numbers of an entry."""
-        return np.array(content[name], dtype=float)
-
-    if kind in ("poses", "sweeps"):
-        points = of("points")
-        dwells = of("dwells") if "dwells" in content else np.zeros(len(points))
-        moves = of("moves")
-        ramps = of("ramps") if "ramps" in content else 0.5 * moves
-        return LineTrajectory(points, moves, dwells, ramps)
-    if kind == "fourier":
-        center = of("rest")
-        amplitude = of("coefficients")
-        base = float(content["base_frequency_hz"])
-        frequency, phase = harmonics(base, int(content["harmonics"]))
-        frequency, phase = (
-            np.tile(row, (len(center), 1)) for row in (frequency, phase)
-        )
-    else:
-        center, amplitude, frequency, phase = map(
-            of, ("center", "amplitude", "frequency_hz", "phase")
-        )
-    duration, fade = float(content["duration"]), float(content["fade"])
-    return SineTrajectory(center, amplitude, frequency, phase, duration, fade)
-
-
-def harmonics(base_hz: float, count: int) -> tuple[Array, Array]:
-    """Return frequencies [Hz] and phases (M,) of a Fourier series, M = 2 count + 1: a constant,
-    ``count`` sines, and as many cosines.
-    """
-    number = np.arange(1.0, count + 1.0)
-    quarter = np.full(count, 0.5 * np.pi)
-    frequency = base_hz * np.concatenate(([0.0], number, number))
-    return frequency, np.concatenate(([0.5 * np.pi], 0.0 * quarter, quarter))
 
 
 def _numbers(plan: MotionPlan) -> dict[str, Any]:
@@ -278,7 +230,7 @@ def save_trajectory(
     }
     if sha256:
         content["model_sha256"] = sha256
-    kind = "poses" if isinstance(plan, LineTrajectory) else "sines"
+    (kind,) = (name for name, cls in _KINDS.items() if isinstance(plan, cls))
     # The repr of a float is exact.
     for name, number in {"kind": kind, **_numbers(plan)}.items():
         content[name] = np.asarray(number).tolist()
@@ -289,9 +241,6 @@ def save_trajectory(
 
 def load_trajectory(path: Path) -> SavedTrajectory:
     """Return the trajectory that ``save_trajectory`` has written to a file.
-
-    The file's format has to be of version ``VERSION``, which earlier releases of this program write
-    too. Their files may have an entry "speed", by which the trajectory is slowed down.
 
     Raises:
         InputError: the file cannot be read, is of another format or version, lacks an entry, or
@@ -307,18 +256,22 @@ def load_trajectory(path: Path) -> SavedTrajectory:
     if content.get("version") != VERSION:
         raise InputError(
             f"{path} has version {content.get('version')!r} of the format, this program reads "
-            f"version {VERSION}; save it again with the program it came from"
+            f"version {VERSION}; plan the motion again"
         )
     # InputErrors that are raised here pass the clauses below, which convert other errors.
     try:
-        plan_type = content["kind"]
-        if plan_type not in _KINDS:
+        kind = content["kind"]
+        if kind not in _KINDS:
             raise InputError(
-                f"{path}: unknown kind of trajectory {plan_type!r}; valid: {', '.join(_KINDS)}"
+                f"{path}: unknown kind of trajectory {kind!r}; valid: {', '.join(_KINDS)}"
             )
-        plan = _build_trajectory(plan_type, content)
-        # Only earlier releases wrote a speed; files of this one hold the slowed trajectory.
-        plan = at_speed(plan, float(content.get("speed", 1.0)))
+        # Times are numbers, all else is arrays.
+        numbers: dict[str, Any] = {}
+        for entry in fields(_KINDS[kind]):
+            is_number = entry.name in ("duration", "fade")
+            value = content[entry.name]
+            numbers[entry.name] = float(value) if is_number else np.array(value, float)
+        plan = _KINDS[kind](**numbers)
         names = tuple(str(name) for name in content["joints"])
         return SavedTrajectory(plan, names, str(content.get("model_sha256", "")))
     except KeyError as error:

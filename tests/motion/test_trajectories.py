@@ -115,7 +115,7 @@ def test_invalid_trajectories_are_refused(make, message):
 
 EARLIER = {
     "format": "robot-sysid trajectory",
-    "version": 1,
+    "version": 2,
     "joints": list(NAMES),
     "kind": "sines",
     "duration": 5.0,
@@ -134,38 +134,14 @@ def saved_text(**changes):
     return json.dumps(entries)
 
 
-def test_files_of_earlier_versions_are_read(tmp_path):
-    """With a speed and a byte-order mark; Fourier series; poses without ramps, sweeps."""
-    path = tmp_path / "plan.json"
-    text = saved_text(speed=0.5).replace(", ", ",\r\n")
-    path.write_bytes(text.encode("utf-8-sig"))
-    plan = load_trajectory(path).plan
-    assert plan.duration == 10.0
-    rising = 0.1 * np.sin(2.0 * np.pi * 0.05 * 4.0)
-    assert_allclose(plan.evaluate(np.array([4.0])).q, rising)
-    wave = [[0.3, 2.0, 0.0, 0.0, 0.0, 0.0, -1.0]] * 3
-    entries = {"kind": "fourier", "base_frequency_hz": 0.2, "harmonics": 3}
-    path.write_text(saved_text(**entries, rest=[0.1, 0.2, 0.3], coefficients=wave))
-    (q,) = load_trajectory(path).plan.evaluate(np.array([2.0])).q
-    turn = 2.0 * np.pi * 0.2 * 2.0
-    series = 0.3 + 2.0 * np.sin(turn) - np.cos(3.0 * turn)
-    assert_allclose(q, series + np.array([0.1, 0.2, 0.3]))
-    points = {"points": [[0.0] * 3, [1.0] * 3], "moves": [2.0]}
-    path.write_text(saved_text(kind="poses", dwells=[0.5, 1.0], **points))
-    assert load_trajectory(path).plan.duration == 3.5
-    path.write_text(saved_text(kind="sweeps", ramps=[0.5], **points))
-    assert_allclose(load_trajectory(path).plan.speeds, 1.0 / 1.5)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("time,q1\n0,0\n", "takes the .json file"),
-        (saved_text(version=9), "has version 9 of the format"),
-        (saved_text(kind="splines"), "kind of .*'splines'; valid: sines, fourier"),
+        (saved_text(version=1), "has version 1 .*; plan the motion again"),
+        (saved_text(kind="splines"), "kind of .*'splines'; valid: sines, lines"),
         (saved_text(phase=None), "lacks the entry 'phase'"),
         (saved_text(center=["x", 0, 0]), "not a usable trajectory"),
-        (saved_text(speed=3.0), "--speed must be above 0"),
         (saved_text(joints=NAMES[:2]), "a trajectory of 3 joints names 2: base, elbow"),
         (saved_text(center=[0.0, float("nan"), 0.0]), "center"),
         (None, "cannot read .*plan.json"),
