@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 19732,
     "robot_sysid/mjcf": 8432,
     "robot_sysid/model": 9048,
-    "robot_sysid/motion": 23956,
+    "robot_sysid/motion": 23745,
     "robot_sysid/pipeline": 6859,
     "robot_sysid/records": 8713,
     "robot_sysid/report": 8319,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4323,
     "robot_sysid": 12104,
-    "tests": 231320,
+    "tests": 230077,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

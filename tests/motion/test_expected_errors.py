@@ -19,12 +19,10 @@ from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import LINKS, SCALES
 from robot_sysid.motion import PoseOptions
 from robot_sysid.motion.expected_errors import (
-    TYPICAL_LOAD,
     RecordingPlan,
     friction_lines,
     predict,
     prior_knowledge,
-    typical_load,
 )
 from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.static import design_poses
@@ -133,15 +131,6 @@ def test_payload_errors_come_from_the_difference_of_recordings():
     assert 0.0 < expected.errors[0] < 0.3 * link_error
     scales, _ = expected.by_cause[SCALES]
     assert 0.01 * expected.size[0] < scales < expected.errors[0]
-
-
-def test_the_load_is_the_one_that_torque_is_reserved_for():
-    moving_mass = np.sum(robot(ARM).thetas[:, 0])
-    assert typical_load(PROBLEM)[0] == pytest.approx(TYPICAL_LOAD * moving_mass)
-    reserved = make_problem(ARM, payload_reserve=1.05)
-    assert typical_load(reserved)[0] == pytest.approx(1.05)
-    subject = predict(reserved, PLAN, RecordingPlan(RATE, USUAL, "payload")).subject
-    assert subject.startswith("a load of 1.05 kg (of --payload-reserve)")
 
 
 def test_resting_poses_determine_mass_and_centre_of_a_payload_alone():

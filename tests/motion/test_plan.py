@@ -56,13 +56,7 @@ CHECKED = {
     "designed": {"excitation": options(kind="optimal")},
     "plan only": {"trajectory": {"plan_only": True}},
     "saved": {"trajectory": {"save": "plan.json"}},
-    "acceleration": {"limits": {"max_acceleration": 30.0}},
-    "torque": {"limits": {"max_torque": 100.0}},
-    "payload": {"limits": {"payload_reserve": 1.0}},
-    "tool speed": {"limits": {"max_tool_speed": 5.0}},
-    "workspace": {"limits": {"workspace": (-2.0, 2.0, -2.0, 2.0, -2.0, 2.0)}},
-    "plane": {"limits": {"keep_out": ((0.0, 0.0, 1.0, -1.0),)}},
-    "clearance": {"limits": {"clearance": 0.02}},
+    "limited": {"limits": {"clearance": 0.02}},
 }
 
 

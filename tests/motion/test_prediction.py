@@ -14,15 +14,7 @@ from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.motion.search import draw_trajectory
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms, witness
-from tests.support.arms import X, Y, Z
-from tests.support.excitation_arms import (
-    TUBES,
-    make_design,
-    make_problem,
-    robot,
-    tube_arm,
-)
-from tests.support.releases import since
+from tests.support.excitation_arms import TUBES, make_design, make_problem, robot
 
 
 def best_plan(xml, seed=0, **changes):
@@ -68,16 +60,6 @@ def test_the_stated_tool_speed_is_that_of_the_fastest_point():
     # A ball stands for the tube's round end: a little too fast, never too slow.
     assert fastest - 0.005 <= stated <= 1.03 * fastest + 0.005
     assert limit == 9.0
-
-
-@since(3, 1, 6)
-def test_the_stated_room_is_the_smallest_distance_beyond_the_clearance():
-    post = '<body name="post" pos=".48 0 .7"><geom size=".4"/></body>'
-    xml = tube_arm((Z, Y, X, Y), post)
-    plan = sines(xml)
-    real = witness.nearest(robot(xml), plan)
-    stated = check_limits(make_problem(xml), plan).closest.slack
-    assert 1e3 * stated == pytest.approx(1e3 * real - 10.0, abs=1.6)
 
 
 def test_a_distance_that_is_not_known_is_not_called_large():

@@ -12,9 +12,7 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
-from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, search
-from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import ROUNDING
@@ -294,20 +292,3 @@ def test_every_feasible_draw_keeps_all_limits_on_the_grid(design, seed):
         assert (first.score, first.obstacle) == (design.criterion_of(first.x), "")
     else:
         assert not np.any(first.x) and first.obstacle
-
-
-def test_the_target_decides_the_motion():
-    """Improving a link's motion for a payload makes it worse for the link."""
-    arm = make_problem(arms.serial_arm((arms.Z, arms.Y, arms.X)))
-    motion = TrajectoryOptions(duration=4.0, sample_rate=100.0)
-    search_options = options(draws=5, rounds=4, iterations=30)
-    designs = []
-    for target in ("link", "payload"):
-        prior = prior_knowledge(arm, EstimationOptions(), target)
-        designs.append(Design(arm, search_options, motion, prior))
-    link, payload = designs
-    x = design_excitation(link, default_rng(3)).trajectory.amplitude
-    start = search.first_candidate(payload, x)
-    other = search.improve(payload, start).feasible_x
-    assert payload.criterion_of(other) < payload.criterion_of(x) - 0.01
-    assert link.criterion_of(other) > link.criterion_of(x) + 0.005
