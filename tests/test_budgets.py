@@ -32,7 +32,7 @@ BUDGETS = {
     "robot_sysid/results": 14704,
     "robot_sysid/servo": 6487,
     "robot_sysid/signals": 5330,
-    "robot_sysid/simulation": 4323,
+    "robot_sysid/simulation": 4289,
     "robot_sysid": 12104,
     "tests": 230077,
 }

@@ -42,7 +42,7 @@ from robot_sysid.errors import InputError, SimulationError
 from robot_sysid.model.chain import joint_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import robot_from_compiled
-from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
+from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.records.option_fields import joint_values
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
@@ -94,7 +94,12 @@ class PlantSimulation:
         # One for all joints, or one per joint.
         noise_levels = np.asarray(options.noise_torque)
         motions = motion_chunks(self._plan, self._sample_rate)
-        delayed = simulate_inverse(self._plant, self._delayed_motions())
+        # The motion one torque delay before each sample; before the start, the arm rests there.
+        earlier = (
+            self._plan.evaluate(np.maximum(time - options.torque_delay, 0.0))
+            for time in sample_times(self._plan.duration, self._sample_rate)
+        )
+        delayed = simulate_inverse(self._plant, earlier)
         rng = np.random.default_rng(self._seed)
         for motion, delayed_chunk in zip(motions, delayed):
             noise = noise_levels * rng.standard_normal(delayed_chunk.tau.shape)
@@ -104,15 +109,6 @@ class PlantSimulation:
                 q = round_to_multiples(motion.q, options.encoder_resolution)
                 measured = replace(measured, q=q, qd=None, qdd=None)
             yield measured
-
-    def _delayed_motions(self) -> Iterator[Motion]:
-        """Yield, chunk by chunk, the motion one torque delay before each sample.
-
-        For samples earlier than the delay it is the state at the start.
-        """
-        for time in sample_times(self._plan.duration, self._sample_rate):
-            delayed_time = time - self._options.torque_delay
-            yield self._plan.evaluate(np.maximum(delayed_time, 0.0))
 
 
 def load_plant(

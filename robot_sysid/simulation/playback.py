@@ -153,21 +153,16 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
         model: compiled MuJoCo model.
         joint: MuJoCo joint id.
     """
-    usable = []
-    for actuator in actuators_on(model, joint):
-        is_plain = (
-            is_static(model, actuator) and len(control_rows(model, actuator)) == 1
-        )
-        is_usable = is_plain or servo_gains(model, actuator) is not None
-        if is_usable and gear_ratio(model, actuator) != 0.0:
+    moving = [k for k in actuators_on(model, joint) if gear_ratio(model, k) != 0.0]
+    usable = [k for k in moving if servo_gains(model, k) is not None]
+    for actuator in moving:
+        if is_static(model, actuator) and len(control_rows(model, actuator)) == 1:
             usable.append(actuator)
     if not usable:
         return NO_ACTUATOR, 1.0, np.nan, np.nan
-    servos = [k for k in usable if servo_gains(model, k) is not None]
-    actuator = (servos or usable)[0]
-    gear = gear_ratio(model, actuator)
-    kp, kv = servo_gains(model, actuator) or (np.nan, np.nan)
-    return actuator, gear, gear**2 * kp, gear**2 * kv
+    gear = gear_ratio(model, usable[0])
+    kp, kv = servo_gains(model, usable[0]) or (np.nan, np.nan)
+    return usable[0], gear, gear**2 * kp, gear**2 * kv
 
 
 def servos_in_model(robot: RobotModel) -> ServoParameters:
