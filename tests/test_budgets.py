@@ -27,7 +27,7 @@ BUDGETS = {
     "robot_sysid/model": 9048,
     "robot_sysid/motion": 23745,
     "robot_sysid/pipeline": 6859,
-    "robot_sysid/records": 8713,
+    "robot_sysid/records": 8676,
     "robot_sysid/report": 8319,
     "robot_sysid/results": 14704,
     "robot_sysid/servo": 6487,

@@ -299,8 +299,7 @@ def require_writable(folder: Path) -> None:
     For use before a long computation whose results are to be written there.
     """
     require_utf8(folder)
-    with _missing_folder_as_input_error():
-        absolute = folder.absolute()
+    absolute = folder.absolute()
     # Path.exists fails where a folder above cannot be entered, or a name is too long.
     existing = next(f for f in (absolute, *absolute.parents) if os.path.lexists(f))
     if not (os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)):
@@ -324,18 +323,17 @@ def refuse_overwriting(
         read_paths: files that are read; None is skipped.
         written_paths: (option that has the file written, its path).
     """
-    with _missing_folder_as_input_error():
-        uses = {}
-        for read_path in read_paths:
-            if read_path is not None:
-                uses[os.path.realpath(read_path)] = "a file that is read"
-        for option, path in written_paths:
-            real_path = os.path.realpath(path)
-            if real_path in uses:
-                raise InputError(
-                    f"{option} would overwrite {uses[real_path]}: {path}; choose another"
-                )
-            uses[real_path] = f"what {option} writes"
+    uses = {}
+    for read_path in read_paths:
+        if read_path is not None:
+            uses[os.path.realpath(read_path)] = "a file that is read"
+    for option, path in written_paths:
+        real_path = os.path.realpath(path)
+        if real_path in uses:
+            raise InputError(
+                f"{option} would overwrite {uses[real_path]}: {path}; choose another"
+            )
+        uses[real_path] = f"what {option} writes"
 
 
 def require_utf8(path: Path) -> None:
@@ -345,17 +343,6 @@ def require_utf8(path: Path) -> None:
     except UnicodeEncodeError:
         raise InputError(
             f"the path {path} cannot be written as UTF-8; rename it, or use a UTF-8 locale"
-        ) from None
-
-
-@contextlib.contextmanager
-def _missing_folder_as_input_error() -> Iterator[None]:
-    """Raise InputError where the block fails because the current folder was removed."""
-    try:
-        yield
-    except FileNotFoundError:
-        raise InputError(
-            "the current folder no longer exists; change to another one"
         ) from None
 
 
