@@ -418,15 +418,13 @@ def _body_entry(body: BodyEstimate) -> dict[str, Any]:
     from_data = body.is_determined & (body.data_share >= PRIOR_SHARE)
     source = np.where(from_data, "identified", "from_model").tolist()
     load_entries = dict(zip(ERROR_NAMES, load_errors(body)))
-    noise = by_name(body.noise_errors)
-    causes = {cause: by_name(errors) for cause, errors in body.budget.items()}
+    causes = {"noise": body.noise_errors, **body.budget}
     return {
         "name": body.name,
         **(inertial_entries(body.inertial) or {}),
         "model": inertial_entries(body.prior),
         "standard_errors": {**by_name(body.errors), **load_entries},
-        "standard_errors_noise": noise,
-        "error_budget": {"noise": noise, **causes},
+        "error_budget": {cause: by_name(causes[cause]) for cause in causes},
         "data_share": by_name(body.data_share),
         "source": by_name(source),
     }
@@ -438,7 +436,7 @@ def _link_entry(result: Result, body: BodyEstimate) -> dict[str, Any]:
     if result.file is not None and body.joint is not None:
         theta = result.file.thetas[result.robot.joint_names.index(body.joint)]
         written = InertialParameters(theta) if np.any(theta) else None
-    entry = {"name": body.name, "joint": body.joint, **_body_entry(body)}
+    entry = {"joint": body.joint, **_body_entry(body)}
     return {**entry, "in_the_file": inertial_entries(written)}
 
 

@@ -33,8 +33,8 @@ BUDGETS = {
     "robot_sysid/servo": 6487,
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4289,
-    "robot_sysid": 12104,
-    "tests": 230077,
+    "robot_sysid": 12085,
+    "tests": 229624,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -405,7 +405,7 @@ def test_a_payload_stands_between_the_link_without_and_with_it():
         "payload/torque_scale/j5/value": 1.02,
         "payload/body/standard_errors/m": approx(0.01),
         "payload/body/standard_errors/com_z": approx(load_errors(made.body())[3]),
-        "payload/body/standard_errors_noise/m": approx(0.006),
+        "payload/body/error_budget/noise/m": approx(0.006),
         "payload/body/error_budget/torque scale/m": approx(0.008),
     }
     assert_holds(content, expected)

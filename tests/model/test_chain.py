@@ -236,15 +236,9 @@ ALL = (0, 1, 2)
 UNSTATED = (None, None, None)
 
 
-def limits_of(joint='range="-1 2"', actuators="", max_velocity=2.0, extra=""):
-    drive = f"<actuator>{actuators}</actuator>" if actuators else ""
-    model = compile_xml(serial_arm((Z, Y, X), joint=joint, extra=extra + drive))
-    return module.joint_limits(model, ALL, max_velocity, UNSTATED)
-
-
-def torque_of(actuators, joint="", extra=""):
-    """Torque limit of joint1."""
-    return limits_of(joint, actuators, extra=extra).torque[1]
+def speed_limits(joint, max_velocity):
+    model = compile_xml(serial_arm((Z, Y, X), joint=joint))
+    return module.joint_limits(model, ALL, max_velocity, UNSTATED).velocity
 
 
 @pytest.mark.parametrize(
@@ -253,44 +247,6 @@ def torque_of(actuators, joint="", extra=""):
 def test_slides_have_a_speed_of_their_own_but_never_more_than_asked(
     max_velocity, slide
 ):
-    limits = limits_of('type="slide" range="-1 1"', max_velocity=max_velocity)
-    np.testing.assert_array_equal(limits.velocity, [slide] * 3)
-    np.testing.assert_array_equal(
-        limits_of(max_velocity=max_velocity).velocity, [max_velocity] * 3
-    )
-
-
-@pytest.mark.parametrize(
-    ("actuators", "expected"),
-    [
-        ("", np.inf),
-        ('<motor joint="joint1" forcerange="-30 20"/>', 20.0),
-        ('<motor joint="joint1" forcerange="-30 30" gear="-2"/>', 60.0),
-        ('<motor joint="joint1" forcerange="-30 30" forcelimited="false"/>', np.inf),
-        ('<motor joint="joint1" ctrlrange="-1 1" gear="25"/>', 25.0),
-        ('<general joint="joint1" ctrlrange="-1 1" gainprm="12"/>', 12.0),
-        ('<motor jointinparent="joint1" forcerange="-7 7"/>', 7.0),
-        ('<position joint="joint1" kp="100" ctrlrange="-3 3"/>', np.inf),
-        (
-            '<position joint="joint1" kp="100" ctrlrange="-3 3" forcerange="-87 87"/>',
-            87.0,
-        ),
-        (
-            '<motor joint="joint1" forcerange="-3 3"/><motor joint="joint1" forcerange="-4 4"/>',
-            7.0,
-        ),
-        ('<motor joint="joint1" forcerange="-3 3"/><motor joint="joint1"/>', np.inf),
-    ],
-)
-def test_torque_limit_is_what_the_actuators_can_give(actuators, expected):
-    assert torque_of(actuators) == expected
-
-
-def test_limit_of_the_joint_itself_counts_where_it_is_tighter():
-    joint_limit = 'actuatorfrcrange="-10 10"'
-    assert torque_of('<motor joint="joint1" forcerange="-30 30"/>', joint_limit) == 10.0
-    assert torque_of('<motor joint="joint1" forcerange="-3 3"/>', joint_limit) == 3.0
-    tendon = '<tendon><fixed name="t"><joint joint="joint1" coef="1"/></fixed></tendon>'
-    assert (
-        torque_of('<motor tendon="t" forcerange="-1 1"/>', joint_limit, tendon) == 1.0
-    )
+    slides = speed_limits('type="slide" range="-1 1"', max_velocity)
+    np.testing.assert_array_equal(slides, [slide] * 3)
+    np.testing.assert_array_equal(speed_limits("", max_velocity), [max_velocity] * 3)

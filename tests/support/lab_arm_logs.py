@@ -105,19 +105,6 @@ def openarm_bag(folder: Path) -> Path:
     return write_bag(folder / "openarm", topics, store, "MCAP")
 
 
-def openarm_data_set(folder: Path, version: str) -> Path:
-    """LeRobot's OpenArm follower with ``use_velocity_and_torque``: deg, deg/s and N m by motor."""
-    data = openarm_motion("left", 60.0)
-    both = with_extra_joints(data, 1, 0.3)
-    motors = [*(f"joint_{k}" for k in range(1, 8)), "gripper"]
-    titles = [f"{motor}.{end}" for motor in motors for end in ("pos", "vel", "torque")]
-    numbers = (np.degrees(both.q), np.degrees(both.qd), both.tau)
-    state = np.stack(numbers, axis=2).reshape(len(both), -1)
-    goals = [f"{motor}.pos" for motor in motors]
-    features = {"observation.state": (titles, state), "action": (goals, numbers[0])}
-    return write_data_set(folder / "openarm_set", version, 60, features)
-
-
 def so101_data_set(folder: Path, version: str) -> Path:
     """LeRobot's SO-101 follower: positions and goals in degrees, gripper in per cent, at 30 Hz."""
     robot = load_robot_model(SO101)
@@ -193,13 +180,6 @@ LAB_ARM_LOGS = (
         lambda folder: openarm("left"),
         partial(openarm_motion, "left", 100.0),
         openarm_bag,
-    ),
-    # huggingface/lerobot: src/lerobot/robots/openarm_follower
-    LabArmLog(
-        "OpenArm data set v2",
-        lambda folder: openarm("left"),
-        partial(openarm_motion, "left", 60.0),
-        partial(openarm_data_set, version="v2.1"),
     ),
     # i2rt-robotics/i2rt: i2rt/robots/motor_chain_robot.py
     LabArmLog(

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import Equations
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
 from robot_sysid.records import InertialParameters
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
@@ -22,7 +20,6 @@ JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
 XML = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)
 """The arm that makes the logs."""
 CUTOFF = 8.0
-DEFAULT_FRICTION = friction_model(DEFAULT_MEASURED)
 
 
 def true_arm():
@@ -59,8 +56,3 @@ def log_of(plant, plan=None, seed=1, rate=RATE, **sensors):
 def seeded_log(plant, seed, duration=DURATION, **sensors):
     """Return a simulated log whose motion and noise both follow from a seed."""
     return log_of(plant, plan_of(plant, seed, duration), seed, **sensors)
-
-
-def equations_of(robot, torques="chain"):
-    """Return equations with Coulomb, viscous friction and offset in every joint."""
-    return Equations(robot, torques, (DEFAULT_FRICTION,) * robot.n_joints)
