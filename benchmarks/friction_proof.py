@@ -19,6 +19,7 @@ import time
 
 import numpy as np
 
+from benchmarks.arm_results import result_of_logs
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimate.options import EstimationOptions
@@ -31,7 +32,6 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.simulation.plant import round_to_multiples
 from robot_sysid.trajectory import TrajectoryOptions
-from tests.support.core_fits import result_of_logs
 from tests.support.places import MODELS
 
 ARMS = {

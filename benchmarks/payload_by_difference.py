@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.arm_results import result_of_logs
 from benchmarks.real_arms import ARMS
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimate.identify import Piece, identify_payload, low_pass_recordings
@@ -30,7 +31,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.support.core_fits import ORIGIN, result_of_logs
+from tests.support.core_fits import ORIGIN
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
 
 PAYLOAD = spatial.theta_from_com(

@@ -315,10 +315,6 @@ def _missing(
     """Yield the motors whose ratios are not parallel to those of any present one."""
     for motor in motors:
         direction = motor.ratios / np.linalg.norm(motor.ratios)
-        cosines = [0.0]
-        for other in present:
-            cosines.append(
-                abs(float(direction @ other.ratios / np.linalg.norm(other.ratios)))
-            )
-        if max(cosines) <= _SAME:
+        others = [other.ratios / np.linalg.norm(other.ratios) for other in present]
+        if all(abs(direction @ other) <= _SAME for other in others):
             yield motor

@@ -698,10 +698,7 @@ def correlation_times(residuals: Array) -> Array:
         products = lagged_sums(signal, lags)
         pairs = np.maximum(lagged_sums(is_used.astype(float), lags), 1.0)
         covariance = products / pairs
-        if not covariance[0] > 0.0:
-            times.append(1.0)
-            continue
-        rho = np.append(covariance, 0.0) / covariance[0]
+        rho = np.append(covariance, 0.0) / max(covariance[0], 1e-300)
         last = int(np.argmax(rho <= 2.0 / np.sqrt(pairs[0])))
         times.append(1.0 + 2.0 * float(np.sum(rho[1:last])))
     return np.array(times)

@@ -87,7 +87,7 @@ def _record(
 ) -> Validation:
     """Return sums of squared errors, (J,) or of each block (B, J), over some blocks as a record."""
     sums = fitted.sums
-    torque = np.sum(fitted.sums.squared_torque[list(blocks)], axis=0)
+    torque = np.sum(sums.squared_torque[list(blocks)], axis=0)
     counts = np.sum(sums.counts[list(blocks)], axis=0)
     return validation_of(sums.joints, np.atleast_2d(squares), torque, counts, source)
 

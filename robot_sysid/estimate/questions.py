@@ -52,6 +52,9 @@ LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
 DRIFTS = 0.2
 """Prior standard deviation of friction's relative drift, from the middle of the logs to an end."""
+CHANGES = 0.1
+"""Standard deviation of friction's relative change from one log to the next: five logs of a UR10e
+differ by 2.5 standard errors of a single one."""
 LOADED_LOSS = 0.1
 """Prior standard deviation of the share of its load that a gear loses, in weighing a payload."""
 FILE_TILT = float(np.radians(2.0))

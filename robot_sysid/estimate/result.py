@@ -21,6 +21,7 @@ from robot_sysid.estimate.held_out import held_out_logs, validation
 from robot_sysid.estimate.identifiability import analyse_identifiability
 from robot_sysid.estimate.links import LINK_KINDS
 from robot_sysid.estimate.options import FILE_FRICTION
+from robot_sysid.estimate.questions import CHANGES
 from robot_sysid.estimate.terms import (
     FRICTION,
     LAST_LINK,
@@ -208,9 +209,8 @@ def conflicts(fitted: Fit) -> Iterator[PriorConflict]:
         sizes = np.where(seen, np.abs(off) / np.sqrt(np.maximum(moved, 1e-300)), 0.0)
         limit = float(ndtri(1.0 - 0.5 * (1.0 - SURE) / (10.0 * len(sizes))))
         if np.max(sizes) > limit:
-            order = np.argsort(-sizes)
-            members = [term.names[k] for k in order if sizes[k] > limit]
-            owners = [split_name(name)[1] or "the arm" for name in members]
+            members = [k for k in np.argsort(-sizes) if sizes[k] > limit]
+            owners = [split_name(term.names[k])[1] or "the arm" for k in members]
             deviation = float(np.max(np.abs(off) / np.sqrt(term.prior.variances)))
             yield PriorConflict(
                 term.cause, tuple(dict.fromkeys(owners)), deviation, 1.0
@@ -445,11 +445,15 @@ def _file_terms(
     """Yield (joint or motor, its friction terms and rotor inertia in the model file).
 
     A rotor is written, with its error, where it differs from the model's. The offset of a torque
-    sensor is not friction, and is not written.
+    sensor is not friction, and is not written. What is written has to hold on another day, too: the
+    errors of friction have its change (``CHANGES``) in them.
     """
     for owner, joint in joint_estimates(file.fit):
-        terms = dict(joint.terms)
-        terms.pop("offset", None)
+        terms = {}
+        for term, figure in joint.terms.items():
+            if term != "offset":
+                error = math.hypot(figure.error, CHANGES * figure.value)
+                terms[term] = Quantity(figure.value, error)
         model_rotor = fitted.arm.model.get(f"armature[{owner}]", 0.0)
         rotor = file.rotors.get(owner, model_rotor)
         if rotor != model_rotor:

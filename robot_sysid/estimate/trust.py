@@ -121,11 +121,9 @@ def find_misfits(
     for test in tests:
         if not test.is_informative or (test.relative_error or 0.0) <= HARMLESS:
             continue
-        squared_ratios = []
-        for joint, error in test.rmse_per_joint.items():
-            if joint in noise:
-                squared_ratios.append((error / noise[joint]) ** 2)
-        ratio = float(np.sqrt(np.mean(squared_ratios or [0.0])))
+        errors = test.rmse_per_joint
+        ratios = [errors[joint] / noise[joint] for joint in errors if joint in noise]
+        ratio = float(np.sqrt(np.mean(np.square(ratios or [0.0]))))
         if ratio > NOISE_EXPLAINS:
             yield (
                 Verdict.UNEXPLAINED,
@@ -133,10 +131,7 @@ def find_misfits(
                 "of the fit allows",
             )
     torque = fitted.torque
-    shares = {}
-    for joint in noise:
-        if torque[joint]:
-            shares[joint] = noise[joint] / torque[joint]
+    shares = {joint: noise[joint] / torque[joint] for joint in noise if torque[joint]}
     for joint, share in shares.items():
         others = [other for other in shares if other != joint]
         if not others or fitted.independent_share[joint] >= MEMORY:
@@ -162,15 +157,14 @@ def unexplained_share(fitted: Fit) -> tuple[float, str]:
     torque = fitted.torque
     # Joint to root mean square of the residuals that are correlated in time [N m].
     slow = {}
-    torques = []
     for joint, noise in fitted.noise_per_joint.items():
         if torque[joint]:
-            slow_share = max(1.0 - fitted.independent_share[joint], 0.0)
-            slow[joint] = noise * np.sqrt(slow_share)
-            torques.append(torque[joint])
+            slow[joint] = noise * np.sqrt(1.0 - fitted.independent_share[joint])
     share = 0.0
     if slow:
-        share = float(np.linalg.norm([*slow.values()]) / np.linalg.norm(torques))
+        share = float(
+            np.linalg.norm([*slow.values()]) / np.linalg.norm([*torque.values()])
+        )
     largest = sorted(slow, key=lambda joint: -slow[joint])[:3]
     phrases = [
         f"{percent(slow[joint] / torque[joint])} of {joint}" for joint in largest

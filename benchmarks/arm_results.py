@@ -1,0 +1,26 @@
+"""The result of measurements of an arm, as the benchmarks compare it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.result import link_result
+from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records.messages import Progress
+from robot_sysid.results.record import Result
+from robot_sysid.signals.resampling import split_at_gaps
+from tests.support.core_fits import ORIGIN
+
+
+def result_of_logs(
+    robot: RobotModel, logs: Iterable[Measurement], options: EstimationOptions
+) -> Result:
+    """Return the result of measurements of the arm alone, cut where they have gaps."""
+    pieces = []
+    for number, log in enumerate(logs):
+        pieces += [Piece(f"log{number}", piece) for piece in split_at_gaps(log)]
+    recordings, _ = low_pass_recordings(robot, pieces, options.cutoff)
+    fits = identify_link(robot, recordings, options, Progress())
+    return link_result(*fits, (), ORIGIN)
