@@ -40,7 +40,7 @@ from robot_sysid.logs.table import (
     read_rows,
 )
 from robot_sysid.logs.text import text_table
-from robot_sysid.logs.titles import joint_quantity, read_title
+from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.messages import Detail, Progress, count_text
@@ -322,8 +322,7 @@ def content_lines(path: Path, options: LogOptions) -> list[str]:
     width = max(map(len, table.titles))
     lines = [f"log layout: {table.layout}; its columns and first {table.row_noun}:"]
     for text, cell in zip_longest(table.titles, cells, fillvalue=""):
-        title = read_title(text)
-        quantity = joint_quantity(title) or title.quantity
+        quantity = read_title(text).quantity
         line = f"  {text:{width}}  {cell:>12.40}"
         lines.append(line + (f"  ({quantity})" if quantity else ""))
     lines.append(
