@@ -24,23 +24,13 @@ from robot_sysid.damiao.adapters import (
     PacketReader,
     open_bus,
 )
-from robot_sysid.damiao.bus import (
-    GuardedLink,
-    LinkError,
-    SimulatedClock,
-    SystemClock,
-    inspect_bus,
-)
+from robot_sysid.damiao.bus import LinkError, SimulatedClock, SystemClock
 from robot_sysid.damiao.protocol import Address, BusTiming, Frame, disable_frame
 from robot_sysid.errors import InputError
 from tests.support.damiao_rig import two_motor_arm
 from tests.support.realtime_arm import slcan_terminal
 
 WALL = 1.7e9
-FRAMES = st.builds(
-    lambda identifier, data, fd: Frame(identifier, data, fd=fd),
-    *(st.integers(0, 0x7FF), st.binary(max_size=8), st.booleans()),
-)
 
 
 def virtual(channel):
@@ -80,14 +70,6 @@ def clock(monkeypatch):
     simulated = SimulatedClock()
     monkeypatch.setattr(time, "time", lambda: WALL + simulated.now())
     return simulated
-
-
-def test_an_arm_behind_pythons_messages_answers(clock):
-    link = GuardedLink(BusLink([ArmBus(clock, two_motor_arm())], clock), clock)
-    inspection = inspect_bus(link)
-    assert sorted(inspection.motors) == [(0, 1), (0, 2)]
-    assert inspection.motors[0, 1].limits == (12.5, 10.0, 28.0)
-    assert inspection.motors[0, 2].feedback.temperature_rotor[0] == 29
 
 
 @pytest.mark.parametrize(

@@ -91,16 +91,6 @@ def test_a_user_without_the_right_goes_on_without(monkeypatch):
     assert scheduler.schedules == {}
 
 
-@pytest.mark.parametrize("platform", ["darwin", "win32"])
-def test_a_system_that_knows_no_such_priority_goes_on_without(monkeypatch, platform):
-    monkeypatch.setattr(sys, "platform", platform)
-    for name in ("sched_getscheduler", "sched_setscheduler", "SCHED_FIFO", "SCHED_RR"):
-        monkeypatch.delattr(os, name, raising=False)
-    with undisturbed_processor() as is_granted:
-        assert not is_granted
-        assert not lacks_priority()
-
-
 @LINUX
 def test_simulated_time_takes_no_priority(monkeypatch):
     """It never waits, and would keep a processor for itself."""

@@ -15,11 +15,9 @@ from robot_sysid.damiao.protocol import (
     NAMES,
     REGISTER_ID,
     Address,
-    BusTiming,
     Frame,
     MitCommand,
     Scaling,
-    bus_load,
     bytes_from_value,
     decode_feedback,
     decode_mit,
@@ -207,19 +205,6 @@ def test_harmful_special_frames_are_refused(code):
 def test_harmful_register_operations_are_refused(operation):
     with pytest.raises(SysidError, match="refused to send"):
         refuse_harmful(Frame(REGISTER_ID, bytes([1, 0, operation, 1, 0, 0, 0, 0])))
-
-
-CLASSIC = BusTiming()
-FD = BusTiming(fd=True)
-
-
-@pytest.mark.parametrize(
-    ("motors", "classic", "fast"),
-    [(4, 648, 1546), (6, 432, 1031), (7, 370, 883), (14, 185, 442)],
-)
-def test_rates_at_seventy_percent_are_those_of_the_manual(motors, classic, fast):
-    assert bus_load(motors, classic, CLASSIC) == pytest.approx(0.7, abs=1e-3)
-    assert bus_load(motors, fast, FD) == pytest.approx(0.7, abs=1e-3)
 
 
 @given(number=st.sampled_from(sorted(NAMES)), data=st.data())

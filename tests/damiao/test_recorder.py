@@ -144,31 +144,6 @@ def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(
 
 # --- centring -----------------------------------------------------------------------------------
 
-VALUES = st.floats(-10.0, 10.0)
-COMMANDS = st.builds(
-    lambda *values: MitCommand(*(np.array([value]) for value in values)),
-    *(VALUES, VALUES, st.floats(0.0, 100.0), st.floats(0.0, 5.0), VALUES),
-)
-
-
-@given(acted=COMMANDS, sent=COMMANDS, q=VALUES, qd=VALUES)
-def test_a_centred_torque_is_the_mean_of_both_sides_of_the_step(
-    acted, sent, q, qd, tmp_path_factory
-):
-    """A motor samples at the end of one command; the next one steps its torque at that moment."""
-    q = np.array([q])
-    qd = np.array([qd])
-    torque_before = acted.motor_torque(q, qd)
-    torque_after = sent.motor_torque(q, qd)
-    replies = replies_of(q, qd, np.zeros(1), sent, torque_before)
-    path = tmp_path_factory.mktemp("rec") / "measured.csv"
-    with recorder_for(path) as recorder:
-        recorder.write(0.0, 0.0, replies, acted)
-    recorded = {k: v[0] for k, v in read_recording(path).columns.items()}
-    # Six decimals are printed.
-    assert abs(recorded["j0_tau"] - 0.5 * (torque_before + torque_after)[0]) < 1e-6
-    assert abs(recorded["j0_cmd_step"] - (torque_after - torque_before)[0]) < 1e-6
-
 
 @pytest.mark.parametrize("threaded", [False, True])
 def test_what_goes_wrong_is_kept_and_nothing_is_done_after_it(threaded):

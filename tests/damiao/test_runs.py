@@ -20,7 +20,7 @@ from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.preflight import stops
-from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming, Frame, is_special
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, Frame, is_special
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import trajectory_reference
 from robot_sysid.damiao.session import MotorSession
@@ -55,28 +55,6 @@ def test_an_undisturbed_run_plays_everything_and_disables(rig):
     assert len(disabled) == 6
     np.testing.assert_allclose(np.diff(disabled[:5]), 2e-3, atol=1e-9)
     run.assert_harmless()
-
-
-def test_gains_and_feed_forward_torque_rise_together_in_a_fifth_of_the_ramp(rig):
-    """Otherwise a loaded arm sinks, or a wrong torque throws it before anything holds it."""
-    q = np.full((50, 1), 0.5)
-    motion = np.arange(50) / 250, q, 0 * q, 0 * q + GRAVITY * np.sin(0.5)
-    run = rig(1, motion=motion, start=[0.5], ramp_time=0.3, **USUAL)
-    gains = []
-    exchange = MotorSession.exchange
-
-    def watch_call(self, command, *arguments, **options):
-        gains.append((command.kp[0], command.torque[0]))
-        return exchange(self, command, *arguments, **options)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MotorSession, "exchange", watch_call)
-        run.run()
-    assert run.error is None
-    kp, torque = np.array(gains[:76]).T
-    share = np.minimum(np.arange(1, 77) / 15, 1.0)
-    np.testing.assert_allclose(kp, 180.0 * share, atol=1e-9)
-    np.testing.assert_allclose(torque, GRAVITY * np.sin(0.5) * share, atol=1e-3)
 
 
 def test_a_stop_that_was_asked_for_before_enables_nothing(rig):
@@ -137,16 +115,6 @@ def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(rig
     recording = run.assert_played()
     assert any("TMAX=20," in line for line in recording.head)
     np.testing.assert_allclose(recording.joint_values("tau"), plain, rtol=0, atol=0.05)
-
-
-def test_can_fd_motors_play_on_an_fd_host(rig):
-    run = rig(timing=BusTiming(fd=True))
-    run.motors[0].registers[protocol.CAN_BR] = (
-        9.0  # the other one answers in classic frames
-    )
-    run.run()
-    run.assert_played()
-    assert {frame.fd for frame in run.play_frames} == {True, False}
 
 
 def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):

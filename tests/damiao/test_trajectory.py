@@ -101,24 +101,6 @@ def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
     ]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"can_ids": [1, 1]}, "CAN id 0x01 is used by more than one motor"),
-        ({"can_ids": [0, 1]}, "CAN id 0 is outside 1 to 15"),
-        ({"can_ids": [1]}, "--can-id was given once but the chain has 2 joints"),
-        (
-            {"master_ids": [0x102, 0x12]},
-            "would be taken as commands by the motor with CAN id 2",
-        ),
-        ({"master_ids": [0x800, 0x12]}, "outside 0 to 0x7fe"),
-    ],
-)
-def test_ids_that_cannot_share_a_bus_are_refused(options, message):
-    with pytest.raises(InputError, match=message):
-        export_motion([motion()], ["DM4340"] * 2, **options)
-
-
 @pytest.mark.parametrize("where", [1, 2, 3])
 def test_values_that_are_not_finite_are_refused(where, tmp_path):
     chunk = [np.array(x) for x in motion()]
