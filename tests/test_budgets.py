@@ -30,7 +30,7 @@ BUDGETS = {
     "robot_sysid/records": 8676,
     "robot_sysid/report": 8319,
     "robot_sysid/results": 14704,
-    "robot_sysid/servo": 6487,
+    "robot_sysid/servo": 6478,
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4289,
     "robot_sysid": 12085,

@@ -329,8 +329,6 @@ def refine_played(problem: ServoProblem, fit: ServoFit, in_model: Array) -> Serv
     from scipy.optimize import least_squares
 
     fast = np.flatnonzero(fit.is_fast)
-    if not len(fast):
-        return fit
     start = np.where(in_model > 0.0, in_model, np.maximum(fit.numbers, 1e-4))[:, fast]
     # Friction changes by as much as is typical: small changes move the rollouts less than chance.
     steps = np.append(np.repeat(_STEPS, len(fast)), _STEPS[0])
