@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 5328,
     "robot_sysid/commands": 12713,
     "robot_sysid/damiao": 39130,
-    "robot_sysid/diagnosis": 17992,
+    "robot_sysid/diagnosis": 17991,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29496,
     "robot_sysid/logs": 19722,

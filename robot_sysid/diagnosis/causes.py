@@ -243,36 +243,20 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
     """
     arm = fitted.arm
     links = partial(rigid, arm)
-    scales = [
-        *per_joint(
-            arm,
-            "torque-scale",
-            "torque of joint {joint} reads {value} what links and the other joints say; weigh a "
-            "known mass (payload --known-mass) and pass the file that it writes as --torque-scale",
-            "",
-            diagonal(links),
-            0.4,
-            "torques are {value} what the model's links make: either the torques of all joints "
-            "read that many times too much, or the masses of all links are that many times the "
-            "model's; torques cannot tell these apart: weigh the arm, or a known mass (payload "
-            "--known-mass)",
-            unit="times",
-            shift=1.0,
-            is_possible=lambda v, e: bool(v[0] > -0.5),
-        )
-    ]
-    yield from scales
-    external = replace(
-        scales[0].term,
-        cause="gravity",
-        text="the torque has nothing of its motion but friction: this is an external torque, what "
-        "is left after the controller's model; record the measured joint torque",
-    )
-    yield replace(
-        scales[0],
-        term=replace(external, prior=independent([1.0])),
-        level=Level.REFUSE,
-        is_possible=lambda v, e: bool(-1.5 < v[0] < -0.5),
+    yield from per_joint(
+        arm,
+        "torque-scale",
+        "torque of joint {joint} reads {value} what links and the other joints say; weigh a "
+        "known mass (payload --known-mass) and pass the file that it writes as --torque-scale",
+        "",
+        diagonal(links),
+        0.4,
+        "torques are {value} what the model's links make: either the torques of all joints read "
+        "that many times too much, or the masses of all links are that many times the model's; "
+        "torques cannot tell these apart: weigh the arm, or a known mass (payload --known-mass)",
+        unit="times",
+        shift=1.0,
+        is_possible=lambda v, e: bool(v[0] > -0.5),
     )
     drift = "changes its scale by {value} over the log; let motors and sensors warm up, and record "
     drift += "again"
@@ -560,7 +544,7 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
             f"torque of joint {name} hums: a sine of {rate / (2.0 * np.pi):.2g} Hz and {{value}} "
             "that neither motion nor friction makes; find its source",
             name,
-            shapes_at(fitted, joint, partial(hum, rate)),
+            shapes_at(fitted, joint, partial(waves, rate, True)),
             np.full(2, 0.1 * torque[joint]),
             joint=joint,
             unit="N m",
@@ -581,7 +565,7 @@ def ripple(fitted: Fit, joint: int, count: int) -> Explanation:
         f"torque of joint {name} ripples about {count} times per turn by {{value}}, as of cogging; "
         "errors count it as noise",
         f"{count} {name}",
-        shapes_at(fitted, joint, partial(cogging, count)),
+        shapes_at(fitted, joint, partial(waves, count, False)),
         np.full(2, 0.1 * typical_torque(fitted)[joint]),
         level=Level.NOTE,
         joint=joint,
@@ -592,14 +576,10 @@ def ripple(fitted: Fit, joint: int, count: int) -> Explanation:
     )
 
 
-def hum(rate: float, motion: Any, k: int) -> list[Array]:
-    """Return cosine and sine (m,) in time, at a rate [rad/s]."""
-    return [np.cos(rate * motion.time), np.sin(rate * motion.time)]
-
-
-def cogging(count: int, motion: Any, k: int) -> list[Array]:
-    """Return cosine and sine (m,) that a joint passes some times per turn."""
-    return [np.cos(count * motion.q[:, k]), np.sin(count * motion.q[:, k])]
+def waves(rate: float, in_time: bool, motion: Any, k: int) -> list[Array]:
+    """Return cosine and sine (m,) of the time or a joint's position times a rate."""
+    phase = rate * (motion.time if in_time else motion.q[:, k])
+    return [np.cos(phase), np.sin(phase)]
 
 
 def crosstalk(fitted: Fit) -> Iterator[Explanation]:

@@ -25,7 +25,12 @@ from robot_sysid.diagnosis.log_fit import (
     dry_friction,
     log_rows,
 )
-from robot_sysid.diagnosis.relabelling import Correction, corrections, odd_unit_finding
+from robot_sysid.diagnosis.relabelling import (
+    SMALLER,
+    Correction,
+    corrections,
+    odd_unit_finding,
+)
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Fit
@@ -60,6 +65,11 @@ ALL_LINKS = (
     "torques cannot tell these apart: weigh a link, or a known mass (payload --known-mass)"
 )
 """Text of the finding that all links are off alike."""
+EXTERNAL = (
+    "the torque has little of the links' weight and inertia: this is an external torque, what is "
+    "left after the controller's model; record the measured joint torque"
+)
+"""Text of the finding that torques are small, but in no other unit."""
 ODD_LINKS = 7.25
 """Factor on the stated uncertainty of links' masses, as the log shows it, above which the model is
 not of this arm: links that are off by 20 %, one by 40 %, reach 6.5, a KUKA LWR4+ 7.1, models of
@@ -114,6 +124,15 @@ class Score:
         """Values (e,) of the parameters, and their standard errors (e,)."""
         at = self.log.fit.at(self.explanation.term.names)
         return self.log.fit.free[at], np.sqrt(np.diag(self.log.fit.inverse)[at])
+
+    @property
+    def explains(self) -> bool:
+        """Whether less torque is left over, of all joints together, than without it."""
+        before, after = (
+            np.sum(each.sums.squared_residuals(each.full))
+            for each in (self.before, self.log.fit)
+        )
+        return bool(after < before)
 
     @cached_property
     def joint_shares(self) -> Array:
@@ -214,7 +233,7 @@ class Contest:
         scores: list[Score] = []
         for _, explanation in sorted(best.values(), key=lambda pair: -pair[0]):
             score = self.score(current, explanation, self.rows)
-            if explanation.is_possible(*score.values):
+            if explanation.is_possible(*score.values) and score.explains:
                 scores.append(score)
             if len(scores) == _REFITTED:
                 break
@@ -273,15 +292,12 @@ def findings(
         winner = ranked[0] if ranked and ranked[0].gain > CLEAR else None
         best = log if winner is None else winner.log
         found = [scores[0].explanation for scores in rounds]
-        cause = "" if winner is None else winner.explanation.term.cause
-        tried = corrections(
-            log,
-            best,
-            [each.term for each in found],
-            options,
-            divided,
-            cause in LIKE_GRAVITY,
-        )
+        tried: list[Correction] = []
+        # Where the log fits with what was found, corrections were tried before.
+        if not rounds or log.misfit > UNEXPLAINED or not log.is_plausible:
+            terms = [each.term for each in found]
+            is_turned = bool(winner and winner.explanation.term.cause in LIKE_GRAVITY)
+            tried = corrections(log, best, terms, options, divided, is_turned)
         is_exchanged = bool(tried) and tried[0].finding.name in ("order", "tilt")
         # An exchange of joints also gives one of them torque that is far too large for it.
         if odd_unit and not corrected and not is_exchanged:
@@ -314,9 +330,11 @@ def wrong_models(
         last: that with all that is named.
         options: prior uncertainties of the estimate.
     """
+    if np.median(first.torque_ratio[first.loaded]) < SMALLER:
+        return [Finding("gravity", Level.REFUSE, EXTERNAL)]
     ratio, error = last.links_ratio
     # Of few joints, other links take up what the last one does not: the ratio is hardly known.
-    off = max(abs(ratio - 1.0) - SURE * error, 0.0)
+    off = abs(ratio - 1.0) - SURE * error
     if off > (ALL_OFF - 1.0) / max(1.0, ALL_OFF * (ratio < 1.0)):
         return [Finding("torque-scale", Level.REFUSE, ALL_LINKS.format(ratio))]
     if last.misfit > UNEXPLAINED:

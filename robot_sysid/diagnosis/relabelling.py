@@ -287,7 +287,7 @@ def agreement(
             is_moved = "position" in quantities
             moved.append([apply(each) if is_moved else each for each in series])
             torques.append(apply(torque) if "torque" in quantities else torque)
-            gravity.append(np.repeat(direction[:, None], len(torque), axis=1))
+            gravity.append(np.tile(direction[:, None], len(torque)))
     q, qd, qdd = np.concatenate(moved, axis=1)
     moves = LinkDynamics(robot, np.concatenate(gravity, axis=1)).motion(q, qd, qdd)
     others = robot.thetas
