@@ -114,7 +114,9 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
         with path.open(encoding="utf-8-sig") as stream:
             text = stream.read(_LONGEST)
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the columns file {path}: {error}") from error
+        raise InputError(
+            f"cannot read the columns file {str(path)!r}: {getattr(error, 'strerror', 'no UTF-8')}"
+        ) from error
     return parse_columns(text, path, joint_names)
 
 

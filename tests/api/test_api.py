@@ -83,7 +83,7 @@ ZEROS = np.zeros((9, 2))
         ({"q": [[0.0], [0.0, 1.0]]}, "^q is no array: its rows differ in length$"),
         (
             {"q": np.zeros((9, 4)), "tau": np.zeros((9, 4))},
-            "each joint of the chain .joint0, joint1.*position: found 4 .q.0., q.1.",
+            "each joint of the chain .joint0, joint1.*found q.0., q.1.",
         ),
     ],
 )
@@ -95,7 +95,7 @@ def test_arrays_that_are_no_columns_are_named_with_what_is_wrong(changed, messag
 
 
 def test_a_text_in_place_of_a_columns_file_is_named(workshop):
-    with pytest.raises(InputError, match="^columns takes the path of a columns file"):
+    with pytest.raises(InputError, match="^cannot read the columns file"):
         rs.read_log(
             workshop / "log.csv", workshop / "arm.xml", columns="time = t\nrate = 2\n"
         )
@@ -170,7 +170,7 @@ def test_a_log_that_was_read_is_not_read_otherwise(workshop, tmp_path):
     assert mass == rs.identify(arm, workshop / "log.csv", torque_scale=1.02).mass
     other = tmp_path / "other.xml"
     other.write_text(arm.read_text().replace('"joint', '"hinge'))
-    with pytest.raises(InputError, match="joint0..3, and .* hinge0..3; read it with"):
+    with pytest.raises(InputError, match="joint3, and .* hinge3; read it with"):
         rs.identify(other, log)
 
 
