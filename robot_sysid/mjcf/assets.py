@@ -229,7 +229,7 @@ def relocate(
             document.set_compiler({"strippath": "false"})
         return
     folders = asset_folders(document, mesh_dir)
-    kinds = {asset.node.tag for asset in assets}
+    kinds = {a.node.tag for a in assets if not os.path.isabs(a.name)}
     values = {}
     for name, asset_folder, is_used in (
         ("meshdir", folders.mesh, kinds - {"texture", "model"}),

@@ -158,10 +158,9 @@ def _notes(
     emptied = [b.name for b in others if plan.shares.get(b.body_id) == 0.0]
     lightened = [b for b in others if plan.shares.get(b.body_id, 0.0) > 0.0]
     if emptied:
-        verb = "weighs" if len(emptied) == 1 else "weigh"
         yield (
-            f"body '{top.name}' now holds the inertia of all that is rigidly attached to it; "
-            f"{_quoted(emptied)} {verb} nothing in the written model"
+            f"body '{top.name}' now holds the inertia of all that is rigidly attached to it, and "
+            f"{_quoted(emptied)} none in the written model"
         )
     if lightened:
         yield (

@@ -78,6 +78,12 @@ def test_in_its_own_folder_nothing_changes(tmp_path):
     assert moved_text(source, tmp_path) == read_document(source).text()
 
 
+def test_absolute_names_need_no_folder(tmp_path):
+    text = f"<mujoco>{MESH.format(tmp_path / 'm.obj')}{USE}</mujoco>"
+    source = write_files(tmp_path / "in", {"m.xml": text, "../m.obj": TETRAHEDRON})
+    assert moved_text(source, tmp_path) == read_document(source).text()
+
+
 def test_behind_a_symbolic_link_the_path_is_absolute(tmp_path):
     (tmp_path / "real" / "deep").mkdir(parents=True)
     (tmp_path / "link").symlink_to(tmp_path / "real" / "deep")

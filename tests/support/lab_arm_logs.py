@@ -55,15 +55,15 @@ def six_joint_motion(rate: float) -> Measurement:
 
 
 @cache
-def openarm(side: str) -> RobotModel:
-    """Return one arm of OpenArm's model of two."""
-    return load_robot_model(OPENARM, joint=f"openarm_{side}_joint7")
+def openarm() -> RobotModel:
+    """Return the left arm of OpenArm's model of two."""
+    return load_robot_model(OPENARM, joint="openarm_left_joint7")
 
 
 @cache
-def openarm_motion(side: str, rate: float) -> Measurement:
-    """Return 12 s of a motion of one of OpenArm's arms."""
-    return truth_of(openarm(side), 3, rate=rate).log
+def openarm_motion() -> Measurement:
+    """Return 12 s of a motion of OpenArm's left arm."""
+    return truth_of(openarm(), 3, rate=100.0).log
 
 
 def piper(folder: Path) -> Path:
@@ -95,7 +95,7 @@ def piper(folder: Path) -> Path:
 def openarm_bag(folder: Path) -> Path:
     """A bag of openarm_ros2: 100 Hz, both arms and fingers in one topic, the right arm at rest."""
     store = typestore("MCAP")
-    left = openarm_motion("left", 100.0)
+    left = openarm_motion()
     data = with_extra_joints(left, 9, 0.02)
     names = [f"openarm_left_joint{k}" for k in range(1, 8)]
     names += ["openarm_left_finger_joint1"]
@@ -175,12 +175,7 @@ LAB_ARM_LOGS = (
         accuracy=3e-3,
     ),
     # enactic/openarm_ros2: openarm_bringup/config/v10_controllers
-    LabArmLog(
-        "OpenArm bag",
-        lambda folder: openarm("left"),
-        partial(openarm_motion, "left", 100.0),
-        openarm_bag,
-    ),
+    LabArmLog("OpenArm bag", lambda folder: openarm(), openarm_motion, openarm_bag),
     # i2rt-robotics/i2rt: i2rt/robots/motor_chain_robot.py
     LabArmLog(
         "i2rt arrays", _six_joint_robot, partial(six_joint_motion, 100.0), i2rt_arrays

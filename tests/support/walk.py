@@ -119,7 +119,6 @@ class Walk:
     Args:
         arm: the arm that is recorded.
         runs_remedies: whether commands that are no next step are run, too.
-        run: runs a command line; returns its exit code and its output.
         record_again: writes the recording of the first log's motion, in its form, with a load of
             this mass on the terminal link [kg].
 
@@ -133,13 +132,11 @@ class Walk:
         self,
         arm: TrueArm,
         runs_remedies: bool = True,
-        run: Callable[[str], tuple[int, str]] = run_here,
         record_again: Callable[[Path, float], None] | None = None,
     ) -> None:
         self.arm = arm
         self._record_again = record_again
         self._runs_remedies = runs_remedies
-        self._run = run
         self._plan: MotionPlan = arm.first_plan
         self.steps: list[Step] = []
         self.refused: list[Step] = []
@@ -154,7 +151,7 @@ class Walk:
         while waiting and len(self.steps) < MOST_STEPS:
             line = waiting.pop(0)
             self._record_missing(line)
-            self.steps.append(Step(line, *self._run(line)))
+            self.steps.append(Step(line, *run_here(line)))
             output = self.steps[-1].output
             for path in re.findall(r"^  mujoco\.\S+\((.*)\)$", output, re.MULTILINE):
                 mujoco.MjModel.from_xml_path(json.loads(path))
@@ -166,7 +163,7 @@ class Walk:
                 remedies = []
             waiting += next_commands
             for remedy in remedies if self._runs_remedies else ():
-                self.remedies.append(Step(remedy, *self._run(remedy)))
+                self.remedies.append(Step(remedy, *run_here(remedy)))
         self.steps += [Step(line, 125, "not reached") for line in waiting]
         return self.steps
 
