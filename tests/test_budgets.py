@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 5328,
     "robot_sysid/commands": 12713,
-    "robot_sysid/damiao": 39130,
+    "robot_sysid/damiao": 39121,
     "robot_sysid/diagnosis": 17991,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29496,

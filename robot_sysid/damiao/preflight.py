@@ -135,18 +135,13 @@ def plan_checks(plan: Plan) -> list[Check]:
 
 
 def _id_checks(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    """Yield whether the ids of the joints' motors are valid and unique on each bus.
-
-    A master id of 0 is valid but noted.
-    """
+    """Yield whether the ids of the joints' motors are valid and unique on each bus."""
     ids = [(joint.bus, joint.can_id, joint.master_id) for joint in joints]
     problems = list(id_problems(ids))
     yield from map(_stop, problems)
     if not problems:
         can_ids = ", ".join(str(can_id) for _, can_id, _ in ids)
         yield Check(OK, f"ids are unique: {can_ids}")
-    if any(master_id == 0 for _, _, master_id in ids):
-        yield _note("a master id of 0 is a poor choice; set it to CAN id + 0x10")
 
 
 def _motion_checks(plan: Plan) -> Iterator[Check]:

@@ -134,7 +134,7 @@ class Observer:
                 _OTHER_TORQUE * peak_torque + 4.0 * torque_step,
                 np.full(n_joints, settings.max_tracking_error),
                 settings.max_speed_error + _STEPS * self._velocity_step,
-                np.array(settings.max_torque_error),
+                settings.max_torque_error,
                 effort_limit,
             ]
         )
