@@ -72,7 +72,7 @@ BAD_OPTIONS = [
     (f"--output-dir {300 * 'n'}", "File name too long"),
     (f"--trajectory {300 * 'n'}", "File name too long"),
     ("--joint wrist", "the model has: joint0, joint1"),
-    ("--output-dir arm.xml/results", "arm.xml is no folder"),
+    ("--output-dir arm.xml/results", "arm.xml is not a folder"),
     ("--output-di a", "--output-di: did you mean --output-dir?"),
     ("--export-damiao --motor-type DM1 --motor-type DM4340", "DM4340_48V"),
     ("--export-damiao --motor-type DM4340", "2 joints"),

@@ -304,7 +304,7 @@ def require_writable(folder: Path) -> None:
     existing = next(f for f in (absolute, *absolute.parents) if os.path.lexists(f))
     if not (os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)):
         raise InputError(
-            f"cannot write to {folder}: {existing} is no folder in which this user may write; "
+            f"cannot write to {folder}: {existing} is not a folder that may be written to; "
             "choose another folder"
         )
 
