@@ -66,8 +66,8 @@ ALL_LINKS = (
 )
 """Text of the finding that all links are off alike."""
 EXTERNAL = (
-    "the torque has little of the links' weight and inertia: this is an external torque, what is "
-    "left after the controller's model; record the measured joint torque"
+    "the torque has little of the links' weight: is it external, left after a controller's "
+    "model, or motor current (--torque-constants)? record the measured joint torque"
 )
 """Text of the finding that torques are small, but in no other unit."""
 ODD_LINKS = 7.25
