@@ -3,9 +3,9 @@
     python -m benchmarks.payload_plan [--arms PART] [--runs N] [--budget S]
 
 Each run plans a motion with default options, lets a simulated arm play it without and with a load
-(empty, loaded, loaded, empty) and weighs the load. The arm's links are up to 10 % off, its joints
-have friction, and its sensors have noise of 1 % of each joint's usual torque, which the prior
-`noise` states to the plan (tests/support/walk.py).
+(empty, loaded, loaded, empty) and weighs the load. The arm's links are 6 % off (standard
+deviation), its joints have friction, and its sensors have noise of 1 % of each joint's usual
+torque, which the prior `noise` states to the plan (tests/support/walk.py).
 Printed per arm: predicted and stated standard errors of the mass and of the centre of mass (medians
 over the runs), stated over predicted, and the true error over the stated one (root mean square).
 """

@@ -26,6 +26,8 @@ from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.records import Array, MotionPlan, RobotModel
 from tests.support.wrong_logs import truth_of
 
+_WRONG_LINKS = 0.06
+"""Standard deviation of the links' masses from the model's, relative to them."""
 MOST_STEPS = 8
 """Number of commands within which a walk has to end."""
 RATE = 200.0
@@ -56,8 +58,8 @@ class TrueArm:
         self._seed = seed
         self._constants = constants
         self._rng = np.random.default_rng(seed)
-        self.tool_mass = 0.05 * float(np.sum(robot.thetas[:, 0]))
-        first = truth_of(robot, seed)
+        self.tool_mass = 0.05 * robot.mass
+        first = truth_of(robot, seed, _WRONG_LINKS)
         self.first_plan = first.plan
         typical = np.sqrt(np.mean(first.rigid**2, axis=0))
         typical = np.maximum(typical, 0.03 * np.max(typical))
@@ -66,7 +68,7 @@ class TrueArm:
 
     def record(self, path: Path, plan: MotionPlan, load: float) -> None:
         """Write the log of a motion with a load of this mass on the terminal link [kg]."""
-        truth = truth_of(self.robot, self._seed, rate=RATE, load=load, played=plan)
+        truth = truth_of(self.robot, self._seed, _WRONG_LINKS, RATE, load, plan)
         qd = truth.log.qd
         noise = self.noise * self._rng.standard_normal(qd.shape)
         tau = truth.rigid + self._coulomb * (np.sign(qd) + qd) + noise
