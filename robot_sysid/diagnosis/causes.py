@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.diagnosis import Level
+from robot_sysid.diagnosis.log_fit import typical_torque
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
@@ -506,12 +507,6 @@ def spring(motion: Any, k: int) -> list[Array]:
     return [q, np.sin(q), np.cos(q)]
 
 
-def typical_torque(fitted: Fit) -> Array:
-    """Return the root mean square torque (J,) of joints, at least 2 % of the strongest's [N m]."""
-    torque = fitted.sums.rms_torque
-    return np.asarray(np.maximum(torque, 0.02 * np.max(torque)))
-
-
 def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
     """Yield torque at each joint in its position or in time: a spring, a hum, a ripple.
 
@@ -519,7 +514,7 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
     from 2 periods per log to 0.4 periods per row, over position with ``RIPPLES`` waves per turn.
     """
     arm = fitted.arm
-    torque = typical_torque(fitted)
+    torque = typical_torque(fitted.sums)
     residual = np.nan_to_num(fitted.residuals())
     q = np.concatenate([recording.motion.q for recording in fitted.recordings])
     time = np.concatenate([recording.motion.time for recording in fitted.recordings])
@@ -566,7 +561,7 @@ def ripple(fitted: Fit, joint: int, count: int) -> Explanation:
         "errors count it as noise",
         f"{count} {name}",
         shapes_at(fitted, joint, partial(waves, count, False)),
-        np.full(2, 0.1 * typical_torque(fitted)[joint]),
+        np.full(2, 0.1 * typical_torque(fitted.sums)[joint]),
         level=Level.NOTE,
         joint=joint,
         unit="N m",
@@ -585,7 +580,7 @@ def waves(rate: float, in_time: bool, motion: Any, k: int) -> list[Array]:
 def crosstalk(fitted: Fit) -> Iterator[Explanation]:
     """Yield torque sensors that also read a share of the torque of the joint before or after."""
     arm = fitted.arm
-    torque = typical_torque(fitted)
+    torque = typical_torque(fitted.sums)
     for joint, name in enumerate(arm.joints):
         for other in {joint - 1, joint + 1}.intersection(range(len(arm.joints))):
             own = np.eye(len(arm.joints))[joint]
@@ -619,7 +614,7 @@ def warming(fitted: Fit) -> Iterator[Explanation]:
     if fitted.recordings[-1].motion.time[-1] - first <= WARM_UP[0]:
         return
     dry = [fitted.by_name[name] for name in names_of("coulomb", arm.joints)]
-    spread = 0.5 * np.maximum(np.abs(dry), 0.01 * typical_torque(fitted))
+    spread = 0.5 * np.maximum(np.abs(dry), 0.01 * typical_torque(fitted.sums))
     for constant in WARM_UP:
 
         def excess(part: Part, point: Point, constant: float = constant) -> Array:

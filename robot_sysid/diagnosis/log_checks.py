@@ -47,13 +47,8 @@ SLOWEST = 0.05
 
 
 def _length(pieces: Sequence[Measurement]) -> float:
-    """Return the duration of all pieces together [s]."""
-    return sum(map(_duration, pieces))
-
-
-def _duration(piece: Measurement) -> float:
-    """Return the time from the first to the last sample of a piece [s]."""
-    return float(piece.time[-1] - piece.time[0])
+    """Return the duration of all pieces together [s], from the first sample of each to its last."""
+    return float(sum(np.ptp(piece.time) for piece in pieces))
 
 
 def slow_findings(recordings: Sequence[Recording]) -> Iterator[Finding]:
@@ -73,15 +68,14 @@ def enough_findings(
     """
     signals = recordings[0].signals
     assert signals is not None
-    cutoff = signals.cutoff
     span = _length(pieces)
-    rows = int(2.0 * cutoff * span)
+    rows = int(2.0 * signals.cutoff * span)
     rate = 1.0 / sampling_period(pieces[0].time)
     if rate < SLOWEST_RATE:
         text = f"{rate:.3g} samples per second are too few; record at 100 or more"
         yield Finding("too-little", Level.REFUSE, text)
     if rows < ROWS:
-        text = f"{span:.3g} s behind a low-pass of {cutoff:.3g} Hz hold about {rows} "
+        text = f"{span:.3g} s behind a low-pass of {signals.cutoff:.3g} Hz hold about {rows} "
         text += f"independent samples per joint, and {ROWS} are needed; record longer"
         yield Finding("too-little", Level.REFUSE, text)
 
@@ -344,7 +338,7 @@ def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
         return list(pieces)
     windows = []
     for piece in pieces:
-        count = max(1, int(_duration(piece) / WINDOW))
+        count = max(1, int(_length([piece]) / WINDOW))
         for rows in np.array_split(np.arange(len(piece)), count):
             windows.append(slice_samples(piece, int(rows[0]), int(rows[-1]) + 1))
     spread = np.linspace(0, len(windows) - 1, MOST_WINDOWS)
@@ -356,7 +350,7 @@ def check_pieces(
     pieces: Sequence[Measurement],
     options: EstimationOptions | None = None,
     links_known: bool = True,
-    divided: Sequence[float] | Array | None = None,
+    divided: Sequence[float] | Array | float = 1.0,
 ) -> tuple[tuple[Finding, ...], tuple[Measurement, ...]]:
     """Return the findings of all checks of a log, and its pieces with what is to be used of them.
 
@@ -368,7 +362,7 @@ def check_pieces(
         options: prior uncertainties of the estimate; None for the defaults.
         links_known: whether the model's links are taken as right; if not, findings of ``OF_LINKS``
             are only notes.
-        divided: (n,) torque scales by which the torques were divided already; None for ones.
+        divided: (n,) torque scales by which the torques were divided already.
 
     Raises:
         InputError: the log is too short to be looked at.
@@ -387,7 +381,7 @@ def check_pieces(
         pieces, contacts = leave_out(names, pieces, touched)
         if touched:
             recordings = low_pass(pieces, options.cutoff)
-        scales = np.ones(len(names)) if divided is None else np.array(divided, float)
+        scales = np.full(len(names), divided, dtype=float)
         # Later checks count only where earlier ones find nothing.
         ratios = velocity_ratios(pieces)
         share = time_share(ratios)
@@ -416,7 +410,7 @@ def _touched(
     parts: list[list[Measurement]] = [[]]
     for piece in pieces:
         overlap = round(_OVERLAP / sampling_period(piece.time))
-        count = math.ceil(_duration(piece) / _PART)
+        count = math.ceil(_length([piece]) / _PART)
         edges = np.linspace(0, len(piece), count + 1).astype(int).tolist()
         for first, last in zip(edges, edges[1:]):
             part = slice_samples(piece, max(first - overlap, 0), last)

@@ -33,6 +33,12 @@ FAR = 40.0
 """Squared deviation of the other links from the model that no log reaches with the right model."""
 
 
+def typical_torque(sums: Sums) -> Array:
+    """Return the root mean square torque (J,), at least ``LEAST_TORQUE`` of the largest [N m]."""
+    torque = sums.rms_torque
+    return np.asarray(np.maximum(torque, LEAST_TORQUE * np.max(torque)))
+
+
 @dataclass(frozen=True)
 class LogRows:
     """The rows of a log: columns of all terms, and their sums.
@@ -62,9 +68,8 @@ class LogRows:
 
     @cached_property
     def typical_torque(self) -> Array:
-        """Root mean square torque (J,), at least ``LEAST_TORQUE`` of the largest [N m]."""
-        torque = root_mean_square(self.right_sides)
-        return np.maximum(torque, LEAST_TORQUE * float(np.max(torque)))
+        """``typical_torque`` (J,) of the rows."""
+        return typical_torque(self.sums)
 
     def columns_of(self, names: Sequence[str]) -> Array:
         """Return the columns (K, J, e) of named parameters."""
@@ -292,8 +297,13 @@ class LogFit:
 
     @property
     def loaded(self) -> Mask:
-        """Which joints (J,) links load: more than ``LOADED`` of the most loaded one."""
-        return self.model_torque > LOADED * np.max(self.model_torque)
+        """Which joints (J,) links load: more than ``LOADED`` of the most loaded hinge.
+
+        The force of a slide is in another unit, and exceeds the torques of an arm that it carries.
+        """
+        torque = self.model_torque
+        is_slide = self.fit.arm.robot.is_slide[self.fit.arm.indices]
+        return torque > LOADED * np.max(torque[~is_slide], initial=0.0)
 
     @property
     def last_mass(self) -> tuple[float, float]:

@@ -197,7 +197,7 @@ def conflicts(fitted: Fit) -> Iterator[PriorConflict]:
     """
     from scipy.special import ndtri
 
-    if PAYLOAD in (term.cause for term in fitted.equations.terms):
+    if fitted.question.loaded:
         return
     for term, span in zip(fitted.equations.terms, fitted.equations.spans):
         if term.prior is None or term.cause in (LINKS, MOTORS):
@@ -450,16 +450,17 @@ def _file_terms(
     """
     for owner, joint in joint_estimates(file.fit):
         terms = {}
-        for term, figure in joint.terms.items():
+        for term, (value, error) in joint.terms.items():
             if term != "offset":
-                error = math.hypot(figure.error, CHANGES * figure.value)
-                terms[term] = Quantity(figure.value, error)
-        model_rotor = fitted.arm.model.get(f"armature[{owner}]", 0.0)
+                terms[term] = Quantity(value, math.hypot(error, CHANGES * value))
+        name = f"armature[{owner}]"
+        model_rotor = fitted.arm.model.get(name, 0.0)
         rotor = file.rotors.get(owner, model_rotor)
         if rotor != model_rotor:
-            terms["armature"] = Quantity(
-                rotor, quantity(fitted, f"armature[{owner}]").error
-            )
+            # Without an estimate of its own, the joint has the rotor of a motor that it shares.
+            is_own = name in fitted.names
+            error = quantity(fitted, name).error if is_own else math.nan
+            terms["armature"] = Quantity(rotor, error)
         yield owner, terms
 
 
@@ -522,7 +523,7 @@ def traces_of(fitted: Fit, file: FileFit | None) -> Traces:
     arm = fitted.arm
     values = shown.by_name
     model = dict(arm.model)
-    if PAYLOAD in (term.cause for term in fitted.equations.terms):
+    if fitted.question.loaded:
         model = {**values, **dict.fromkeys(PAYLOAD_NAMES, 0.0)}
     model.update((name, values[name]) for name in values if name.startswith("offset["))
     friction: dict[str, float] = {}
