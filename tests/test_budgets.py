@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 5328,
     "robot_sysid/commands": 12713,
-    "robot_sysid/damiao": 39121,
+    "robot_sysid/damiao": 38729,
     "robot_sysid/diagnosis": 17989,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29490,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4289,
     "robot_sysid": 12085,
-    "tests": 228567,
+    "tests": 228550,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

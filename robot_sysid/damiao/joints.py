@@ -267,8 +267,8 @@ def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class JointSpace:
-    """Mounting of n motors, which converts quantities between joints and motors.
+class Mounting:
+    """Mounting of n motors, which converts quantities of their joints to those of the motors.
 
     Attributes:
         direction: 1, or -1 where the motor turns opposite to its joint (n,).
@@ -281,14 +281,20 @@ class JointSpace:
     ratio: Array
 
     @classmethod
-    def of(cls, joints: Sequence[DamiaoJoint]) -> JointSpace:
+    def of(cls, joints: Sequence[DamiaoJoint]) -> Mounting:
         """Return the mounting of the motors of n joints, in the order of ``joints``."""
         rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
         # The shape (n, 3) is stated for the case of no joints.
         direction, offset, ratio = np.array(rows, dtype=float).reshape(-1, 3).T
         return cls(direction, offset, ratio)
 
-    def to_motors(
+    @property
+    def inverse(self) -> Mounting:
+        """The conversion from motors to joints, which has the same form."""
+        offset = -self.direction * self.offset
+        return Mounting(self.direction, offset, 1.0 / self.ratio)
+
+    def signals(
         self, position: Array, velocity: Array, torque: Array
     ) -> tuple[Array, ...]:
         """Return motor position, velocity and torque of joint position, velocity and torque.
@@ -302,45 +308,21 @@ class JointSpace:
             sign * torque / self.ratio,
         )
 
-    def to_joints(
-        self, position: Array, velocity: Array, torque: Array
-    ) -> tuple[Array, ...]:
-        """Return joint position, velocity and torque of motor position, velocity and torque.
-
-        All arguments and results are (..., n) [rad, rad/s, N m].
-        """
-        sign = self.direction
-        return (
-            sign * (position - self.offset),
-            sign * velocity,
-            sign * self.ratio * torque,
-        )
-
-    def command_to_motors(self, command: MitCommand) -> MitCommand:
+    def command(self, command: MitCommand) -> MitCommand:
         """Return the command to send to the motors for a command of their joints, fields (n,)."""
         position, velocity, kp, kd, torque = command
-        p, v, t = self.to_motors(position, velocity, torque)
+        p, v, t = self.signals(position, velocity, torque)
         return MitCommand(p, v, kp / self.ratio, kd / self.ratio, t)
-
-    def command_to_joints(self, command: MitCommand) -> MitCommand:
-        """Return the command in joint space that equals a command of the motors, fields (n,)."""
-        position, velocity, kp, kd, torque = command
-        p, v, t = self.to_joints(position, velocity, torque)
-        return MitCommand(p, v, kp * self.ratio, kd * self.ratio, t)
 
     def frame_limits(self, limits: Array) -> tuple[Array, Array, Array, Array]:
         """Return what frames can carry: lower and upper position, velocity and torque (n,) each.
 
-        ``limits`` (n, 3) are the motors' PMAX, VMAX and TMAX [rad, rad/s, N m]. A motor that turns
-        opposite to its joint has its lowest position at the joint's upper end.
+        ``limits`` (n, 3) are the motors' PMAX, VMAX and TMAX [rad, rad/s, N m].
         """
+        inverse = self.inverse
         position, velocity, torque = limits.T
-        ends = self.joint_position(-position), self.joint_position(position)
-        return np.minimum(*ends), np.maximum(*ends), velocity, torque * self.ratio
-
-    def joint_position(self, position: Array) -> Array:
-        """Return the joint positions (n,) at motor positions (n,) [rad]."""
-        return self.direction * (position - self.offset)
+        lower = inverse.offset - position
+        return lower, inverse.offset + position, velocity, torque * self.ratio
 
 
 _COLUMNS = [

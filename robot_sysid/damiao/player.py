@@ -29,7 +29,6 @@ from robot_sysid.damiao.references import (
     HoldingCheck,
     Reference,
     ReferenceFunction,
-    StopStart,
     hold_reference,
 )
 from robot_sysid.damiao.safety.guards import Mask, Replies
@@ -481,18 +480,14 @@ class Player:
                 lacks_mean, reference.torque, observer.fed_torque
             )
         fed = np.where(has_left & is_pushed, 0.0, carrying_torque)
-        start = StopStart(
-            reference=reference._replace(position=self._session.sent_position),
-            q=q,
-            qd=qd,
+        self._follower = CarriedStop(
+            settings,
+            reference._replace(position=self._session.sent_position),
+            q,
+            qd,
             fed=np.nan_to_num(fed),
-            kp=self._kp,
-            kd=self._kd,
             stuck=observer.stuck,
             command_range=self._session.command_range,
-        )
-        self._follower = CarriedStop(
-            start, settings.deceleration, settings.period, settings.rest_time
         )
         return self._follower
 

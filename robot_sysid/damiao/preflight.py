@@ -12,7 +12,7 @@ import numpy as np
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
-from robot_sysid.damiao.joints import DamiaoJoint, JointSpace, id_problems, limits_agree
+from robot_sysid.damiao.joints import DamiaoJoint, Mounting, id_problems, limits_agree
 from robot_sysid.damiao.references import (
     PEAK_ACCELERATION,
     PEAK_SPEED,
@@ -161,8 +161,8 @@ def _motion_checks(plan: Plan) -> Iterator[Check]:
         return
     row, joint, error = mismatch
     yield _stop(
-        f"line {trajectory.line[row]}: positions of {trajectory.joints[joint].label} change by "
-        f"{error:.4g} rad/s more than its velocities say; export the file again, with at least "
+        f"from {trajectory.time[row]:g} s on, positions of {trajectory.joints[joint].label} change "
+        f"by {error:.4g} rad/s more than its velocities say; export the file again, with at least "
         "four decimals"
     )
 
@@ -217,8 +217,8 @@ def _frame_limit_checks(
         owner: whose limits these are, in messages: "its type's" or "its registers'".
     """
     trajectory = plan.trajectory
-    space = JointSpace.of(trajectory.joints)
-    lower, upper, velocity, torque = space.frame_limits(np.array(limits, dtype=float))
+    mounting = Mounting.of(trajectory.joints)
+    lower, upper, velocity, torque = mounting.frame_limits(np.array(limits))
     bounds = motion.Bounds(owner, lower, upper, velocity, torque=torque)
     checks = []
     for excess in motion.excesses(trajectory, plan.settings.speed, bounds):

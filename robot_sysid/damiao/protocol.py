@@ -134,26 +134,15 @@ class Scaling:
         return np.moveaxis(quantities, -1, 0)
 
     def _require_inside(self, values: Array) -> None:
-        """Raise InputError for the first command value (..., n, 5) outside its range.
-
-        All positions are looked at first, then all velocities, and so on.
-        """
+        """Raise InputError for the first command value (..., n, 5) outside its range."""
         slack = _FLOAT32_SLACK * self._high
         # Written so that a NaN counts as outside.
         inside = (values >= self._low - slack) & (values <= self._high + slack)
-        if np.all(inside):
-            return
-        for field, name in enumerate(MitCommand._fields):
-            outside = ~inside[..., field]
-            if np.any(outside):
-                field_values = np.broadcast_to(values, inside.shape)[..., field]
-                value = field_values[outside][0]
-                motor = _first_motor(outside)
-                limit = self._high[motor, field]
-                raise InputError(
-                    f"{name} {value:g} of motor number {motor + 1} is outside its range, limit "
-                    f"{limit:g}"
-                )
+        for *_, motor, field in np.argwhere(~inside)[:1]:
+            raise InputError(
+                f"{MitCommand._fields[field]} {values[~inside][0]:g} of motor number {motor + 1} "
+                f"is outside its range, limit {self._high[motor, field]:g}"
+            )
 
 
 class MitCommand(NamedTuple):

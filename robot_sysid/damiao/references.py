@@ -11,13 +11,13 @@ torque, and the joint of a weak motor would fall. So ``CarriedStop`` keeps this 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, Optional
 
 import numpy as np
 
 from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
 from robot_sysid.damiao.safety.guards import CommandRange, Mask
+from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -350,31 +350,6 @@ _REST_SPEED = 0.05
 """Velocity below which a joint is at rest [rad/s] (a judgement)."""
 
 
-@dataclass(frozen=True)
-class StopStart:
-    """State of n joints when a stop begins; all arrays are (n,).
-
-    Attributes:
-        reference: reference commanded last.
-        q: last believed positions; NaN where unknown [rad].
-        qd: last believed velocities; NaN where unknown [rad/s].
-        fed: torque that carries the arm at rest: its model's or the last feed-forward torque [N m].
-        kp: stiffness of the motors [N m/rad].
-        kd: damping of the motors [N m s/rad].
-        stuck: whether a joint is blocked: the torque of its position error is removed.
-        command_range: range of commanded positions.
-    """
-
-    reference: Reference
-    q: Array
-    qd: Array
-    fed: Array
-    kp: Array
-    kd: Array
-    stuck: Mask
-    command_range: CommandRange
-
-
 class CarriedStop:
     """A reference that brakes all joints together and then carries them.
 
@@ -387,52 +362,67 @@ class CarriedStop:
       stiffness and damping, as far as its motor's own damping allows.
 
     Args:
-        start: state of the n joints when the stop begins.
-        deceleration: deceleration of the fastest joint [rad/s^2].
-        period: length of a control cycle [s].
-        rest_time: time for which all joints have to stand until they are at rest [s].
+        settings: gains, deceleration of the fastest joint, and the time for which all joints have
+            to stand until they are at rest.
+        reference: reference commanded last.
+        q: last believed positions (n,) [rad]; NaN where unknown.
+        qd: last believed velocities (n,) [rad/s]; NaN where unknown.
+        fed: torque (n,) that carries the arm at rest: of its model, or fed forward last [N m].
+        stuck: whether each joint (n,) is blocked: the torque of its position error is removed.
+        command_range: range of commanded positions.
 
     Attributes:
-        q: last believed positions (n,) [rad], NaN where unknown; the caller sets them every cycle.
-        qd: last believed velocities (n,) [rad/s], NaN where unknown; set likewise.
+        q: as given; the caller sets them in every cycle.
+        qd: as given; set likewise.
         last: reference returned last.
         duration: time in which the reference brakes [s].
     """
 
     def __init__(
-        self, start: StopStart, deceleration: float, period: float, rest_time: float
+        self,
+        settings: PlaySettings,
+        reference: Reference,
+        q: Array,
+        qd: Array,
+        fed: Array,
+        stuck: Mask,
+        command_range: CommandRange,
     ) -> None:
-        self.q: Array = start.q
-        self.qd: Array = start.qd
-        self.last = start.reference
-        self._start = start
-        self._rest_time = rest_time
+        self.q = q
+        self.qd = qd
+        self.last = reference
+        self._begin = reference
+        self._fed = fed
+        self._range = command_range
+        self._kp = np.array(settings.kp)
+        self._kd = np.array(settings.kd)
+        self._rest_time = settings.rest_time
         self._moved_at = 0.0
         # Velocity from which each joint brakes: its own, between zero and its reference's.
-        led = start.reference.velocity
-        joint_velocity = np.where(np.isfinite(start.qd), start.qd, led)
+        led = reference.velocity
+        joint_velocity = np.where(np.isfinite(qd), qd, led)
         self._velocity = np.clip(
             joint_velocity, np.minimum(led, 0.0), np.maximum(led, 0.0)
         )
         top_speed = float(np.max(np.abs(self._velocity), initial=0.0))
-        self.duration = top_speed / deceleration
+        self.duration = top_speed / settings.deceleration
         # Reference minus joint position; the share ``_relief`` of kp times it is removed.
-        self._offset = np.nan_to_num(start.reference.position - start.q)
-        self._relief = np.where(start.stuck, 1.0, 0.0)
+        self._offset = np.nan_to_num(reference.position - q)
+        self._relief = np.where(stuck, 1.0, 0.0)
         # Added stiffness [N m/rad], and the farthest position of each joint on its path [rad].
-        self._stiffening = _ADDED_STIFFNESS * start.kd / (_DELAY_CYCLES * period)
-        self._reached = start.q
+        delay = _DELAY_CYCLES * settings.period
+        self._stiffening = _ADDED_STIFFNESS * self._kd / delay
+        self._reached = q
         self._has_moved = np.zeros(len(led), dtype=bool)
         self._time = 0.0
 
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s] of the stop and store it; times never go back."""
-        start = self._start
         position, velocity = self._braking_path(time)
         # Where the joints should be now (n,) [rad].
         goal = position - self._offset
         self._relieve(time, goal)
-        relief_torque = self._relief * start.kp * self._offset
+        relief_torque = self._relief * self._kp * self._offset
         holding_torque = self._lift(goal) + self._damping_torque(velocity)
         torque = self._carrying_torque(time) + holding_torque - relief_torque
         self._note_motion(time)
@@ -444,17 +434,16 @@ class CarriedStop:
         braked = min(max(time, 0.0), self.duration)
         share_left = 1.0 - braked / self.duration if self.duration > 0.0 else 0.0
         # The mean of the first and the present velocity is (1 + share_left) / 2 of the first.
-        position = self._start.reference.position
-        position = position + self._velocity * braked * (1.0 + share_left) / 2.0
-        command_range = self._start.command_range
-        position = np.clip(position, command_range.lower, command_range.upper)
+        way = self._velocity * braked * (1.0 + share_left) / 2.0
+        position = self._begin.position + way
+        position = np.clip(position, self._range.lower, self._range.upper)
         return position, self._velocity * share_left
 
     def _carrying_torque(self, time: float) -> Array:
         """Return the feed-forward torque (n,), blended from the last one to that at rest [N m]."""
-        last_torque = self._start.reference.torque
+        last_torque = self._begin.torque
         share = min(time / max(self.duration, _BLEND_TIME), 1.0)
-        return last_torque + share * (self._start.fed - last_torque)
+        return last_torque + share * (self._fed - last_torque)
 
     def _lift(self, goal: Array) -> Array:
         """Return the torque (n,) [N m] that pulls joints back to paths ending at ``goal`` (n,)."""
@@ -466,7 +455,7 @@ class CarriedStop:
     def _damping_torque(self, velocity: Array) -> Array:
         """Return the torque (n,) [N m] that damps motion relative to ``velocity`` (n,) [rad/s]."""
         difference = np.nan_to_num(velocity - self.qd)
-        return np.asarray(_ADDED_DAMPING * self._start.kd * difference)
+        return np.asarray(_ADDED_DAMPING * self._kd * difference)
 
     def _displacement(self, goal: Array) -> Array:
         """Return the displacement (n,) [rad] that moves the joints back to their paths.

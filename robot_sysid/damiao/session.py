@@ -2,7 +2,7 @@
 
 Arrays have one entry for each of the n joints, base to terminal; j is the index of a joint. Joint
 space means positions, velocities and torques of the joints, as a model of the arm has them; motor
-space means those that the frames carry. ``JointSpace`` converts one into the other: by sign, zero
+space means those that the frames carry. ``Mounting`` converts one into the other: by sign, zero
 and torque ratio of each motor's mounting.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.joints import DamiaoJoint, JointSpace, peak_torques
+from robot_sysid.damiao.joints import DamiaoJoint, Mounting, peak_torques
 from robot_sysid.damiao.protocol import ENABLED, Address, Frame
 from robot_sysid.damiao.safety.guards import (
     NO_STATUS,
@@ -47,7 +47,7 @@ _LONGEST_PAUSE = 0.2
 _MOST_CREDIT = 0.02
 """Most time that one command may leave unused for the next one to move in [s].
 
-It is the default of ``PlaySettings.max_lateness``; see ``MotorSession._time_to_move``.
+It is the default of ``PlaySettings.max_lateness``.
 """
 
 
@@ -113,7 +113,7 @@ class MotorSession:
     A context manager: however the block is left, every motor that may be enabled is commanded five
     times to disable, and has to confirm this. If ``enable`` was not called, nothing is sent.
 
-    Commands and measurements are in joint space, see ``JointSpace``. Half a quantisation step is
+    Commands and measurements are in joint space, see ``Mounting``. Half a quantisation step is
     added to measured values, because motors truncate them. Every command is checked by
     ``CommandBounds`` and every answer by ``SampleFilter``.
 
@@ -129,7 +129,6 @@ class MotorSession:
         joints: as given.
         scaling: as given.
         n_joints: number n of joints.
-        space: mounting of the motors.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
         peak_torque: peak torque (n,) of each joint [N m].
         last_replies: replies of the last exchange or request, even if an error ended it early; None
@@ -152,11 +151,11 @@ class MotorSession:
         self.scaling = scaling
         self.n_joints = len(joints)
         self._labels = [joint.label for joint in joints]
-        self.space = JointSpace.of(joints)
+        self._mounting = Mounting.of(joints)
         position_step, velocity_step, torque_step = scaling.steps
-        self.steps = position_step, velocity_step, torque_step * self.space.ratio
+        self.steps = position_step, velocity_step, torque_step * self._mounting.ratio
         # A frame cannot command more than TMAX either.
-        *frame_range, torque = self.space.frame_limits(scaling.limits)
+        *frame_range, torque = self._mounting.frame_limits(scaling.limits)
         self.peak_torque: Array = np.minimum(peak_torques(joints), torque)
         self._frame_range = CommandRange(*frame_range)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
@@ -169,9 +168,9 @@ class MotorSession:
             sendable = command_range.within(sendable)
         self._bounds = CommandBounds(sendable, self.peak_torque, *self.steps)
         self.sent_position = np.full(self.n_joints, np.nan)
-        # Time of each joint's last command, and time that its last motion left unused [s].
-        self._sent_at = np.full(self.n_joints, -np.inf)
-        self._credit = np.zeros(self.n_joints)
+        # Time up to which each joint's commands have moved it: that of the last command, minus
+        # what this left unused [s].
+        self._moved_until = np.full(self.n_joints, -np.inf)
         # Data of each motor's last command, by joint.
         self._sent_data: dict[int, bytes] = {}
         self._filter = SampleFilter(self.peak_torque, velocity_step)
@@ -253,7 +252,7 @@ class MotorSession:
         self._filter.start(now, position)
         self._bounds = self._bounds.including(position)
         self.sent_position = position.copy()
-        self._sent_at = np.full(self.n_joints, now)
+        self._moved_until = np.full(self.n_joints, now)
         return position
 
     def _enable_one(self, j: int, status: int, position: float) -> float:
@@ -323,9 +322,7 @@ class MotorSession:
         self._count_late_answers()
         now = self.clock.now()
         command = self._bound(command, now, braking)
-        packed = protocol.encode_mit(
-            self.space.command_to_motors(command), self.scaling
-        )
+        packed = protocol.encode_mit(self._mounting.command(command), self.scaling)
         commanded = motors if braking else self._outstanding.may_be_commanded(motors)
         # Replies are sampled before this command acts, while the last one is in force.
         acted = self._command
@@ -355,25 +352,16 @@ class MotorSession:
             commanded: whether each motor (n,) gets its frame; the others keep their old command.
             now: time of the command [s].
         """
-        new = self.space.command_to_joints(protocol.decode_mit(packed, self.scaling))
+        read = protocol.decode_mit(packed, self.scaling)
+        new = self._mounting.inverse.command(read)
         old = self._command or new
         fields = [np.where(commanded, *pair) for pair in zip(new, old)]
         self._command = protocol.MitCommand(*fields)
         moved = np.abs(new.position - self.sent_position)
         used = np.nan_to_num(moved / self._bounds.command_range.speed)
-        unused = np.clip(self._time_to_move(now) - used, 0.0, _MOST_CREDIT)
-        self._credit = np.where(commanded, unused, self._credit)
+        moved_until = np.clip(self._moved_until + used, now - _MOST_CREDIT, now)
+        self._moved_until = np.where(commanded, moved_until, self._moved_until)
         self.sent_position = np.where(commanded, new.position, self.sent_position)
-        self._sent_at = np.where(commanded, now, self._sent_at)
-
-    def _time_to_move(self, now: float) -> Array:
-        """Return the time (n,) for which each commanded position may move on from its last one [s].
-
-        It is the time from the last command to ``now`` [s], up to ``_LONGEST_PAUSE``, plus the time
-        that the last command did not use: after a cycle that began late, the next one follows in
-        less time than there is between the two positions of the trajectory.
-        """
-        return np.minimum(now - self._sent_at, _LONGEST_PAUSE) + self._credit
 
     def _bound(
         self, command: protocol.MitCommand, now: float, braking: bool
@@ -385,7 +373,9 @@ class MotorSession:
         """
         is_new = np.isnan(self.sent_position)
         last = np.where(is_new, command.position, self.sent_position)
-        elapsed = self._time_to_move(now)
+        # It includes time that the last command did not use: after a cycle that began late, the
+        # next one follows in less time than there is between two positions of the trajectory.
+        elapsed = np.minimum(now - self._moved_until, _LONGEST_PAUSE)
         if braking:
             return self._bounds.confine(command, last, elapsed, self._filter.q)
         self._bounds.require(self._labels, command, last, elapsed, self._filter.q)
@@ -452,8 +442,7 @@ class MotorSession:
             until: time in the clock at which the waiting ends [s].
             command: command that the replies answer, in joint space; None for other requests.
             acted: command in force when the samples were taken, in joint space; None if unknown.
-            believe: whether ``SampleFilter`` judges the replies, and surplus answers and foreign
-                commands are reported with them.
+            believe: whether ``SampleFilter`` judges the replies.
         """
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         received = np.full(self.n_joints, np.nan)
@@ -463,22 +452,28 @@ class MotorSession:
             while missing and (frame := self._link.receive(until)) is not None:
                 missing -= self._take(frame, motors, raw, received, sent)
         finally:
-            answered = np.isfinite(received)
+            came = np.isfinite(received)
             decoded = protocol.decode_feedback(raw, self.scaling, half_step=True)
-            measured = self.space.to_joints(
+            q, qd, tau = self._mounting.inverse.signals(
                 decoded.position, decoded.velocity, decoded.torque
             )
-            feedback = hide_answers(decoded, measured, answered)
-            stamps = np.where(answered & np.isfinite(sent), sent, received)
-            replies = Replies(
-                answered, stamps, feedback, requested=motors, command=command
-            )
+            feedback = replace(decoded, position=q, velocity=qd, torque=tau)
+            stamps = np.where(came & np.isfinite(sent), sent, received)
+            believed = came
+            jump = np.zeros(self.n_joints)
             if believe:
-                surplus = self._outstanding.surplus.copy()
-                counted = replace(
-                    replies, surplus=surplus, foreign=self._foreign.copy()
-                )
-                replies = self._filter.believe(counted, acted)
+                believed, jump = self._filter.believe(came, stamps, feedback, acted)
+            replies = Replies(
+                answered=believed,
+                time=stamps,
+                feedback=hide_answers(feedback, believed),
+                requested=motors,
+                command=command,
+                doubted=came & ~believed,
+                jump=jump,
+                surplus=self._outstanding.surplus.copy(),
+                foreign=self._foreign.copy(),
+            )
             self.last_replies = replies
         return replies
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
-from robot_sysid.damiao.joints import DamiaoJoint, JointSpace, MotorSpec
+from robot_sysid.damiao.joints import DamiaoJoint, MotorSpec, Mounting
 from robot_sysid.damiao.protocol import (
     KD_MAX,
     KD_STEP,
@@ -331,7 +331,8 @@ class Plan:
         for j, joint in enumerate(joints):
             if joint.address in inspection.motors:
                 positions[j] = inspection.motors[joint.address].position
-        return JointSpace.of(joints).joint_position(positions)
+        zero = np.zeros_like(positions)
+        return Mounting.of(joints).inverse.signals(positions, zero, zero)[0]
 
     def other_motors(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
         """Return the inspected motors that drive no joint of the trajectory, sorted by address."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import SimulatedClock
-from robot_sysid.damiao.joints import DamiaoJoint, JointSpace
+from robot_sysid.damiao.joints import DamiaoJoint, Mounting
 from robot_sysid.damiao.protocol import BusTiming, Frame
 from robot_sysid.records import Array
 
@@ -258,7 +258,7 @@ class SimulatedArm:
     def __init__(self, mechanism: ArmStepper, motors: Sequence[SimulatedMotor]) -> None:
         self.mechanism = mechanism
         self.motors = list(motors)
-        self._space = JointSpace.of(
+        self._mounting = Mounting.of(
             [m.joint for m in self.motors[: mechanism.n_joints]]
         )
         self.time = 0.0
@@ -332,10 +332,10 @@ class SimulatedArm:
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
         *commands, brake, peak = table.T
-        self._p, v, kp, kd, t = self._space.command_to_joints(
+        self._p, v, kp, kd, t = self._mounting.inverse.command(
             protocol.MitCommand(*commands)
         )
-        self._peak = peak * self._space.ratio
+        self._peak = peak * self._mounting.ratio
         self._kd = np.where(driving, kd, brake)
         self._offset = np.where(driving, kd * v + t, 0.0)
         self._kp = np.where(driving, kp, 0.0)
@@ -363,7 +363,7 @@ class SimulatedArm:
         q = self.mechanism.q
         qd = self.mechanism.qd
         torque, damping = self._motor_torques(q)
-        signals = self._space.to_motors(q, qd, torque - damping * qd)
+        signals = self._mounting.signals(q, qd, torque - damping * qd)
         # One row of position, velocity and torque per motor.
         readings = np.transpose(signals).tolist()
         for motor, (position, velocity, motor_torque) in zip(self.motors, readings):

@@ -71,7 +71,6 @@ class DamiaoTrajectory:
     Attributes:
         path: file from which the trajectory was read.
         joints: joints with their motors, base to terminal.
-        line: number (N,) of each row's line in the file.
         time: increasing times (N,) of the rows [s].
         q: positions (N, n) [rad].
         qd: velocities (N, n) [rad/s].
@@ -80,7 +79,6 @@ class DamiaoTrajectory:
 
     path: Path
     joints: tuple[DamiaoJoint, ...]
-    line: NDArray[np.int64]
     time: Array
     q: Array
     qd: Array
@@ -295,22 +293,17 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
         raise InputError(f"{path}, line {title_number}: {expected}")
     width = 1 + 3 * n
     rows = []
-    line_numbers = []
     for line_number, line in enumerate(lines[title_number:], start=title_number + 1):
         if line.strip():
             rows.append(_numbers(line, width, path, line_number))
-            line_numbers.append(line_number)
     table = np.array(rows).reshape(-1, width)
     time = table[:, 0].copy()
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
-        raise InputError(
-            f"{path}, near line {line_numbers[row + 1]}: time does not increase"
-        )
+        raise InputError(f"{path}: time does not increase after {time[row]:g} s")
     q = table[:, 1::3]
     qd = table[:, 2::3]
     tau = table[:, 3::3]
-    line_array = np.array(line_numbers, int)
-    return DamiaoTrajectory(path, tuple(joints), line_array, time, q, qd, tau)
+    return DamiaoTrajectory(path, tuple(joints), time, q, qd, tau)
 
 
 def _numbers(line: str, width: int, path: Path, number: int) -> list[float]:

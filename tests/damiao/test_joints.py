@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.damiao.joints import (
     MOTORS,
-    JointSpace,
+    Mounting,
     damiao_joints,
     id_problems,
     matching_types,
@@ -74,23 +74,23 @@ NUMBERS = st.floats(-10.0, 10.0)
 
 
 @st.composite
-def spaces(draw, n=3):
-    mountings = [
+def mountings(draw, n=3):
+    columns = [
         [draw(strategy) for _ in range(n)]
         for strategy in (WAYS, NUMBERS, st.floats(0.1, 5.0))
     ]
-    return JointSpace(*np.array(mountings, dtype=float))
+    return Mounting(*np.array(columns, dtype=float))
 
 
-@given(spaces(), st.lists(NUMBERS, min_size=3, max_size=3))
-def test_to_the_motors_and_back_is_nothing(space, values):
+@given(mountings(), st.lists(NUMBERS, min_size=3, max_size=3))
+def test_to_the_motors_and_back_is_nothing(mounting, values):
     values = np.array(values)
-    for back in space.to_joints(*space.to_motors(values, values, values)):
+    for back in mounting.inverse.signals(*mounting.signals(values, values, values)):
         np.testing.assert_allclose(back, values, atol=1e-9)
 
 
-@given(spaces(), st.lists(NUMBERS, min_size=15, max_size=15))
-def test_a_motor_makes_the_torque_that_its_joint_is_told(space, numbers):
+@given(mountings(), st.lists(NUMBERS, min_size=15, max_size=15))
+def test_a_motor_makes_the_torque_that_its_joint_is_told(mounting, numbers):
     """The motor's law with the motor's numbers gives the joint's torque with the joint's."""
     from robot_sysid.damiao.protocol import MitCommand
 
@@ -98,10 +98,10 @@ def test_a_motor_makes_the_torque_that_its_joint_is_told(space, numbers):
     joint_command = MitCommand(
         position, velocity, np.full(3, 20.0), np.full(3, 1.0), torque
     )
-    motor = space.command_to_motors(joint_command).motor_torque(
-        *space.to_motors(q, qd, q)[:2]
+    motor = mounting.command(joint_command).motor_torque(
+        *mounting.signals(q, qd, q)[:2]
     )
-    *_, torque = space.to_joints(q, qd, motor)
+    *_, torque = mounting.inverse.signals(q, qd, motor)
     np.testing.assert_allclose(torque, joint_command.motor_torque(q, qd), atol=1e-6)
 
 

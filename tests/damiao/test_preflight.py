@@ -34,7 +34,7 @@ def checks_of(rows, types, timing=None, inertia=None, **settings):
         [joint.spec for joint in joints], timing
     )
     fields = {"settings": completed, "timing": timing, "inertia": inertia}
-    played = DamiaoTrajectory(Path(), joints, np.arange(len(rows[0])), *rows)
+    played = DamiaoTrajectory(Path(), joints, *rows)
     return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))
 
 

@@ -24,10 +24,11 @@ from robot_sysid.damiao.recorder import (
     MeasurementRecorder,
     SamplingRipple,
 )
-from robot_sysid.damiao.safety.guards import Replies, hide_answers
+from robot_sysid.damiao.safety.guards import hide_answers
 from robot_sysid.damiao.settings import PlaySettings, RecordingOptions, recording_header
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import InputError
+from tests.support.motor_bench import undoubted
 from tests.support.recordings import read_recording
 
 
@@ -66,10 +67,9 @@ def test_every_frame_can_be_told_back_from_the_recording(types, seed, tmp_path_f
     with recorder_for(path, types) as recorder:
         for k, time in enumerate(times):
             codes = decode_feedback(raw[k], scaling, half_step=True)
-            measured = codes.position, codes.velocity, codes.torque
-            feedback = hide_answers(codes, measured, answered[k])
+            feedback = hide_answers(codes, answered[k])
             stamp = np.where(answered[k], stamps[k], np.nan)
-            replies = Replies(answered[k], stamp + 7.0, feedback, answered[k])
+            replies = undoubted(answered[k], stamp + 7.0, feedback, answered[k])
             position, velocity, torque = commands[k]
             acted = MitCommand(position, velocity, zero, zero, torque)
             recorder.write(time, 7.0, replies, acted)
@@ -106,7 +106,7 @@ def replies_of(q, qd, time, command=None, torque=0.0):
     codes = np.zeros(len(q), int)
     answered = np.isfinite(q)
     feedback = Feedback(codes, codes, q, qd, torque + 0.0 * qd, codes, codes)
-    return Replies(answered, time, feedback, answered, command)
+    return undoubted(answered, time, feedback, answered, command)
 
 
 def test_rows_are_in_the_file_before_the_run_ends(tmp_path):

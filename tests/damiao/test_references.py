@@ -13,12 +13,12 @@ from robot_sysid.damiao.references import (
     HoldingCheck,
     Lowering,
     Reference,
-    StopStart,
     torque_doubt,
     trajectory_reference,
     transfer_reference,
 )
 from robot_sysid.damiao.safety.guards import CommandRange
+from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from tests.support.damiao_rig import swing, trajectory_file
 
@@ -89,6 +89,11 @@ KD = 4.5
 PERIOD = 0.004
 
 
+def stop_settings(n):
+    """Settings of a run of n equal joints."""
+    return PlaySettings(kp=(KP,) * n, kd=(KD,) * n, rate=1.0 / PERIOD, rest_time=0.3)
+
+
 def stop(
     position=ZERO,
     velocity=ZERO,
@@ -100,17 +105,8 @@ def stop(
 ):
     """A stop of two joints."""
     reference = Reference(*np.array([position, velocity, torque]))
-    start = StopStart(
-        reference,
-        np.array(q),
-        np.array(qd),
-        reference.torque,
-        np.full(2, KP),
-        np.full(2, KD),
-        np.array(stuck),
-        command_range,
-    )
-    return CarriedStop(start, 10.0, PERIOD, 0.3)
+    state = np.array(q), np.array(qd), reference.torque, np.array(stuck)
+    return CarriedStop(stop_settings(2), reference, *state, command_range)
 
 
 STOP_ANGLES = st.tuples(*[st.floats(-2.0, 2.0)] * 2)
@@ -202,17 +198,10 @@ def thrown_energy(motor_inertia, link_inertia, spring, cycles_late, step=1e-4):
     n = len(spring)
     far = np.full(n, 9.0)
     zero = np.zeros(n)
-    stop_start = StopStart(
-        reference=Reference(zero, zero, zero),
-        q=zero,
-        qd=zero,
-        fed=zero,
-        kp=np.full(n, KP),
-        kd=np.full(n, KD),
-        stuck=np.zeros(n, dtype=bool),
-        command_range=CommandRange(-far, far, far),
+    path = CarriedStop(
+        *(stop_settings(n), Reference(zero, zero, zero), zero, zero, zero),
+        *(zero != 0.0, CommandRange(-far, far, far)),
     )
-    path = CarriedStop(stop_start, 10.0, PERIOD, 0.3)
     q = zero
     qd = np.full(n, 0.5)
     link_q = zero

@@ -130,7 +130,7 @@ GOOD = "# motor_type=DM4340,can_id=1,mode=MIT\ntime,j0_pos,j0_vel,j0_tau\n"
         (GOOD + "0,0,0,0\n1,2,3\n", "line 4: expected 4 finite numbers"),
         (GOOD + "0,0,0,0\n1,2,1_0,4\n", "line 4: expected 4 finite numbers"),
         (GOOD + "0,0,0,0\n1,2,nan,4\n", "line 4: expected 4 finite numbers"),
-        (GOOD + "0,0,0,0\n0,0,0,0\n", "line 4: time does not increase"),
+        (GOOD + "0,0,0,0\n0,0,0,0\n", ": time does not increase after 0 s"),
     ],
 )
 def test_bad_files_are_refused_with_the_line(text, message, tmp_path):

@@ -29,7 +29,7 @@ def smooth_motion(rate, seed, seconds=3.0):
 
 def mismatch(time, q, qd):
     signals = time, np.round(q, 4), np.round(qd, 4)
-    return velocity_mismatch(DamiaoTrajectory(Path(), (), time, *signals, q))
+    return velocity_mismatch(DamiaoTrajectory(Path(), (), *signals, q))
 
 
 def differences(time, q, method):

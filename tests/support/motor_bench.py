@@ -15,6 +15,7 @@ from robot_sysid.damiao.protocol import (
     MitCommand,
     Scaling,
 )
+from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink
 from tests.support.clocks import ScriptedClock
@@ -58,6 +59,13 @@ class Bench:
         n = len(self.motors)
         full = np.full(n, 1.0)
         return MitCommand(q * full, 0 * full, kp * full, full, 0 * full)
+
+
+def undoubted(answered, time, feedback, requested, command=None):
+    """Replies in a cycle in which nothing was doubted, surplus or foreign."""
+    no_count = np.zeros(len(answered), int)
+    counts = no_count != 0, 0.0 * no_count, no_count, no_count
+    return Replies(answered, time, feedback, requested, command, *counts)
 
 
 def answering_writes_with(opcode, motor):

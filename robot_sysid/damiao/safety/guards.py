@@ -15,9 +15,9 @@ Every command to a motor has to keep to ``CommandBounds``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +49,6 @@ _HEAT_CHANGE = 5.0
 """Largest plausible change of temperature [deg C]: windings warm up by a degree in seconds."""
 
 
-def _no_joints() -> Any:
-    """Return an empty array (0,), which ``Replies`` replaces by zeros (n,) when it is made."""
-    return np.zeros(0, int)
-
-
 @dataclass(frozen=True)
 class Replies:
     """Answers of n joints in one control cycle.
@@ -77,18 +72,11 @@ class Replies:
     time: Array
     feedback: protocol.Feedback
     requested: Mask
-    command: protocol.MitCommand | None = None
-    doubted: Mask = field(default_factory=_no_joints)
-    jump: Array = field(default_factory=_no_joints)
-    surplus: Counts = field(default_factory=_no_joints)
-    foreign: Counts = field(default_factory=_no_joints)
-
-    def __post_init__(self) -> None:
-        """Set the fields that were left out to zeros (n,): nothing doubted, no jump, no counts."""
-        types = {"doubted": bool, "jump": float, "surplus": int, "foreign": int}
-        for name, dtype in types.items():
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.zeros(len(self.answered), dtype))
+    command: protocol.MitCommand | None
+    doubted: Mask
+    jump: Array
+    surplus: Counts
+    foreign: Counts
 
 
 class _Samples(NamedTuple):
@@ -151,17 +139,24 @@ class SampleFilter:
         times = zero_speed + time
         self._last = self._last._replace(time=times, q=q.copy(), qd=zero_speed)
 
-    def believe(self, replies: Replies, acted: protocol.MitCommand | None) -> Replies:
-        """Return replies without implausible answers, which are in ``doubted``, and with ``jump``.
+    def believe(
+        self,
+        came: Mask,
+        time: Array,
+        feedback: protocol.Feedback,
+        acted: protocol.MitCommand | None,
+    ) -> tuple[Mask, Array]:
+        """Return which answers are believed (n,), and the ``jump`` (n,) of ``Replies``.
 
         The believed answers become the last samples, to which the next answers are compared.
 
         Args:
-            replies: answers of a cycle as they arrived.
+            came: whether each joint (n,) has answered.
+            time: time (n,) of each sample [s].
+            feedback: answers of a cycle, in joint space.
             acted: command in force when the samples were taken, fields (n,); None if unknown, then
                 torques are not judged.
         """
-        feedback = replies.feedback
         q = feedback.position
         qd = feedback.velocity
         tau = feedback.torque
@@ -169,8 +164,7 @@ class SampleFilter:
         error = tau - np.clip(expected, -self._peak, self._peak)
         hotter = np.maximum(feedback.temperature_mos, feedback.temperature_rotor)
         heat = hotter.astype(float)
-        now = _Samples(replies.time, q, qd, error, feedback.status == ENABLED, heat)
-        came = replies.answered
+        now = _Samples(time, q, qd, error, feedback.status == ENABLED, heat)
         # An answer is believed if it follows the last believed one, or repeats the suspect one. A
         # motor that was enabled and reports that it is not has to say so twice.
         jumps, bends, is_plausible = self._compare(self._last, now)
@@ -183,18 +177,11 @@ class SampleFilter:
         repeated &= ~(jumps & (bends | ~now.enabled))
         believed = came & (follows | repeated)
         jumped = believed & ~follows & jumps
-        jump = np.where(jumped, q - self._last.q, 0.0)
+        jump = np.where(jumped, np.nan_to_num(q - self._last.q), 0.0)
         self._is_suspected = np.where(came, ~believed, self._is_suspected)
         self._suspect = now.where(came, self._suspect)
         self._last = now.where(believed, self._last)
-        return replace(
-            replies,
-            answered=believed,
-            # Joints that did not answer are hidden already.
-            feedback=hide_answers(feedback, (q, qd, tau), ~came | believed),
-            doubted=came & ~believed,
-            jump=np.nan_to_num(jump),
-        )
+        return believed, jump
 
     def _compare(self, previous: _Samples, now: _Samples) -> tuple[Mask, Mask, Mask]:
         """Return how plausible the samples ``now`` are after ``previous`` ones, three masks (n,).
@@ -220,14 +207,12 @@ class SampleFilter:
         return jumps, bends, ~(jumps | accelerates | bends | heats)
 
 
-def hide_answers(
-    feedback: protocol.Feedback, measured: Sequence[Array], is_kept: Mask
-) -> protocol.Feedback:
+def hide_answers(feedback: protocol.Feedback, is_kept: Mask) -> protocol.Feedback:
     """Return feedback of n joints in which only the answers of joints ``is_kept`` (n,) are left.
 
-    The other joints have ``NO_STATUS`` and NaN. ``measured`` are position, velocity and torque of
-    the result, each (n,) [rad, rad/s, N m].
+    The other joints have ``NO_STATUS`` and NaN.
     """
+    measured = feedback.position, feedback.velocity, feedback.torque
     q, qd, tau = np.where(is_kept, measured, np.nan)
     status = np.where(is_kept, feedback.status, NO_STATUS)
     return replace(feedback, status=status, position=q, velocity=qd, torque=tau)

@@ -8,10 +8,11 @@ import pytest
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand
 from robot_sysid.damiao.references import HoldingCheck
-from robot_sysid.damiao.safety.guards import NO_STATUS, Replies
+from robot_sysid.damiao.safety.guards import NO_STATUS
 from robot_sysid.damiao.safety.observer import Observer
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
+from tests.support.motor_bench import undoubted
 
 JOINTS = damiao_joints(["DM4340"] * 2, 2)
 STEPS = np.full(2, 4e-4), np.array([0.1, 0.1]), np.full(2, 0.0137)
@@ -53,7 +54,7 @@ def sample(time=0.0, q=0.0, qd=0.0, tau=0.0, status=1, mos=30, rotor=30, answere
         codes[0][1] = NO_STATUS
     stamps = np.where([True, answered], time, np.nan)
     feedback = Feedback(np.array([1, 2]), codes[0], *two, *codes[1:])
-    return Replies(np.array([True, answered]), stamps, feedback, np.ones(2, bool))
+    return undoubted(np.array([True, answered]), stamps, feedback, np.ones(2, bool))
 
 
 def stop_words(*samples, reference=(0.0, 0.0, 0.0), flags=(), **settings):
@@ -137,7 +138,7 @@ def test_each_limit_holds_to_a_millionth(answer, reference, message):
 def test_a_motor_may_be_silent_for_so_long_and_no_longer(requested, cycles, message):
     """Three commands without an answer, or six cycles where it was not commanded."""
     gap = sample(answered=False)
-    gap = Replies(gap.answered, gap.time, gap.feedback, np.array([True, requested]))
+    gap = undoubted(gap.answered, gap.time, gap.feedback, np.array([True, requested]))
     assert stop_words(*[gap] * (cycles - 1)) is None
     assert stop_words(*[gap] * (cycles - 1), sample(), *[gap] * (cycles - 1)) is None
     assert message in stop_words(*[gap] * cycles)
