@@ -16,13 +16,13 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 5328,
+    "robot_sysid/api": 5325,
     "robot_sysid/commands": 12713,
     "robot_sysid/damiao": 38729,
     "robot_sysid/diagnosis": 17989,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29490,
-    "robot_sysid/logs": 19722,
+    "robot_sysid/logs": 19195,
     "robot_sysid/mjcf": 8432,
     "robot_sysid/model": 9048,
     "robot_sysid/motion": 23745,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4289,
     "robot_sysid": 12085,
-    "tests": 228550,
+    "tests": 228484,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -29,7 +29,7 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import arrays_table, can_be_column
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable
-from robot_sysid.logs.titles import read_title
+from robot_sysid.logs.titles import QUANTITIES, read_title
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
@@ -102,7 +102,7 @@ def _refuse_unusable(arrays: Mapping[str, Array]) -> None:
         quantity = read_title(name).quantity
         if quantity == "time" and array.ndim:
             times.append(name)
-        elif quantity not in ("time", None):
+        elif quantity in QUANTITIES:
             names_by_quantity.setdefault(quantity, []).append(name)
     for names in names_by_quantity.values():
         faults = []

@@ -35,13 +35,11 @@ from pathlib import Path
 from robot_sysid.errors import InputError
 from robot_sysid.logs.joint_names import JointMatch
 from robot_sysid.logs.titles import (
-    CURRENTS,
     QUANTITIES,
     TIME_UNITS,
     UNITS,
     Title,
     ambiguity_error,
-    interpret_titles,
     joint_quantity,
     match_joints,
     read_title,
@@ -49,8 +47,10 @@ from robot_sysid.logs.titles import (
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import count_text
 
-_KEYS = ("time", *QUANTITIES, "acceleration", "units", "rate")
-"""Keys of a columns file; those of quantities may be followed by ".joint"."""
+_JOINT_KEYS = (*QUANTITIES, "joint_time", "command")
+"""Keys of a columns file that may be followed by ".joint"."""
+_KEYS = ("time", *_JOINT_KEYS, "acceleration", "units", "rate")
+"""All keys of a columns file."""
 # A factor and a title: "0.95 * I3", or a title with a minus: "-M2".
 _SCALED = re.compile(
     r"(?:([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*|-)\s*(.+)", re.ASCII
@@ -184,7 +184,7 @@ def parse_columns(text: str, path: Path, joint_names: Sequence[str]) -> ColumnCh
                 f"{path}: unknown key {key!r}; valid keys: {', '.join(_KEYS)}"
             )
         values[key] = value
-        if quantity in QUANTITIES:
+        if quantity in _JOINT_KEYS:
             titles = _titles_by_joint(path, quantity, joint, value, joint_names)
             columns.setdefault(quantity, {}).update(titles)
     units = parse_units(values["units"]) if "units" in values else ColumnChoices()
@@ -341,10 +341,12 @@ def recognise_columns(
     Raises:
         InputError: a quantity is missing, has two candidates, or contradicts the declared units.
     """
-    plain = list(map(read_title, titles))
-    interpreted = interpret_titles(plain, robot.joint_names, currents, commanded)
+    read_titles = [read_title(text, robot.joint_names) for text in titles]
     driven = "command" if commanded else "torque"
-    return _ColumnFinder(interpreted, robot, choices, driven).find_all(first_row)
+    quantities = [title.quantity_beside_name for title in read_titles]
+    if currents and quantities.count("current") >= robot.n_joints:
+        driven = "current"
+    return _ColumnFinder(read_titles, robot, choices, driven).find_all(first_row)
 
 
 @dataclass(frozen=True)
@@ -355,7 +357,7 @@ class _ColumnFinder:
         titles: of the columns, cut into tokens, numbers and unit.
         robot: the arm, whose joints the columns are for.
         choices: declarations, which outrank the titles.
-        driven: the quantity that is needed beside positions, "torque" or "command".
+        driven: the quantity that is needed beside positions, "torque", "current" or "command".
     """
 
     titles: Sequence[Title]
@@ -368,28 +370,31 @@ class _ColumnFinder:
         """The titles as the file has them."""
         return [title.text for title in self.titles]
 
+    def _declared(self, quantity: str) -> Mapping[str, str]:
+        """Return joint name to title, as declared; currents are declared as torques."""
+        key = "torque" if quantity == "current" else quantity
+        return self.choices.columns.get(key, {})
+
     def find_all(self, first_row: Sequence[str]) -> ColumnMap:
         """Return the map, or raise InputError for the first fault.
 
         ``first_row``: the cells of the first row as text, which may list joint names.
         """
-        # Quantity to a list, per joint, of the indices of the columns that could be it.
+        quantities = ("position", "velocity", "joint_time", self.driven)
+        # Those that are declared need not be recognised, and cannot be ambiguous.
+        n_joints = self.robot.n_joints
+        open_quantities = [q for q in quantities if len(self._declared(q)) < n_joints]
         candidates, joint_match = match_joints(
-            self._open_titles(), self.robot, first_row
+            self.titles, self.robot, first_row, open_quantities
         )
-        found = {}
-        for quantity in ("position", "velocity", "joint_time"):
-            found[quantity] = self._find_joints(quantity, candidates[quantity])
-        time = self._find_time(candidates["joint_time"])
-        # Last, as constants are all that a log of currents lacks where the others are found.
-        found[self.driven] = self._find_joints(self.driven, candidates[self.driven])
+        found = {q: self._find_joints(q, candidates.get(q, ())) for q in quantities}
         position = found["position"]
         torque = found[self.driven]
         if not position or not torque:
             raise InputError(f"position and {self.driven} cannot be left out")
         has_unit = all(self.titles[column.index].unit for column in position)
         return ColumnMap(
-            time=time,
+            time=self._find_time(),
             rate=self.choices.rate,
             position=position,
             torque=torque,
@@ -401,32 +406,19 @@ class _ColumnFinder:
             joint_match=joint_match,
         )
 
-    def _open_titles(self) -> list[Title]:
-        """Return the titles, with empty ones for quantities that are declared for every joint.
-
-        These need not be recognised, and cannot be ambiguous.
-        """
-        titles = []
-        for title in self.titles:
-            quantity = joint_quantity(title) or " ".join(title.quantities)
-            declared = self.choices.columns.get(quantity, {})
-            is_open = len(declared) != len(self.robot.joint_names)
-            titles.append(title if is_open else read_title(""))
-        return titles
-
     def _find_joints(
         self, quantity: str, candidates: Sequence[Sequence[int]]
     ) -> tuple[Column, ...]:
         """Return one column per joint, or () where an optional quantity lacks a joint's.
 
-        ``candidates``: indices of the columns that could be it, for each joint.
+        ``candidates``: indices of the columns that could be it, for each joint; or none.
         """
-        declared = self.choices.columns.get(quantity, {})
+        declared = self._declared(quantity)
         if set(declared.values()) == {"none"}:
             return ()
         columns = []
         for joint, name in enumerate(self.robot.joint_names):
-            indices = candidates[joint]
+            indices = candidates[joint] if candidates else ()
             if name in declared:
                 index, factor = self._look_up(declared[name])
                 columns.append(self._column(quantity, joint, index, factor))
@@ -440,21 +432,17 @@ class _ColumnFinder:
             raise self._missing_error(quantity)
         return ()
 
-    def _find_time(self, joint_times: Sequence[Sequence[int]]) -> Column | None:
-        """Return the time column, or None where a rate stands in for it.
-
-        ``joint_times``: indices of the columns of each joint's own time stamps.
-        """
+    def _find_time(self) -> Column | None:
+        """Return the time column, or None where a rate stands in for it."""
         if self.choices.time is not None:
             index, factor = self._look_up(self.choices.time)
             return self._column("time", joint=0, index=index, factor=factor)
         if self.choices.rate is not None:
             return None
-        of_joints = {*chain(*joint_times)}
         rows = []
         for index, title in enumerate(self.titles):
-            is_time = title.quantity == "time" and not title.numbers
-            if is_time and index not in of_joints:
+            is_of_joint = title.numbers or title.joint in self.robot.joint_names
+            if title.quantity == "time" and not is_of_joint:
                 rows.append(index)
         # ROS: the stamp in the message header is when it was sampled, the other one when received.
         stamped = [k for k in rows if "header" in self.titles[k].tokens]
@@ -467,11 +455,6 @@ class _ColumnFinder:
             )
         return self._column("time", joint=0, index=rows[0], factor=1.0)
 
-    @property
-    def _currents(self) -> list[str]:
-        """Titles of the columns of motor currents that are not read."""
-        return [t.text for t in self.titles if t.is_current and t.reads != CURRENTS]
-
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""
         candidates = [t.text for t in self.titles if joint_quantity(t) == quantity]
@@ -480,10 +463,11 @@ class _ColumnFinder:
             f"the log needs one {quantity} column for each joint of the chain "
             f"({', '.join(self.robot.joint_names)}): found {listed}"
         )
-        if quantity == "torque" and len(self._currents) >= self.robot.n_joints:
+        currents = [t for t in self.titles if t.quantity_beside_name == "current"]
+        if quantity == "torque" and len(currents) >= self.robot.n_joints:
             # With constants, the columns are complete: no columns file is needed.
             fault += (
-                f"; {self._currents[0]}, ... are motor currents: give --torque-constants; where "
+                f"; {currents[0].text}, ... are motor currents: give --torque-constants; where "
                 "they are not known, begin with 1 N·m/A, and a weight of known mass shows them"
             )
             return InputError(fault, [("--torque-constants", "1")])
@@ -491,7 +475,7 @@ class _ColumnFinder:
             fault += " (titles such as action, command, q_des or goal_position)"
         elif quantity == "torque" and not candidates:
             fault += "; with commanded positions, identify --torque-from position-error needs none"
-        if any(t.is_commanded and t.quantity != "command" for t in self.titles):
+        if any(t.is_commanded and t.quantity != self.driven for t in self.titles):
             fault += "; commanded columns are not measurements"
         return InputError(f"{fault}. Columns: {', '.join(self._texts)}")
 
@@ -523,12 +507,12 @@ class _ColumnFinder:
             factor: by which the column's numbers are to be multiplied beside the unit.
         """
         title = self.titles[index]
-        declared_unit = None
+        declared_unit = self.choices.angle_unit
         if quantity in ("time", "joint_time"):
             declared_unit = self.choices.time_unit
-        elif quantity != "torque" and not self.robot.is_slide[joint]:
-            declared_unit = self.choices.angle_unit
-        units = UNITS["time" if quantity == "joint_time" else quantity]
+        elif self.robot.is_slide[joint]:
+            declared_unit = None
+        units = UNITS[quantity]
         declared = units.get(declared_unit or "")
         to_si = units.get(title.unit) if title.unit else declared
         if to_si is None and title.unit and abs(factor) == 1.0:
