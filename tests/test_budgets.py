@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 17989,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29490,
-    "robot_sysid/logs": 19195,
+    "robot_sysid/logs": 18826,
     "robot_sysid/mjcf": 8432,
     "robot_sysid/model": 9048,
     "robot_sysid/motion": 23745,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4289,
     "robot_sysid": 12085,
-    "tests": 228484,
+    "tests": 228299,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -133,7 +133,7 @@ class _NameSet:
     @classmethod
     def of(cls, names: Sequence[str]) -> _NameSet:
         """Return the names with the pieces that they share taken off."""
-        cores = list(map(_split_name, names))
+        cores = list(map(split_name, names))
         front = tuple(os.path.commonprefix(cores))
         reversed_ends = [pieces[len(front) :][::-1] for pieces in cores]
         back = tuple(os.path.commonprefix(reversed_ends))[::-1]
@@ -155,7 +155,7 @@ class _NameSet:
         is_numbered = bool(self.numbers)
         frames: dict[Frame, NamesByCore] = defaultdict(lambda: defaultdict(list))
         for name in names:
-            pieces = _split_name(name)
+            pieces = split_name(name)
             for start, end in combinations(range(len(pieces) + 1), 2):
                 core = pieces[start:end]
                 if core in self.cores or (is_numbered and _is_number(core)):
@@ -168,7 +168,7 @@ def split_camel_case(text: str) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
 
 
-def _split_name(name: str) -> NamePieces:
+def split_name(name: str) -> NamePieces:
     """Return the words and numbers of a name; camelCase is two words."""
     pieces = re.findall(r"[^\W\d_]+|\d+", split_camel_case(name).lower())
     return tuple(str(int(piece)) if piece.isdecimal() else piece for piece in pieces)
@@ -214,19 +214,24 @@ def _single_names(by_core: NamesByCore, arm: _NameSet) -> list[str]:
     return [by_core[core][0] for core in arm.cores]
 
 
+def are_opposite_sides(pieces: set[str], other_pieces: set[str]) -> bool:
+    """Return whether the pieces of two names say that they are those of two arms of a robot."""
+    for side, other_side in _OPPOSITE_SIDES:
+        if side in pieces - other_pieces and other_side in other_pieces - pieces:
+            return True
+    return False
+
+
 def _refuse_other_side(names: Sequence[str], frame: Frame, arm: _NameSet) -> None:
     """Raise InputError where words say that names (n,) are those of the other arm of two.
 
     ``frame``: pieces around the cores of the names.
     """
-    pieces = {*chain(*frame)}
-    arm_pieces = {*chain(*arm.frame)}
-    for side, other_side in _OPPOSITE_SIDES:
-        if side in pieces - arm_pieces and other_side in arm_pieces - pieces:
-            raise InputError(
-                f"the log's joints {join_names(names)} are those of another arm than the model's "
-                f"{join_names(arm.names)}: give the model of the arm that was recorded"
-            )
+    if are_opposite_sides({*chain(*frame)}, {*chain(*arm.frame)}):
+        raise InputError(
+            f"the log's joints {join_names(names)} are those of another arm than the model's "
+            f"{join_names(arm.names)}: give the model of the arm that was recorded"
+        )
 
 
 def _refuse_further_joints(

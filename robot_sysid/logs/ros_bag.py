@@ -23,7 +23,6 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.joint_names import find_joint_match
 from robot_sysid.logs.ros_messages import (
     DEFINITIONS,
-    POSITION,
     READERS,
     TORQUE,
     Key,
@@ -103,10 +102,9 @@ def _read_topic(
     arm_joints = [] if joint_names else sorted(set(recorded_joints))
     if joint_match is not None:
         arm_joints = list(joint_match.model_names)
-    largest_effort = 0.0
+    efforts: set[float | None] = set()
     for _, sample in messages:
-        efforts = [sample.get(key, 0.0) for key in product(arm_joints, TORQUE)]
-        largest_effort = max([largest_effort, *map(abs, efforts)])
+        efforts.update(map(sample.get, product(arm_joints, TORQUE)))
     # Where no header has a time stamp, the time of recording stands in.
     stamp_index = 0 if any(stamps[0] for stamps, _ in messages) else 1
     start = min(stamps[stamp_index] for stamps, _ in messages)
@@ -118,18 +116,15 @@ def _read_topic(
     if stamp_index:
         layout += ", headers without time: when it was recorded"
     blocks = partial(_blocks, path, name, keys, stamp_index, start)
+    has_positions = _has_all(sent, arm_joints, ["position"])
     has_torques = _has_all(sent, arm_joints, TORQUE)
-    positions = []
-    if _has_all(sent, arm_joints, POSITION):
-        positions = [1 + keys.index((joint, "position")) for joint in arm_joints]
+    has_nonzero_torques = has_torques and bool(efforts - {None, 0.0})
     return Topic(
         name,
         message_type,
         LogTable(path, layout, titles, blocks, row_noun="message"),
-        start,
         n_messages=sum(connection.msgcount for connection in connections),
-        positions=tuple(positions),
-        rank=(bool(positions), has_torques, has_torques and largest_effort > 0.0),
+        rank=(has_positions, has_torques, has_nonzero_torques),
     )
 
 

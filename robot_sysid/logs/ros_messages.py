@@ -16,11 +16,9 @@ import numpy as np
 
 from robot_sysid.records import Array
 
-POSITION = ("position",)
-"""Names of positions in messages of a bag."""
 TORQUE = ("effort", "current")
 """Names, in messages of a bag, of quantities that stand for torque."""
-QUANTITIES = (*POSITION, "velocity", *TORQUE)
+QUANTITIES = ("position", "velocity", *TORQUE)
 """Names of all quantities that are read from messages of a bag."""
 STATE = "sensor_msgs/msg/JointState"
 DYNAMIC = "control_msgs/msg/DynamicJointState"
