@@ -214,7 +214,7 @@ def check_scene(
         return log, (np.nan, False)
     result = robot_sysid.identify(scene.path, path)
     error = (result.theta[0] - scene.theta[0]) / result.standard_errors["m"]
-    return log, (float(error), result.result.verdict.is_trustworthy)
+    return log, (float(error), result.trustworthy)
 
 
 def beside(scene: Scene, spans: list[Span], log: MeasurementLog) -> float:

@@ -98,7 +98,7 @@ def single_difference(robot, raw):
     masses = []
     for is_loaded in (False, True):
         logs = [piece.samples for piece in raw if piece.is_loaded is is_loaded]
-        masses.append(result_of_logs(robot, logs, options).links[-1].inertial.mass)
+        masses.append(result_of_logs(robot, logs, options).body.mass)
     return masses[1] - masses[0]
 
 
@@ -111,10 +111,10 @@ def run(robot, seed, off, different, single, wide, second):
     body = result.payload.body
     difference = single_difference(robot, raw) if single else np.nan
     return (
-        body.inertial.mass - PAYLOAD[0],
+        body.mass - PAYLOAD[0],
         body.errors[0],
-        body.noise_errors[0],
-        np.linalg.norm(body.inertial.com - PAYLOAD[1:4] / PAYLOAD[0]),
+        body.budget["noise"][0],
+        np.linalg.norm(body.com - PAYLOAD[1:4] / PAYLOAD[0]),
         difference - PAYLOAD[0],
         float(result.verdict.is_trustworthy),
     )

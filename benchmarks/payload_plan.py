@@ -47,7 +47,7 @@ def weigh(robot, plan, load_mass, seed, folder):
         recordings.append(recording)
     first, second, third, last = recordings
     identified = rs.payload(robot.path, [first, last], [second, third], order="ABBA")
-    return identified.result.payload.body
+    return identified.body
 
 
 def line_of_arm(path, runs, budget, folder):
@@ -74,7 +74,7 @@ def line_of_arm(path, runs, budget, folder):
         mass_error = float(body.errors[0])
         variances = np.diag(load_covariance(body))[1:4]
         stated.append((mass_error, float(np.sqrt(np.sum(variances)))))
-        misses.append((body.inertial.mass - load_mass) / mass_error)
+        misses.append((body.mass - load_mass) / mass_error)
     typical = np.median(np.array(stated), axis=0)
     ratio = typical / predicted
     miss = float(np.sqrt(np.mean(np.square(misses))))

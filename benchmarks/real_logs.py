@@ -156,18 +156,18 @@ def column(case: Case, folder: Path) -> dict[str, str]:
     cells = {"published": case.published}
     mjcf.write_text(as_mjcf(case.model))
     for file_format, model in (("urdf", DATA / case.model), ("mjcf", mjcf)):
-        outcome = identify_case(case, model)
-        cutoff = outcome.result.cutoff
-        test = signals(case.other, outcome.robot.joint_names, cutoff)
+        result = identify_case(case, model)
+        cutoff = result.cutoff
+        test = signals(case.other, result.robot.joint_names, cutoff)
         suffix = {"mjcf": ".xml", "urdf": ".urdf"}[file_format]
         written = [
-            path for path in outcome.save(folder / file_format) if path.suffix == suffix
+            path for path in result.save(folder / file_format) if path.suffix == suffix
         ]
-        error = [percent(file_error(path, outcome.robot, test)) for path in written[:1]]
+        error = [percent(file_error(path, result.robot, test)) for path in written[:1]]
         cells[file_format] = error[0] if error else "none is written"
-    cells["catalogue"] = percent(file_error(mjcf, outcome.robot, test))
-    cells["mjcf mass"] = f"{outcome.mass:.3f} ± {outcome.standard_errors['m']:.3f}"
-    plain = LeastSquares(case, outcome.robot, cutoff)
+    cells["catalogue"] = percent(file_error(mjcf, result.robot, test))
+    cells["mjcf mass"] = f"{result.mass:.3f} ± {result.standard_errors['m']:.3f}"
+    plain = LeastSquares(case, result.robot, cutoff)
     cells["friction"] = percent(plain.error(plain.solution(links=False), test))
     values = plain.solution()
     cells["least"] = percent(plain.error(values, test))
@@ -177,7 +177,7 @@ def column(case: Case, folder: Path) -> dict[str, str]:
         stretch for stretch in (case.empty, case.fitted) if stretch is not None
     )
     model, mass = by_rollouts(case.model, stretches, cutoff, case.rotors)
-    cells["sysid"] = percent(file_error(model, outcome.robot, test))
+    cells["sysid"] = percent(file_error(model, result.robot, test))
     cells["sysid mass"] = f"{mass:.3f}"
     return cells
 

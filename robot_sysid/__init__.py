@@ -21,7 +21,7 @@ _NAMES = {
         "self_test",
     ),
     "api.keywords": ("Model",),
-    "api.results": ("Identified", "PlanResult"),
+    "api.results": ("PlanResult", "Result"),
     "config": (
         "Config",
         "IdentifyConfig",
@@ -69,7 +69,6 @@ _NAMES = {
         "ModelFile",
         "Payload",
         "Quantity",
-        "Result",
         "Verdict",
     ),
     "results.parameter_table": ("BeforeAfter",),

@@ -9,8 +9,8 @@ from robot_sysid.api.calls import plan as plan
 from robot_sysid.api.calls import read_log as read_log
 from robot_sysid.api.calls import self_test as self_test
 from robot_sysid.api.keywords import Model as Model
-from robot_sysid.api.results import Identified as Identified
 from robot_sysid.api.results import PlanResult as PlanResult
+from robot_sysid.api.results import Result as Result
 from robot_sysid.config import Config as Config
 from robot_sysid.config import IdentifyConfig as IdentifyConfig
 from robot_sysid.config import PayloadConfig as PayloadConfig
@@ -50,7 +50,6 @@ from robot_sysid.results.record import JointEstimate as JointEstimate
 from robot_sysid.results.record import ModelFile as ModelFile
 from robot_sysid.results.record import Payload as Payload
 from robot_sysid.results.record import Quantity as Quantity
-from robot_sysid.results.record import Result as Result
 from robot_sysid.results.record import Verdict as Verdict
 from robot_sysid.signals.process import LogPiece as LogPiece
 

@@ -12,7 +12,6 @@ torque its gear transmits (that of the links alone).
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
@@ -53,7 +52,6 @@ from robot_sysid.results.written_model import versions, write_model
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
-    from robot_sysid.motion.checked import CheckedPlan
 
 _LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
 """Files that a command writes after the results."""
@@ -71,30 +69,22 @@ MotorFile = Callable[[TextIO], "DamiaoExportReport"]
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """The files that a command wrote, and the lines that it prints.
+class Written:
+    """What a command has written, and what it says of it.
 
     Attributes:
+        files: the written files.
         lines: printed lines, in order.
         verdict: whether to use the result, which file, and the next step; printed last.
         failure: why there is nothing to use, or None.
-        files: the written files.
-        result: a ``Result``, or identified servos; None of a plan.
-        notes: for the user, one sentence each, on what was written.
-        result_hash: SHA-256 of the written params.json; "" where none was written.
-        checked: the planned motion with its limit check; None where nothing was planned.
-        next_step: the next step that the verdict states; None where nothing is left to do.
+        result: a ``Result``, identified servos, or what --json prints of a plan.
     """
 
+    files: tuple[Path, ...]
     lines: tuple[str, ...]
     verdict: tuple[str, ...]
     failure: str | None
-    files: tuple[Path, ...]
-    result: Any = None
-    notes: tuple[str, ...] = ()
-    result_hash: str = ""
-    checked: CheckedPlan | None = None
-    next_step: NextStep | None = None
+    result: Any
 
 
 @contextlib.contextmanager
@@ -112,6 +102,7 @@ def save(
     result: Result,
     folder: Path,
     checkpoints: Motion,
+    progress: Progress,
     *,
     mesh_dir: Path | None = None,
     as_body: str | None = None,
@@ -120,7 +111,7 @@ def save(
     inputs: Collection[Path] = (),
     links: bool = False,
     step: NextStep | None = None,
-) -> Outcome:
+) -> Written:
     """Write params.json, and where the result may be used the model and a payload's card.
 
     A result that may not be used, or that does not fit into this model, gets a params.json only,
@@ -129,6 +120,7 @@ def save(
     Args:
         folder: the output folder, in which files of earlier runs are removed.
         checkpoints: motion on which the written model must reproduce the predicted torque.
+        progress: receives notes on the written files.
         mesh_dir: the user's mesh folder, if any.
         as_body: name of a new body for the payload; None merges it into the terminal link.
         card_choice: whose cards of a payload are written, of ``controllers.CHOICES``.
@@ -138,7 +130,7 @@ def save(
         step: what to do after a result that may be used; None for nothing more.
 
     Returns:
-        The outcome.
+        The written files and the lines on them.
 
     Raises:
         InputError: the folder cannot be written to.
@@ -174,8 +166,8 @@ def save(
                 report = motor_file(file)
         step = None if failure else step
         verdict = last_lines(result, written, step, failure)
-        text = params_json_text(result, card, notes, verdict, step)
         written.append(folder / file_access.PARAMS_NAME)
+        text = params_json_text(result, card, notes, verdict, step)
         files.write(written[-1], text)
         model_files = read_document(result.robot.path).contents
         notes += remove_earlier(files, folder, written, (*inputs, *model_files))
@@ -185,9 +177,8 @@ def save(
         *more_lines(result, links),
         *clamping_lines(report, result.robot.joint_names),
     )
-    result_hash = hashlib.sha256(text.encode()).hexdigest()
-    outcome = Outcome(lines, verdict, failure, tuple(written), result, notes)
-    return replace(outcome, result_hash=result_hash, next_step=step)
+    progress.note(*notes)
+    return Written(tuple(written), lines, verdict, failure, result)
 
 
 def _write_models(
@@ -300,7 +291,7 @@ def params_json_text(
         "next_step": step,
         "file": _file_entry(result.file),
         "payload": _payload_entry(result.payload, card),
-        "links": [_link_entry(result, body) for body in result.links],
+        "links": [_link_entry(result, body) for body in result.links.values()],
         "joints": joints,
         "couplings": couplings,
         "friction_formulas": FORMULAS,
@@ -334,7 +325,7 @@ def _terminal_link_entries(result: Result) -> dict[str, Any]:
     inertial = estimate.inertial
     is_identified = not identifiability.unidentifiable
     if result.payload is not None:
-        inertial = result.payload.total.inertial
+        inertial = result.payload.total
         is_identified = bool(np.all(result.payload.body.is_determined))
     entries = inertial_entries(inertial) or {}
     # The keys of the specification stand in its order, before all further ones.
@@ -356,7 +347,7 @@ def _terminal_link_entries(result: Result) -> dict[str, Any]:
         "reasons": result.reasons,
         "known_to": result.relative_mass_error,
         "valid": {
-            "physically_consistent": result.body.inertial.is_consistent,
+            "physically_consistent": result.body.is_consistent,
             "all_identified": is_identified,
             "trustworthy": result.verdict.is_trustworthy,
         },
@@ -418,13 +409,12 @@ def _body_entry(body: BodyEstimate) -> dict[str, Any]:
     from_data = body.is_determined & (body.data_share >= PRIOR_SHARE)
     source = np.where(from_data, "identified", "from_model").tolist()
     load_entries = dict(zip(ERROR_NAMES, load_errors(body)))
-    causes = {"noise": body.noise_errors, **body.budget}
     return {
         "name": body.name,
-        **(inertial_entries(body.inertial) or {}),
+        **(inertial_entries(body) or {}),
         "model": inertial_entries(body.prior),
         "standard_errors": {**by_name(body.errors), **load_entries},
-        "error_budget": {cause: by_name(causes[cause]) for cause in causes},
+        "error_budget": {c: by_name(errors) for c, errors in body.budget.items()},
         "data_share": by_name(body.data_share),
         "source": by_name(source),
     }

@@ -48,13 +48,16 @@ def classes_in(annotation):
 
 def types_of(owner):
     """Return the package's classes in the attributes of a class, or in a function's types."""
-    namespace = {**vars(sys.modules[owner.__module__]), "ArrayLike": object}
+    bases = inspect.getmro(owner) if isinstance(owner, type) else (owner,)
+    namespace = {"ArrayLike": object}
+    for base in reversed(bases):
+        namespace.update(vars(sys.modules[base.__module__]))
     namespace.update(Answer=object, Dataset=object, PlanResult=rs.PlanResult)
     annotated = [inspect.unwrap(owner)]
     if isinstance(owner, type):
         members = [inspect.getattr_static(owner, n) for n in dir(owner) if n[0] != "_"]
         annotated = [member.fget for member in members if isinstance(member, property)]
-        annotated += [owner] if dataclasses.is_dataclass(owner) else []
+        annotated += filter(dataclasses.is_dataclass, bases)
     classes = set()
     for part in annotated:
         hints = dict(getattr(part, "__annotations__", {}))

@@ -20,7 +20,7 @@ from robot_sysid.api.keywords import (
     records_of,
     with_keywords,
 )
-from robot_sysid.api.results import Identified, PlanResult, one_thread
+from robot_sysid.api.results import PlanResult, Result, one_thread
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
 from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
@@ -143,12 +143,13 @@ def _quietly() -> Iterator[_Notes]:
         yield notes
 
 
-def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Identified:
+def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Result:
     """Identify with the options of a config, without printing; the notes are in the result."""
     with _quietly() as notes:
         robot = load_arm(config.model, notes)
         result = stages.identify(config, robot, notes)
-    return Identified(config, result, tuple(notes.notes))
+    fields = {**vars(result), "notes": tuple(notes.notes)}
+    return Result(**fields, config=config)
 
 
 @with_keywords(LogOptions)
@@ -178,7 +179,7 @@ def identify(
     *,
     validation_measurements: Log | None = None,
     **options: Any,
-) -> Identified:
+) -> Result:
     """Identify an arm: its terminal link, every other link, and its joints' friction.
 
     The equations and the estimate are explained in docs/method.md with their sources.
@@ -209,7 +210,7 @@ def identify(
 
 
 @with_keywords(*records_of(SelfTestConfig))
-def self_test(model: Model, **options: Any) -> Identified:
+def self_test(model: Model, **options: Any) -> Result:
     """Identify an arm from a simulation of its model, or of another model that plays the arm.
 
     Args:
@@ -252,7 +253,7 @@ def payload(
     empty: Log | Sequence[Log],
     loaded: Log | Sequence[Log],
     **options: Any,
-) -> Identified:
+) -> Result:
     """Identify a payload from the difference between recordings without and with it.
 
     Args:

@@ -16,21 +16,20 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from robot_sysid.api.keywords import in_python, python_words
-from robot_sysid.config import Config, PlanConfig
-from robot_sysid.dynamics.equations import split_name
+from robot_sysid.config import PlanConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.export import Outcome, params_json_text, writable_folder
+from robot_sysid.export import Written, params_json_text, writable_folder
 from robot_sysid.model.compilation import lasting_folder
 from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.pipeline.planning import draft_plan
 from robot_sysid.pipeline.stages import write_results
-from robot_sysid.records import Array, InertialParameters, Motion, RobotModel, Traces
+from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress, with_error
+from robot_sysid.results import record
 from robot_sysid.results.parameter_table import BeforeAfter, parameter_rows
-from robot_sysid.results.record import Result
 from robot_sysid.results.result_lines import result_lines
 from robot_sysid.results.written_model import spec_of
 from robot_sysid.trajectory import sample_count
@@ -45,54 +44,38 @@ def one_thread() -> AbstractContextManager[Any]:
 
 
 @dataclass(frozen=True, repr=False)
-class Identified:
+class Result(record.Result):
     """An identified arm or payload, from ``identify``, ``self_test`` or ``payload``.
+
+    It has all fields of ``results.record.Result``; ``notes`` are those that the command would have
+    printed, one sentence each.
 
     Attributes:
         config: the options that it was identified with.
-        result: all identified numbers, with errors and verdict.
-        notes: the notes that the command would have printed, one sentence each.
     """
 
-    config: Config
-    result: Result
-    notes: tuple[str, ...] = ()
-
-    @property
-    def robot(self) -> RobotModel:
-        """The arm as its model describes it."""
-        return self.result.robot
-
-    @property
-    def inertial(self) -> InertialParameters:
-        """The terminal link, or the payload in its flange's frame."""
-        return self.result.body.inertial
+    config: Any = None
 
     @property
     def theta(self) -> Array:
-        """[m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,), inertia about the frame's ORIGIN
-        [kg, kg m, kg m^2]."""
-        return self.inertial.theta
+        """[m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,) of the terminal link, or of the
+        payload in its flange's frame, inertia about the frame's ORIGIN [kg, kg m, kg m^2]."""
+        return self.body.theta
 
     @property
     def mass(self) -> float:
         """Mass of the terminal body with all that hangs on it, or of the payload [kg]."""
-        return self.inertial.mass
+        return self.body.mass
 
     @property
     def center_of_mass(self) -> Array:
         """Centre of mass (3,) in the body's, or the flange's, frame [m]."""
-        return self.inertial.com
+        return self.body.com
 
     @property
     def inertia(self) -> Array:
         """Inertia (3, 3) about the centre of mass, axes of the body or the flange [kg m^2]."""
-        return self.inertial.inertia_com
-
-    @property
-    def links(self) -> Mapping[str, InertialParameters]:
-        """Body name to its ten parameters, base to terminal; links without mass are left out."""
-        return {link.name: link.inertial for link in self.result.links}
+        return self.body.inertia_com
 
     @property
     def standard_errors(self) -> Mapping[str, float]:
@@ -105,14 +88,12 @@ class Identified:
         parameter. Friction that was held at a bound has none, and no entry here. Empty for a
         simulation of the model itself.
         """
-        payload = self.result.payload
-        if payload is not None:
-            return dict(zip(PARAMETER_NAMES, payload.body.errors.tolist()))
-        estimate = self.result.estimate
-        errors = estimate.standard_errors
-        if errors is None or not self.result.is_measured:
+        if self.payload is not None:
+            return dict(zip(PARAMETER_NAMES, self.body.errors.tolist()))
+        errors = self.estimate.standard_errors
+        if errors is None or not self.is_measured:
             return {}
-        return dict(zip(estimate.names, np.asarray(errors, dtype=float).tolist()))
+        return dict(zip(self.estimate.names, errors.tolist()))
 
     @property
     def friction(self) -> Mapping[str, Mapping[str, float]]:
@@ -120,41 +101,34 @@ class Identified:
 
         For a simulation of the model itself, only the terminal joint's.
         """
-        friction: dict[str, dict[str, float]] = {}
-        for joint, estimate in self.result.joints.items():
-            terms = estimate.terms.items()
-            friction[joint] = {term: figure.value for term, figure in terms}
-        if not self.result.is_measured:
-            found = self.result.estimate
-            for name, value in zip(found.names, found.values.tolist()):
-                term, owner = split_name(name)
-                if owner:
-                    friction[owner][term] = value
+        friction = {}
+        for joint, estimate in self.joints.items():
+            terms = estimate.terms
+            friction[joint] = {term: terms[term].value for term in terms}
         return friction
 
-    def traces(self) -> Traces:
-        """Return the measured and predicted torques of each joint, and its motion."""
-        assert self.result.traces is not None
-        return self.result.traces()
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the numbers may go into a model or a controller."""
+        return self.verdict.is_trustworthy
 
     @property
     def failure(self) -> str | None:
         """Why the result must not be used, or None."""
-        return python_words(self.result.failure or "") or None
+        return python_words(super().failure or "") or None
 
     @property
     def rows(self) -> Sequence[BeforeAfter]:
         """Rows of the table of parameters in the model and as identified."""
-        return parameter_rows(self.result)
+        return parameter_rows(self)
 
     def lines(self) -> list[str]:
         """Return the lines that the command prints of this result, in Python's words."""
-        lines = result_lines(self.result, self.config.output.links)
-        return list(map(python_words, lines))
+        return list(map(python_words, result_lines(self, self.config.output.links)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of params.json (see docs/formats.md), without cards."""
-        return dict(json.loads(params_json_text(self.result)))
+        return dict(json.loads(params_json_text(self)))
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write params.json, the data of a later report and, where trusted, the updated model.
@@ -164,19 +138,13 @@ class Identified:
         Raises:
             InputError: the folder cannot be written to.
         """
-        from robot_sysid.report.runs import save_data
-
         with in_python(), one_thread(), writable_folder(Path(folder), Progress()):
-            outcome = self._write(Path(folder))
-            if self.result.is_measured:
-                save_data(Path(folder), self.traces(), outcome.result_hash)
-            return outcome.files
+            return self._write(Path(folder)).files
 
-    def _write(self, folder: Path) -> Outcome:
-        """Write params.json and, where the result may be used, the updated model to a folder."""
+    def _write(self, folder: Path) -> Written:
+        """Write the files of the result to a folder."""
         output = replace(self.config.output, output_dir=folder)
-        config = replace(self.config, output=output)
-        return write_results(config, self.result, Progress())
+        return write_results(replace(self.config, output=output), self, Progress())
 
     def spec(self) -> Any:
         """Return a ``mujoco.MjSpec`` with the result applied, of a file that lasts as this process.
@@ -185,10 +153,11 @@ class Identified:
             SysidError: the result must not be used, or the model cannot hold it; says why.
         """
         with in_python(), one_thread():
-            outcome = self._write(lasting_folder())
-            for path in models_in(outcome.files):
+            # Only the model is wanted, no data of a report.
+            written = replace(self, traces=None)._write(lasting_folder())
+            for path in models_in(written.files):
                 return spec_of(path)
-            raise SysidError(outcome.failure or "this result is written into no model")
+            raise SysidError(written.failure or "this result is written into no model")
 
     def plot(self) -> Any:
         """Return a matplotlib Figure: measured and predicted torque of each joint over time [N m].
@@ -196,6 +165,7 @@ class Identified:
         Raises:
             InputError: matplotlib is not installed.
         """
+        assert self.traces is not None
         traces = self.traces()
         figure, grid = _axes(len(traces.joints))
         axes = grid[:, 0]
@@ -214,11 +184,10 @@ class Identified:
         return "\n".join(self.lines())
 
     def __repr__(self) -> str:
-        body = "payload" if self.result.payload else self.robot.body_name
         mass = with_error(self.mass, self.standard_errors.get("m"), "kg")
-        usable = "usable" if self.result.verdict.is_trustworthy else "only for torques"
+        usable = "usable" if self.trustworthy else "only for torques"
         usable = f"not to be used: {self.failure}" if self.failure else usable
-        return f"<Identified {body} of {self.robot.path.name}: {mass}, {usable}>"
+        return f"<Result {self.body.name} of {self.robot.path.name}: {mass}, {usable}>"
 
 
 _DRAWN_RATE = 100.0

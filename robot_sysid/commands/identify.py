@@ -1,11 +1,11 @@
-"""``robot-sysid MODEL``, ``plan``, ``identify`` and ``payload``: parsers, runs and outcomes."""
+"""``robot-sysid MODEL``, ``plan``, ``identify`` and ``payload``: their parsers and runs."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import warnings
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from robot_sysid import __version__
 from robot_sysid.commands import PROGRAM, Console, overview
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.commands.report import require_report, write_outcome_report
+from robot_sysid.commands.report import draw_report, require_report
 from robot_sysid.config import (
     Config,
     IdentifyConfig,
@@ -167,20 +167,19 @@ def main(arguments: Sequence[str], command: str = "") -> int:
 
 
 def run_command(config: Config, console: Console) -> None:
-    """Run a command, print its outcome and write its report.
+    """Run a command, print what it has written and draw its report.
 
     The verdict is printed last, and not at all where the run failed: the error states it then.
 
     Args:
         config: options of the run.
-        console: prints the outcome; the TOML file that the options came from is not replaced.
+        console: prints the result; the TOML file that the options came from is not replaced.
 
     Raises:
         SysidError: the run failed, its result cannot be used, or a wanted report is missing.
     """
     require_report(config.output.report)
-    is_viewed = isinstance(config, PlanConfig) and config.preview.view
-    if is_viewed:
+    if isinstance(config, PlanConfig) and config.preview.view:
         from robot_sysid.motion.viewer import require_display
 
         require_display()
@@ -190,31 +189,29 @@ def run_command(config: Config, console: Console) -> None:
     config = replace(config, output=replace(config.output, config=console.config))
     if isinstance(config, MotionConfig):
         config = config.with_seed()
-    output = config.output
     with warnings_as_notes(console):
         try:
-            outcome = run(config, console)
+            written = run(config, console)
         except InputError as error:
             if isinstance(config, LogConfig):
                 _add_weighing(error, config)
             raise
-    checked = outcome.checked
-    if is_viewed and checked and checked.problem:
-        from robot_sysid.motion.viewer import play_in_viewer
-
-        play_in_viewer(checked.problem.robot, checked.plan)
-    console.stage(*outcome.lines)
-    for path in outcome.files if checked else ():
-        console.stage(f"Trajectory saved to {path}")
-    console.result(_json_answer(outcome))
-    if outcome.files:
+    console.stage(*written.lines)
+    answer = written.result
+    for path in written.files:
+        if path.name in (file_access.PARAMS_NAME, file_access.SERVO_NAME):
+            answer = path.read_text(encoding="utf-8")
+    console.result(answer)
+    if written.files:
         _write_settings(config)
-    failure = write_outcome_report(outcome, output, config.model.mesh_dir, console)
-    if outcome.failure:
-        raise SysidError(" ".join(outcome.verdict) or outcome.failure)
-    console.stage(*outcome.verdict)
-    if failure:
-        raise SysidError(failure)
+    missing = None
+    if config.output.report:
+        missing = draw_report(config.output, config.model.mesh_dir, console)
+    if written.failure:
+        raise SysidError(" ".join(written.verdict))
+    console.stage(*written.verdict)
+    if missing:
+        raise SysidError(missing)
 
 
 def _add_weighing(error: InputError, config: LogConfig) -> None:
@@ -265,23 +262,6 @@ def _toml_value(value: Any) -> str:
     if isinstance(value, (bool, int, float)):
         return str(value).lower()
     return json.dumps(str(value), ensure_ascii=False)
-
-
-def _json_answer(outcome: Any) -> Mapping[str, Any] | str:
-    """Return the output of --json: the text of the result's file, or the summary of a plan.
-
-    ``outcome`` is that of ``pipeline.stages.run``; its ``files`` are the paths that were written.
-    """
-    for path in outcome.files:
-        if path.name in (file_access.PARAMS_NAME, file_access.SERVO_NAME):
-            return str(path.read_text(encoding="utf-8"))
-    return {
-        "verdict": outcome.verdict,
-        "next_step": outcome.next_step and vars(outcome.next_step),
-        "failure": outcome.failure,
-        "prediction": outcome.lines,
-        "files": list(map(str, outcome.files)),
-    }
 
 
 @contextlib.contextmanager

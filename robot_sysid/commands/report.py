@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Parser, parse_command
@@ -82,44 +81,27 @@ def require_report(is_wanted: bool) -> None:
         require_matplotlib()
 
 
-def write_outcome_report(
-    outcome: Any, output: FolderOptions, mesh_dir: Path | None, console: Console
+def draw_report(
+    output: FolderOptions, mesh_dir: Path | None, console: Console
 ) -> str | None:
-    """Write the data of a later report, and the report if it is wanted.
-
-    The results are in their files already, and stay there whatever fails here. Where
-    no torque was measured, the data is written for a wanted report only.
+    """Draw the report of a run that has just ended; return why it is missing, or None.
 
     Args:
-        outcome: an ``export.Outcome``. The ``traces`` of its result return the data for figures; a
-            plan, and servos that were found without torques, have none, and there is no report.
-        output: folder of the results, and whether a report is wanted.
+        output: folder of the results.
         mesh_dir: folder of the model's meshes; None as the model says.
         console: prints where the report is.
-
-    Returns:
-        Why a wanted report is missing, or None.
     """
-    traces = getattr(outcome.result, "traces", None)
-    if traces is None or not (output.report or outcome.result.is_measured):
-        return None
     from robot_sysid.report.page import write_report
-    from robot_sysid.report.runs import load_run, save_data
+    from robot_sysid.report.runs import load_run
 
+    console.stage("Drawing the report...")
     try:
-        save_data(output.output_dir, traces(), outcome.result_hash)
-        if not output.report:
-            return None
-        console.stage("Drawing the report...")
         run = load_run(output.output_dir)
         path = write_report([run], run.folder, mesh_dir, console)
     except Exception as error:  # The run is done, and its results must stand.
         cause = f"{type(error).__name__}: {error}"
         if isinstance(error, SysidError):
             cause = str(error)
-        if output.report:
-            return f"the results are written, but the report is not: {cause}"
-        console.note(f"nothing was left for a later report: {cause}")
-        return None
+        return f"the results are written, but the report is not: {cause}"
     console.stage(f"Report: {path}")
     return None

@@ -20,7 +20,6 @@ from robot_sysid.estimate.result import (
     body_estimate,
     common_result,
     file_verdict,
-    link_estimates,
     model_file,
     quantity,
     result_notes,
@@ -100,7 +99,7 @@ def payload_result(
     test = validation(weighed)
     findings = list(judge_payload(robot, free, contradiction(weighed, flange), test))
     if known_mass is not None:
-        findings = list(judge_known_mass(findings, free.inertial.mass, known_mass))
+        findings = list(judge_known_mass(findings, free.mass, known_mass))
     status, reasons = first(findings, Verdict.OK)
     values = fitted.free.copy()
     unknown_inertia = ""
@@ -133,7 +132,6 @@ def payload_result(
         common_result(fitted, origin, PAYLOAD),
         verdict=status,
         reasons=reasons,
-        links=tuple(link_estimates(fitted)),
         payload=payload,
         file=written,
         validation=(validation(fitted),),
@@ -237,10 +235,9 @@ def payloads_by_recording(fitted: Fit, flange: Flange) -> Iterator[RecordingPayl
             possible=False,
         )
         body = _in_flange(alone, flange, alone.values)
-        mass = body.inertial.mass
-        theta = body.inertial.theta
-        com = theta[1:4] / mass if mass else np.full(3, np.nan)
-        noise = float(body.noise_errors[0])
+        mass = body.mass
+        com = body.first_moment / mass if mass else np.full(3, np.nan)
+        noise = float(body.budget["noise"][0])
         error = float(body.errors[0])
         yield RecordingPayload(name, is_loaded, mass, com, noise, error)
 

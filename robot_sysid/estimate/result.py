@@ -67,6 +67,7 @@ from robot_sysid.results.record import (
     Result,
     Verdict,
 )
+from robot_sysid.signals.process import ProcessedSignals
 
 SURE = 0.99
 """Confidence level above which a contradiction between data and prior is reported."""
@@ -100,17 +101,17 @@ def link_result(
         notes: sentences for the user so far.
     """
     robot = fitted.arm.robot
-    links = tuple(link_estimates(fitted))
     tests = (validation(fitted), *tests, *held_out_logs(fitted))
-    signals = [r.signals for r in fitted.recordings if r.signals is not None]
-    acceleration_error = max((s.acceleration_error for s in signals), default=0.0)
+    errors = [signals.acceleration_error for signals in signals_of(fitted)]
+    acceleration_error = max(errors, default=0.0)
     common = common_result(fitted, origin, LINK)
+    *other_links, last_link = common.links.values()
     findings = [*find_misfits(fitted, tests, acceleration_error)]
     share, sentence = unexplained_share(fitted)
     all_notes = [*robot.notes, *notes]
     if share > UNUSUAL:
         all_notes.append(sentence)
-    findings += implausible_link(robot, links[-1])
+    findings += implausible_link(robot, last_link)
     findings += implausible_joints(robot, common.joints, fitted.torque)
     written, file_notes = model_file(fitted, file)
     all_notes += file_notes
@@ -131,14 +132,13 @@ def link_result(
             status, _ = first(findings, Verdict.UNEXPLAINED)
         reasons = (*reasons, *doubts)
     # Links that took up the torque of missed friction say nothing of the model's.
-    contradicted = () if missed else tuple(wrong_links(links[:-1]))
+    contradicted = () if missed else tuple(wrong_links(other_links))
     all_notes += map(_wrong_link_line, contradicted)
     all_notes += result_notes(fitted, written, missed)
     return replace(
         common,
         verdict=status,
         reasons=reasons,
-        links=links,
         wrong_links=contradicted,
         file=written,
         validation=tests,
@@ -171,7 +171,7 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
     motors: dict[str, JointEstimate] = {}
     for name, joint in joint_estimates(fitted):
         (joints if name in robot.joint_names else motors)[name] = joint
-    signals = [r.signals for r in fitted.recordings if r.signals is not None]
+    signals = signals_of(fitted)
     scales = fitted.question.link_scales
     return Result(
         robot=robot,
@@ -180,6 +180,7 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
         verdict=Verdict.OK,
         torques="chain" if len(fitted.arm.joints) == robot.n_joints else "terminal",
         data=origin,
+        links={link.name: link for link in link_estimates(fitted)},
         joints=joints,
         couplings=motors,
         sensors=sensors(fitted),
@@ -188,6 +189,11 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
         link_scales={name: getattr(scales, name) for name in LINK_KINDS},
         conflicts=tuple(conflicts(fitted)),
     )
+
+
+def signals_of(fitted: Fit) -> list[ProcessedSignals]:
+    """Return the low-passed signals of all recordings; resting poses have none."""
+    return [r.signals for r in fitted.recordings if r.signals is not None]
 
 
 def conflicts(fitted: Fit) -> Iterator[PriorConflict]:
@@ -237,17 +243,15 @@ def body_estimate(
         model_theta: (10,) in the model; None where the model lacks the body.
         joint: the joint that moves the body.
     """
-    budget = fitted.budget(combinations)
     weight = np.abs(combinations)
     share = weight @ fitted.share() / np.maximum(np.sum(weight, axis=1), 1e-300)
     hidden = weight[:, fitted.is_hidden]
     return BodyEstimate(
+        theta=theta,
         name=name,
-        inertial=InertialParameters(theta),
         covariance=combinations @ fitted.covariance @ combinations.T,
         is_determined=np.max(hidden, axis=1, initial=0.0) < 1e-9,
-        noise_errors=budget.pop("noise"),
-        budget=budget,
+        budget=fitted.budget(combinations),
         data_share=np.clip(share, 0.0, 1.0),
         prior=None if model_theta is None else InertialParameters(model_theta),
         joint=joint,

@@ -226,32 +226,31 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgemen
     geometry in the model and from the reach of the arm. A link without a positive mass has neither,
     so nothing is yielded. A mass that the data does not identify is compared with the model's.
     """
-    body = link.inertial
     errors = link.errors
-    if not body.mass > 0.0:
+    if not link.mass > 0.0:
         return
     # Largest distances from the link's origin and from the arm's first joint [m].
     reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
     arm = reach + _distance_of_ends(robot)
-    slack = _SURE * float(np.linalg.norm(errors[1:4])) / body.mass
-    distance = float(np.linalg.norm(body.com))
+    slack = _SURE * float(np.linalg.norm(errors[1:4])) / link.mass
+    distance = float(np.linalg.norm(link.com))
     where = f"on a link that reaches {reach:.2g} m"
     if distance - slack > reach + COM_BEYOND * arm:
         yield (
             Verdict.IMPLAUSIBLE,
             f"the centre of mass is {distance:.2g} m away {where}",
         )
-    moment = float(body.principal_moments[-1])
+    moment = float(link.principal_moments[-1])
     slack = _SURE * float(np.max(errors[4:10]))
-    if moment - slack > body.mass * (reach + GYRATION_BEYOND * arm) ** 2:
-        radius = np.sqrt(moment / body.mass)
+    if moment - slack > link.mass * (reach + GYRATION_BEYOND * arm) ** 2:
+        radius = np.sqrt(moment / link.mass)
         yield Verdict.IMPLAUSIBLE, f"the radius of gyration is {radius:.2g} m {where}"
-    ratio = body.mass / robot.prior.mass
+    ratio = link.mass / robot.prior.mass
     if not np.isfinite(errors[0]) and not 1.0 / MOVED_UNSEEN <= ratio <= MOVED_UNSEEN:
         yield (
             Verdict.IMPLAUSIBLE,
             f"these torques do not show the mass, yet the rest is only possible with "
-            f"{body.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg",
+            f"{link.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg",
         )
 
 
@@ -316,7 +315,7 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
             continue
         expected = float(np.linalg.norm(link.prior.theta[1:4]))
         direction = link.prior.theta[1:4] / expected
-        moment = float(direction @ link.inertial.theta[1:4])
+        moment = float(direction @ link.first_moment)
         error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
         deviation = abs(moment - expected)
         least = max(_SURE * error, LEAST_WRONG * expected)
@@ -427,7 +426,7 @@ def judge_payload(
         contradicting: sentence on a contradiction between recordings; "" where there is none.
         validation: held-out error of the fit.
     """
-    mass = payload.inertial.mass
+    mass = payload.mass
     error = float(payload.errors[0])
     sentence = f"the payload comes out as {with_error(mass, error, 'kg')}"
     if contradicting:
@@ -443,7 +442,7 @@ def judge_payload(
             f"held-out torques are predicted with an error of {share}",
         )
     else:
-        yield from _far_payload(robot, payload.inertial)
+        yield from _far_payload(robot, payload)
 
 
 def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Judgement]:

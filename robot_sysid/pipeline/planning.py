@@ -12,7 +12,7 @@ import numpy as np
 
 from robot_sysid.config import MotionConfig, PlanConfig
 from robot_sysid.errors import InputError
-from robot_sysid.export import MotorFile, Outcome
+from robot_sysid.export import MotorFile, Written
 from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.motion.plan import MotionRequest, make_plan
@@ -116,8 +116,8 @@ def predict_plan(
     return prediction, lines
 
 
-def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> Outcome:
-    """Write a planned motion, unless it breaks a limit, and return the outcome of the command.
+def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> Written:
+    """Write a planned motion, unless it breaks a limit, and return what was written.
 
     Args:
         config: names the files, and says what the motion is for.
@@ -132,15 +132,25 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> O
     else:
         paths, clamping = _write_motion(config, robot, checked.plan)
         lines += clamping
+    if config.preview.view:
+        from robot_sysid.motion.viewer import play_in_viewer
+
+        play_in_viewer(robot, checked.plan)
     shortfall = _shortfall(config, prediction)
     verdict = [plan_verdict(failure, shortfall, _conditions(checked))]
     step = None
     if not (failure or shortfall):
         step = _step_after(config, paths)
     verdict += () if step is None else step.lines()
-    return Outcome(
-        tuple(lines), tuple(verdict), failure, paths, checked=checked, next_step=step
-    )
+    answer = {
+        "verdict": verdict,
+        "next_step": step and vars(step),
+        "failure": failure,
+        "prediction": lines,
+        "files": list(map(str, paths)),
+    }
+    lines = [*lines, *map("Trajectory saved to {}".format, paths)]
+    return Written(paths, tuple(lines), tuple(verdict), failure, answer)
 
 
 def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:

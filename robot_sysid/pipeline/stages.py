@@ -26,11 +26,12 @@ from robot_sysid.dynamics.equations import (
     TERMINAL_FRICTION,
     Equations,
     friction_per_joint,
+    split_name,
 )
 from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
-from robot_sysid.export import Outcome, save, writable_folder
+from robot_sysid.export import Written, save, writable_folder
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.parser import load_robot_model
@@ -56,14 +57,14 @@ from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import PerJoint, write_torque_scale
-from robot_sysid.results.record import LINK, JointEstimate, Result, Verdict
+from robot_sysid.results.record import LINK, JointEstimate, Quantity, Result, Verdict
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion
 
 
-def run(config: Config, progress: Progress | None = None) -> Outcome:
+def run(config: Config, progress: Progress | None = None) -> Written:
     """Run a command on one arm and write its files.
 
     Where the torque follows from a servo's position error (``torque_from``), the servo is
@@ -188,10 +189,11 @@ def identify_simulated(
 
 def write_results(
     config: Config, result: Result, progress: Progress, plan: MotionPlan | None = None
-) -> Outcome:
-    """Write all files of a result and return the outcome of the command.
+) -> Written:
+    """Write all files of a result, and the data of a later report.
 
-    The caller has locked the output folder. InputError where a file cannot be written.
+    The data are left of measured torques, or where a report is wanted; without them, the results
+    stand. The caller has locked the output folder. InputError where a file cannot be written.
 
     Args:
         config: names the output folder, and what is written there.
@@ -214,10 +216,11 @@ def write_results(
     elif isinstance(config, MotionConfig) and plan is not None:
         rate = config.trajectory.sample_rate
         motor_file = motor_writer(config.motors, robot, plan, rate)
-    outcome = save(
+    written = save(
         result,
         folder,
         result.checkpoints,
+        progress,
         mesh_dir=mesh_dir,
         as_body=as_body,
         card_choice=card_choice,
@@ -226,10 +229,18 @@ def write_results(
         links=config.output.links,
         step=step_after_run(config, result),
     )
-    if scale_path is not None and outcome.failure is None and result.payload:
+    if scale_path is not None and written.failure is None and result.payload:
         write_torque_scale(scale_path, result.payload.torque_scale)
-    progress.note(*outcome.notes)
-    return outcome
+    if result.traces and (config.output.report or result.is_measured):
+        from robot_sysid.report import runs
+
+        # Of this run, whatever another one writes to the folder in the meantime.
+        fingerprint = runs.fingerprint(folder)
+        try:
+            runs.save_data(folder, result.traces(), fingerprint)
+        except Exception as error:  # The results must stand.
+            progress.note(f"nothing was left for a later report: {error}")
+    return written
 
 
 _DRAWN_SAMPLES = 2000
@@ -267,10 +278,13 @@ def run_self_test(
     information = collect_sysid_data(equations, tracked)
     progress.stage("Solving for parameters...")
     estimate = identify_parameters(information, equations.prior, possible=True)
-    friction = {}
-    coefficients = equations.prior[N_INERTIAL:].tolist()
-    for name, coefficient in zip(equations.names[N_INERTIAL:], coefficients):
-        friction[name.partition("[")[0]] = coefficient
+    terms = {}
+    model_terms = {}
+    for index in range(N_INERTIAL, len(equations.names)):
+        term, _ = split_name(equations.names[index])
+        # Without noise, the error is one of rounding: none is stated.
+        terms[term] = Quantity(float(estimate.values[index]), 0.0)
+        model_terms[term] = float(equations.prior[index])
     return Result(
         robot=robot,
         question=LINK,
@@ -278,7 +292,7 @@ def run_self_test(
         verdict=self_test_verdict(estimate),
         torques=options.torques,
         data=DataOrigin(Source.ITSELF, "", plan.duration, rate, seed),
-        joints={robot.terminal_joint: JointEstimate(model.name, {}, friction)},
+        joints={robot.terminal_joint: JointEstimate(model.name, terms, model_terms)},
         notes=robot.notes,
         checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
         traces=partial(_traces, robot, plan, options.torques, model, estimate),

@@ -159,6 +159,11 @@ def theta_in(entry: Mapping[str, Any]) -> Array:
     )
 
 
+def fingerprint(folder: Path) -> str:
+    """Return the SHA-256 hash of the params.json in a folder."""
+    return hashlib.sha256((folder / PARAMS_NAME).read_bytes()).hexdigest()
+
+
 def load_run(folder: Path) -> Run:
     """Return the run whose files are in a folder.
 
@@ -180,9 +185,9 @@ def load_run(folder: Path) -> Run:
             f"{path} has schema_version {version!r:.20}, and this program reads {SCHEMA_VERSION}; "
             f"{remedy}"
         )
-    result = hashlib.sha256(path.read_bytes()).hexdigest()
     try:
-        return Run(folder, content, load_data(folder / DATA_NAME, result))
+        traces = load_data(folder / DATA_NAME, fingerprint(folder))
+        return Run(folder, content, traces)
     except InputError as error:
         missing = f"Torques cannot be drawn: {error}; {remedy}."
         return Run(folder, content, None, missing)

@@ -44,12 +44,11 @@ def load_covariance(body: BodyEstimate) -> Array:
     that is lighter by one standard error of the mass, at most twice that of the body itself.
     Variances of what is not determined are infinite.
     """
-    inertial = body.inertial
-    is_com_known = inertial.mass > 0.0 and bool(np.all(body.is_determined[:4]))
+    is_com_known = body.mass > 0.0 and bool(np.all(body.is_determined[:4]))
     is_inertia_known = is_com_known and bool(np.all(body.is_determined))
-    mass = inertial.mass if is_com_known else 1.0
+    mass = body.mass if is_com_known else 1.0
     mass_error = float(np.sqrt(max(body.covariance[0, 0], 0.0)))
-    com = inertial.com
+    com = body.com
     identity = np.eye(3)
     jacobian = np.eye(10)
     com_slopes = np.column_stack((-com, identity))
@@ -84,7 +83,7 @@ def principal_moments(body: BodyEstimate) -> tuple[Array, Array]:
     They are about the centre of mass [kg m^2]; infinite errors where not known. To first order,
     the moment about the axis a changes by a^T dI a.
     """
-    moments, axes = spatial.principal_axes(body.inertial.inertia_com)
+    moments, axes = spatial.principal_axes(body.inertia_com)
     covariance = load_covariance(body)[4:, 4:]
     if not np.all(np.isfinite(covariance)):
         return moments, np.full(3, np.inf)

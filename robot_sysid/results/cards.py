@@ -98,7 +98,7 @@ def number_groups(body: BodyEstimate) -> dict[str, Any]:
     Raises:
         ExportError: no rigid body has these parameters.
     """
-    mass, com, inertia = spatial.com_from_theta(body.inertial.theta)
+    mass, com, inertia = spatial.com_from_theta(body.theta)
     moments, axes = spatial.principal_axes(inertia)
     # Rounding of an inertia about a distant origin hides a small one about the centre of mass.
     rounding = _ROUNDING * abs(mass) * float(com @ com)

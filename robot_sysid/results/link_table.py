@@ -41,8 +41,8 @@ def file_masses(result: Result) -> dict[str, str]:
         return {}
     masses = {}
     written = dict(zip(result.robot.joint_names, file.thetas[:, 0].tolist()))
-    for body in result.links:
-        identified = Quantity(body.inertial.mass, float(body.errors[0]))
+    for body in result.links.values():
+        identified = Quantity(body.mass, float(body.errors[0]))
         text = _file_text(written[str(body.joint)], identified)
         if text:
             masses[body.name] = text
@@ -60,7 +60,7 @@ def link_lines(result: Result) -> Iterator[str]:
     mass_rows = []
     coms = []
     inertias = []
-    for body in result.links:
+    for body in result.links.values():
         mass_row, *rows = central_rows(body)
         mass_rows.append(replace(mass_row, name=body.name))
         coms.append([body.name, *_value_cells(rows[:3], count=3)])

@@ -23,7 +23,7 @@ from robot_sysid.records.messages import (
     term_unit,
 )
 from robot_sysid.results.body_errors import INERTIA, load_errors
-from robot_sysid.results.record import BodyEstimate, JointEstimate, Quantity, Result
+from robot_sysid.results.record import BodyEstimate, Quantity, Result
 from robot_sysid.results.verdict import PRIOR_SHARE
 
 _THETA_LABELS = (
@@ -146,13 +146,18 @@ def parameter_rows(result: Result) -> list[BeforeAfter]:
         return rows
     if len(rows) == 1:
         rows = theta_rows(result.body)
-    return [*rows, *_terminal_friction_rows(result)]
+    joint_name = result.robot.terminal_joint
+    joint = result.joints.get(joint_name)
+    if joint is None:
+        return rows
+    is_slide = joint_name in result.robot.slides
+    return [*rows, *friction_rows(joint.terms, joint.model_terms, is_slide)]
 
 
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     """Return the rows of the ten inertial parameters."""
     columns = (_THETA_LABELS, PARAMETER_UNITS, body.errors, body.data_share)
-    return _number_rows(body, attrgetter("theta"), body.inertial.scale, *columns)
+    return _number_rows(body, attrgetter("theta"), body.scale, *columns)
 
 
 def central_rows(body: BodyEstimate) -> list[BeforeAfter]:
@@ -161,8 +166,8 @@ def central_rows(body: BodyEstimate) -> list[BeforeAfter]:
     The first is the mass; centre of mass (3) and inertia (6) follow where their errors are finite.
     A centre of mass comes from the data as far as both the mass and its first moment do.
     """
-    scale = body.inertial.scale
-    scale[1:4] = spatial.characteristic_length(body.inertial.theta)
+    scale = body.scale
+    scale[1:4] = spatial.characteristic_length(body.theta)
     shares = body.data_share.copy()
     shares[1:4] = np.minimum(shares[0], shares[1:4])
     errors = load_errors(body)
@@ -200,7 +205,7 @@ def _number_rows(
     priors: list[float | None] = [None] * len(errors)
     if body.prior is not None:
         priors = without_rounding(values_of(body.prior), scale).tolist()
-    values = without_rounding(values_of(body.inertial), scale).tolist()
+    values = without_rounding(values_of(body), scale).tolist()
     stated_errors = [error or None for error in errors.tolist()]
     columns = (labels, priors, values, stated_errors, units, shares.tolist())
     return list(map(BeforeAfter, *columns))
@@ -227,23 +232,8 @@ def friction_rows(
         is_slide: whether the joint is a slide, which determines the units.
     """
     for term, (value, error) in terms.items():
+        value = float(without_rounding(np.array(value), scale=1.0))
         label = TERM_LABELS.get(term, f"friction {term}")
         prior = model_terms.get(term)
         unit = term_unit(term, is_slide)
         yield BeforeAfter(label, prior, value, error or None, unit)
-
-
-def _terminal_friction_rows(result: Result) -> Iterator[BeforeAfter]:
-    """Return the rows of the terminal joint's friction and rotor inertia, where estimated."""
-    joint_name = result.robot.terminal_joint
-    joint = result.joints.get(joint_name, JointEstimate("none", {}))
-    terms = {**joint.terms}
-    if not terms:
-        # A simulation of the model itself has them among the parameters only, without errors.
-        for term in ("coulomb", "viscous"):
-            value = result.estimate.value(f"{term}[{joint_name}]")
-            if value is not None:
-                rounded = float(without_rounding(np.array(value), scale=1.0))
-                terms[term] = Quantity(rounded, 0.0)
-    is_slide = joint_name in result.robot.slides
-    return friction_rows(terms, joint.model_terms, is_slide)

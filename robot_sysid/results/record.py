@@ -134,17 +134,16 @@ class Quantity(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BodyEstimate:
+class BodyEstimate(InertialParameters):
     """The ten inertial parameters of one body, estimated, and their errors.
 
     Attributes:
+        theta: (10,) the parameters, in the body's frame; of a payload in the flange frame.
         name: name of the body.
-        inertial: the parameters, in the body's frame; of a payload in the flange frame.
         covariance: (10, 10) covariance of the parameters' errors, all causes together; zero where
             it is not known.
         is_determined: (10,) whether data and priors determine a parameter at all.
-        noise_errors: (10,) standard errors due to torque noise alone.
-        budget: cause other than noise to the standard errors (10,) due to that cause alone.
+        budget: cause, "noise" of the torques first, to the standard errors (10,) due to it alone.
         data_share: (10,) share of each value that comes from the data, 0 to 1; the model gives the
             other share.
         prior: the parameters in the model; None of a payload.
@@ -152,10 +151,8 @@ class BodyEstimate:
     """
 
     name: str
-    inertial: InertialParameters
     covariance: Array
     is_determined: NDArray[np.bool_]
-    noise_errors: Array
     budget: Mapping[str, Array] = field(default_factory=dict)
     data_share: Array = field(default_factory=lambda: np.ones(10))
     prior: InertialParameters | None = None
@@ -170,8 +167,7 @@ class BodyEstimate:
     @property
     def mass_causes(self) -> dict[str, float]:
         """Cause, noise first, to the standard error of the mass due to it alone [kg]."""
-        causes = {"noise": self.noise_errors, **self.budget}
-        return {cause: float(errors[0]) for cause, errors in causes.items()}
+        return {cause: float(errors[0]) for cause, errors in self.budget.items()}
 
 
 @dataclass(frozen=True)
@@ -354,7 +350,8 @@ class Result:
         torques: "chain" or "terminal": the joints whose torques were fitted.
         data: where the data comes from.
         reasons: what is wrong with the result, one phrase each.
-        links: every link with mass, base to terminal; empty of the model's own simulation.
+        links: name of the body to every link with mass, base to terminal; empty of the model's own
+            simulation.
         joints: chain joint to its friction and rotor inertia.
         couplings: sum of joint speeds, such as ``joint_5+joint_6``, to the motor that turns with
             it.
@@ -383,7 +380,7 @@ class Result:
     torques: str
     data: records.DataOrigin
     reasons: tuple[str, ...] = ()
-    links: tuple[BodyEstimate, ...] = ()
+    links: Mapping[str, BodyEstimate] = field(default_factory=dict)
     joints: Mapping[str, JointEstimate] = field(default_factory=dict)
     couplings: Mapping[str, JointEstimate] = field(default_factory=dict)
     sensors: Mapping[str, Quantity] = field(default_factory=dict)
@@ -432,13 +429,12 @@ class Result:
         if self.payload is not None:
             return self.payload.body
         if self.links:
-            return self.links[-1]
+            return [*self.links.values()][-1]
         return BodyEstimate(
+            theta=self.estimate.inertial.theta,
             name=self.robot.body_name,
-            inertial=self.estimate.inertial,
             covariance=np.zeros((10, 10)),
             is_determined=np.ones(10, dtype=bool),
-            noise_errors=np.zeros(10),
             prior=self.robot.prior,
         )
 
@@ -446,7 +442,7 @@ class Result:
     def relative_mass_error(self) -> float | None:
         """Standard error of the mass of ``body`` over that mass; None where it is not known."""
         error = float(self.body.errors[0])
-        mass = self.body.inertial.mass
+        mass = self.body.mass
         is_known = self.is_measured and np.isfinite(error) and mass > 0.0
         return error / mass if is_known else None
 

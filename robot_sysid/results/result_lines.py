@@ -200,8 +200,8 @@ def _payload_lines(payload: Payload) -> Iterator[str]:
     """Yield lines on the link without and with a payload, single recordings and torque scales."""
     for preposition, body in (("without", payload.link), ("with", payload.total)):
         mass_error, *com_errors = load_errors(body)[:4].tolist()
-        com = ", ".join(map(with_error, body.inertial.com.tolist(), com_errors))
-        mass = with_error(body.inertial.mass, mass_error, "kg")
+        com = ", ".join(map(with_error, body.com.tolist(), com_errors))
+        mass = with_error(body.mass, mass_error, "kg")
         yield Detail(
             f"Terminal link {preposition} it: {mass}, centre of mass [{com}] m"
         )

@@ -189,7 +189,7 @@ def largest_cause(body: BodyEstimate) -> str:
     causes = body.mass_causes
     if not np.all(np.isfinite([body.errors[0], *causes.values()])):
         return ""
-    return max(causes, key=lambda cause: causes[cause])
+    return max(causes, key=lambda cause: causes[cause], default="")
 
 
 def limitations(result: Result) -> tuple[str, ...]:

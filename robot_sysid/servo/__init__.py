@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import ExportError
-from robot_sysid.export import Outcome, remove_earlier, writable_folder
+from robot_sysid.export import Written, remove_earlier, writable_folder
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import (
     MeasurementLog,
@@ -271,7 +271,7 @@ def run_servo(
     mesh_dir: Path | None,
     progress: Progress,
     input_files: Sequence[Path | None] = (),
-) -> Outcome:
+) -> Written:
     """Identify servos, friction and rotor inertia of an arm whose links are trusted; write results.
 
     A model is written only if it plays the held-out data better, or
@@ -321,14 +321,15 @@ def run_servo(
     progress.note(*notes)
     lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
     if failure is not None:
-        return Outcome(lines, (f"Not usable: {failure}",), failure, written, result)
+        return Written(written, lines, (f"Not usable: {failure}",), failure, result)
     judgement = f"Not usable, but written because of --accept rollout: {fault}"
     if fault is None:
         judgement = (
             "Usable: position errors of the model, played on what was not fitted, are "
             f"{result.rollout.score:.2g} times those before"
         )
-    return Outcome(lines, (judgement, *use_lines(models[0])), None, written, result)
+    verdict = (judgement, *use_lines(models[0]))
+    return Written(written, lines, verdict, None, result)
 
 
 def identify_servos(

@@ -121,10 +121,7 @@ def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
         workshop / "arm.xml", [log, shorter], validation_measurements=shortest
     )
     assert both.mass == pytest.approx(result.mass, rel=0.01)
-    assert (
-        len(both.result.file.other_validations) == 1
-        and len(both.result.validation) >= 2
-    )
+    assert len(both.file.other_validations) == 1 and len(both.validation) >= 2
 
 
 def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
@@ -143,7 +140,7 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
     worse = rs.identify(
         workshop / "arm.xml", workshop / "log.csv", validation_measurements=other
     )
-    assert worse.result.verdict is Verdict.NO_BETTER
+    assert worse.verdict is Verdict.NO_BETTER
     assert "13 % -> 21 %" in worse.failure
 
 
@@ -235,7 +232,7 @@ def test_a_result_is_the_same_after_pickling(result, tmp_path):
 
 
 def test_results_plans_and_logs_say_what_they_are(workshop, result, monkeypatch):
-    assert repr(result).startswith("<Identified link3 of arm.xml: 4.0")
+    assert repr(result).startswith("<Result link3 of arm.xml: 4.0")
     assert repr(result).endswith("kg, usable>")
     assert repr(result.robot).endswith(
         "arm.xml: joint0, joint1, joint2, joint3 carry link3>"
@@ -248,7 +245,7 @@ def test_a_saved_result_is_that_of_the_command(workshop, result, tmp_path):
     files = result.save(tmp_path / "out")
     assert {path.name for path in files} == {"params.json", "updated_model.xml"}
     written = rs.load_robot_model(tmp_path / "out" / "updated_model.xml")
-    file = result.result.file
+    file = result.file
     assert written.prior.mass == pytest.approx(file.thetas[-1][0], rel=1e-9)
     assert written.friction.coulomb[-1] == pytest.approx(
         file.joints["joint3"]["coulomb"].value
@@ -268,7 +265,7 @@ def test_a_result_of_arrays_is_saved_with_the_data_of_its_report(
 def test_a_spec_has_the_result_in_it(result):
     pytest.importorskip("mujoco", minversion="3.2.5")
     compiled = result.spec().compile()
-    file = result.result.file
+    file = result.file
     assert compiled.body_subtreemass[result.robot.body_id] == pytest.approx(
         file.thetas[-1][0]
     )
@@ -281,19 +278,15 @@ def test_a_spec_has_the_result_in_it(result):
 
 
 def test_a_result_that_must_not_be_used_says_so_and_makes_no_model(result, tmp_path):
-    doubtful = replace(result.result, verdict=Verdict.TOO_WEAK, reasons=("so light",))
-    doubtful_result = replace(result, result=doubtful)
-    assert doubtful_result.failure.startswith("so light")
-    assert [path.name for path in doubtful_result.save(tmp_path / "out")] == [
-        "params.json"
-    ]
+    doubtful = replace(result, verdict=Verdict.TOO_WEAK, reasons=("so light",))
+    assert doubtful.failure.startswith("so light") and not doubtful.trustworthy
+    assert [path.name for path in doubtful.save(tmp_path / "out")] == ["params.json"]
     with pytest.raises(SysidError, match="so light"):
-        doubtful_result.spec()
+        doubtful.spec()
 
 
 def test_numbers_of_a_result_for_torques_only_are_not_called_usable(result):
-    for_torques = replace(result.result, verdict=Verdict.TORQUES_ONLY)
-    shown = replace(result, result=for_torques)
+    shown = replace(result, verdict=Verdict.TORQUES_ONLY)
     assert shown.failure is None and "usable" not in repr(shown)
     assert repr(result).endswith("usable>")
 

@@ -107,7 +107,7 @@ def test_a_spec_is_identified_like_its_file(tmp_path):
         rs.self_test(held, **quick).theta, from_spec.theta, rtol=1e-6
     )
     assert repr(from_spec).startswith(
-        "<Identified link6 of kinova_fullinertia_guess.xml: 0.78"
+        "<Result link6 of kinova_fullinertia_guess.xml: 0.78"
     )
 
 

@@ -48,10 +48,10 @@ def test_a_payload_is_given_in_the_flange_frame_with_its_errors(result_and_file)
     after = file.validation_after.relative_error
     assert after < file.validation_before.relative_error
     body = payload.body
-    theta = body.inertial.theta
+    theta = body.theta
     assert np.max(np.abs(theta - FLANGE.to_flange(PAYLOAD)) / body.errors) < 4.0
-    assert body.errors[0] < 0.03 and result.body.inertial is body.inertial
-    difference = payload.total.inertial.theta - payload.link.inertial.theta
+    assert body.errors[0] < 0.03 and result.body is body
+    difference = payload.total.theta - payload.link.theta
     assert_allclose(FLANGE.to_flange(difference), theta, atol=1e-12)
     names = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
     assert payload.recordings == names and len(payload.scatter) == 4
@@ -75,7 +75,7 @@ def test_a_refused_payload_has_one_error_of_its_mass(recordings):
     body = result.payload.body
     (reason,) = result.reasons
     assert result.verdict is Verdict.SWAPPED
-    assert reason.endswith(with_error(body.inertial.mass, body.errors[0], "kg"))
+    assert reason.endswith(with_error(body.mass, body.errors[0], "kg"))
 
 
 def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
@@ -84,11 +84,11 @@ def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
     arm = TrueArm(ROBOT, 0, model_error=0.03, payload=ball)
     result, file = result_of(arm.abba(0, sigma=0.1))
     payload = result.payload
-    theta = result.body.inertial.theta
+    theta = result.body.theta
     assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.verdict.is_trustworthy
     expected = spatial.aluminium_ball(theta[0], theta[1:4] / theta[0])
     assert_allclose(theta, expected, atol=1e-12)
-    difference = payload.total.inertial.theta - payload.link.inertial.theta
+    difference = payload.total.theta - payload.link.theta
     carried = [file.fit.by_name[f"{name}(payload)"] for name in spatial.PARAMETER_NAMES]
     for body in (difference, np.array(carried)):
         assert_allclose(FLANGE.to_flange(body), theta, atol=1e-12)
@@ -118,7 +118,7 @@ def test_a_known_mass_identifies_scales_unless_the_weight_contradicts_it(
         return
     payload = result.payload
     assert result.verdict is Verdict.OK and payload.known_mass == 1.2
-    assert result.body.inertial.mass == pytest.approx(1.2, rel=1e-4)
+    assert result.body.mass == pytest.approx(1.2, rel=1e-4)
     assert payload.scatter == ()
     for name, scale in payload.torque_scale.items():
         assert abs(scale.value - 1.0) < 3.0 * scale.error, name
@@ -142,7 +142,7 @@ def test_resting_poses_show_mass_and_centre_of_mass_and_no_inertia():
     assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.cutoff is None
     notes = "the payload's inertia is not identifiable from these torques"
     assert notes in result.notes
-    found = result.body.inertial.theta[:4]
+    found = result.body.theta[:4]
     assert_allclose(found, FLANGE.to_flange(PAYLOAD)[:4], rtol=0.1, atol=0.01)
     assert np.all(np.isinf(result.payload.body.errors[4:]))
 

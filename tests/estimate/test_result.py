@@ -63,10 +63,10 @@ def test_all_logs_pass_the_lowest_cutoff_that_one_requires(plant, robot, noisy):
 def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
     assert result.question == LINK
     assert result.verdict is Verdict.BETTER and not result.reasons
-    assert [link.name for link in result.links] == ["link0", "link1", "link2"]
-    assert [link.joint for link in result.links] == list(plant.joint_names)
-    first, _, last = result.links
-    error = np.abs(last.inertial.theta - plant.prior.theta)
+    assert list(result.links) == ["link0", "link1", "link2"]
+    assert [link.joint for link in result.links.values()] == list(plant.joint_names)
+    first, _, last = result.links.values()
+    error = np.abs(last.theta - plant.prior.theta)
     assert np.max(error / last.errors) < 4.0 and result.relative_mass_error < 0.25
     assert first.data_share[0] < 0.3 and last.data_share[9] > 0.9
     for name, joint in result.joints.items():

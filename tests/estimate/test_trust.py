@@ -10,7 +10,7 @@ import pytest
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimate import trust
 from robot_sysid.model.bodies import link_reach
-from robot_sysid.records import InertialParameters, Validation
+from robot_sysid.records import Validation
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Quantity, Verdict
 from tests.support import arms
 from tests.support.core_fits import fit_logs
@@ -30,8 +30,7 @@ def body(mass=1.0, com=(0.0, 0.0, 0.1), error=0.01, radius=0.05, moment_error=1e
     theta = spatial.theta_from_com(mass, np.array(com), inertia)
     errors = np.array([error, 0.0, 0.0, moment_error] + [1e-3] * 6)
     covariance = np.nan_to_num(np.diag(errors**2))
-    inertial = InertialParameters(theta)
-    return BodyEstimate("it", inertial, covariance, np.isfinite(errors), errors)
+    return BodyEstimate(theta, "it", covariance, np.isfinite(errors), {"noise": errors})
 
 
 def body_at(distance, moment_error=1e-3, **numbers):
@@ -229,7 +228,7 @@ def test_slow_errors_no_larger_than_other_sensors_are_no_misfit(
 )
 def test_a_link_is_named_whose_first_moment_is_clearly_wrong(distance, error, is_named):
     """By 50 %: beyond two errors of 0.01 kg m, within two of 0.03."""
-    link = replace(body_at(distance, error), prior=body_at(0.1).inertial)
+    link = replace(body_at(distance, error), prior=body_at(0.1))
     named = list(trust.wrong_links([link]))
     assert len(named) == is_named
     for wrong in named:

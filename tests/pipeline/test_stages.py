@@ -66,17 +66,19 @@ def config(arm: Path, **more) -> SelfTestConfig:
 
 def test_a_run_returns_what_its_files_say(arm):
     plan = arm.parent / "plan.json"
-    outcome = run(config(arm, save_trajectory=plan))
-    assert outcome.failure is None and outcome.result.estimate.method == "ols"
-    assert [path.name for path in outcome.files] == ["updated_model.xml", "params.json"]
+    written = run(config(arm, save_trajectory=plan))
+    assert written.failure is None and written.result.estimate.method == "ols"
+    assert [path.name for path in written.files] == ["updated_model.xml", "params.json"]
 
     def refuse(constant):
         raise AssertionError(f"{constant} is not JSON")
 
-    written = json.loads(outcome.files[1].read_text(), parse_constant=refuse)
-    estimate = outcome.result.estimate
-    np.testing.assert_array_equal(theta_in(outcome.files[1]), estimate.inertial.theta)
-    assert written["seed"] == outcome.result.data.seed == 1
+    params = json.loads(written.files[1].read_text(), parse_constant=refuse)
+    result = written.result
+    np.testing.assert_array_equal(
+        theta_in(written.files[1]), result.estimate.inertial.theta
+    )
+    assert params["seed"] == result.data.seed == 1
     assert load_trajectory(plan).sha256 == load_robot_model(arm).sha256
     assert plan.with_suffix(".csv").exists()
 
@@ -85,10 +87,10 @@ def test_what_is_identified_of_every_joint_goes_into_the_model(arm):
     """The plant's joints have half the dry friction and twice the viscous one."""
     plant = arm.with_name("plant.xml")
     plant.write_text(XML.replace('".4" damping=".1"', '".2" damping=".2"'))
-    outcome = run(config(arm, plant_model=plant))
-    assert outcome.result.estimate.method == "wls"
-    (written,) = [path for path in outcome.files if path.suffix == ".xml"]
-    friction = load_robot_model(written).friction
+    written = run(config(arm, plant_model=plant))
+    assert written.result.estimate.method == "wls"
+    (model,) = [path for path in written.files if path.suffix == ".xml"]
+    friction = load_robot_model(model).friction
     np.testing.assert_allclose(friction.coulomb, 0.2, rtol=1e-3)
     np.testing.assert_allclose(friction.viscous, 0.2, rtol=1e-3)
 
@@ -119,9 +121,9 @@ def test_a_folder_that_cannot_be_written_to_is_found_before_the_work(arm):
 
 def test_the_motor_trajectory_carries_the_torque_of_the_motion(arm):
     """At rest, at both ends, the feed-forward torque is what holds the arm."""
-    outcome = run(config(arm, export_damiao=True, motor_type=("DM10010",) * 3))
-    rows = np.genfromtxt(outcome.files[1], delimiter=",", comments="#", skip_header=4)
-    assert outcome.files[1].name == "damiao_trajectory.csv" and len(rows) == 601
+    written = run(config(arm, export_damiao=True, motor_type=("DM10010",) * 3))
+    rows = np.genfromtxt(written.files[1], delimiter=",", comments="#", skip_header=4)
+    assert written.files[1].name == "damiao_trajectory.csv" and len(rows) == 601
     np.testing.assert_allclose(rows[0, 1:], rows[-1, 1:], atol=1e-4)
     assert np.max(np.abs(rows[:, 3::3])) > 1.0
 

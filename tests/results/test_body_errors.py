@@ -40,7 +40,7 @@ def test_errors_of_centre_of_mass_and_inertia_follow_from_those_of_theta(seed):
         return np.array([mass, *com, *spatial.six_from_symmetric(inertia)])
 
     errors = load_errors(body)
-    expected = propagated_errors(outcome, body.inertial.theta, factor)
+    expected = propagated_errors(outcome, body.theta, factor)
     assert_allclose(errors, expected, rtol=1e-4)
     assert ERROR_NAMES[:5] == ("mass", "com_x", "com_y", "com_z", "Ixx_about_com")
 
@@ -57,9 +57,7 @@ def test_intervals_of_a_centre_of_mass_cover_it_where_the_mass_is_uncertain(mass
         first_moment = com + errors[1:4] * rng.standard_normal(3)
         if mass > 0.0:
             body = body_estimate(mass, first_moment / mass, inertia, np.diag(errors**2))
-            is_held.append(
-                np.abs(body.inertial.com - com) < 1.96 * load_errors(body)[1:4]
-            )
+            is_held.append(np.abs(body.com - com) < 1.96 * load_errors(body)[1:4])
     assert 0.93 <= np.mean(is_held) <= 0.98
 
 
@@ -74,7 +72,7 @@ def test_errors_of_principal_moments_follow_from_those_of_theta(seed):
         """Principal moments."""
         return np.linalg.eigvalsh(spatial.com_from_theta(theta)[2])[order]
 
-    expected = propagated_errors(outcome, body.inertial.theta, factor)
+    expected = propagated_errors(outcome, body.theta, factor)
     assert_allclose(errors, expected, rtol=1e-2)
 
 

@@ -22,7 +22,7 @@ def numbers_after(lines, name):
 
 def test_every_link_has_its_ten_numbers_with_errors_in_100_columns():
     body = replace(made.terminal(made.estimate()), name=LONG_NAME)
-    result = made.whole(links=(body, *made.whole().links))
+    result = made.whole(links=made.by_name(body, *made.whole().links.values()))
     lines = list(link_lines(result))
     assert max(map(len, lines)) <= 100
     for name in (LONG_NAME, "link5", "link6"):
@@ -59,12 +59,12 @@ def test_masses_of_the_file_stand_beside_those_of_the_table_where_they_differ():
 def test_what_the_prior_determines_stands_in_parentheses_and_is_explained_once():
     body = made.terminal(made.estimate())
     prior = replace(body, name="link5", data_share=np.full(10, 0.3))
-    lines = list(link_lines(made.whole(links=(prior, body))))
+    lines = list(link_lines(made.whole(links=made.by_name(prior, body))))
     cells = [line for line in lines if line.startswith("  link5") and "(" in line]
     assert len(cells) >= 2 and all(line.count("±") == line.count("(") for line in cells)
     assert len([line for line in lines if "comes from the prior" in line]) == 1
     unknown = replace(body, name="link4", is_determined=np.arange(10) < 1)
-    lines = list(link_lines(made.whole(links=(unknown, body))))
+    lines = list(link_lines(made.whole(links=made.by_name(unknown, body))))
     rows = " ".join(line for line in lines if line.startswith("  link4"))
     assert rows.count("unidentifiable") == 9 and "inf" not in rows
 

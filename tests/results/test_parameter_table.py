@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pytest import approx
 
-from robot_sysid.records import InertialParameters
 from robot_sysid.results.cards import load_errors
 from robot_sysid.results.parameter_table import (
     BeforeAfter,
@@ -86,7 +85,7 @@ def test_without_a_mass_a_link_has_first_moments_and_the_inertia_about_the_origi
 def test_a_share_of_the_prior_is_that_of_mass_and_moment_together():
     body = made.terminal(made.estimate())
     shares = np.array([0.9, 0.2, 0.9, 0.9, *[0.9] * 6])
-    result = made.found(links=(replace(body, data_share=shares),))
+    result = made.found(links=made.by_name(replace(body, data_share=shares)))
     rows = {row.name: row.share for row in parameter_rows(result)}
     assert rows["centre of mass x"] == 0.2 and rows["centre of mass y"] == 0.9
     shares[0] = 0.1
@@ -103,11 +102,11 @@ def test_rounding_is_no_number():
     """A product of inertia of a symmetric body comes back as 1e-18."""
     noisy = made.THETA + np.array([0, 1e-16, 0, 0, 0, 1e-18, 0, 0, 0, 0])
     terminal = made.terminal(made.estimate())
-    rows = theta_rows(replace(terminal, inertial=InertialParameters(noisy)))
+    rows = theta_rows(replace(terminal, theta=noisy))
     assert (rows[1].after, rows[5].after) == (0.0, 0.0)
     # A gripper jaw's numbers are small, not rounding.
     jaw = 1e-3 * made.THETA
-    rows = theta_rows(replace(terminal, inertial=InertialParameters(jaw)))
+    rows = theta_rows(replace(terminal, theta=jaw))
     assert all(
         (row.after != 0.0) == (parameter != 0.0) for row, parameter in zip(rows, jaw)
     )

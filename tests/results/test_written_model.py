@@ -96,9 +96,10 @@ def write_and_compile(robot, result, folder=None, **options):
 def body_estimate(theta):
     """A body with the same standard error of every parameter, half of it noise."""
     errors = np.full(10, 1e-4)
-    inertial = records.InertialParameters(theta)
     covariance = np.diag(errors**2)
-    return record.BodyEstimate("b", inertial, covariance, errors > 0.0, 0.5 * errors)
+    return record.BodyEstimate(
+        theta, "b", covariance, errors > 0.0, {"noise": 0.5 * errors}
+    )
 
 
 def file_of(robot, thetas=None, joints=None, gravity=None):
@@ -126,7 +127,7 @@ def result_of(robot, theta=None, file=None, payload=None, **changes):
     theta = robot.prior.theta if theta is None else theta
     identifiability = records.Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
     estimate = records.Estimate(PARAMETER_NAMES, theta, identifiability, 1e-4, {})
-    fields = {"robot": robot, "verdict": record.Verdict.OK, "joints": {}, "links": ()}
+    fields = {"robot": robot, "verdict": record.Verdict.OK, "joints": {}, "links": {}}
     fields |= {"file": file, "payload": payload, **changes}
     return made.found(estimate, **fields)
 
@@ -181,7 +182,7 @@ def test_a_payload_becomes_a_body_of_its_own(robots, suffix, flange_position):
     load = mj_model.body("load & co")
     assert_same_theta(body_theta(mj_model, load.id), theta)
     assert mj_model.body(int(load.parentid[0])).name == robot.body_name
-    assert_same_theta(terminal_composite(mj_model, robot), payload.total.inertial.theta)
+    assert_same_theta(terminal_composite(mj_model, robot), payload.total.theta)
 
 
 @SUFFIXES
@@ -207,7 +208,7 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
     bare_link = (
         link if with_file else robot.prior.theta
     )  # without a file the model's own stays
-    expected = bare_link + payload.flange.from_flange(payload.body.inertial.theta)
+    expected = bare_link + payload.flange.from_flange(payload.body.theta)
     assert_same_theta(terminal_composite(mj_model, robot), expected)
     if name is not None and with_file:
         assert "without the payload" in path.read_text()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.records import InertialParameters
 from robot_sysid.results.record import BodyEstimate
 from tests.support.arms import random_rotation
 
@@ -43,7 +42,5 @@ def random_body(rng, shape):
 
 def body_estimate(mass, com, inertia, covariance=COVARIANCE, n_identified=10):
     """A body of whose ten parameters the first n_identified are identified."""
-    theta = InertialParameters(spatial.theta_from_com(mass, np.array(com), inertia))
-    return BodyEstimate(
-        "it", theta, covariance, np.arange(10) < n_identified, np.zeros(10)
-    )
+    theta = spatial.theta_from_com(mass, np.array(com), inertia)
+    return BodyEstimate(theta, "it", covariance, np.arange(10) < n_identified)

@@ -41,12 +41,12 @@ def on_arm(result, path):
 def link_result(path):
     """A result about every link of the arm in a file."""
     result = made.whole()
-    first, last = result.links
+    first, last = result.links.values()
     last = replace(last, data_share=np.array([1.0] * 8 + [0.4, 0.9]))
     pair = result.file.other_validations[0]
     odd = tuple(replace(validation, source=ODD) for validation in pair)
     file = replace(result.file, other_validations=(odd,))
-    return on_arm(replace(result, links=(first, last), file=file), path)
+    return on_arm(replace(result, links=made.by_name(first, last), file=file), path)
 
 
 def payload_result(path, verdict=Verdict.OK):

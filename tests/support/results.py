@@ -95,11 +95,16 @@ def found(result: Estimate | None = None, **changes) -> Result:
         verdict=Verdict.BETTER,
         torques="chain",
         data=DataOrigin(Source.LOG, "arm.csv", 15.0, 1000.0),
-        links=() if result.standard_errors is None else (terminal(result),),
+        links={} if result.standard_errors is None else by_name(terminal(result)),
         joints={joint: joint_of(result, joint) for joint in JOINTS},
         friction_model="coulomb-viscous",
     )
     return replace(defaults, **changes)
+
+
+def by_name(*bodies: BodyEstimate) -> dict[str, BodyEstimate]:
+    """Bodies as ``Result.links`` has them."""
+    return {body.name: body for body in bodies}
 
 
 def terminal(result: Estimate) -> BodyEstimate:
@@ -107,12 +112,11 @@ def terminal(result: Estimate) -> BodyEstimate:
     errors = np.array(result.standard_errors)[:10]
     seen = np.isfinite(errors)
     return BodyEstimate(
+        result.inertial.theta,
         "link6",
-        result.inertial,
         np.diag(np.where(seen, errors, 0.0) ** 2),
         seen,
-        0.6 * errors,
-        {"links": 0.8 * errors},
+        {"noise": 0.6 * errors, "links": 0.8 * errors},
         np.where(seen, 1.0, 0.0),
         InertialParameters(0.5 * THETA),
         "j6",
@@ -139,7 +143,7 @@ def itself(result: Estimate | None = None, **changes) -> Result:
         Estimate(*fit),
         data=DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1),
         verdict=Verdict.OK,
-        links=(),
+        links={},
         joints={},
         friction_model=None,
     )
@@ -184,10 +188,12 @@ def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyE
     covariance = np.diag([1e-4] + [1e-6] * 3 + [1e-8] * 6)
     errors = np.sqrt(np.diag(covariance))
     seen = np.array([True] * 4 + [shown] * 6)
-    budget = {"torque scale": 0.8 * errors, "gravity": 1e-6 * errors}
-    return BodyEstimate(
-        name, InertialParameters(theta), covariance, seen, 0.6 * errors, budget
-    )
+    budget = {
+        "noise": 0.6 * errors,
+        "torque scale": 0.8 * errors,
+        "gravity": 1e-6 * errors,
+    }
+    return BodyEstimate(theta, name, covariance, seen, budget)
 
 
 def payload(
@@ -234,7 +240,7 @@ def whole(**changes) -> Result:
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     result = found(
         robot=replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
-        links=(first, terminal(estimate())),
+        links=by_name(first, terminal(estimate())),
         joints={"j5": elbow, "j6": joint_of(estimate(), "j6")},
         couplings={
             "j5+j6": JointEstimate("viscous", {"viscous": Quantity(0.05, 0.002)})
