@@ -33,7 +33,7 @@ from robot_sysid.logs.titles import QUANTITIES, read_title
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
-from robot_sysid.pipeline.planning import design_motion, predict_plan, require_motors
+from robot_sysid.pipeline.planning import design_motion, predict_plan
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Array, Measurement, RobotModel, checked_array
 from robot_sysid.records.messages import Progress
@@ -146,8 +146,8 @@ def _quietly() -> Iterator[_Notes]:
 def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Result:
     """Identify with the options of a config, without printing; the notes are in the result."""
     with _quietly() as notes:
-        robot = load_arm(config.model, notes)
-        result = stages.identify(config, robot, notes)
+        robot = load_arm(config, notes)
+        result, _ = stages.identify(config, robot, notes)
     fields = {**vars(result), "notes": tuple(notes.notes)}
     return Result(**fields, config=config)
 
@@ -240,9 +240,8 @@ def plan(model: Model, **options: Any) -> PlanResult:
     path = path_of(model)
     config = PlanConfig.of(path, **options)
     with _quietly() as notes:
-        robot = load_arm(config.model, notes, config.limits.max_velocity)
-        require_motors(config.motors, robot)
-        checked, _ = design_motion(config, robot, notes)
+        robot = load_arm(config, notes)
+        checked = design_motion(config, robot, notes)
         printed = tuple(map(python_words, predict_plan(config, checked)[1]))
     return PlanResult(config, robot, checked, printed, tuple(notes.notes))
 

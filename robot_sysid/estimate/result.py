@@ -516,12 +516,14 @@ def result_notes(fitted: Fit, file: ModelFile | None, missed: str) -> Iterator[s
         )
 
 
-def traces_of(fitted: Fit, file: FileFit | None) -> Traces:
+def traces_of(
+    fitted: Fit, file: FileFit | None, truth: InertialParameters | None = None
+) -> Traces:
     """Return the measured torques, and the predictions of the written file and the given model.
 
     Without a file, the fit's predictions replace those of the file. Both predictions contain the
     estimated offsets of the torque sensors. With a payload, the second prediction is that of the
-    fit without the payload.
+    fit without the payload. ``truth`` are the true parameters of a simulated arm's terminal link.
     """
     shown = fitted if file is None else file.fit
     arm = fitted.arm
@@ -574,4 +576,5 @@ def traces_of(fitted: Fit, file: FileFit | None) -> Traces:
         predicted=joined["predicted"],
         prior_prediction=joined["prior_prediction"],
         friction=joined["friction"],
+        truth=truth,
     )

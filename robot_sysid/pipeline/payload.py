@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.config import PayloadConfig, PayloadOptions
 from robot_sysid.diagnosis.log_checks import check_log
-from robot_sysid.errors import InputError
+from robot_sysid.errors import prefix_input_errors
 from robot_sysid.estimate import identify
 from robot_sysid.estimate.identify import Piece, low_pass_recordings, shared_notes
-from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.payload import payload_result
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.result import traces_of
 from robot_sysid.estimate.rows import Poses, Recording
 from robot_sysid.logs import CHECKS, LogOptions
-from robot_sysid.logs.reader import open_log, refuse_repeated_logs
+from robot_sysid.logs.reader import (
+    MeasurementLog,
+    open_log,
+    origin_of,
+    refuse_repeated_logs,
+)
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.motion import LOADED
-from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
+from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
 from robot_sysid.results.record import Payload, Quantity, Result
@@ -45,19 +50,6 @@ CHECKS_AT_REST = (
 """Checks of columns and units, for which the slow motion between poses at rest is enough."""
 
 
-@dataclass(frozen=True)
-class RawRecording(Piece):
-    """A log as it was read: ``samples`` of the whole log, and what else reading it returned.
-
-    Attributes:
-        pieces: the log cut at long holes.
-        notes: what reading it had to say, one sentence each.
-    """
-
-    pieces: tuple[Measurement, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
 def identify_payload(
     config: PayloadConfig, robot: RobotModel, progress: Progress
 ) -> Result:
@@ -75,21 +67,25 @@ def identify_payload(
     flange = find_flange(robot, options.flange)
     if flange.note:
         progress.note(flange.note)
-    recordings = _read_recordings(options, config.log, robot, progress)
-    positions = order_positions(recordings, options.order)
+    logs = _read_logs(options, config.log, robot, progress)
+    is_loaded = np.arange(len(logs)) >= len(options.empty)
+    positions = order_positions(logs, options.order)
     drifts = (
         not options.static
         and positions is not None
-        and is_drift_identifiable(recordings, positions)
+        and is_drift_identifiable(is_loaded, positions)
     )
-    order = np.zeros(len(recordings)) if positions is None else positions
+    order = np.zeros(len(logs)) if positions is None else positions
     if options.static:
-        datasets, notes = _resting_datasets(recordings, order)
+        datasets, notes = _resting_datasets(logs, is_loaded, order)
     else:
-        datasets, notes = _moving_datasets(robot, recordings, order, config.estimation)
+        cutoff = config.estimation.cutoff
+        datasets, notes = _moving_datasets(robot, logs, is_loaded, order, cutoff)
     if not drifts and not options.static:
-        is_order_known = positions is not None
-        notes = (*notes, _no_drift_note(recordings, is_order_known))
+        notes = (
+            *notes,
+            _no_drift_note(len(logs), is_order_known=positions is not None),
+        )
     progress.note(*notes)
     question = Question(
         config.estimation,
@@ -101,7 +97,7 @@ def identify_payload(
     fitted, weighed, file = identify.identify_payload(
         robot, datasets, question, progress, config.estimation.keep
     )
-    result = payload_result(fitted, weighed, file, flange, _origin(recordings))
+    result = payload_result(fitted, weighed, file, flange, origin_of(logs))
     if config.log.torque_scale is not None and result.payload is not None:
         factors = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)[0]
         applied_scales = dict(zip(robot.joint_names, factors.tolist()))
@@ -111,17 +107,6 @@ def identify_payload(
     checkpoints = fitted.recordings[-1].motion
     traces = partial(traces_of, fitted, None)
     return replace(result, checkpoints=checkpoints, traces=traces)
-
-
-def _origin(recordings: Sequence[RawRecording]) -> DataOrigin:
-    """Return where recordings come from, with their whole duration and mean sample rate."""
-    names = ", ".join(recording.name for recording in recordings)
-    duration = 0.0
-    n_intervals = 0
-    for recording in recordings:
-        duration += float(np.ptp(recording.samples.time))
-        n_intervals += len(recording.samples) - 1
-    return DataOrigin(Source.LOG, names, duration, n_intervals / duration)
 
 
 def _with_applied_scales(
@@ -142,74 +127,72 @@ def _with_applied_scales(
 
 def _moving_datasets(
     robot: RobotModel,
-    recordings: Sequence[RawRecording],
+    logs: Sequence[MeasurementLog],
+    is_loaded: NDArray[np.bool_],
     positions: Array,
-    options: EstimationOptions,
+    cutoff: float | None,
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return recordings as low-passed signals, and notes on them.
+    """Return logs as low-passed signals, and notes on them.
 
     Args:
         robot: the arm.
-        recordings: k logs; each piece between long holes becomes a data set.
+        logs: k logs; each piece between long holes becomes a data set.
+        is_loaded: (k,) whether a log was recorded with the payload.
         positions: (k,) of ``order_positions``; all zero where the order is not known.
-        options: say how signals are low-passed.
+        cutoff: of the low-pass [Hz]; None for the lowest that any log requires.
     """
     pieces = []
-    notes = {}
-    for recording, position in zip(recordings, positions.tolist()):
-        notes[recording.name] = recording.notes
-        for samples in recording.pieces:
-            name = recording.name
-            pieces.append(Piece(name, samples, recording.is_loaded, position))
-    datasets, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
-    return datasets, (*shared_notes(notes), *filter_notes)
+    for log, loaded, position in zip(logs, is_loaded.tolist(), positions.tolist()):
+        for samples in log.pieces:
+            pieces.append(Piece(str(log.path), samples, loaded, position))
+    datasets, filter_notes = low_pass_recordings(robot, pieces, cutoff)
+    notes = shared_notes({str(log.path): log.notes for log in logs})
+    return datasets, (*notes, *filter_notes)
 
 
 def _resting_datasets(
-    recordings: Sequence[RawRecording], positions: Array
+    logs: Sequence[MeasurementLog], is_loaded: NDArray[np.bool_], positions: Array
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return recordings as poses at rest, and notes on them, one sentence each.
+    """Return logs as poses at rest, and notes on them, one sentence each.
 
     Args:
-        recordings: k logs of slow motions that rest at poses, each approached from both sides.
+        logs: k logs of slow motions that rest at poses, each approached from both sides.
+        is_loaded: (k,) whether a log was recorded with the payload.
         positions: (k,) of ``order_positions``; all zero where the order is not known.
 
     Raises:
-        InputError: a recording holds no such poses; its message begins with the recording's name.
+        InputError: a log holds no such poses; its message begins with the log's name.
     """
     datasets = []
     notes = {}
-    for recording, position in zip(recordings, positions.tolist()):
-        name = recording.name
-        try:
-            poses, used = resting_poses(recording.samples)
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from None
-        resting = Poses(poses, used)
-        datasets.append(Recording(name, resting, recording.is_loaded, position))
+    for log, loaded, position in zip(logs, is_loaded.tolist(), positions.tolist()):
+        name = str(log.path)
+        with prefix_input_errors(name):
+            poses, used = resting_poses(log.samples)
+        datasets.append(Recording(name, Poses(poses, used), loaded, position))
         pose_note = f"{len(poses)} poses, each approached from both sides"
-        notes[name] = (*recording.notes, pose_note)
+        notes[name] = (*log.notes, pose_note)
     return datasets, tuple(shared_notes(notes))
 
 
-def _no_drift_note(recordings: Sequence[RawRecording], is_order_known: bool) -> str:
-    """Return the sentence that says why no drift of friction is estimated, and what to do."""
+def _no_drift_note(count: int, is_order_known: bool) -> str:
+    """Return the sentence that says why no drift of friction is estimated from logs, so many."""
     reason = "their order does not tell it from the payload"
-    if not is_order_known and len(recordings) != 2:
+    if not is_order_known and count != 2:
         reason = "the order in which they were recorded is not known (--order tells it)"
     return (
-        f"a drift of friction over the {len(recordings)} logs is not estimated: {reason}; record "
+        f"a drift of friction over the {count} logs is not estimated: {reason}; record "
         "in the order empty, loaded, loaded, empty"
     )
 
 
-def _read_recordings(
+def _read_logs(
     options: PayloadOptions,
     log_options: LogOptions,
     robot: RobotModel,
     progress: Progress,
-) -> list[RawRecording]:
-    """Return all recordings, empty ones first; each is read and checked.
+) -> list[MeasurementLog]:
+    """Return all logs, empty ones first; each is read and checked.
 
     Args:
         options: name the logs without and with the payload.
@@ -220,41 +203,35 @@ def _read_recordings(
     Raises:
         InputError: a log cannot be read or is refused.
     """
-    kinds = [(path, False) for path in options.empty]
-    kinds += [(path, True) for path in options.loaded]
-    recordings = []
-    for path, is_loaded in kinds:
-        progress.stage(f"Reading {'loaded' if is_loaded else 'empty'} log {path}...")
-        log = open_log(robot, path, log_options, progress)
-        checks = CHECKS_AT_REST if options.static else CHECKS
-        log = check_log(
-            robot, log, log_options.accept, progress, links_known=False, checks=checks
-        )
-        recordings.append(
-            RawRecording(
-                str(path), log.samples, is_loaded, pieces=log.pieces, notes=log.notes
+    checks = CHECKS_AT_REST if options.static else CHECKS
+    logs = []
+    for side, paths in (("empty", options.empty), ("loaded", options.loaded)):
+        for path in paths:
+            progress.stage(f"Reading {side} log {path}...")
+            log = open_log(robot, path, log_options, progress)
+            accept = log_options.accept
+            log = check_log(
+                robot, log, accept, progress, links_known=False, checks=checks
             )
-        )
-    refuse_repeated_logs((log.name, log.samples) for log in recordings)
-    return recordings
+            logs.append(log)
+    refuse_repeated_logs((str(log.path), log.samples) for log in logs)
+    return logs
 
 
-def order_positions(
-    recordings: Sequence[RawRecording], order: str | None
-) -> Array | None:
-    """Return each recording's position (k,) in the order of recording, from -1 to 1.
+def order_positions(logs: Sequence[MeasurementLog], order: str | None) -> Array | None:
+    """Return each log's position (k,) in the order of recording, from -1 to 1.
 
     None where the order is not known: without ``order`` and a clock that all logs share.
 
     Args:
-        recordings: empty ones first.
-        order: a letter of ``--order`` for each recording, A for an empty one; or None.
+        logs: empty ones first.
+        order: a letter of ``--order`` for each log, A for an empty one; or None.
     """
     if order is not None:
-        # The k-th A is the k-th empty recording, and so for B: a stable sort keeps their order.
+        # The k-th A is the k-th empty log, and so for B: a stable sort keeps their order.
         is_loaded = np.array([letter == LOADED for letter in order])
         return _scaled_to_unit(np.argsort(is_loaded, kind="stable").astype(float))
-    ends = np.array([recording.samples.time[[0, -1]] for recording in recordings])
+    ends = np.array([log.samples.time[[0, -1]] for log in logs])
     spans = ends[np.lexsort(ends.T[::-1])]
     # Logs that overlap in time do not share a clock.
     if np.any(spans[1:, 0] <= spans[:-1, 1]):
@@ -262,9 +239,8 @@ def order_positions(
     return _scaled_to_unit(np.mean(ends, axis=1))
 
 
-def is_drift_identifiable(recordings: Sequence[RawRecording], positions: Array) -> bool:
+def is_drift_identifiable(is_loaded: NDArray[np.bool_], positions: Array) -> bool:
     """Return whether the order (k,) of empty and loaded recordings separates drift and payload."""
-    is_loaded = np.array([recording.is_loaded for recording in recordings])
     within = 0.0
     for loaded in (False, True):
         side_positions = positions[is_loaded == loaded]

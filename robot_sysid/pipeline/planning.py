@@ -18,16 +18,11 @@ from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
-from robot_sysid.records.messages import NextStep, Progress
+from robot_sysid.records.messages import NextStep, Progress, percent
 from robot_sysid.records.option_fields import given_arguments, joint_values
 from robot_sysid.results.next_steps import Words, step_after
 from robot_sysid.results.result_lines import clamping_lines
-from robot_sysid.results.verdict import (
-    UNKNOWN,
-    plan_conditions,
-    plan_shortfall,
-    plan_verdict,
-)
+from robot_sysid.results.verdict import UNKNOWN, plan_conditions, plan_verdict
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
@@ -43,8 +38,8 @@ gentler, but an arm that sticks longer at its reversals shows less: 0.03 costs a
 
 def design_motion(
     config: MotionConfig, robot: RobotModel, progress: Progress
-) -> tuple[CheckedPlan, int]:
-    """Return the motion of a run with its limit check, and the seed it was drawn with, 0 for none.
+) -> CheckedPlan:
+    """Return the motion of a run with its limit check.
 
     Args:
         config: settings of motion, design, limits, motors and estimate; without a seed, one is
@@ -52,8 +47,6 @@ def design_motion(
         robot: the arm.
         progress: receives stages, and the progress of a search.
     """
-    # A run that draws nothing has no seed.
-    seed = config.with_seed().trajectory.seed or 0
     limits = config.limits
     motors = config.motors
     if motors.export_damiao:
@@ -77,7 +70,8 @@ def design_motion(
         played=motors.export_damiao,
         poses=config.poses,
     )
-    return make_plan(request, robot, seed, progress), seed
+    seed = config.with_seed().trajectory.seed or 0
+    return make_plan(request, robot, seed, progress)
 
 
 def predict_plan(
@@ -137,7 +131,18 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
 
         play_in_viewer(robot, checked.plan)
     shortfall = _shortfall(config, prediction)
-    verdict = [plan_verdict(failure, shortfall, _conditions(checked))]
+    conditions: list[str] = []
+    problem = checked.problem
+    if problem is not None and not failure:
+        from robot_sysid.motion.prediction import contact_before
+
+        conditions = plan_conditions(
+            contact_before(problem, checked.plan),
+            n_unguarded=len(problem.unguarded),
+            n_links=problem.n_joints,
+            lacks_meshes=robot.lacks_meshes,
+        )
+    verdict = [plan_verdict(failure, shortfall, conditions)]
     step = None
     if not (failure or shortfall):
         step = _step_after(config, paths)
@@ -204,27 +209,16 @@ def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
         return ""
     if prediction is None:
         return "the errors that it will leave cannot be predicted"
-    mass_share = prediction.relative_mass_error
-    # Where no motion determines the mass by these torques, the lines on the plan say so.
-    if np.isinf(mass_share) and prediction.invisible:
-        return ""
+    share = prediction.relative_mass_error
+    mass = f"the mass of {prediction.subject}"
+    if np.isinf(share):
+        # Where no motion determines the mass by these torques, the lines on the plan say so.
+        is_said = bool(prediction.invisible)
+        return "" if is_said else f"this motion does not determine {mass}"
     largest = LARGE_SHARE if config.poses.target == "payload" else UNKNOWN
-    return plan_shortfall(prediction.subject, mass_share, largest)
-
-
-def _conditions(checked: CheckedPlan) -> list[str]:
-    """Return what has to be done before a motion is played, each with its reason."""
-    from robot_sysid.motion.prediction import contact_before
-
-    problem = checked.problem
-    if problem is None or checked.failure:
-        return []
-    return plan_conditions(
-        contact_before(problem, checked.plan),
-        n_unguarded=len(problem.unguarded),
-        n_links=problem.n_joints,
-        lacks_meshes=problem.robot.lacks_meshes,
-    )
+    if share > largest:
+        return f"after this motion {mass} is known to {percent(share)} only"
+    return ""
 
 
 def draft_plan(

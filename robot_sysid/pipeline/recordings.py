@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,6 @@ from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
 from robot_sysid.records.arm import InertialParameters
-from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
 from robot_sysid.records.messages import Progress
 from robot_sysid.results.prediction import torque_error
@@ -127,17 +126,9 @@ def identify_plant(
     stretches = split_at_gaps(run)
     pieces = [Piece(name, samples) for samples in stretches]
     notes = (*plant.notes, *piece_notes(run, stretches))
-    result = _identify_pieces(config, robot, pieces, origin, notes, progress)
-    assert result.traces is not None
-    traces = partial(_traces_with_truth, result.traces, plant.prior)
-    return replace(result, traces=traces)
-
-
-def _traces_with_truth(
-    traces: Callable[[], Traces], truth: InertialParameters
-) -> Traces:
-    """Return what ``traces`` computes, with the true parameters of a simulated arm added."""
-    return replace(traces(), truth=truth)
+    return _identify_pieces(
+        config, robot, pieces, origin, notes, progress, truth=plant.prior
+    )
 
 
 def diagnose_logs(
@@ -172,6 +163,7 @@ def _identify_pieces(
     notes: Sequence[str],
     progress: Progress,
     tests: Sequence[MeasurementLog] = (),
+    truth: InertialParameters | None = None,
 ) -> Result:
     """Low-pass recordings and identify an arm from them.
 
@@ -184,6 +176,7 @@ def _identify_pieces(
         notes: what reading them had to say, one sentence each.
         progress: receives stages and notes.
         tests: logs that only test the result; they get the cut-off of the others.
+        truth: parameters of a simulated arm's terminal link; None of a real one.
     """
     options = config.estimation
     recordings, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
@@ -212,7 +205,7 @@ def _identify_pieces(
     )
     all_tests = tuple(itertools.chain.from_iterable(test_recordings.values()))
     result = _with_file_tests(result, all_tests, checkpoints, config.model.mesh_dir)
-    traces = partial(traces_of, fitted, file)
+    traces = partial(traces_of, fitted, file, truth)
     return replace(result, checkpoints=checkpoints, traces=traces)
 
 

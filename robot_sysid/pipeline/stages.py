@@ -32,7 +32,6 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
-from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.planning import (
@@ -44,7 +43,6 @@ from robot_sysid.pipeline.planning import (
 )
 from robot_sysid.pipeline.run_words import step_after_run
 from robot_sysid.records import (
-    Array,
     DataOrigin,
     Estimate,
     JointLimits,
@@ -56,7 +54,7 @@ from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.messages import Detail, Progress
-from robot_sysid.records.option_fields import PerJoint, write_torque_scale
+from robot_sysid.records.option_fields import write_torque_scale
 from robot_sysid.results.record import LINK, JointEstimate, Quantity, Result, Verdict
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
@@ -82,9 +80,8 @@ def run(config: Config, progress: Progress | None = None) -> Written:
     if isinstance(config, IdentifyConfig) and config.output.torque_from is not None:
         from robot_sysid.servo import run_servo
 
-        robot = load_arm(config.model, progress)
         return run_servo(
-            robot,
+            load_arm(config, progress),
             config.log,
             config.output.output_dir,
             config.model.mesh_dir,
@@ -92,50 +89,53 @@ def run(config: Config, progress: Progress | None = None) -> Written:
             config.input_files(),
         )
     with writable_folder(config.output.output_dir, progress):
-        if not isinstance(config, MotionConfig):
-            robot = load_arm(config.model, progress)
-            return write_results(config, identify(config, robot, progress), progress)
-        robot = load_arm(config.model, progress, config.limits.max_velocity)
-        require_motors(config.motors, robot)
+        robot = load_arm(config, progress)
         if isinstance(config, PlanConfig):
             with ignore_repeated_ctrl_c():
-                checked, _ = design_motion(config, robot, progress)
+                checked = design_motion(config, robot, progress)
                 return write_plan(config, robot, checked)
-        assert isinstance(config, SelfTestConfig)
-        result, plan = identify_simulated(config, robot, progress)
+        result, plan = identify(config, robot, progress)
         return write_results(config, result, progress, plan)
 
 
-def load_arm(
-    model: ModelOptions,
-    progress: Progress,
-    max_velocity: PerJoint = LimitOptions.max_velocity,
-) -> RobotModel:
+def load_arm(config: Config, progress: Progress) -> RobotModel:
     """Load the model, find its terminal joint, and report both.
 
     Args:
-        model: names the model file and its terminal joint.
+        config: names the model file, and a limit of speed and motors if there is a motion.
         progress: receives stages and notes.
-        max_velocity: speed limit of hinge joints, one number or one per joint [rad/s]; a lower
-            limit in the model counts.
+
+    Raises:
+        InputError: the model cannot be used, or the motors do not fit it.
     """
+    model = config.model
     progress.stage(f"Loading robot model from {model.path}...")
+    max_velocity = LimitOptions.max_velocity
+    if isinstance(config, MotionConfig):
+        max_velocity = config.limits.max_velocity
     robot = load_robot_model(
         model.path, model.mesh_dir, model.joint, max_velocity, model.keyframe
     )
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     progress.note(*robot.notes)
     progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
+    if isinstance(config, MotionConfig):
+        require_motors(config.motors, robot)
     return robot
 
 
-def identify(config: Config, robot: RobotModel, progress: Progress) -> Result:
+def identify(
+    config: Config, robot: RobotModel, progress: Progress
+) -> tuple[Result, MotionPlan | None]:
     """Identify an arm or a payload from logs or a simulation; no result file is written.
 
     Args:
         config: says what is identified from which data, and how.
         robot: the arm as in the model.
         progress: receives stages and notes.
+
+    Returns:
+        The result, and the motion of a simulation.
 
     Raises:
         InputError: a log cannot be used, or the motion breaks a limit.
@@ -145,25 +145,28 @@ def identify(config: Config, robot: RobotModel, progress: Progress) -> Result:
     if isinstance(config, PayloadConfig):
         from robot_sysid.pipeline.payload import identify_payload
 
-        return identify_payload(config, robot, progress)
+        return identify_payload(config, robot, progress), None
     if isinstance(config, IdentifyConfig):
         from robot_sysid.pipeline.recordings import identify_logs
 
-        return identify_logs(config, robot, progress)
+        return identify_logs(config, robot, progress), None
     assert isinstance(config, SelfTestConfig)
-    return identify_simulated(config, robot, progress)[0]
+    return identify_simulated(config, robot, progress)
 
 
 def identify_simulated(
     config: SelfTestConfig, robot: RobotModel, progress: Progress
 ) -> tuple[Result, MotionPlan]:
-    """Identify an arm from a simulation, as ``identify``; return the motion as well.
+    """Identify an arm from a simulation, as ``identify``.
 
     The motion is saved where the configuration names a file for it.
     """
     rate = config.trajectory.sample_rate
+    config = config.with_seed()
+    # A run that draws nothing has no seed.
+    seed = config.trajectory.seed or 0
     with ignore_repeated_ctrl_c():
-        checked, seed = design_motion(config, robot, progress)
+        checked = design_motion(config, robot, progress)
         if checked.failure:
             remedy = "try another --seed, or plan a motion"
             if config.trajectory.file is not None:
@@ -323,15 +326,14 @@ def _traces(
     at = list(equations.joint_indices)
     measured = measurement.tau[:, at]
     is_friction = np.arange(len(equations.names)) >= N_INERTIAL
-    torques_of: dict[str, list[Array]] = {"estimate": [], "model": [], "friction": []}
+    values = (estimate.values, equations.prior, estimate.values * is_friction)
+    predictions = []
     for columns, (rows, right_side), tau in zip(
         equations.columns, equations.rows(measurement), measured.T
     ):
-        known = tau - right_side
-        values = estimate.values[columns]
-        torques_of["estimate"].append(known + rows @ values)
-        torques_of["model"].append(known + rows @ equations.prior[columns])
-        torques_of["friction"].append(rows @ (values * is_friction[columns]))
+        known = np.outer(tau - right_side, [1.0, 1.0, 0.0])
+        predictions.append(known + rows @ np.stack(values)[:, columns].T)
+    predicted, prior_prediction, friction = np.stack(predictions).T
     limits = robot.limits
     return Traces(
         joints=equations.joints,
@@ -340,9 +342,9 @@ def _traces(
         q=motion.q[:, at],
         qd=motion.qd[:, at],
         measured=measured,
-        predicted=np.stack(torques_of["estimate"], axis=1),
-        prior_prediction=np.stack(torques_of["model"], axis=1),
-        friction=np.stack(torques_of["friction"], axis=1),
+        predicted=predicted,
+        prior_prediction=prior_prediction,
+        friction=friction,
         limits=JointLimits(
             limits.lower[at], limits.upper[at], limits.velocity[at], limits.torque[at]
         ),

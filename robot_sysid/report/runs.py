@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,11 +143,8 @@ class Run:
     @property
     def log_names(self) -> str:
         """File names of the logs, or what the data are a simulation of."""
-        logs = list(self.content["logs"])
-        if self.is_payload:
-            recordings = self.content["payload"]["recordings"].values()
-            logs = list(itertools.chain.from_iterable(recordings))
-        return ", ".join(Path(log).name for log in logs) or self.content["source"]
+        names = [Path(log).name for log in self.content["logs"]]
+        return ", ".join(names) or str(self.content["source"])
 
 
 def theta_in(entry: Mapping[str, Any]) -> Array:

@@ -66,9 +66,7 @@ def verdict_line(result: Result, failure: str | None = None) -> str:
     return f"{use}: {'; '.join(_improvements(result))}"
 
 
-def plan_verdict(
-    failure: str | None, shortfall: str = "", conditions: Sequence[str] = ()
-) -> str:
+def plan_verdict(failure: str | None, shortfall: str, conditions: Sequence[str]) -> str:
     """Return one line: whether to play a planned motion.
 
     Args:
@@ -84,25 +82,6 @@ def plan_verdict(
     if conditions:
         return f"Usable once {', and once '.join(conditions)}"
     return "Usable: play it on the arm, slowly at first, and record it"
-
-
-def plan_shortfall(
-    subject: str, relative_mass_error: float, largest_error: float = UNKNOWN
-) -> str:
-    """Return why a motion does not serve its purpose, an uncertain mass; "" where it does.
-
-    Args:
-        subject: the body or load whose mass the motion is to determine.
-        relative_mass_error: expected standard error of the mass over the mass; 0 where the motion
-            serves something else, infinite where it does not determine the mass.
-        largest_error: relative standard error above which the mass counts as not known.
-    """
-    if np.isinf(relative_mass_error):
-        return f"this motion does not determine the mass of {subject}"
-    if relative_mass_error > largest_error:
-        share = percent(relative_mass_error)
-        return f"after this motion the mass of {subject} is known to {share} only"
-    return ""
 
 
 def plan_conditions(

@@ -328,8 +328,7 @@ def run_servo(
             "Usable: position errors of the model, played on what was not fitted, are "
             f"{result.rollout.score:.2g} times those before"
         )
-    verdict = (judgement, *use_lines(models[0]))
-    return Written(written, lines, verdict, None, result)
+    return Written(written, lines, (judgement, *use_lines(models[0])), None, result)
 
 
 def identify_servos(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.pipeline.payload import (
-    RawRecording,
     _moving_datasets,
     is_drift_identifiable,
     order_positions,
@@ -16,18 +16,13 @@ from robot_sysid.records import Measurement
 from tests.support.measured_logs import CUTOFF, log_of, true_arm
 
 
-def recording(is_loaded: bool, start: float) -> RawRecording:
-    """A recording of 10 s that begins at a time on a clock that all recordings share [s]."""
+def recording(start: float) -> SimpleNamespace:
+    """A log of 10 s that begins at a time on a clock that all recordings share [s]."""
     time = np.linspace(start, start + 10.0, 5)
-    return RawRecording("", Measurement(time, *np.zeros((3, 5, 1))), is_loaded)
+    return SimpleNamespace(samples=Measurement(time, *np.zeros((3, 5, 1))))
 
 
-EMPTY_FIRST = [
-    recording(False, 0.0),
-    recording(False, 60.0),
-    recording(True, 20.0),
-    recording(True, 40.0),
-]
+EMPTY_FIRST = [recording(start) for start in (0.0, 60.0, 20.0, 40.0)]
 """Recorded empty, loaded, loaded, empty; listed with the empty ones first."""
 
 
@@ -40,7 +35,7 @@ def test_letters_and_clocks_give_the_same_positions(order):
 
 
 def test_clocks_that_overlap_give_no_order():
-    assert order_positions([recording(False, 0.0), recording(True, 9.0)], None) is None
+    assert order_positions([recording(0.0), recording(9.0)], None) is None
 
 
 @pytest.mark.parametrize(
@@ -48,21 +43,20 @@ def test_clocks_that_overlap_give_no_order():
     [("AB", False), ("AABB", True), ("ABBA", True), ("ABAB", True)],
 )
 def test_a_drift_needs_recordings_of_a_kind_at_several_times(order, is_identifiable):
-    kinds = sorted(letter == "B" for letter in order)
-    recordings = [recording(is_loaded, 0.0) for is_loaded in kinds]
-    positions = order_positions(recordings, order)
+    is_loaded = np.array(sorted(letter == "B" for letter in order))
+    positions = order_positions([], order)
     assert positions is not None
-    assert is_drift_identifiable(recordings, positions) == is_identifiable
+    assert is_drift_identifiable(is_loaded, positions) == is_identifiable
 
 
 def test_parts_of_a_log_with_a_long_hole_are_one_log():
     arm = true_arm()
     log = log_of(arm, noise_torque=0.1)
-    options = EstimationOptions(cutoff=CUTOFF)
-    recordings = [
-        RawRecording("cut", log, False, pieces=(log, log)),
-        RawRecording("complete", log, True, pieces=(log,)),
+    logs = [
+        SimpleNamespace(path="cut", notes=(), pieces=(log, log)),
+        SimpleNamespace(path="complete", notes=(), pieces=(log,)),
     ]
-    datasets, _ = _moving_datasets(arm, recordings, np.array([-1.0, 1.0]), options)
+    order = np.array([-1.0, 1.0])
+    datasets, _ = _moving_datasets(arm, logs, order > 0.0, order, CUTOFF)
     names = [dataset.name for dataset in datasets]
     assert names == ["cut", "cut", "complete"]

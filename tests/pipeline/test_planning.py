@@ -69,6 +69,10 @@ def predicted(mass_error):
     [
         (predicted(0.1), "Usable"),
         (predicted(0.8), "Not ready: after this motion the mass of link1"),
+        (
+            predicted(np.inf),
+            "Not ready: this motion does not determine the mass of link1",
+        ),
         (None, "Not ready: the errors that it will leave cannot be predicted"),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -14,7 +13,6 @@ from robot_sysid.results.verdict import (
     WORSE,
     limitations,
     plan_conditions,
-    plan_shortfall,
     plan_verdict,
     verdict_line,
 )
@@ -91,23 +89,6 @@ def test_a_result_that_is_not_usable_has_one_sentence_with_the_reason(verdict):
 
 
 @pytest.mark.parametrize(
-    ("share", "phrase"),
-    [
-        (0.6, "the mass of link6 is known to 60 % only"),
-        (0.4, ""),
-        (np.inf, "does not determine the mass of link6"),
-        (0.0, ""),
-    ],
-)
-def test_a_plan_that_misses_its_purpose_is_not_called_usable(share, phrase):
-    shortfall = plan_shortfall("link6", share)
-    assert phrase in shortfall and bool(phrase) is bool(shortfall)
-    verdict = plan_verdict(None, shortfall)
-    assert verdict.startswith("Not ready: ") is bool(phrase)
-    assert verdict.startswith("Usable: play it") is not bool(phrase)
-
-
-@pytest.mark.parametrize(
     ("contact", "n_unguarded", "lacks_meshes", "phrases"),
     [
         (None, 0, True, []),
@@ -121,7 +102,7 @@ def test_a_plan_is_usable_once_what_was_not_checked_is(
     contact, n_unguarded, lacks_meshes, phrases
 ):
     conditions = plan_conditions(contact, n_unguarded, 6, lacks_meshes)
-    verdict = plan_verdict(None, conditions=conditions)
+    verdict = plan_verdict(None, "", conditions)
     assert all(phrase in verdict for phrase in phrases)
     assert verdict.startswith("Usable once ") is bool(phrases)
 
