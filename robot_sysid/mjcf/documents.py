@@ -26,8 +26,8 @@ Node = Any
 """An element of lxml's tree; its tag has no namespace unless it has a prefix."""
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Ends of the names of model files."""
-_MAX_INCLUDE_DEPTH = 50
-"""Largest depth of nested includes; no model at hand has more than three."""
+_MAX_FILES = 200
+"""Largest number of files of a model; none at hand has more than ten."""
 LARGEST_FILE = 100_000_000
 """Size up to which a file is read [bytes]."""
 _COMMENT = re.compile(r"(<!--)(.*?)(-->|\Z)", re.DOTALL)
@@ -77,6 +77,14 @@ class ModelDocument:
         """
         parents = self.root.findall("mujoco") if self.is_urdf else [self.root]
         return list(chain.from_iterable(parent.findall(tag) for parent in parents))
+
+    def compiler_setting(self, *names: str) -> str | None:
+        """Return the last value of any of some attributes of MuJoCo's <compiler>; None for none."""
+        value = None
+        for node in self.settings("compiler"):
+            for name in names:
+                value = node.get(name) or value
+        return value
 
     def add_setting(self, node: Node) -> None:
         """Put an element first among MuJoCo's settings, which in a URDF stand in ``<mujoco>``."""
@@ -134,10 +142,10 @@ def read_document(path: Path) -> ModelDocument:
     )
 
 
-def _read(path: Path, document: ModelDocument, depth: int = 0) -> Node:
+def _read(path: Path, document: ModelDocument) -> Node:
     """Return the root of a file with its includes in their places, which join the document.
 
-    ``depth``: number of includes that the file stands in. ModelError where one cannot be read.
+    ModelError where one cannot be read.
     """
     raw = _read_bytes(path)
     document.contents[path] = raw
@@ -146,8 +154,8 @@ def _read(path: Path, document: ModelDocument, depth: int = 0) -> Node:
     if root.tag == "robot":
         return root
     for include in list(root.iterdescendants("include")):
-        included_path = _included_path(include, path, document, depth + 1)
-        included = _read(included_path, document, depth + 1)
+        included_path = _included_path(include, path, document)
+        included = _read(included_path, document)
         for node in included.iter("*"):
             document.sources.setdefault(node, included_path)
         if included.find("*") is None:
@@ -162,15 +170,12 @@ def _read(path: Path, document: ModelDocument, depth: int = 0) -> Node:
     return root
 
 
-def _included_path(
-    include: Node, including: Path, document: ModelDocument, depth: int
-) -> Path:
+def _included_path(include: Node, including: Path, document: ModelDocument) -> Path:
     """Return the path of the file that an ``<include>`` names, or raise ModelError.
 
     Args:
         including: the file that it stands in.
         document: with the files that were read so far.
-        depth: number of includes that this one stands in, itself counted.
     """
     name = include.get("file")
     location = f"{including}, line {include.sourceline}"
@@ -187,10 +192,8 @@ def _included_path(
         raise ModelError(
             f"{location}: {name} is included twice or includes itself; include it once"
         )
-    if depth > _MAX_INCLUDE_DEPTH:
-        raise ModelError(
-            f"{location}: includes are nested more than {_MAX_INCLUDE_DEPTH} deep"
-        )
+    if len(document.contents) > _MAX_FILES:
+        raise ModelError(f"{location}: the model includes more than {_MAX_FILES} files")
     return path
 
 

@@ -270,17 +270,10 @@ def format_rmse(rmse: float) -> str:
     return f"RMSE {rmse:.3g} Nm" if is_small else f"RMSE {rmse:.6f} Nm"
 
 
-def setting(document: ModelDocument, name: str) -> str | None:
-    """Return an attribute of MuJoCo's <compiler>, the last one in the file; None for none."""
-    value = None
-    for node in document.settings("compiler"):
-        value = node.get(name) or value
-    return value
-
-
 def settings_of_inertia(document: ModelDocument) -> list[str]:
     """Return the compiler settings by which MuJoCo makes other inertias of those in the file."""
-    return [name for name in _CHANGING if setting(document, name) not in _HARMLESS]
+    settings = {name: document.compiler_setting(name) for name in _CHANGING}
+    return [name for name in _CHANGING if settings[name] not in _HARMLESS]
 
 
 def let_inertials_count(document: ModelDocument, written: Collection[Node]) -> None:
@@ -289,7 +282,7 @@ def let_inertials_count(document: ModelDocument, written: Collection[Node]) -> N
     The setting becomes "auto", which lets an ``<inertial>`` count; the other bodies lose the
     ``<inertial>`` that was ignored so far, so that their geoms still decide.
     """
-    if setting(document, "inertiafromgeom") != "true":
+    if document.compiler_setting("inertiafromgeom") != "true":
         return
     for node in document.settings("compiler"):
         if node.get("inertiafromgeom"):

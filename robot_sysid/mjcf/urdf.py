@@ -17,13 +17,12 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ModelError
-from robot_sysid.mjcf.assets import Asset, find_assets, relocate, urdf_shapes
+from robot_sysid.mjcf.assets import Asset, find_assets, relocate
 from robot_sysid.mjcf.documents import ModelDocument, Node, get, put_inertial
 from robot_sysid.mjcf.inertial import (
     MARGIN,
     URDF_MOMENTS,
     format_number,
-    setting,
     urdf_inertial_about_com,
 )
 from robot_sysid.records import Array
@@ -87,22 +86,28 @@ def _use_absolute_meshes(
     would be computed from the removed shape: the link has no <inertial>, or ``inertiafromgeom``
     overrules it.
     """
-    settings = document.settings("compiler")
-    from_geometry = any(node.get("inertiafromgeom") == "true" for node in settings)
+    from_geometry = document.compiler_setting("inertiafromgeom") == "true"
     assets = {asset.node: asset for asset in find_assets(document, mesh_dir)}
     moving_links = _moving_links(document)
+    collisions = document.root.findall("link/collision")
     removed = set()
-    for link, shape in list(urdf_shapes(document)):
-        meshes = [assets[node] for node in shape.iter("mesh")]
-        unusable = next((mesh for mesh in meshes if not _is_readable(mesh)), None)
-        if unusable is None:
+    for shape in (*document.root.findall("link/visual"), *collisions):
+        mesh = shape.find("geometry/mesh")
+        problem = None if mesh is None else _mesh_problem(assets.get(mesh))
+        if problem is None:
             continue
+        link = shape.getparent()
         link.remove(shape)
         if shape.tag == "collision":
+            name = mesh.get("filename")
             is_weighed = from_geometry or link.find("inertial") is None
             if is_weighed and link.get("name") in moving_links:
-                raise _missing_mesh_error(document, link, unusable)
-            removed.add(unusable.name)
+                raise ModelError(
+                    f"{document.path}: collision mesh {name} of link '{link.get('name')}' is "
+                    f"{problem}, and the link has no <inertial> of its own; pass --mesh-dir FOLDER "
+                    "or add an <inertial>"
+                )
+            removed.add(str(name))
     relocate(document, folder=None, mesh_dir=mesh_dir)
     if removed:
         yield MeshesLeftOut(
@@ -131,21 +136,13 @@ def _moving_links(document: ModelDocument) -> set[str | None]:
     return moving
 
 
-def _is_readable(mesh: Asset) -> bool:
-    """Return whether a mesh was found, in a format that MuJoCo reads."""
-    return mesh.path is not None and mesh.path.suffix.lower() in _READABLE_MESHES
-
-
-def _missing_mesh_error(document: ModelDocument, link: Node, mesh: Asset) -> ModelError:
-    """Return the error for a link's inertia that would be computed from an unusable mesh."""
-    reason = "not found"
-    if mesh.path:
-        reason = f"in a format MuJoCo cannot read ({mesh.path.suffix})"
-    return ModelError(
-        f"{document.path}: collision mesh {mesh.name} of link '{link.get('name')}' is "
-        f"{reason}, and the link has no <inertial> of its own; pass --mesh-dir FOLDER or "
-        "add an <inertial>"
-    )
+def _mesh_problem(asset: Asset | None) -> str | None:
+    """Return what keeps MuJoCo from reading a mesh; None where nothing does."""
+    if asset is None or asset.path is None:
+        return "not found"
+    if asset.path.suffix.lower() not in _READABLE_MESHES:
+        return f"in a format MuJoCo cannot read ({asset.path.suffix})"
+    return None
 
 
 def give_minimum(document: ModelDocument, excluded: Collection[Node] = ()) -> list[str]:
@@ -154,7 +151,8 @@ def give_minimum(document: ModelDocument, excluded: Collection[Node] = ()) -> li
     Returns the names of the links that got one: none where the file's compiler settings do it.
     """
     names: list[str] = []
-    if setting(document, "boundmass") and setting(document, "boundinertia"):
+    bounds = [document.compiler_setting(f"bound{name}") for name in ("mass", "inertia")]
+    if all(bounds):
         return names
     for link in _massless_moving_links(document):
         if link in excluded:
@@ -200,8 +198,7 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
     rounding alone can make it where MuJoCo computes the principal axes. The increase has three
     digits [kg m^2]. ValueError where a number cannot be read.
     """
-    settings = document.settings("compiler")
-    is_balanced = any(node.get("balanceinertia") == "true" for node in settings)
+    is_balanced = document.compiler_setting("balanceinertia") == "true"
     increases = {}
     for name, (_, _, inertia) in link_inertias(document).items():
         if not np.any(inertia):

@@ -13,7 +13,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Union
 
@@ -43,10 +43,6 @@ from robot_sysid.records.messages import Progress
 # RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
 FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
 """Exceptions by which MuJoCo refuses a model."""
-_NAME = re.compile(r"(?:Element name|Object name =) ?'?([^',\n]+)")
-"""Name of an element in a message of MuJoCo's."""
-_LINE = re.compile(r"line(?: =)? (\d+)")
-"""Number of a line in a message of MuJoCo's."""
 _MUST_BE_FINITE = (
     "body_mass",
     "body_inertia",
@@ -84,9 +80,6 @@ class CompiledModel:
     kind: str
     velocity_limits: Mapping[str, float] = field(default_factory=dict)
     inertia_increases: Mapping[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "mj_model", with_actuators_in_joints(self.mj_model))
 
 
 @contextmanager
@@ -133,79 +126,62 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
         )
     # MuJoCo would wait for a pipe for ever.
     refuse_special_assets(document, mesh_dir)
-    notes: tuple[str, ...] = ()
-    speeds = {}
-    increases: Mapping[str, float] = {}
     with captured_warnings() as warnings:
         if document.is_urdf:
-            mj_model, notes, increases = _compile_urdf(document, mesh_dir)
-            speeds = velocity_limits(document)
+            compiled = _compile_urdf(document, mesh_dir)
         else:
-            mj_model = _compile_mjcf(document, mesh_dir)
-    _check_values(mj_model, document)
-    notes += tuple(f"MuJoCo warns: {text}" for text in dict.fromkeys(warnings))
-    language = "urdf" if document.is_urdf else "mjcf"
-    return CompiledModel(mj_model, notes, document.sha256, language, speeds, increases)
+            compiled = _compile_mjcf(document, mesh_dir)
+    _check_values(compiled.mj_model, document)
+    mj_model = with_actuators_in_joints(compiled.mj_model)
+    notes = tuple(f"MuJoCo warns: {text}" for text in dict.fromkeys(warnings))
+    return replace(compiled, mj_model=mj_model, notes=compiled.notes + notes)
 
 
-def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> Any:
-    """Return the MjModel of an MJCF document, or raise ModelError."""
-    moved = None
+def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> CompiledModel:
+    """Return an MJCF document, which may be changed, compiled; or raise ModelError."""
+    text = None
+    if mesh_dir is not None or not document.is_utf8:
+        relocate(document, folder=None, mesh_dir=mesh_dir)
+        text = document.text().decode()
     try:
-        if mesh_dir is None and document.is_utf8:
-            return mujoco.MjModel.from_xml_path(str(document.path))
-        moved = read_document(document.path)
-        relocate(moved, folder=None, mesh_dir=mesh_dir)
-        return mujoco.MjModel.from_xml_string(moved.text().decode())
-    except FAILURES as error:
+        mj_model = _compile(document.path, text)
+    except ModelError:
         # Asked only now, so that MuJoCo's own rules decide what is missing.
         refuse_missing_assets(document, mesh_dir)
-        is_file = moved is None
-        raise ModelError(_compiler_message(document.path, error, is_file)) from None
+        raise
+    return CompiledModel(mj_model, (), document.sha256, "mjcf")
 
 
-def _compile_urdf(
-    document: ModelDocument, mesh_dir: Path | None
-) -> tuple[Any, tuple[str, ...], Mapping[str, float]]:
-    """Return (MjModel, notes, inertia increases) of a URDF document, or raise ModelError.
+def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> CompiledModel:
+    """Return a URDF document, which is changed, compiled; or raise ModelError.
 
     Moving links without mass get a minimum, and moments of inertia that no body has are raised.
     Other inertias are exact.
     """
-    changed = read_document(document.path)
     try:
         increases = inertia_increases(document)
-        notes = make_compilable(changed, mesh_dir)
+        notes = make_compilable(document, mesh_dir)
+        inertias = link_inertias(document)
     except (ValueError, TypeError) as error:
         raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
-    try:
-        mj_model = mujoco.MjModel.from_xml_string(changed.text().decode())
-    except FAILURES as error:
-        raise ModelError(_compiler_message(document.path, error, False)) from None
-    inertias = link_inertias(document)
-    for name, increase in increases.items():
-        mass, com, inertia = inertias[name]
-        inertias[name] = mass, com, inertia + increase * np.eye(3)
+    mj_model = _compile(document.path, document.text().decode())
     restore_exact_inertias(mj_model, inertias)
-    return mj_model, notes, increases
+    speeds = velocity_limits(document)
+    return CompiledModel(mj_model, notes, document.sha256, "urdf", speeds, increases)
 
 
-def _compiler_message(path: Path, error: BaseException, is_file: bool) -> str:
-    """Return the first line of an error of MuJoCo's, with element and line number.
-
-    ``is_file``: whether MuJoCo refused the file itself, whose lines it then counts.
-    """
-    text = str(error).strip() or "unknown error"
-    first = re.sub(r"^(XML )?Error: ", "", text.splitlines()[0])
-    name = _NAME.search(text)
-    line = _LINE.search(text)
-    location = []
-    if name and name[1].strip():
-        location.append(f"'{name[1].strip()}'")
-    if is_file and line and line[1] != "0":
-        location.append(f"line {line[1]}")
-    where = f" ({', '.join(location)})" if location else ""
-    return f"MuJoCo cannot compile {path}: {first}{where}"
+def _compile(path: Path, text: str | None) -> Any:
+    """Return the MjModel of a file, or of the text that stands for it; ModelError on refusal."""
+    try:
+        if text is None:
+            return mujoco.MjModel.from_xml_path(str(path))
+        return mujoco.MjModel.from_xml_string(text)
+    except FAILURES as error:
+        message = error_text(error)
+        if text is not None:
+            # The lines of the text are not those of the file.
+            message = message.partition(", line")[0]
+        raise ModelError(f"MuJoCo cannot compile {path}: {message}") from None
 
 
 def _check_values(mj_model: Any, document: ModelDocument) -> None:
@@ -286,6 +262,7 @@ def _is_spec(model: Any) -> bool:
 def compiled_in_memory(model: Any) -> CompiledModel:
     """Return an MjSpec or MjModel with all its digits; ModelError where it does not compile."""
     mj_model = _compile_spec(model) if _is_spec(model) else model
+    mj_model = with_actuators_in_joints(mj_model)
     return CompiledModel(mj_model, notes=(), sha256="", kind="mjcf")
 
 

@@ -23,7 +23,7 @@ from robot_sysid import __version__
 from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.inertial import plan_write_back, setting
+from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.mjcf.updated_model import (
     ActuatorChange,
     BodyChange,
@@ -270,7 +270,7 @@ def _body_changes(
     """
     body_ids = [link.body_id for link in robot.links]
     # Smallest principal moment that the model's compiler leaves alone [kg m^2].
-    bound = float(setting(read_document(robot.path), "boundinertia") or 0.0)
+    bound = float(read_document(robot.path).compiler_setting("boundinertia") or 0.0)
     written_thetas = np.array(thetas, dtype=float)
     indices = np.flatnonzero(np.any(thetas != robot.thetas, axis=1)).tolist()
     changes: list[BodyChange] = []
