@@ -119,6 +119,7 @@ def draw_scene(
     )
     return Scene(
         robot=robot,
+        plan=arm.plan,
         theta=arm.thetas[-1],
         log=arm.log,
         still=resting_torque(robot, arm.motion.q, arm.thetas),

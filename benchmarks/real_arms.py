@@ -42,7 +42,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     with_gravity,
 )
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory
 
@@ -72,6 +72,7 @@ class RealArm:
 
     Attributes:
         robot: the model as the user has it.
+        plan: the motion.
         thetas: (n, 10) the true links.
         coulomb, viscous, rotor, stribeck: (n,) true friction and rotor inertia.
         scales: (n,) torque column over true torque.
@@ -81,6 +82,7 @@ class RealArm:
     """
 
     robot: RobotModel
+    plan: MotionPlan
     thetas: Array
     coulomb: Array
     viscous: Array
@@ -177,7 +179,17 @@ def draw_arm(
     log = Measurement(exact.time, np.round(q / STEP) * STEP, None, tau)
     stribeck = STRIBECK * coulomb * (deviation == "real")
     return RealArm(
-        robot, thetas, coulomb, viscous, rotor, stribeck, scales, exact, rigid, log
+        robot,
+        plan,
+        thetas,
+        coulomb,
+        viscous,
+        rotor,
+        stribeck,
+        scales,
+        exact,
+        rigid,
+        log,
     )
 
 
