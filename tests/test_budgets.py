@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 38729,
     "robot_sysid/diagnosis": 17989,
     "robot_sysid/dynamics": 6427,
-    "robot_sysid/estimate": 29467,
+    "robot_sysid/estimate": 29460,
     "robot_sysid/logs": 18826,
     "robot_sysid/mjcf": 8062,
     "robot_sysid/model": 8850,

@@ -139,7 +139,7 @@ def find_misfits(
         median = float(np.median([shares[other] for other in others]))
         # Of a wrist that carries nearly nothing, sensors show little but their own slow errors.
         # Only a torque that is not there makes a residual larger than what is measured.
-        sensor = float(np.median([noise[other] for other in others]))
+        sensor = max(noise[other] for other in others)
         is_odd = share > 1.0 or noise[joint] > sensor
         if is_odd and share > max(ODD_NOISE, ODD_JOINT * median):
             yield (
