@@ -140,7 +140,7 @@ def test_the_player_alone(benchmark, tmp_path, rate):
 def test_over_the_virtual_bus(benchmark, tmp_path, rate):
     arm, plan = arm_and_plan(tmp_path, rate)
     clock = SystemClock()
-    address = BusAddress("virtual", (f"bench{rate}",))
+    address = BusAddress("virtual", f"bench{rate}")
     host, motors = (open_bus(address, BusTiming(), clock) for _ in range(2))
     try:
         with served_in_background(arm, motors, clock):

@@ -16,9 +16,9 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 5075,
-    "robot_sysid/commands": 12515,
-    "robot_sysid/damiao": 38729,
+    "robot_sysid/api": 5043,
+    "robot_sysid/commands": 12327,
+    "robot_sysid/damiao": 37477,
     "robot_sysid/diagnosis": 17989,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29460,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4289,
     "robot_sysid": 12009,
-    "tests": 228187,
+    "tests": 227259,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

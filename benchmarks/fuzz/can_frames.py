@@ -78,7 +78,6 @@ def frames_in(data: bytes) -> list[Frame]:
             int.from_bytes(piece[:2], "big") & 0x7FF,
             piece[5 : 5 + min(piece[4], 8)],
             **{name: bool(piece[2] & 1 << k) for k, name in enumerate(_FLAGS)},
-            bus=piece[2] >> 6,
         )
         for piece in pieces
     ]
@@ -97,7 +96,7 @@ class TalkativeBus:
         """Answer with the payload of the next frames."""
         self._frames.rotate(-1)
         reply = self._frames[0]
-        if reply.bus != 2:
+        if reply.id % 4 != 2:
             self._waiting.append(_answer(frame, reply.data.ljust(8, b"\0")))
         if reply.id % 2:
             self._waiting.append(reply)
@@ -121,24 +120,16 @@ def _answer(frame: Frame, payload: bytes) -> Frame:
     """Return what a motor would answer, its figures being those of other bytes."""
     if frame.id == REGISTER_ID and frame.data[2] == REFRESH:
         # Where an arm stands is believed when two answers agree.
-        return Frame(
-            frame.data[0] + 16, bytes([frame.data[0] & 0xF]) + AT_REST, bus=frame.bus
-        )
+        return Frame(frame.data[0] + 16, bytes([frame.data[0] & 0xF]) + AT_REST)
     if frame.data[7:] == bytes([ENABLE]):
-        return Frame(
-            frame.id + 16, bytes([0x10 | frame.id & 0xF]) + AT_REST, bus=frame.bus
-        )
+        return Frame(frame.id + 16, bytes([0x10 | frame.id & 0xF]) + AT_REST)
     if frame.id == REGISTER_ID:
         motor = frame.data[0]
-        return Frame(motor + 16, frame.data[:4] + payload[4:], bus=frame.bus)
+        return Frame(motor + 16, frame.data[:4] + payload[4:])
     status = (
         {ENABLE: 1, DISABLE: 0}.get(frame.data[7], 1) if is_special(frame.data) else 1
     )
-    return Frame(
-        frame.id + 16,
-        bytes([status << 4 | frame.id & 0xF]) + payload[1:],
-        bus=frame.bus,
-    )
+    return Frame(frame.id + 16, bytes([status << 4 | frame.id & 0xF]) + payload[1:])
 
 
 @functools.cache
@@ -154,7 +145,7 @@ def use(case: Case, folder: Path) -> None:
     _line_read(case["line"])
     _through_driver(frames)
     clock = SimulatedClock()
-    link = GuardedLink(TalkativeBus(frames, clock), clock, channels=("a", "b"))
+    link = GuardedLink(TalkativeBus(frames, clock), clock)
     if len(frames) % 20 == 0:  # takes ten times as long as all the rest
         for motor in inspect_bus(link).motors.values():
             assert motor.name and motor.master_id >= 0
@@ -194,19 +185,19 @@ def _through_driver(frames: list[Frame]) -> None:
         """Return the next message, or raise as a driver does."""
         clock.sleep_until(clock.now() + 1e-3)
         frame = waiting.popleft()
-        if frame.bus == 3:
+        if frame.id % 8 == 3:
             raise (ValueError, IndexError, OSError)[frame.id % 3]("broken")
         return SimpleNamespace(
             arbitration_id=frame.id,
             data=bytearray(frame.data),
             timestamp=float(frame.id) - 1.0,
-            is_extended_id=frame.bus == 1,
+            is_extended_id=frame.id % 8 == 1,
             is_error_frame=frame.error,
             is_rx=not frame.echo,
             is_fd=frame.fd,
         )
 
-    link = BusLink([SimpleNamespace(recv=recv, shutdown=lambda: 1 / 0)], clock)
+    link = BusLink(SimpleNamespace(recv=recv, shutdown=lambda: 1 / 0), clock)
     while waiting:
         try:
             link.receive(clock.now() + 1.0)

@@ -76,18 +76,13 @@ def play(
         if model is not None:
             values["model"] = path_of(model)
         values.update(options)
-        run = _motor_run(say, trajectory=path, joint_map=joint_map, **values)
+        run = MotorRun({"trajectory": path, "joint_map": joint_map, **values})
         plan = run.plan()
         require_no_stop(run.checks(plan), "not played")
         run.require_free(plan)
         arm = run.simulated_arm(plan, DEFAULT_WATCHDOG) if simulate else None
         with run.open_guarded() if arm is None else run.open_simulated(arm) as link:
             return _play_plan(run, link, plan, say, is_real=not simulate)
-
-
-def _motor_run(say: Say, **values: Any) -> MotorRun:
-    """Return a run with the values of its options by key; ``say`` hears of a driver that stalls."""
-    return MotorRun(values, tell=lambda sentence, last: say(sentence))
 
 
 def _play_plan(

@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import math
 import re
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,7 +35,7 @@ INTERFACES = (
 
 @dataclass(frozen=True)
 class BusAddress(OptionRecord):
-    """Options that say by which adapter and channels the buses are reached."""
+    """Options that say by which adapter and channel the bus is reached."""
 
     interface: str = option(
         "socketcan",
@@ -45,12 +43,11 @@ class BusAddress(OptionRecord):
         "NAME",
         choices=INTERFACES,
     )
-    channel: tuple[str, ...] = option(
-        (),
-        "the bus, for instance can0 or /dev/ttyACM0; once per bus; left=/dev/ttyACM0 where the "
-        "joint map calls it left",
+    channel: str | None = option(
+        None,
+        "the bus, for instance can0 or /dev/ttyACM0; left=/dev/ttyACM0 where the joint map calls "
+        "it left",
         "CHANNEL",
-        repeats=True,
     )
     bus_option: tuple[str, ...] = option(
         (),
@@ -60,32 +57,16 @@ class BusAddress(OptionRecord):
     )
 
     @property
-    def buses(self) -> Mapping[str, str]:
-        """Channel of each bus, by its name in joint maps (files with the motor of each joint).
+    def named_channel(self) -> tuple[str | None, str]:
+        """The bus's name in joint maps, which is the channel by default, and its channel.
 
-        A bus without a name has its channel as its name. InputError where a name or a channel is
-        given twice: a motor might then get the commands for a motor of another arm.
+        The name is None, and the channel "", where none was given.
         """
-        names = []
-        channels = []
-        for text in self.channel:
-            match = _NAMED_CHANNEL.fullmatch(text)
-            if match:
-                names.append(match["name"] or match["channel"])
-                channels.append(match["channel"])
-        for labels in (names, channels):
-            for label in labels:
-                if labels.count(label) > 1:
-                    problem = f"--channel names {label} twice"
-                    raise InputError(f"{problem}; give each bus once")
-        return dict(zip(names, channels))
+        # An address such as spy://COM3?file=log has no name, although it has an equals sign.
+        match = re.fullmatch(r"([\w.-]+)=(.*)", self.channel or "")
+        return (match[1], match[2]) if match else (self.channel, self.channel or "")
 
 
-_NAMED_CHANNEL = re.compile(r"(?:(?P<name>[\w.-]+)=)?(?P<channel>.*)")
-"""A channel with or without a name before it.
-
-An address such as spy://COM3?file=log has no name, although it contains an equals sign.
-"""
 SERIAL_ADAPTER = "damiao"
 """Interface name of the maker's serial adapter."""
 _SEND_TIMEOUT = 0.05
@@ -104,17 +85,6 @@ _FULL_PAUSE = 2e-4
 _FULL = (
     "the CAN bus takes no more frames because nobody acknowledges them: check the motors' power, "
     "the wiring and the termination (60 ohm between the two wires)"
-)
-_MOST_GARBLED = 3
-"""Number of damaged lines within ``_GARBLED_TIME`` that are an error; fewer are lost frames.
-
-Serial lines have no checksum, so a damaged line may be noticed only because it is no frame.
-"""
-_GARBLED_TIME = 1.0
-"""Time in which damaged lines are counted [s]."""
-_GARBLED = (
-    f"the adapter sent {_MOST_GARBLED} lines within a second that are no CAN frames; check its "
-    "cable and that nothing else reads from its port"
 )
 _PLAUSIBLE_AGE = 1.0
 """Age of a frame above which its time stamp must be of another clock [s]."""
@@ -147,105 +117,26 @@ def can_message(can: Any, frame: Frame, **stamp: Any) -> Any:
     return can.Message(arbitration_id=frame.id, data=frame.data, **flags, **stamp)
 
 
-_LOOK = 0.1
-"""Time between two looks at the driver's present call [s]."""
-_LOOKS_TO_SAY = 10
-"""Number of looks at one call after which it is reported."""
-_LOOKS_TO_END = 50
-"""Number of looks at one call after which it is reported for the last time.
-
-By then no motor drives any more: the longest watchdog that a run allows is 5 s.
-"""
-_OPENING = 50
-"""Number of further looks that opening an adapter may take: 5 s (python-can's slcan takes 2 s)."""
-StallReport = Callable[[str, bool], None]
-"""Takes a message about a driver that does not return, and whether it is the last message."""
-
-
-class DriverWatch:
-    """Reports calls of adapters' drivers that do not return, because they stop everything else.
-
-    Looks at the present call are counted rather than seconds, so that no driver is reported after a
-    computer was asleep.
-
-    Args:
-        tell: called from a thread of the watch when a driver's call has lasted for 1 s, and a last
-            time at 5 s; the watch has then ended, and the program should end. None watches nothing.
-    """
-
-    def __init__(self, tell: StallReport | None = None) -> None:
-        self._tell = tell
-        # The present call of a driver, a new object for each call; None between calls.
-        self._call: object | None = None
-        self._looks = 0
-        self._closed = threading.Event()
-        if tell is not None:
-            threading.Thread(target=self._look, daemon=True).start()
-
-    @contextlib.contextmanager
-    def during(self, more_looks: int = 0) -> Iterator[None]:
-        """Watch the driver's call in a ``with`` block, which must not be nested in another one.
-
-        ``more_looks`` is the number of looks, of 0.1 s each, by which reports come later.
-        """
-        self._call = object()
-        self._looks = -more_looks
-        try:
-            yield
-        finally:
-            self._call = None
-
-    def close(self) -> None:
-        """Stop watching, and end the thread."""
-        self._closed.set()
-
-    def _look(self) -> None:
-        """Look at the present call every 0.1 s until closed; report a call that does not return."""
-        assert self._tell is not None
-        last_call = None
-        while self._looks < _LOOKS_TO_END and not self._closed.wait(_LOOK):
-            if last_call is not None and self._call is last_call:
-                self._looks += 1
-            last_call = self._call
-            if last_call is not None and self._looks in (_LOOKS_TO_SAY, _LOOKS_TO_END):
-                self._tell(
-                    f"the adapter's driver has not returned for {_LOOK * self._looks:.0f} s, and "
-                    "nothing can be sent meanwhile: motors that were enabled are stopped by their "
-                    "watchdogs; cut their power, and unplug the adapter and plug it in again",
-                    self._looks == _LOOKS_TO_END,
-                )
-
-
-_PAUSE = 1e-4
-"""Time between two rounds in which several buses are asked for frames [s]."""
-
-
 class BusLink:
-    """A link over one or several open buses of python-can.
+    """A link over an open bus of python-can.
 
     Args:
-        buses: the open buses; ``Frame.bus`` is an index into them. They are closed by ``close``.
+        bus: the open bus, which ``close`` closes.
         clock: clock in which the times of frames and deadlines are given.
-        watch: reports drivers that do not return; None watches nothing.
     """
 
-    def __init__(
-        self, buses: Sequence[Any], clock: SystemClock, watch: DriverWatch | None = None
-    ) -> None:
+    def __init__(self, bus: Any, clock: SystemClock) -> None:
         self._can = import_can()
-        self._buses = buses
+        self._bus = bus
         self._clock = clock
-        self._watch = watch or DriverWatch()
-        self._garbled_at: deque[float] = deque(maxlen=_MOST_GARBLED)
 
     def send(self, frame: Frame) -> None:
-        """Send a frame on its bus, tried for 1.5 ms while the queue is full; else LinkError."""
+        """Send a frame, tried for 1.5 ms while the queue is full; else LinkError."""
         message = can_message(self._can, frame)
         patience = self._clock.now() + _FULL_PATIENCE
         while True:
             try:
-                with self._watch.during():
-                    return self._buses[frame.bus].send(message, timeout=_SEND_TIMEOUT)
+                return self._bus.send(message, timeout=_SEND_TIMEOUT)
             except (Exception, SystemExit) as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
                 # ENOBUFS: the queue is full. Drivers have the code in either attribute.
@@ -259,58 +150,32 @@ class BusLink:
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
 
     def receive(self, until: float) -> Frame | None:
-        """Return the next frame with a standard id of any bus; None if none came by ``until`` [s].
+        """Return the next frame with a standard id; None if none came by ``until`` [s].
 
-        ``until`` is in the link's clock. LinkError where a bus cannot be read.
+        ``until`` is in the link's clock. A line of a serial adapter that is no frame is a lost
+        frame. LinkError where the bus cannot be read.
         """
         while True:
-            for index, bus in enumerate(self._buses):
-                # One bus can be waited for; several are looked at in turn.
-                wait = until if len(self._buses) == 1 else min(self._clock.now(), until)
-                message = self._next(bus, wait)
-                if message is not None:
-                    return self._frame(message, index)
-            if self._clock.now() >= until:
-                return None
-            self._clock.sleep_until(min(self._clock.now() + _PAUSE, until))
-
-    def _next(self, bus: Any, until: float) -> Any:
-        """Return a bus's next python-can message with a standard id; None if none by ``until`` [s].
-
-        LinkError where the bus cannot be read, or the adapter sends too many damaged lines.
-        """
-        while True:
+            message = None
             try:
-                with self._watch.during():
-                    message = bus.recv(max(until - self._clock.now(), 0.0))
-            except (ValueError, IndexError) as error:
-                self._note_garbled(error)
-                message = None
+                message = self._bus.recv(max(until - self._clock.now(), 0.0))
+            except (ValueError, IndexError):
+                pass
             except (Exception, SystemExit) as error:
                 reason = f"the CAN bus cannot be read: {_driver_text(error)}"
                 raise LinkError(reason) from error
             if message is None and self._clock.now() >= until:
                 return None
             if message is not None and not message.is_extended_id:
-                return message
-
-    def _note_garbled(self, error: Exception) -> None:
-        """Count a line whose parsing raised ``error``; LinkError at the third within a second."""
-        now = self._clock.now()
-        self._garbled_at.append(now)
-        is_full = len(self._garbled_at) == _MOST_GARBLED
-        if is_full and now - self._garbled_at[0] < _GARBLED_TIME:
-            raise LinkError(f"{_GARBLED} ({error_text(error)})") from error
+                return self._frame(message)
 
     def close(self) -> None:
-        """Close all buses; drivers' exceptions are dropped: they would hide errors about motors."""
-        for bus in self._buses:
-            with contextlib.suppress(BaseException), self._watch.during():
-                bus.shutdown()
-        self._watch.close()
+        """Close the bus; a driver's exceptions are dropped: they would hide errors about motors."""
+        with contextlib.suppress(BaseException):
+            self._bus.shutdown()
 
-    def _frame(self, message: Any, bus: int) -> Frame:
-        """Return python-can's message as a frame of the bus with index ``bus``.
+    def _frame(self, message: Any) -> Frame:
+        """Return python-can's message as a frame.
 
         The message's time stamp, in seconds since 1970, is converted to the clock of this link. If
         the adapter stamps by another clock, the frame gets the present time.
@@ -325,50 +190,26 @@ class BusLink:
             fd=message.is_fd,
             error=message.is_error_frame,
             echo=not message.is_rx,
-            bus=bus,
         )
 
 
-def open_bus(
-    address: BusAddress,
-    timing: BusTiming,
-    clock: SystemClock,
-    tell: StallReport | None = None,
-) -> Link:
-    """Open all buses of an address and return a link over them.
-
-    InputError if a bus cannot be opened; those opened before are closed again.
-
-    Args:
-        address: kind of adapter, channels and options.
-        timing: frame format and bit rates; socketcan has its own, set by ``ip link``.
-        clock: clock of the link.
-        tell: takes messages about a driver that does not return, see ``DriverWatch``.
-    """
-    if timing.fd and address.interface == SERIAL_ADAPTER:
-        raise InputError(
-            "the maker's serial adapter sends classic CAN frames only; leave --fd off"
-        )
-    buses: list[Any] = []
-    watch = DriverWatch(tell)
-    link = BusLink(buses, clock, watch)
-    try:
-        for channel in address.buses.values():
-            with watch.during(_OPENING):
-                buses.append(_open_one(address, channel, timing))
-    except BaseException:
-        link.close()
-        raise
-    return link
-
-
-def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
-    """Open one channel of an address and return python-can's bus.
+def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> Link:
+    """Open the bus of an address and return a link over it.
 
     InputError if this fails, or an option in ``address.bus_option`` is not NAME=VALUE.
+
+    Args:
+        address: kind of adapter, channel and options.
+        timing: frame format and bit rates; socketcan has its own, set by ``ip link``.
+        clock: clock of the link.
     """
     can = import_can()
     interface = address.interface
+    _, channel = address.named_channel
+    if timing.fd and interface == SERIAL_ADAPTER:
+        raise InputError(
+            "the maker's serial adapter sends classic CAN frames only; leave --fd off"
+        )
     options = _bus_options(can, interface, timing)
     for text in address.bus_option:
         name, equals, value = text.partition("=")
@@ -377,18 +218,17 @@ def _open_one(address: BusAddress, channel: str, timing: BusTiming) -> Any:
         options[name] = can.util.cast_from_string(value)
     try:
         if interface == SERIAL_ADAPTER:
-            return SerialAdapter(channel, **options)
+            return BusLink(SerialAdapter(channel, **options), clock)
         bus = can.Bus(
             channel=channel, interface=interface, ignore_config=True, **options
         )
-        if interface == "slcan":
-            is_alone = len(address.buses) == 1
-            read_in_pieces(bus, alone=is_alone, write_timeout=_SEND_TIMEOUT)
-        return bus
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.
         problem = f"cannot open {interface} channel {channel}: {_driver_text(error)}"
         raise InputError(problem) from error
+    if interface == "slcan":
+        read_in_pieces(bus)
+    return BusLink(bus, clock)
 
 
 def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
@@ -532,14 +372,14 @@ class LineReader:
         self._fetch = fetch
         self._received = b""
 
-    def __call__(self, timeout: float | None) -> str | None:
-        """Return the next line with its end, or None after ``timeout`` [s] (None: no limit)."""
-        until = math.inf if timeout is None else time.monotonic() + timeout
+    def __call__(self, timeout: float) -> str | None:
+        """Return the next line with its end, or None after ``timeout`` [s]."""
+        until = time.monotonic() + timeout
         while (end := _LINE_END.search(self._received)) is None:
-            patience = min(max(until - time.monotonic(), 0.0), _LONGEST_LOOK)
-            piece = self._fetch(patience)
+            time_left = max(until - time.monotonic(), 0.0)
+            piece = self._fetch(time_left)
             self._received += piece
-            if not piece and patience == 0.0:
+            if not piece and time_left == 0.0:
                 return None
         line = self._received[: end.end()]
         self._received = self._received[end.end() :]
@@ -547,23 +387,14 @@ class LineReader:
         return line.decode("ascii", "ignore")
 
 
-_LONGEST_LOOK = 1.0
-"""Longest time for which bytes are waited for at once [s]."""
 _LINE_END = re.compile(rb"[\r\a]")
 """End of a line of slcan: a carriage return, or a bell where it refuses a command."""
 
 
-def read_in_pieces(bus: Any, alone: bool, write_timeout: float) -> None:
-    """Make python-can's slcan bus read all bytes at once that have come.
-
-    Args:
-        bus: open slcan bus; its port's time-outs and its method of reading lines are replaced.
-        alone: whether it is the only open bus; only then bytes are waited for, because waiting
-            for a silent bus would delay the other buses.
-        write_timeout: longest time to write a line [s].
-    """
+def read_in_pieces(bus: Any) -> None:
+    """Make python-can's open slcan bus read all bytes at once that have come."""
     port = bus.serialPortOrig
-    port.timeout = _PATIENCE if alone else 0.0
-    port.write_timeout = write_timeout
     # Setting a port's time-out takes long, so it is not set for each reading.
+    port.timeout = _PATIENCE
+    port.write_timeout = _SEND_TIMEOUT
     bus._read = LineReader(lambda left: port.read(port.in_waiting or int(left > 0.0)))

@@ -69,7 +69,7 @@ class LinkError(HardwareAbort):
 
 
 class Link(Protocol):
-    """One end of a CAN bus (or of several); times are in the clock with which it was opened."""
+    """One end of a CAN bus; times are in the clock with which it was opened."""
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise LinkError."""
@@ -88,12 +88,10 @@ class GuardedLink:
         link: link on which frames are sent and received.
         clock: clock of the link.
         fd: whether frames are sent as CAN-FD, whatever ``Frame.fd`` says.
-        channels: names of the buses, in the order of ``Frame.bus``.
         refuse: called with each frame to be sent; raises for one that must not be sent.
 
     Attributes:
         clock: as given.
-        channels: as given, as a tuple.
     """
 
     def __init__(
@@ -101,14 +99,12 @@ class GuardedLink:
         link: Link,
         clock: SystemClock,
         fd: bool = False,
-        channels: Sequence[str] = ("",),
         refuse: Callable[[Frame], None] = refuse_harmful,
     ) -> None:
         self._refuse = refuse
         self._link = link
         self._fd = fd
         self.clock = clock
-        self.channels = tuple(channels)
 
     def send(self, frame: Frame) -> None:
         """Send a frame, or raise the error of ``refuse`` or LinkError."""
@@ -233,7 +229,7 @@ class RegisterClient:
     """Reads and writes registers of motors over a link.
 
     Args:
-        link: link of the motors' buses.
+        link: link of the motors' bus.
         timeout: time for which an answer is waited for [s].
 
     Attributes:
@@ -246,18 +242,18 @@ class RegisterClient:
         self._timeout = timeout
         self.error_frames = 0
 
-    def read(self, motor: protocol.Address, register: int) -> RegisterReply | None:
+    def read(self, can_id: int, register: int) -> RegisterReply | None:
         """Return a motor's reply with a register's value; None if three requests get no answer."""
-        replies = self.answers(protocol.read_frame(motor, register), limit=1)
+        replies = self.answers(protocol.read_frame(can_id, register), limit=1)
         return replies[0] if replies else None
 
     def write(
-        self, motor: protocol.Address, register: int, value: float, verify: bool = True
+        self, can_id: int, register: int, value: float, verify: bool = True
     ) -> None:
         """Write a value to a motor's register; it is lost at power-off unless stored.
 
         Args:
-            motor: bus and CAN id of the motor.
+            can_id: CAN id of the motor.
             register: number of the register.
             value: new value.
             verify: wait for the answer, whose value differs where the motor refused the new one;
@@ -269,29 +265,27 @@ class RegisterClient:
         """
         raw = protocol.bytes_from_value(register, value)
         name = protocol.NAMES[register]
-        request = protocol.write_frame(motor, register, raw)
+        request = protocol.write_frame(can_id, register, raw)
         if not verify:
             return self._link.send(request)
         replies = self.answers(request, limit=1)
         if not replies:
-            raise HardwareAbort(
-                f"motor {motor.can_id} did not answer to writing {name}"
-            )
+            raise HardwareAbort(f"motor {can_id} did not answer to writing {name}")
         stored = replies[0].value
         if protocol.bytes_from_value(register, stored) != raw:
             raise HardwareAbort(
-                f"motor {motor.can_id} refused {name} = {value:g} and keeps {stored:g}"
+                f"motor {can_id} refused {name} = {value:g} and keeps {stored:g}"
             )
 
-    def refresh(self, motor: protocol.Address, master_id: int) -> protocol.Frame | None:
+    def refresh(self, can_id: int, master_id: int) -> protocol.Frame | None:
         """Request a motor's feedback frame, up to three times, and return it; None without answer.
 
         ``master_id`` is the arbitration id of the motor's replies. The request has no other effect.
         """
         # Feedback has the low four bits of the motor's CAN id in its first byte.
-        id_bits = motor.can_id & 0xF
+        id_bits = can_id & 0xF
         for _ in range(_TRIES):
-            for frame in self._frames_after(protocol.refresh_frame(motor)):
+            for frame in self._frames_after(protocol.refresh_frame(can_id)):
                 if frame.id == master_id and frame.data[0] & 0xF == id_bits:
                     return frame
         return None
@@ -302,28 +296,26 @@ class RegisterClient:
         It is also None where the motor's scaling limits are unknown. The request has no other
         effect on the motor.
         """
-        frame = self.refresh(motor.address, motor.reply_ids[0])
+        frame = self.refresh(motor.can_id, motor.reply_ids[0])
         return None if frame is None else motor.decode_feedback(frame.data)
 
-    def seconds_to_refresh(
-        self, motors: Sequence[tuple[protocol.Address, int]]
-    ) -> float | None:
+    def seconds_to_refresh(self, reply_ids: Mapping[int, int]) -> float | None:
         """Return the time until all motors, requested at once, have answered [s].
 
-        ``motors`` are pairs of address and reply id. None if one does not answer within 0.1 s.
+        ``reply_ids`` are the motors' reply ids by CAN id. None if one does not answer within 0.1 s.
         Frames that have come earlier are discarded.
         """
         self._link.drain()
         start = self._clock.now()
-        for motor, _ in motors:
-            self._send(protocol.refresh_frame(motor))
-        missing = {(motor.bus, reply_id) for motor, reply_id in motors}
+        for can_id in reply_ids:
+            self._send(protocol.refresh_frame(can_id))
+        missing = set(reply_ids.values())
         while missing:
             frame = self._link.receive(start + _LONGEST_CYCLE)
             if frame is None:
                 return None
             if not frame.echo and not frame.error:
-                missing.discard((frame.bus, frame.id))
+                missing.discard(frame.id)
         return self._clock.now() - start
 
     def answers(
@@ -359,7 +351,7 @@ class RegisterClient:
                 yield RegisterReply(value, frame.id)
 
     def _frames_after(self, request: protocol.Frame) -> Iterator[protocol.Frame]:
-        """Send a request and yield the 8-byte frames that then come on the request's bus.
+        """Send a request and yield the 8-byte frames that then come.
 
         It ends at the timeout. Frames that have come earlier are discarded, and so are echoes of
         this program's own frames; error frames are counted.
@@ -369,8 +361,7 @@ class RegisterClient:
         until = self._clock.now() + self._timeout
         while (frame := self._link.receive(until)) is not None:
             self.error_frames += frame.error
-            is_sound = not frame.error and not frame.echo and len(frame.data) == 8
-            if is_sound and frame.bus == request.bus:
+            if not frame.error and not frame.echo and len(frame.data) == 8:
                 yield frame
 
     def _send(self, request: protocol.Frame) -> None:
@@ -386,7 +377,7 @@ def watchdogs_set_to(
     client: RegisterClient,
     motors: Sequence[InspectedMotor],
     seconds: float,
-    is_off: Callable[[protocol.Address], bool],
+    is_off: Callable[[int], bool],
 ) -> Iterator[None]:
     """Set the watchdog of each motor for a ``with`` block, and restore the old value afterwards.
 
@@ -397,23 +388,23 @@ def watchdogs_set_to(
         client: access to the registers.
         motors: motors with the values of their registers.
         seconds: new watchdog time [s].
-        is_off: called when the block has ended; returns whether the motor at an address is known to
-            be disabled.
+        is_off: called when the block has ended; returns whether the motor with a CAN id is known
+            to be disabled.
 
     Raises:
         HardwareAbort: before the block, if a motor does not answer or refuses the value.
     """
-    old_values = {motor.address: motor.registers[protocol.TIMEOUT] for motor in motors}
+    old_values = {motor.can_id: motor.registers[protocol.TIMEOUT] for motor in motors}
     timeout = float(round(seconds / protocol.TIMEOUT_UNIT))
     try:
-        for address in old_values:
-            client.write(address, protocol.TIMEOUT, timeout)
+        for can_id in old_values:
+            client.write(can_id, protocol.TIMEOUT, timeout)
         yield
     finally:
-        for address in filter(is_off, old_values):
+        for can_id in filter(is_off, old_values):
             # A motor that no longer answers keeps the new value until power-off.
             with contextlib.suppress(BaseException):
-                client.write(address, protocol.TIMEOUT, old_values[address])
+                client.write(can_id, protocol.TIMEOUT, old_values[can_id])
 
 
 _ALL_IDS = range(1, 16)
@@ -431,28 +422,21 @@ class InspectedMotor:
     """Answers of one motor (or of several with one CAN id) to an inspection of the bus.
 
     Attributes:
-        address: bus and CAN id to which the requests were sent.
+        can_id: CAN id to which the requests were sent.
         reply_ids: arbitration ids of the replies; several if several motors have this CAN id.
         registers: value of each register that was answered, by its number.
         feedback: state of the motor, fields (1,); None without answer or scaling limits.
-        channel: name of the bus where there are several, else "".
     """
 
-    address: protocol.Address
+    can_id: int
     reply_ids: tuple[int, ...]
     registers: Mapping[int, float]
     feedback: Feedback | None
-    channel: str = ""
-
-    @property
-    def can_id(self) -> int:
-        """CAN id of the motor."""
-        return self.address.can_id
 
     @property
     def name(self) -> str:
-        """Name in messages: "motor", its CAN id, and its bus where there are several."""
-        return f"motor {self.can_id}" + (f" on {self.channel}" if self.channel else "")
+        """Name in messages: "motor" and its CAN id."""
+        return f"motor {self.can_id}"
 
     @property
     def master_id(self) -> int:
@@ -484,10 +468,10 @@ class InspectedMotor:
 
 @dataclass(frozen=True)
 class Inspection:
-    """Answers of all motors on the buses.
+    """Answers of all motors on the bus.
 
     Attributes:
-        motors: answers of each motor by its address, in the order of buses and CAN ids.
+        motors: answers of each motor by its CAN id, in ascending order.
         unsolicited: number of frames that came within 0.05 s before anything was requested.
         error_frames: number of error frames that came during the requests.
         round_trip: 90th percentile of the time in which all motors, requested at once, answer [s];
@@ -495,14 +479,14 @@ class Inspection:
             motor's state is unknown.
     """
 
-    motors: Mapping[protocol.Address, InspectedMotor]
+    motors: Mapping[int, InspectedMotor]
     unsolicited: int
     error_frames: int
     round_trip: float | None = None
 
 
 def inspect_bus(link: GuardedLink) -> Inspection:
-    """Request registers and state of every CAN id (1 to 15) on every bus; return the answers.
+    """Request registers and state of every CAN id (1 to 15) on a bus; return the answers.
 
     No motor is enabled or changed.
     """
@@ -512,12 +496,10 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         unsolicited += not frame.echo
     client = RegisterClient(link, timeout=_ASK_TIMEOUT)
     motors = {}
-    for bus, bus_name in enumerate(link.channels):
-        channel = bus_name if len(link.channels) > 1 else ""
-        for can_id in _ALL_IDS:
-            motor = _inspect_motor(client, protocol.Address(bus, can_id), channel)
-            if motor is not None:
-                motors[motor.address] = motor
+    for can_id in _ALL_IDS:
+        motor = _inspect_motor(client, can_id)
+        if motor is not None:
+            motors[can_id] = motor
     round_trip = None
     if all(motor.feedback for motor in motors.values()):
         # Measured under the conditions of a run, for which the time matters.
@@ -533,32 +515,25 @@ def _round_trip(
 
     None unless all motors have answered in more than half of 20 rounds.
     """
-    addresses = [(motor.address, motor.reply_ids[0]) for motor in motors]
+    reply_ids = {motor.can_id: motor.reply_ids[0] for motor in motors}
     times = []
     for _ in range(_ROUNDS):
-        seconds = client.seconds_to_refresh(addresses)
+        seconds = client.seconds_to_refresh(reply_ids)
         if seconds is not None:
             times.append(seconds)
     return float(np.percentile(times, 90.0)) if len(times) > _ROUNDS // 2 else None
 
 
-def _inspect_motor(
-    client: RegisterClient, address: protocol.Address, channel: str
-) -> InspectedMotor | None:
-    """Return registers and state of the motor at an address; None where nothing answers.
-
-    ``channel`` is the name of the bus, or "" where there is only one.
-    """
-    answers = client.answers(protocol.read_frame(address, protocol.ESC_ID))
+def _inspect_motor(client: RegisterClient, can_id: int) -> InspectedMotor | None:
+    """Return registers and state of the motor with a CAN id; None where nothing answers."""
+    answers = client.answers(protocol.read_frame(can_id, protocol.ESC_ID))
     if not answers:
         return None
     registers = {}
     for number in protocol.LOGGED:
-        reply = client.read(address, number)
+        reply = client.read(can_id, number)
         if reply is not None:
             registers[number] = reply.value
     reply_ids = tuple(answer.reply_id for answer in answers)
-    motor = InspectedMotor(
-        address, reply_ids, registers, feedback=None, channel=channel
-    )
+    motor = InspectedMotor(can_id, reply_ids, registers, feedback=None)
     return replace(motor, feedback=client.state_of(motor))

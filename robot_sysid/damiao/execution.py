@@ -13,12 +13,11 @@ import numpy as np
 
 from robot_sysid.damiao import preflight
 from robot_sysid.damiao import trajectory as motion
-from robot_sysid.damiao.adapters import BusAddress, StallReport, open_bus
+from robot_sysid.damiao.adapters import BusAddress, open_bus
 from robot_sysid.damiao.bus import (
     GuardedLink,
     InspectedMotor,
     Inspection,
-    Link,
     RegisterClient,
     SimulatedClock,
     SystemClock,
@@ -57,11 +56,10 @@ from robot_sysid.records.option_fields import given_options, record_from
 class MotorRun:
     """One run on motors: makes its plan, checks it, opens the bus and plays.
 
-    The robot, the joint map and the search of contacts are made once and cached.
+    The robot and the search of contacts are made once and cached.
 
     Args:
         values: value of each option that was given, by its key, from the command line or the API.
-        tell: takes messages about a driver that does not return, see ``adapters.DriverWatch``.
 
     Attributes:
         values: as given.
@@ -70,10 +68,9 @@ class MotorRun:
         timing: frame format and bit rates of the bus.
     """
 
-    def __init__(self, values: Mapping[str, Any], tell: StallReport) -> None:
+    def __init__(self, values: Mapping[str, Any]) -> None:
         self.values = values
         self.clock = SystemClock()
-        self._tell = tell
         self.address = record_from(BusAddress, values)
         self.timing = record_from(BusTiming, values)
 
@@ -141,23 +138,14 @@ class MotorRun:
         Without a joint map only the model's joint names are added, if there is a model.
         """
         names = self.robot.joint_names if self.robot else ()
-        if self.rows:
-            return map_joints(joints, self.rows, self.channels, names)
+        path = self.values.get("joint_map")
+        if path is not None:
+            rows = read_joint_map(Path(path))
+            bus, _ = self.address.named_channel
+            return map_joints(joints, rows, bus, names)
         if not names:
             return tuple(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
-
-    @cached_property
-    def rows(self) -> tuple[DamiaoJoint, ...]:
-        """Joints in the rows of the joint map file, in its order; empty without a file."""
-        path = self.values.get("joint_map")
-        return () if path is None else read_joint_map(Path(path))
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the buses in the options, or else in the joint map; may be empty."""
-        names_in_map = dict.fromkeys(row.channel for row in self.rows if row.channel)
-        return tuple(self.address.buses or names_in_map)
 
     def checks(self, plan: Plan) -> list[Check]:
         """Return a plan's checks that need no bus; InputError for model options without a model."""
@@ -269,11 +257,7 @@ class MotorRun:
         """Yield a guarded link to a simulated arm, whose clock only advances when waited for."""
         clock = SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
-        yield GuardedLink(wire, clock, self.timing.fd, self.channels or ("simulated",))
-
-    def open_link(self) -> Link:
-        """Open the bus and return its link."""
-        return open_bus(self.address, self.timing, self.clock, self._tell)
+        yield GuardedLink(wire, clock, self.timing.fd)
 
     @contextlib.contextmanager
     def open_guarded(
@@ -287,8 +271,9 @@ class MotorRun:
         if not self.address.channel:
             problem = "this command needs --channel, for instance --channel can0"
             raise InputError(problem)
-        with contextlib.closing(self.open_link()) as link:
-            yield GuardedLink(link, self.clock, self.timing.fd, self.channels, refuse)
+        link = open_bus(self.address, self.timing, self.clock)
+        with contextlib.closing(link):
+            yield GuardedLink(link, self.clock, self.timing.fd, refuse)
 
 
 def run(
@@ -303,7 +288,7 @@ def run(
     """Play a plan on the motors of an inspection, record it, and return the report of the run.
 
     Args:
-        link: link of the motors' buses.
+        link: link of the motors' bus.
         plan: the plan; it is checked again before any motor is enabled.
         inspection: answers of the motors on the link.
         stop: request for a stop, see ``Player``.
@@ -319,7 +304,7 @@ def run(
     checks = [*preflight.plan_checks(plan), *preflight.bus_checks(plan, inspection)]
     preflight.require_no_stop(checks, "not played")
     joints = plan.trajectory.joints
-    motors = [inspection.motors[joint.address] for joint in joints]
+    motors = [inspection.motors[joint.can_id] for joint in joints]
     scaling = Scaling(motor.limits for motor in motors)
     session = MotorSession(link, joints, scaling, plan.command_range)
     console = Aside(link.clock.live)

@@ -35,11 +35,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.protocol import Address, MitCommand
+from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import refuse_special_file, write_atomically
@@ -154,8 +153,7 @@ class DamiaoJoint:
         can_id: CAN id of frames to the motor, 1 to 15.
         master_id: CAN id of frames from the motor.
         name: name of the joint in the model, or "".
-        bus: index of the bus among the open buses, from 0.
-        channel: name of the bus where there are several, else "".
+        bus: name of the motor's bus in a joint map, or "".
         direction: 1, or -1 where the motor turns opposite to the joint.
         offset: position of the motor where the joint is at zero [rad].
         torque_ratio: torque that the motor delivers divided by the torque that it reports.
@@ -166,24 +164,16 @@ class DamiaoJoint:
     can_id: int
     master_id: int
     name: str = ""
-    bus: int = 0
-    channel: str = ""
+    bus: str = ""
     direction: int = 1
     offset: float = 0.0
     torque_ratio: float = 1.0
     verified: str = ""
 
     @property
-    def address(self) -> Address:
-        """Bus and CAN id of the motor."""
-        return Address(self.bus, self.can_id)
-
-    @property
     def label(self) -> str:
-        """Text for messages: "motor", its CAN id, and the names of bus and joint if not empty."""
-        channel = f" on {self.channel}" if self.channel else ""
-        name = f" (joint {self.name})" if self.name else ""
-        return f"motor {self.can_id}{channel}{name}"
+        """Text for messages: "motor", its CAN id, and the name of the joint if not empty."""
+        return f"motor {self.can_id}" + (f" (joint {self.name})" if self.name else "")
 
     @property
     def spec(self) -> MotorSpec:
@@ -198,7 +188,7 @@ def damiao_joints(
     master_ids: Sequence[int] | None = None,
     names: Sequence[str] = (),
 ) -> tuple[DamiaoJoint, ...]:
-    """Return one checked DamiaoJoint per joint, base to terminal, all on bus 0.
+    """Return one checked DamiaoJoint per joint, base to terminal.
 
     Args:
         motor_types: a name of ``MOTORS`` per joint.
@@ -208,7 +198,7 @@ def damiao_joints(
         names: name of each joint in the model, or nothing; blanks become underscores.
 
     Raises:
-        InputError: wrong number of types or ids, unknown type, or ids that clash on one bus.
+        InputError: wrong number of types or ids, unknown type, or ids that clash.
     """
     if not motor_types:
         raise InputError(
@@ -230,36 +220,32 @@ def damiao_joints(
                 f"{option} was given {times} but the chain has {n_joints} joints: give it once "
                 f"per joint{alternative}"
             )
-    for problem in id_problems(list(zip([0] * n_joints, can_ids, master_ids))):
+    for problem in id_problems(list(zip(can_ids, master_ids))):
         raise InputError(problem)
     joint_names = ["_".join(name.split()) for name in names] or [""] * n_joints
     # The first four fields of a joint: type, CAN id, master id and name.
     return tuple(map(DamiaoJoint, types, can_ids, master_ids, joint_names))
 
 
-def id_problems(motors: Sequence[tuple[Any, int, int]]) -> Iterator[str]:
+def id_problems(motors: Sequence[tuple[int, int]]) -> Iterator[str]:
     """Yield a sentence for each CAN or master id that is invalid or clashes with another motor's.
 
     A motor takes every frame whose low eight id bits are its CAN id, replies of other motors
-    included, and a reply carries only the low four bits of the sender's CAN id.
-
-    Args:
-        motors: (bus, CAN id, master id) per motor; the bus is an index or a name.
+    included, and a reply carries only the low four bits of the sender's CAN id. ``motors`` are
+    the CAN id and the master id of each motor on one bus.
     """
-    for column, name in ((1, "CAN"), (2, "master")):
-        # Number of motors that use each (bus, id).
-        n_users = Counter((motor[0], motor[column]) for motor in motors)
-        repeated = [bus_and_id for bus_and_id in n_users if n_users[bus_and_id] > 1]
-        for _, i in sorted(repeated):
-            yield f"{name} id {i:#04x} is used by more than one motor; each needs its own"
-    for bus, i, master in motors:
+    for ids, name in zip(zip(*motors), ("CAN", "master")):
+        for i, n_users in sorted(Counter(ids).items()):
+            if n_users > 1:
+                yield f"{name} id {i:#04x} is used by more than one motor; each needs its own"
+    for i, master in motors:
         if not 1 <= i <= 15:
             yield f"CAN id {i} is outside 1 to 15, where replies can be told apart"
         # 0x7FF is the id of register requests.
         if not 0 <= master <= 0x7FE:
             yield f"master id {master:#x} of the motor with CAN id {i} is outside 0 to 0x7fe"
-        for other_bus, other, _ in motors:
-            if other_bus == bus and other != i and master & 0xFF == other:
+        for other, _ in motors:
+            if other != i and master & 0xFF == other:
                 yield (
                     f"replies of the motor with CAN id {i} (master id {master:#x}) would be taken "
                     f"as commands by the motor with CAN id {other}; use {i + MASTER_ID_OFFSET:#x}"
@@ -343,8 +329,8 @@ _REQUIRED_COLUMNS = ("joint", "can_id", "direction")
 def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
     """Return the joints in a joint map file, in the order of its rows.
 
-    They have no motor type, ``bus`` 0, and the bus's name as ``channel``. InputError where the file
-    is unreadable or incomplete, a row is wrong, or names or ids clash.
+    They have no motor type. InputError where the file is unreadable or incomplete, a row is wrong,
+    or names or ids clash.
     """
     refuse_special_file(path, "give a joint map")
     try:
@@ -367,9 +353,10 @@ def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
     for name, count in Counter(row.name for row in rows).items():
         if count > 1:
             raise InputError(f"{path} names {name} twice")
-    ids = [(row.channel, row.can_id, row.master_id) for row in rows]
-    for problem in id_problems(ids):
-        raise InputError(f"{path}: {problem}")
+    for bus in dict.fromkeys(row.bus for row in rows):
+        ids = [(row.can_id, row.master_id) for row in rows if row.bus == bus]
+        for problem in id_problems(ids):
+            raise InputError(f"{path}: {problem}")
     return tuple(rows)
 
 
@@ -377,7 +364,7 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
     """Write joints to a joint map file in the CSV format of this module, one row per joint."""
     lines = [",".join(_COLUMNS)]
     for row in rows:
-        ids = f"{row.name},{row.channel},{row.can_id},{row.master_id:#x}"
+        ids = f"{row.name},{row.bus},{row.can_id},{row.master_id:#x}"
         mounting = f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g}"
         lines.append(f"{ids},{mounting},{row.verified}")
     write_atomically(path, "\n".join(lines) + "\n")
@@ -386,7 +373,7 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
 def map_joints(
     joints: Sequence[DamiaoJoint],
     rows: Sequence[DamiaoJoint],
-    channels: Sequence[str],
+    bus: str | None,
     names: Sequence[str] = (),
 ) -> tuple[DamiaoJoint, ...]:
     """Return the joints of a trajectory, base to terminal, with ids and mounting of a joint map.
@@ -394,11 +381,11 @@ def map_joints(
     Args:
         joints: joints of the trajectory, base to terminal; only their motor types are used.
         rows: joints of the map; without ``names`` one per joint, in the order of ``joints``.
-        channels: names of the open buses; ``bus`` of a returned joint is an index into them.
+        bus: name of the open bus; None where none is opened.
         names: joint names of the model, base to terminal, which select rows of the map by name.
 
     Raises:
-        InputError: the map does not cover the joints, or names a bus that is not open.
+        InputError: the map does not cover the joints, or has them on another bus or on several.
     """
     row_by_name = {row.name: row for row in rows}
     for name in names:
@@ -412,20 +399,21 @@ def map_joints(
             f"joints of the joint map: {len(selected)}, of the trajectory: {len(joints)}; give one "
             "line per joint, base to terminal, or --model to choose them by name"
         )
+    if len({row.bus for row in selected}) > 1:
+        raise InputError(
+            "the joint map has these joints on several buses; play one bus"
+        )
     # With one bus, the name in the map is ignored, because the system may have renamed the adapter;
     # with several it must match, so that the motion of one arm is never played on the other.
-    has_several_buses = len(channels) > 1 or len({row.channel for row in rows}) > 1
+    map_bus = selected[0].bus
+    has_several_buses = len({row.bus for row in rows}) > 1
+    if has_several_buses and bus is not None and map_bus not in ("", bus):
+        raise InputError(
+            f"the joint map puts {selected[0].name} on {map_bus}; open it with --channel {map_bus}"
+        )
     mounted = []
     for joint, row in zip(joints, selected):
-        channel = row.channel
-        if has_several_buses and channel and channel not in channels:
-            raise InputError(
-                f"the joint map puts {row.name} on {channel}; open it with --channel {channel}"
-            )
-        bus = channels.index(channel) if channel in channels else 0
-        bus_name = channels[bus] if len(channels) > 1 else ""
-        joint_type = joint.motor_type
-        mounted.append(replace(row, motor_type=joint_type, bus=bus, channel=bus_name))
+        mounted.append(replace(row, motor_type=joint.motor_type))
     return tuple(mounted)
 
 
@@ -445,7 +433,7 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
             can_id=can_id,
             master_id=int(cells.get("master_id") or str(can_id + MASTER_ID_OFFSET), 0),
             name=cells["joint"],
-            channel=cells.get("bus", ""),
+            bus=cells.get("bus", ""),
             direction=int(cells["direction"]),
             offset=float(cells.get("offset") or 0.0),
             torque_ratio=float(cells.get("torque_ratio") or 1.0),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -124,23 +123,22 @@ def plan_checks(plan: Plan) -> list[Check]:
     """
     joints = plan.trajectory.joints
     limits = [joint.spec.limits for joint in joints]
-    addresses = [joint.address for joint in joints]
     return [
         *_id_checks(joints),
         *_motion_checks(plan),
         *_motor_checks(plan),
-        _load_check(addresses, plan.settings, plan.timing),
+        _load_check(len(joints), plan.settings, plan.timing),
         *_frame_limit_checks(plan, limits, "its type's"),
     ]
 
 
 def _id_checks(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    """Yield whether the ids of the joints' motors are valid and unique on each bus."""
-    ids = [(joint.bus, joint.can_id, joint.master_id) for joint in joints]
+    """Yield whether the ids of the joints' motors are valid and unique."""
+    ids = [(joint.can_id, joint.master_id) for joint in joints]
     problems = list(id_problems(ids))
     yield from map(_stop, problems)
     if not problems:
-        can_ids = ", ".join(str(can_id) for _, can_id, _ in ids)
+        can_ids = ", ".join(str(can_id) for can_id, _ in ids)
         yield Check(OK, f"ids are unique: {can_ids}")
 
 
@@ -187,13 +185,9 @@ def _motor_checks(plan: Plan) -> Iterator[Check]:
 
 
 def _load_check(
-    addresses: Iterable[protocol.Address],
-    settings: PlaySettings,
-    timing: protocol.BusTiming,
+    n_motors: int, settings: PlaySettings, timing: protocol.BusTiming
 ) -> Check:
-    """Return whether the bus with most of the motors at ``addresses`` can carry their frames."""
-    n_by_bus = Counter(address.bus for address in addresses)
-    n_motors = max(n_by_bus.values())
+    """Return whether the bus can carry the frames of ``n_motors``."""
     limit = protocol.PLANNING_LIMIT
     load = protocol.bus_load(n_motors, 1.0 / settings.period, timing)
     bus_type = "CAN-FD" if timing.fd else "classic CAN"
@@ -237,7 +231,7 @@ def general_checks(
     At least one motor must have answered. No deviation is permitted.
     """
     checks = [
-        _load_check(inspection.motors, settings, timing),
+        _load_check(len(inspection.motors), settings, timing),
         *_traffic_checks(inspection),
     ]
     for motor in inspection.motors.values():
@@ -256,7 +250,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
     checks = list(_traffic_checks(inspection))
     limits = []
     for joint in joints:
-        motor = inspection.motors.get(joint.address)
+        motor = inspection.motors.get(joint.can_id)
         if motor is None:
             checks.append(
                 _stop(
@@ -286,7 +280,7 @@ def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
             f"{inspection.error_frames} error frames: two motors may share an id, or a motor is "
             "set to CAN-FD (use --fd) or to another bit rate"
         )
-    ids = [(*address, motor.master_id) for address, motor in inspection.motors.items()]
+    ids = [(can_id, motor.master_id) for can_id, motor in inspection.motors.items()]
     for problem in id_problems(ids):
         yield _stop(problem)
 

@@ -288,7 +288,6 @@ class Frame(NamedTuple):
         fd: whether this is a CAN-FD frame.
         error: whether this is an error frame.
         echo: whether this program sent the frame and the adapter reports that it was on the bus.
-        bus: index of the bus, from 0.
     """
 
     id: int
@@ -297,57 +296,49 @@ class Frame(NamedTuple):
     fd: bool = False
     error: bool = False
     echo: bool = False
-    bus: int = 0
 
 
-class Address(NamedTuple):
-    """Address of a motor: index of its bus, from 0, and its CAN id on that bus."""
-
-    bus: int
-    can_id: int
-
-
-def _special_frame(code: int, motor: Address) -> Frame:
+def _special_frame(code: int, can_id: int) -> Frame:
     """Return the frame that sends a special command (code) such as ENABLE to a motor."""
-    return Frame(motor.can_id, _SPECIAL + bytes([code]), bus=motor.bus)
+    return Frame(can_id, _SPECIAL + bytes([code]))
 
 
 enable_frame = partial(_special_frame, ENABLE)
-"""Return the frame that enables a motor (Address), so that it follows commands."""
+"""Return the frame that enables a motor (by CAN id), so that it follows commands."""
 disable_frame = partial(_special_frame, DISABLE)
-"""Return the frame that disables a motor (Address)."""
+"""Return the frame that disables a motor (by CAN id)."""
 clear_error_frame = partial(_special_frame, CLEAR_ERROR)
-"""Return the frame by which a motor (Address) leaves a fault, to the disabled state."""
+"""Return the frame by which a motor (by CAN id) leaves a fault, to the disabled state."""
 set_zero_frame = partial(_special_frame, SET_ZERO)
-"""Return the frame that permanently stores a motor's (Address) present position as its zero."""
+"""Return the frame that permanently stores a motor's (by CAN id) present position as its zero."""
 
 
 def _request(
-    operation: int, motor: Address, register: int, value: bytes = bytes(4)
+    operation: int, can_id: int, register: int, value: bytes = bytes(4)
 ) -> Frame:
     """Return the frame that requests an operation on a motor's register.
 
     Args:
         operation: READ, WRITE, REFRESH or STORE.
-        motor: bus and CAN id of the motor.
+        can_id: CAN id of the motor.
         register: number of the register.
         value: four little-endian bytes to write; zeros for other operations.
     """
-    head = bytes([motor.can_id & 0xFF, motor.can_id >> 8, operation, register])
-    return Frame(REGISTER_ID, head + value, bus=motor.bus)
+    head = bytes([can_id & 0xFF, can_id >> 8, operation, register])
+    return Frame(REGISTER_ID, head + value)
 
 
 read_frame = partial(_request, READ)
-"""Return the frame that asks a motor (Address) for the value of a register (number)."""
+"""Return the frame that asks a motor (by CAN id) for the value of a register (number)."""
 write_frame = partial(_request, WRITE)
 """Return the frame that writes four bytes to a motor's register (number); lost at power-off.
 
-Arguments: motor (Address), register number, value (see ``bytes_from_value``).
+Arguments: CAN id, register number, value (see ``bytes_from_value``).
 """
 refresh_frame = partial(_request, REFRESH, register=0)
-"""Return the frame that asks a motor (Address) for one feedback frame, without other effect."""
+"""Return the frame that asks a motor (by CAN id) for one feedback frame, without other effect."""
 store_frame = partial(_request, STORE, register=1)
-"""Return the frame by which a motor (Address) stores all its registers in flash."""
+"""Return the frame by which a motor (by CAN id) stores all its registers in flash."""
 
 
 def is_special(data: bytes) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, peak_torques
-from robot_sysid.damiao.protocol import ENABLED, Address, Frame
+from robot_sysid.damiao.protocol import ENABLED, Frame
 from robot_sysid.damiao.safety.guards import (
     NO_STATUS,
     CommandBounds,
@@ -118,7 +118,7 @@ class MotorSession:
     ``CommandBounds`` and every answer by ``SampleFilter``.
 
     Args:
-        link: link of the motors' buses.
+        link: link of the motors' bus.
         joints: joints with their motors, n in all.
         scaling: range of position, velocity and torque in each motor's frames, from its registers
             PMAX, VMAX and TMAX.
@@ -179,12 +179,9 @@ class MotorSession:
         self._foreign = np.zeros(self.n_joints, int)
         # Whether answers count that belong to no command of this cycle.
         self._takes_any_answer = True
-        # Joints by the bus and arbitration id of their motor's replies, and of their commands.
-        self._by_reply: dict[tuple[int, int], int] = {}
-        self._by_command: dict[Address, int] = {}
-        for j, joint in enumerate(joints):
-            self._by_reply[joint.bus, joint.master_id] = j
-            self._by_command[joint.address] = j
+        # Joints by the arbitration ids of their motor's replies, and of their commands.
+        self._by_reply = {joint.master_id: j for j, joint in enumerate(joints)}
+        self._by_command = {joint.can_id: j for j, joint in enumerate(joints)}
 
     @property
     def believed_motion(self) -> tuple[Array, Array]:
@@ -207,9 +204,9 @@ class MotorSession:
         lowered = self._bounds.including(self._frame_range.lower)
         self._bounds = lowered.including(self._frame_range.upper)
 
-    def is_off(self, motor: Address) -> bool:
-        """Return whether the motor at an address was never enabled or confirmed to be disabled."""
-        return all(joint.address != motor for joint in self.unconfirmed)
+    def is_off(self, can_id: int) -> bool:
+        """Return whether a motor was never enabled or confirmed to be disabled."""
+        return all(joint.can_id != can_id for joint in self.unconfirmed)
 
     def __enter__(self) -> MotorSession:
         """Return the session; no motor is enabled by this."""
@@ -244,7 +241,7 @@ class MotorSession:
         # The state of all motors before the first one is enabled.
         answers = []
         for j, joint in enumerate(self.joints):
-            answers.append(self._ask(j, protocol.refresh_frame(joint.address)))
+            answers.append(self._ask(j, protocol.refresh_frame(joint.can_id)))
         position = np.empty(self.n_joints)
         for j, answer in enumerate(answers):
             position[j] = self._enable_one(j, *answer)
@@ -266,7 +263,7 @@ class MotorSession:
         for _ in range(_ENABLE_TRIES):
             last_status = status
             last_position = position
-            status, position = self._ask(j, protocol.enable_frame(joint.address))
+            status, position = self._ask(j, protocol.enable_frame(joint.can_id))
             agree = abs(position - last_position) <= _SAME_PLACE
             if status == ENABLED and agree:
                 return position
@@ -328,9 +325,8 @@ class MotorSession:
         acted = self._command
         self._put_in_force(packed, commanded, now)
         for j in np.flatnonzero(commanded).tolist():
-            bus, can_id = self.joints[j].address
             self._sent_data[j] = packed[j].tobytes()
-            self._link.send(Frame(can_id, self._sent_data[j], bus=bus))
+            self._link.send(Frame(self.joints[j].can_id, self._sent_data[j]))
         return self._collect(
             commanded, until, command=self._command, acted=acted, believe=True
         )
@@ -403,7 +399,7 @@ class MotorSession:
         """Send one disable frame, whatever the bus raises."""
         # The next of the five attempts, and the confirmation, tell whether it worked.
         with contextlib.suppress(BaseException):
-            self._link.send(protocol.disable_frame(joint.address))
+            self._link.send(protocol.disable_frame(joint.can_id))
 
     def _confirm(self) -> None:
         """Ask motors to disable until each has confirmed it, or ``_CONFIRM_PATIENCE`` is over.
@@ -494,7 +490,7 @@ class MotorSession:
             received: gets the time (n,) at which an answer came [s]; NaN before.
             sent: gets the time (n,) at which a command was on the bus [s].
         """
-        commanded = self._by_command.get(Address(frame.bus, frame.id))
+        commanded = self._by_command.get(frame.id)
         if frame.echo and commanded is not None:
             sent[commanded] = frame.time
         self._note_foreign(frame)
@@ -511,7 +507,7 @@ class MotorSession:
 
     def _note_foreign(self, frame: Frame) -> None:
         """Count a frame to a motor of this session that this session did not send."""
-        j = self._by_command.get(Address(frame.bus, frame.id))
+        j = self._by_command.get(frame.id)
         if j is not None and not frame.echo and frame.data != self._sent_data.get(j):
             self._foreign[j] += 1
 
@@ -522,7 +518,7 @@ class MotorSession:
         """
         if frame.error or frame.echo or len(frame.data) != 8:
             return None
-        j = self._by_reply.get((frame.bus, frame.id))
+        j = self._by_reply.get(frame.id)
         if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF:
             return None
         return j

@@ -324,22 +324,21 @@ class Plan:
     def joint_positions(self, inspection: Inspection) -> Array:
         """Return the positions (n,) [rad] of the trajectory's joints when the bus was inspected.
 
-        ``inspection`` has each motor's answer by its address; a joint without one has NaN.
+        ``inspection`` has each motor's answer by its CAN id; a joint without one has NaN.
         """
         joints = self.trajectory.joints
         positions = np.full(len(joints), np.nan)
         for j, joint in enumerate(joints):
-            if joint.address in inspection.motors:
-                positions[j] = inspection.motors[joint.address].position
+            if joint.can_id in inspection.motors:
+                positions[j] = inspection.motors[joint.can_id].position
         zero = np.zeros_like(positions)
         return Mounting.of(joints).inverse.signals(positions, zero, zero)[0]
 
     def other_motors(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
-        """Return the inspected motors that drive no joint of the trajectory, sorted by address."""
-        motors = dict(sorted(inspection.motors.items()))
-        for joint in self.trajectory.joints:
-            motors.pop(joint.address, None)
-        return tuple(motors.values())
+        """Return the inspected motors that drive no joint of the trajectory, by CAN id."""
+        driven = {joint.can_id for joint in self.trajectory.joints}
+        motors = inspection.motors.values()
+        return tuple(motor for motor in motors if motor.can_id not in driven)
 
 
 def recording_header(

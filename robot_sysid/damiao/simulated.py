@@ -13,7 +13,6 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -48,7 +47,7 @@ class SimulatedMotor:
     """One simulated motor and its state.
 
     Attributes:
-        joint: joint that the motor drives, with bus and mounting.
+        joint: joint that the motor drives, with its mounting.
         registers: value of each register by its number.
         peak_torque: largest torque that the motor can deliver [N m].
         brake: damping of the shorted windings while the motor is disabled [N m s/rad].
@@ -105,7 +104,7 @@ class SimulatedMotor:
     def handle(self, frame: protocol.Frame, time: float) -> protocol.Frame | None:
         """Process a frame on the bus at ``time`` [s]; return the motor's answer, None if silent."""
         data = None
-        if frame.bus != self.joint.bus or len(frame.data) < 4:
+        if len(frame.data) < 4:
             return None
         if frame.id == protocol.REGISTER_ID:
             data = self._register_answer(frame.data)
@@ -114,9 +113,7 @@ class SimulatedMotor:
         if data is None:
             return None
         fd = self.registers[protocol.CAN_BR] > protocol.FD_BITRATE_CODES_ABOVE
-        return protocol.Frame(
-            int(self.registers[protocol.MST_ID]), data, fd=fd, bus=self.joint.bus
-        )
+        return protocol.Frame(int(self.registers[protocol.MST_ID]), data, fd=fd)
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         """Feed the watchdog at ``time`` [s], obey a command's 8 bytes, return the answer's data."""
@@ -380,14 +377,14 @@ _TURNAROUND = 50e-6
 class SimulatedLink:
     """A link to a simulated arm, in simulated time, with the transmission times of frames.
 
-    Frames go over each bus one after the other; waiting for one advances the clock. A burst of
+    Frames go over the bus one after the other; waiting for one advances the clock. A burst of
     commands is sent before any reply, because commands have the lower ids. A host without CAN-FD
     receives an error frame where a motor answers in CAN-FD.
 
     Args:
         clock: clock that is advanced.
         arm: arm that gets the frames and answers.
-        timing: frame format and bit rates of the buses.
+        timing: frame format and bit rates of the bus.
         echo: whether each sent frame is also received, when it was on the bus, as with SocketCAN.
     """
 
@@ -402,7 +399,7 @@ class SimulatedLink:
         self.arm = arm
         self._timing = timing
         self._echo = echo
-        self._free_at: defaultdict[int, float] = defaultdict(float)
+        self._free_at = 0.0
         self._order = itertools.count()
         # Heap of transmitted frames (time, order, frame), and heap of replies that wait for a free
         # bus (time from which they may be sent, id, order, reply): of two, the lower id goes first.
@@ -410,9 +407,9 @@ class SimulatedLink:
         self._replies: list[tuple[float, int, int, Frame]] = []
 
     def send(self, frame: Frame) -> None:
-        """Send a frame as soon as its bus is free; the arm gets it after the last bit."""
-        end = max(self.clock.now(), self._free_at[frame.bus]) + self._timing.frame_time
-        self._free_at[frame.bus] = end
+        """Send a frame as soon as the bus is free; the arm gets it after the last bit."""
+        end = max(self.clock.now(), self._free_at) + self._timing.frame_time
+        self._free_at = end
         if self._echo:
             self._deliver(frame._replace(time=end, echo=True))
         for reply in self.arm.handle(frame, end):
@@ -424,11 +421,11 @@ class SimulatedLink:
         """Return the next frame transmitted by ``until`` [s], or None; advance the clock to it."""
         while self._replies:
             begin, _, _, reply = self._replies[0]
-            arrival = max(begin, self._free_at[reply.bus]) + self._timing.frame_time
+            arrival = max(begin, self._free_at) + self._timing.frame_time
             if arrival > until:
                 break
             heapq.heappop(self._replies)
-            self._free_at[reply.bus] = arrival
+            self._free_at = arrival
             garbled = reply.fd and not self._timing.fd
             data = b"" if garbled else reply.data
             self._deliver(reply._replace(time=arrival, error=garbled, data=data))

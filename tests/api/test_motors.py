@@ -89,7 +89,7 @@ def arm(monkeypatch):
     clock = ScriptedClock()
     monkeypatch.setattr(execution, "SystemClock", lambda: clock)
 
-    def open_bus(address, timing, clock, tell):
+    def open_bus(address, timing, clock):
         return RememberingLink(
             execution.SimulatedLink(clock, arm, timing, echo=True), clock
         )

@@ -39,7 +39,7 @@ class SimulatedBus:
         self.clock = ScriptedClock()
         self.wire = None
 
-    def open_link(self, address, timing, clock, tell):
+    def open_link(self, address, timing, clock):
         link = SimulatedLink(self.clock, self.arm, timing, echo=True)
         self.wire = RememberingLink(link, self.clock)
         return self.wire

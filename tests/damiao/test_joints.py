@@ -153,7 +153,11 @@ def test_a_map_that_is_none_is_refused_with_its_row(tmp_path, text, message):
         read_joint_map(tmp_path / "nowhere.csv")
 
 
-def test_only_motors_on_one_bus_can_clash():
-    """Replies to 0x102 read as commands to motor 2."""
-    assert list(id_problems([("can0", 1, 0x102), ("can1", 2, 0x102)])) == []
-    assert len(list(id_problems([("can0", 1, 0x102), ("can0", 2, 0x12)]))) == 1
+def test_an_answer_that_is_a_command_to_another_motor_is_refused(tmp_path):
+    """Replies to 0x102 read as commands to motor 2 of the same bus."""
+    assert len(list(id_problems([(1, 0x102), (2, 0x12)]))) == 1
+    path = tmp_path / "map.csv"
+    path.write_text(
+        "joint,bus,can_id,master_id,direction\na,can0,1,0x102,1\nb,can1,2,0x102,1\n"
+    )
+    assert len(read_joint_map(path)) == 2

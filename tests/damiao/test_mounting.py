@@ -1,4 +1,4 @@
-"""Mirrored joints, several buses, motors outside the chain, and how an arm is left."""
+"""Mirrored joints, joint maps, motors outside the chain, and how an arm is left."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_motor_that_another_program_has_enabled_is_refused(tmp_path, gripper):
     )
     run.assert_never_moved()
     silent = inspect_bus(run.link)
-    silent.motors[0, 8] = replace(silent.motors[0, 8], feedback=None)
+    silent.motors[8] = replace(silent.motors[8], feedback=None)
     assert (
         "motor 8 does not tell whether it is enabled"
         in stops(bus_checks(run.plan, silent))[0]
@@ -147,20 +147,22 @@ def test_the_recording_of_the_example_gives_the_true_link_back(monkeypatch):
 def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
     joints = damiao_joints(["DM4340"] * 2, 2)
     rows = [map_line("a", "", 1, 17, 1), map_line("b", "", 2, 18, -1)]
-    assert [j.direction for j in map_joints(joints, rows, ["can0"])] == [1, -1]
-    assert [j.name for j in map_joints(joints, rows, ["can0"], ["b", "a"])] == [
-        "b",
-        "a",
-    ]
+    assert [j.direction for j in map_joints(joints, rows, "can0")] == [1, -1]
+    assert [j.name for j in map_joints(joints, rows, "can0", ["b", "a"])] == ["b", "a"]
     with pytest.raises(InputError, match="no line for c; it has a, b"):
-        map_joints(joints, rows, ["can0"], ["a", "c"])
+        map_joints(joints, rows, "can0", ["a", "c"])
     with pytest.raises(InputError, match="joint map: 2, of the trajectory: 1;"):
-        map_joints(joints[:1], rows, ["can0"])
-    far = [replace(row, channel="can7") for row in rows]
-    with pytest.raises(InputError, match="open it with --channel can7"):
-        map_joints(joints, far, ["can0", "can1"])
+        map_joints(joints[:1], rows, "can0")
+    far = [replace(row, bus="can7") for row in rows]
     # One adapter may have got another name since.
-    assert [j.bus for j in map_joints(joints, far, ["can0"])] == [0, 0]
+    assert len(map_joints(joints, far, "can0")) == 2
+    both = [*far, map_line("c", "can1", 1, 17, 1), map_line("d", "can1", 2, 18, 1)]
+    assert len(map_joints(joints, both, "can7", ["a", "b"])) == 2
+    assert len(map_joints(joints, both, None, ["a", "b"])) == 2
+    with pytest.raises(InputError, match="open it with --channel can7"):
+        map_joints(joints, both, "can0", ["a", "b"])
+    with pytest.raises(InputError, match="on several buses"):
+        map_joints(joints, both, "can7", ["a", "c"])
 
 
 def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):

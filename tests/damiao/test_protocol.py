@@ -14,7 +14,6 @@ from robot_sysid.damiao.protocol import (
     KP_MAX,
     NAMES,
     REGISTER_ID,
-    Address,
     Frame,
     MitCommand,
     Scaling,
@@ -220,5 +219,5 @@ def test_register_values_survive_their_four_bytes(number, data):
 
 
 def test_a_request_holds_both_bytes_of_the_motors_number():
-    frame = read_frame(Address(1, 0x123), register=7)
-    assert frame == Frame(REGISTER_ID, bytes([0x23, 0x01, 0x33, 7, 0, 0, 0, 0]), bus=1)
+    frame = read_frame(0x123, register=7)
+    assert frame == Frame(REGISTER_ID, bytes([0x23, 0x01, 0x33, 7, 0, 0, 0, 0]))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import LinkError, inspect_bus
-from robot_sysid.damiao.protocol import DISABLED, ENABLED, REGISTER_ID, Address, Frame
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, REGISTER_ID, Frame
 from robot_sysid.damiao.session import PAUSE, Outstanding
 from robot_sysid.errors import HardwareAbort
 from tests.support.motor_bench import Bench
@@ -26,10 +26,10 @@ def test_inspection_reads_everything_and_changes_nothing():
     bench = Bench()
     registers_before = [dict(m.registers) for m in bench.motors]
     inspection = inspect_bus(bench.link)
-    assert sorted(inspection.motors) == [(0, 1), (0, 2)]
-    assert set(inspection.motors[0, 1].registers) == set(protocol.LOGGED)
-    assert inspection.motors[0, 2].limits == (12.5, 10.0, 28.0)
-    assert inspection.motors[0, 2].feedback.temperature_mos[0] == 31
+    assert sorted(inspection.motors) == [1, 2]
+    assert set(inspection.motors[1].registers) == set(protocol.LOGGED)
+    assert inspection.motors[2].limits == (12.5, 10.0, 28.0)
+    assert inspection.motors[2].feedback.temperature_mos[0] == 31
     assert [m.registers for m in bench.motors] == registers_before
     assert statuses(bench) == [DISABLED] * 2
     assert {frame.id for frame in bench.bus.sent} == {REGISTER_ID}
@@ -40,16 +40,16 @@ def test_a_refused_write_is_noticed():
     with pytest.raises(
         HardwareAbort, match="motor 1 refused OC_Value = 0.5 and keeps 0.8"
     ):
-        bench.client.write(Address(0, 1), 3, 0.5)
+        bench.client.write(1, 3, 0.5)
 
 
 def test_a_motor_that_is_not_there_does_not_answer():
     bench = Bench()
-    assert bench.client.read(Address(0, 9), protocol.PMAX) is None
+    assert bench.client.read(9, protocol.PMAX) is None
     with pytest.raises(
         HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"
     ):
-        bench.client.write(Address(0, 9), protocol.TIMEOUT, 1.0)
+        bench.client.write(9, protocol.TIMEOUT, 1.0)
 
 
 @pytest.mark.parametrize(("failures", "is_told"), [(2, True), (3, False)])
@@ -67,10 +67,10 @@ def test_a_request_that_is_not_taken_in_time_is_sent_again(failures, is_told):
 
     bench.bus.send = busy
     if is_told:
-        assert bench.client.read(Address(0, 1), protocol.PMAX).value == 12.5
+        assert bench.client.read(1, protocol.PMAX).value == 12.5
     else:
         with pytest.raises(LinkError):
-            bench.client.read(Address(0, 1), protocol.PMAX)
+            bench.client.read(1, protocol.PMAX)
 
 
 def test_feedback_is_not_taken_for_a_register_reply():
@@ -83,7 +83,7 @@ def test_feedback_is_not_taken_for_a_register_reply():
         return [feedback, *ours(frame, time)]
 
     bench.arm.handle = with_feedback_first
-    assert bench.client.read(Address(0, 1), protocol.PMAX).value == 12.5
+    assert bench.client.read(1, protocol.PMAX).value == 12.5
 
 
 def test_leaving_without_having_enabled_sends_nothing():

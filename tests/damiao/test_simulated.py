@@ -41,11 +41,11 @@ def adapter():
     pytest.importorskip("serial")
     clock = SystemClock()
     terminal, device = slcan_terminal()
-    far = BusLink([terminal], clock)
+    far = BusLink(terminal, clock)
     bus = can.Bus(
         interface="slcan", channel=device, bitrate=1000000, sleep_after_open=0
     )
-    near_link = BusLink([bus], clock)
+    near_link = BusLink(bus, clock)
     yield far, near_link, device
     near_link.close()
     far.close()

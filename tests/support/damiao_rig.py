@@ -124,9 +124,9 @@ def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
     return time, q, qd, INERTIA * qdd + GRAVITY * np.sin(q)
 
 
-def map_line(name, channel, can_id, master_id, *mounted):
+def map_line(name, bus, can_id, master_id, *mounted):
     """A line of a joint map."""
-    return DamiaoJoint("", can_id, master_id, name, 0, channel, *mounted)
+    return DamiaoJoint("", can_id, master_id, name, bus, *mounted)
 
 
 @cache

@@ -186,7 +186,7 @@ def main() -> None:
     clock = SystemClock()
     terminal, device = slcan_terminal()
     stop = StopRequest()
-    link = RecordingLink([terminal], clock)
+    link = RecordingLink(terminal, clock)
     with contextlib.closing(link), stop.on_signals():
         print(f"--channel {device}", flush=True)
         report = serve(arm, link, clock, lambda: not stop.count)

@@ -21,8 +21,8 @@ from robot_sysid.records import RobotModel
 from robot_sysid.records.messages import NextStep, count_text
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
-Positions = Mapping[protocol.Address, float]
-"""Position of each motor [rad], by its address."""
+Positions = Mapping[int, float]
+"""Position of each motor [rad], by its CAN id."""
 _LEAST_TURN = 0.15
 """Turn from which on a motor counts as moved by hand [rad]: half of the 20 degrees asked for."""
 _CLEAR_RATIO = 3.0
@@ -97,7 +97,7 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     It has one row per joint of the robot, base to terminal, without motor types.
 
     Args:
-        link: link of the motors' buses.
+        link: link of the motors' bus.
         robot: model of the arm.
 
     Raises:
@@ -121,20 +121,20 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     def read_positions() -> Positions:
         """Return the present position of each motor [rad]; HardwareAbort where one is silent."""
         positions = {}
-        for address, motor in motors.items():
+        for can_id, motor in motors.items():
             state = client.state_of(motor)
             if state is None:
                 raise HardwareAbort(
                     "a motor does not answer any more; nothing was written"
                 )
-            positions[address] = float(state.position[0])
+            positions[can_id] = float(state.position[0])
         return positions
 
-    directions: dict[protocol.Address, int] = {}
+    directions: dict[int, int] = {}
     for name, movement in zip(robot.joint_names, movement_texts(robot)):
         remaining = set(motors) - set(directions)
-        address, direction = _find_motor(name, movement, remaining, read_positions)
-        directions[address] = direction
+        can_id, direction = _find_motor(name, movement, remaining, read_positions)
+        directions[can_id] = direction
     pose = zip(robot.joint_names, robot.reference)
     pose_text = ", ".join(f"{name} {q:.3f}" for name, q in pose)
     ask(
@@ -142,19 +142,16 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     )
     positions = read_positions()
     rows = []
-    # ``directions`` has the motors' addresses in the order of the joints.
-    for name, q, address in zip(robot.joint_names, robot.reference, directions):
-        motor = motors[address]
-        direction = directions[address]
-        offset = round(positions[address] - direction * float(q), 4)
+    # ``directions`` has the motors' CAN ids in the order of the joints.
+    for name, q, can_id in zip(robot.joint_names, robot.reference, directions):
+        direction = directions[can_id]
+        offset = round(positions[can_id] - direction * float(q), 4)
         rows.append(
             DamiaoJoint(
                 motor_type="",
-                can_id=address.can_id,
-                master_id=motor.master_id,
+                can_id=can_id,
+                master_id=motors[can_id].master_id,
                 name=name,
-                bus=0,
-                channel=motor.channel,
                 direction=direction,
                 offset=offset,
                 verified=BY_HAND,
@@ -166,17 +163,17 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
 def _find_motor(
     name: str,
     movement: str,
-    addresses: Collection[protocol.Address],
+    can_ids: Collection[int],
     read_positions: Callable[[], Positions],
-) -> tuple[protocol.Address, int]:
-    """Have a person move a joint; return the address of the motor that turned, and its direction.
+) -> tuple[int, int]:
+    """Have a person move a joint; return the CAN id of the motor that turned, and its direction.
 
     The direction is 1 where the motor's position grew, else -1.
 
     Args:
         name: name of the joint.
         movement: positive movement of the joint in words.
-        addresses: addresses of the motors that do not belong to another joint.
+        can_ids: CAN ids of the motors that do not belong to another joint.
         read_positions: returns the present positions of all motors [rad].
 
     Raises:
@@ -189,8 +186,8 @@ def _find_motor(
             f"{complaint}move joint {name} alone, by 20 degrees or more, so that {movement}{_ENTER}"
         )
         end = read_positions()
-        turns = {address: end[address] - start[address] for address in addresses}
-        first, *others = sorted(addresses, key=lambda address: -abs(turns[address]))
+        turns = {can_id: end[can_id] - start[can_id] for can_id in can_ids}
+        first, *others = sorted(can_ids, key=lambda can_id: -abs(turns[can_id]))
         largest = abs(turns[first])
         if largest > _LEAST_TURN:
             if not others or largest > _CLEAR_RATIO * abs(turns[others[0]]):

@@ -23,7 +23,7 @@ def play_step(session: Session, plan: Plan) -> NextStep:
     trajectory.
     """
     defaults = {
-        "channel": (USUAL_CHANNEL,),
+        "channel": USUAL_CHANNEL,
         "speed": _FIRST_SPEED,
         "record": plan.trajectory.path.with_name("slow.csv"),
     }
@@ -37,7 +37,7 @@ def play_step(session: Session, plan: Plan) -> NextStep:
 def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
     """Return the step after a trajectory was played: check motors, play again, or identify."""
     if not is_real:
-        missing = {} if "channel" in session.values else {"channel": (USUAL_CHANNEL,)}
+        missing = {} if "channel" in session.values else {"channel": USUAL_CHANNEL}
         command = session.command("check", "speed", "record", **missing)
         return NextStep("Next, with the arm connected, check its motors", command)
     folder = plan.trajectory.path.parent

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.commands import PROGRAM, Console, print_line
+from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
@@ -20,17 +18,14 @@ from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
 from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import OK, Check
 from robot_sysid.damiao.protocol import Feedback
-from robot_sysid.damiao.recorder import Aside
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.damiao.trajectory import LIMITS
-from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.errors import InputError
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Detail, NextStep, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
 
-_PRINT_TIMEOUT = 1.0
-"""Time that printing one line may take while a driver stalls [s]."""
 # Classes whose options ``Session.command`` repeats: before the model's file, and after it.
 _BUS_RECORDS = BusAddress, protocol.BusTiming
 _RUN_RECORDS = PosedModelOptions, PlaySettings, Permissions, RecordingOptions
@@ -54,21 +49,6 @@ def confirm(question: str, hint: str = "") -> bool:
     return ask(f"{question} Type yes: ").strip().lower() == "yes"
 
 
-def _report_stall(message: str, is_final: bool) -> None:
-    """Print a message about a driver that does not return; end the process if it is the final one.
-
-    The main thread waits for the driver, so it cannot end the process itself.
-    """
-    level = "error" if is_final else "note"
-    line = f"{PROGRAM}: {level}: {message}"
-    # A terminal that takes nothing must not keep the process from ending.
-    printer = Aside(threaded=True)
-    printer(partial(print_line, line, sys.stderr))
-    printer.finish(_PRINT_TIMEOUT)
-    if is_final:
-        os._exit(HardwareAbort.exit_code)
-
-
 class Session(MotorRun):
     """One run of a motors command: a run on motors with a console.
 
@@ -83,7 +63,7 @@ class Session(MotorRun):
     """
 
     def __init__(self, values: Mapping[str, Any], console: Console) -> None:
-        super().__init__(values, _report_stall)
+        super().__init__(values)
         self.console = console
         self.verdict: tuple[str, ...] = ()
         self.step: NextStep | None = None
@@ -135,10 +115,10 @@ def motor_table(
         inspection: answers of the motors.
         joints: joints of the trajectory, with whose motor types the motors are compared.
     """
-    joint_by_address = {joint.address: joint for joint in joints}
+    joint_by_id = {joint.can_id: joint for joint in joints}
     rows: list[tuple[str, ...]] = [_HEADINGS]
-    for address, motor in sorted(inspection.motors.items()):
-        rows.append(_motor_row(motor, joint_by_address.get(address)))
+    for can_id, motor in inspection.motors.items():
+        rows.append(_motor_row(motor, joint_by_id.get(can_id)))
     return aligned_lines(rows)
 
 
@@ -195,7 +175,7 @@ def _motor_row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, .
         replies += f" (x{len(motor.reply_ids)})"
     watchdog = registers.get(protocol.TIMEOUT, 0.0)
     return (
-        f"{motor.can_id} {motor.channel}".rstrip(),
+        str(motor.can_id),
         replies,
         protocol.MODES.get(mode, "?"),
         *(f"{value or np.nan:g}" for value in motor.limits),

@@ -122,7 +122,7 @@ class MotorSetup:
         self._client = RegisterClient(link)
         self._motor = motor
         self._name = motor.name
-        self._address = motor.address
+        self._can_id = motor.can_id
         self._master = motor.master_id
         self._require_disabled()
 
@@ -147,10 +147,10 @@ class MotorSetup:
             self._master = options.new_master_id
         if options.new_id is not None:
             yield self._write_register(protocol.ESC_ID, options.new_id)
-            self._address = protocol.Address(self._address.bus, options.new_id)
+            self._can_id = options.new_id
         if options.motor_bitrate is None:
             if options.store:
-                self._write_flash(protocol.store_frame(self._address))
+                self._write_flash(protocol.store_frame(self._can_id))
                 yield f"{self._name} keeps its values when the power goes off"
             return
         code = protocol.BIT_RATES[options.motor_bitrate]
@@ -166,8 +166,8 @@ class MotorSetup:
         is enabled, or refuses the value.
         """
         self._require_disabled()
-        old = self._client.read(self._address, register)
-        self._client.write(self._address, register, value, verify=verify)
+        old = self._client.read(self._can_id, register)
+        self._client.write(self._can_id, register, value, verify=verify)
         old_text = "unknown"
         if old is not None:
             old_text = protocol.register_text(register, old.value)
@@ -183,7 +183,7 @@ class MotorSetup:
         text = protocol.status_text(status)
         if not protocol.is_fault(status):
             return f"{self._name} has no error to clear ({text})"
-        self._link.send(protocol.clear_error_frame(self._address))
+        self._link.send(protocol.clear_error_frame(self._can_id))
         new_status = self._status()
         if protocol.is_fault(new_status):
             new_text = protocol.status_text(new_status)
@@ -202,7 +202,7 @@ class MotorSetup:
         ):
             if not confirm(question):
                 raise InputError("not confirmed; the zero is as it was")
-        self._write_flash(protocol.set_zero_frame(self._address))
+        self._write_flash(protocol.set_zero_frame(self._can_id))
         return (
             f"{self._name}: {old_position:.4f} rad is now {self._position():.4f} rad; "
             "the motor keeps it"
@@ -243,7 +243,7 @@ class MotorSetup:
 
     def _feedback(self) -> bytes:
         """Return the data of a fresh feedback frame; HardwareAbort where none comes."""
-        frame = self._client.refresh(self._address, self._master)
+        frame = self._client.refresh(self._can_id, self._master)
         if frame is None:
             raise HardwareAbort(
                 f"{self._name} does not tell its state; nothing more is done"
@@ -293,32 +293,25 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
 
     Raises:
         HardwareAbort: no motor, or more than one, has that id.
-        InputError: its new ids or bit rate would clash with other motors on its bus.
+        InputError: its new ids or bit rate would clash with other motors.
     """
-    motors = [m for m in inspection.motors.values() if m.can_id == options.motor]
-    if len(motors) > 1:
+    motor = inspection.motors.get(options.motor or 0)
+    if motor is None or len(motor.reply_ids) != 1:
         raise HardwareAbort(
-            f"{' and '.join(m.channel for m in motors)} each have a motor {options.motor}; give "
-            "only the --channel of the one that you mean"
+            f"no motor answers to CAN id {options.motor}, or several share it: leave one motor on "
+            "the bus"
         )
-    if len(motors) != 1 or len(motors[0].reply_ids) != 1:
-        raise HardwareAbort(
-            f"{len(motors)} motors answer to CAN id {options.motor}, or several share it: leave "
-            "one motor on the bus"
-        )
-    motor = motors[0]
-    bus = motor.address.bus
     others = []
     for other in inspection.motors.values():
-        if other is not motor and other.address.bus == bus:
-            others.append((bus, other.can_id, other.master_id))
+        if other is not motor:
+            others.append((other.can_id, other.master_id))
     if options.motor_bitrate is not None and others:
         raise InputError("a bit rate can only be changed with one motor on the bus")
-    ids = (bus, motor.can_id, motor.master_id)
+    ids = motor.can_id, motor.master_id
     new_master = options.new_master_id
     if new_master is None:
         new_master = motor.master_id
-    new_ids = (bus, options.new_id or motor.can_id, new_master)
+    new_ids = options.new_id or motor.can_id, new_master
     for other_ids in others:
         # Ids that clash already may be put right one motor after the other.
         old_problems = set(id_problems([ids, other_ids]))
