@@ -76,7 +76,6 @@ PLAN_MESSAGE = "--static and --for friction exclude --trajectory and --duration"
         (SelfTestConfig, {"torques": "all"}, "--torques 'all': choose one of"),
         (SelfTestConfig, {"export_damiao": True}, "--export-damiao and --motor-type"),
         (SelfTestConfig, {**FILE, "duration": 3.0}, "--trajectory and --duration ex"),
-        (SelfTestConfig, {**PLANT, "torque_delay": 2.0}, "--torque-delay is given in"),
         (SelfTestConfig, LOG, "unknown option 'measurements'"),
         (PlanConfig, {"static": True}, "--static is for resting poses of --for pay"),
         (PlanConfig, {**FILE, "for_": "friction"}, PLAN_MESSAGE),

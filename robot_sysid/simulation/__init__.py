@@ -5,24 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from robot_sysid.records.option_fields import (
-    OptionRecord,
-    PerJoint,
-    check_not_negative,
-    option,
-)
-
-LONGEST_DELAY = 1.0
-"""Longest torque delay that is accepted [s]; more is surely a slip of the unit."""
-
-
-def _delay_complaint(value: float) -> str | None:
-    """Return why a torque delay [s] is refused, or None."""
-    if value > LONGEST_DELAY:
-        return (
-            f"is given in seconds and may be at most {LONGEST_DELAY:g} (got {value:g})"
-        )
-    return check_not_negative(value)
+from robot_sysid.records.option_fields import OptionRecord, PerJoint, option
 
 
 @dataclass(frozen=True)
@@ -33,7 +16,6 @@ class SimulatedArmOptions(OptionRecord):
         plant_model: MJCF or URDF file of the arm that makes the torques; None for no such arm.
         noise_torque: standard deviation of the torque noise, one number or one per joint [N m].
         encoder_resolution: step of the measured positions [rad or m]; 0 for exact ones.
-        torque_delay: time by which the measured torque lags [s].
         save_measurements: CSV file to write the measurements to.
     """
 
@@ -46,9 +28,6 @@ class SimulatedArmOptions(OptionRecord):
         "S [N·m] >= 0",
     )
     encoder_resolution: float = option(0.0, "step of the encoders", "R [rad] >= 0")
-    torque_delay: float = option(
-        0.0, "how much the measured torque lags", "S [s]", check=_delay_complaint
-    )
     save_measurements: Path | None = option(
         None, "write the simulated measurements as a log", "FILE"
     )

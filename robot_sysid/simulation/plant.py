@@ -1,7 +1,7 @@
 """Simulated arms: a plant that follows a motion exactly, and an arm that moves under torques.
 
-A plant is another model of the same arm that plays the real one. Its sensors add noise and delay to
-the true torques and round the true positions to encoder steps. With an encoder resolution the
+A plant is another model of the same arm that plays the real one. Its sensors add noise to the true
+torques and round the true positions to encoder steps. With an encoder resolution the
 record holds no velocities and accelerations: an arm with encoders alone would have to compute them
 from the rounded positions. Torque noise leaves the motion exact.
 
@@ -38,15 +38,13 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
-from robot_sysid.errors import InputError, SimulationError
-from robot_sysid.model.chain import joint_label
-from robot_sysid.model.compilation import compile_model
-from robot_sysid.parser import robot_from_compiled
+from robot_sysid.errors import InputError, SimulationError, prefix_input_errors
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.records.option_fields import joint_values
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
-from robot_sysid.trajectory import motion_chunks, sample_times
+from robot_sysid.trajectory import motion_chunks
 
 HELD_ARMATURE = 1e9
 """Armature that holds joints outside the chain still [kg m^2]."""
@@ -80,33 +78,25 @@ class PlantSimulation:
         sample_rate: float,
         rng: np.random.Generator,
     ) -> None:
-        joint_values(options.noise_torque, plant.n_joints, "--noise-torque")
+        noise = joint_values(options.noise_torque, plant.n_joints, "--noise-torque")
         self._plant = plant
         self._plan = plan
-        self._options = options
+        self._noise = noise
+        self._encoder_resolution = options.encoder_resolution
         self._sample_rate = sample_rate
         # Every iteration draws its noise from this seed.
         self._seed = rng.integers(2**63, size=4)
 
     def __iter__(self) -> Iterator[Measurement]:
         """Yield the sensors' readings, chunk by chunk in constant memory."""
-        options = self._options
-        # One for all joints, or one per joint.
-        noise_levels = np.asarray(options.noise_torque)
-        motions = motion_chunks(self._plan, self._sample_rate)
-        # The motion one torque delay before each sample; before the start, the arm rests there.
-        earlier = (
-            self._plan.evaluate(np.maximum(time - options.torque_delay, 0.0))
-            for time in sample_times(self._plan.duration, self._sample_rate)
-        )
-        delayed = simulate_inverse(self._plant, earlier)
+        step = self._encoder_resolution
         rng = np.random.default_rng(self._seed)
-        for motion, delayed_chunk in zip(motions, delayed):
-            noise = noise_levels * rng.standard_normal(delayed_chunk.tau.shape)
-            tau = delayed_chunk.tau + noise
-            measured = Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
-            if options.encoder_resolution > 0.0:
-                q = round_to_multiples(motion.q, options.encoder_resolution)
+        motions = motion_chunks(self._plan, self._sample_rate)
+        for exact in simulate_inverse(self._plant, motions):
+            tau = exact.tau + self._noise * rng.standard_normal(exact.tau.shape)
+            measured = replace(exact, tau=tau)
+            if step > 0.0:
+                q = np.round(exact.q / step) * step
                 measured = replace(measured, q=q, qd=None, qdd=None)
             yield measured
 
@@ -126,19 +116,10 @@ def load_plant(
         The plant, held at its own reference configuration apart from the chain.
 
     Raises:
-        ModelError: the file cannot be used; says why.
-        InputError: its joints are others than the robot's; lists both.
+        InputError: the file cannot be used, or its joints are others than the robot's; says why.
     """
-    compiled = compile_model(Path(plant_path), mesh_dir)
-    mj_model = compiled.mj_model
-    terminal = robot.terminal_joint
-    names = [joint_label(mj_model, joint) for joint in range(mj_model.njnt)]
-    if terminal not in names:
-        raise InputError(
-            f"the plant {Path(plant_path).name} has no joint {terminal}, the last joint of "
-            f"{robot.path.name}; its joints are: {', '.join(names) or 'none'}"
-        )
-    plant = robot_from_compiled(compiled, Path(plant_path), terminal)
+    with prefix_input_errors(f"the plant {plant_path.name}"):
+        plant = load_robot_model(plant_path, mesh_dir, robot.terminal_joint)
     joints, plant_joints = map(_joints_text, (robot, plant))
     if joints != plant_joints:
         raise InputError(
@@ -155,11 +136,6 @@ def _joints_text(robot: RobotModel) -> str:
     for name, is_slide in zip(robot.joint_names, robot.is_slide):
         texts.append(f"{name} (slide)" if is_slide else name)
     return ", ".join(texts)
-
-
-def round_to_multiples(values: Array, step: float) -> Array:
-    """Return the multiples of ``step`` nearest to ``values``, as an encoder reports them."""
-    return np.round(values / step) * step
 
 
 def forward_model(robot: RobotModel) -> Any:

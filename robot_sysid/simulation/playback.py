@@ -27,6 +27,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco import rollout
 from numpy.typing import NDArray
 
 from robot_sysid.model.actuators import (
@@ -55,15 +56,6 @@ _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 """MuJoCo's bits for the state from which a rollout starts."""
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 """MuJoCo's bits for the inputs of each step: those of actuators, then forces on the joints."""
-
-
-def _has_threads() -> bool:
-    """Return whether the installed MuJoCo can play rollouts of several models at a time."""
-    try:
-        from mujoco import rollout
-    except ImportError:
-        return False
-    return hasattr(rollout, "Rollout")
 
 
 def interpolate(at: Array | float, time: Array, values: Array) -> Array:
@@ -264,15 +256,6 @@ class ServoWindow:
     time: Array
     command: Array
 
-    def controls(self, delay: float, edges: Array) -> Array:
-        """Return the mean commanded position during each step (S, n).
-
-        Args:
-            delay: time by which the commands act late [s].
-            edges: (S + 1,) ends of the steps, from the start of the window [s].
-        """
-        return mean_commands(self.time, self.command, self.start + edges - delay)
-
 
 def mean_commands(time: Array, command: Array, edges: Array) -> Array:
     """Return the mean commanded position (S, n) between S + 1 times.
@@ -312,9 +295,8 @@ class ServoRollouts:
         self.model = servo_model(robot, timestep)
         self._pool: Any = None
         threads = 1
-        if _has_threads():
-            from mujoco import rollout
-
+        # Older releases play one rollout at a time.
+        if hasattr(rollout, "Rollout"):
             threads = processor_count()
             # Zero stands for the calling thread.
             self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
@@ -346,8 +328,12 @@ class ServoRollouts:
         for servos in candidates:
             set_servos(self.model, robot, servos)
             if servos.delay not in commands:
-                controls = [window.controls(servos.delay, edges) for window in windows]
-                commands[servos.delay] = np.stack(controls)
+                commands[servos.delay] = np.stack(
+                    [
+                        mean_commands(w.time, w.command, w.start + edges - servos.delay)
+                        for w in windows
+                    ]
+                )
             command = commands[servos.delay]
             # As MuJoCo has them: those of the nu actuators, then the forces on the joints.
             inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))

@@ -7,8 +7,6 @@ import copy
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from robot_sysid.dynamics.inverse_dynamics import inverse_dynamics
 from robot_sysid.errors import InputError, SimulationError
@@ -22,7 +20,7 @@ from robot_sysid.simulation.plant import (
     forward_model,
     load_plant,
 )
-from robot_sysid.simulator import ArmTorque, simulate_inverse
+from robot_sysid.simulator import simulate_inverse
 from tests.support import arms
 from tests.support.arms import THREE, X, Y, Z, random_motion, robot_of, serial_arm
 from tests.support.measured_logs import plan_of
@@ -68,29 +66,9 @@ def test_noise_has_its_standard_deviation_in_every_joint(plant):
     assert np.max(np.abs(noisy.q - exact.q)) <= 0.01 * (1.0 + 1e-9)
 
 
-THREE_JOINTS = robot_of(THREE)
-
-
-@given(st.floats(0.0, 0.05))
-def test_a_delayed_torque_is_that_of_the_earlier_motion(delay):
-    plan = plan_of(THREE_JOINTS, duration=2.0)
-    log = read(THREE_JOINTS, plan, torque_delay=delay)
-    earlier = plan.evaluate(np.maximum(log.time - delay, 0.0))
-    tau = ArmTorque(THREE_JOINTS)(earlier)
-    np.testing.assert_allclose(log.tau, tau, rtol=0.0, atol=1e-9)
-    np.testing.assert_array_equal(log.q, plan.evaluate(log.time).q)
-
-
-@pytest.mark.parametrize(
-    ("sensors", "option"),
-    [
-        ({"noise_torque": -0.1}, "--noise-torque"),
-        ({"torque_delay": 5.0}, "--torque-delay"),
-    ],
-)
-def test_impossible_sensors_are_refused_by_the_option_name(sensors, option):
-    with pytest.raises(InputError, match=option):
-        SimulatedArmOptions(**sensors)
+def test_impossible_sensors_are_refused_by_the_option_name():
+    with pytest.raises(InputError, match="--noise-torque"):
+        SimulatedArmOptions(noise_torque=-0.1)
 
 
 def test_reading_twice_gives_the_same_measurements(plant, plan):
@@ -129,7 +107,7 @@ def test_a_plant_keeps_its_own_inertials_friction_and_armature(robot, arm_file):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (("joint2", "j2"), "has no joint joint2, the last joint of arm.xml.*j2"),
+        (("joint2", "j2"), "the plant plant.xml: --joint joint2: no such joint.*j2"),
         (("joint1", "r"), "joint0, r, joint2 instead of joint0, joint1, joint2"),
         (("joint1", 'joint1" type="slide'), r"joint1 \(slide\), joint2 instead of"),
         (

@@ -33,7 +33,7 @@ def random_inputs(rollouts, count=4, steps=30):
 def test_rollouts_on_threads_are_the_same_as_single_steps(monkeypatch):
     robot = robot_of(SEVEN)
     threads = playback.ServoRollouts(robot)
-    monkeypatch.setattr(playback, "_has_threads", lambda: False)
+    monkeypatch.delattr(playback.rollout, "Rollout", raising=False)
     steps = playback.ServoRollouts(robot)
     windows, inputs = random_inputs(threads)
     for armature in (0.0, 0.3):
@@ -45,11 +45,12 @@ def test_rollouts_on_threads_are_the_same_as_single_steps(monkeypatch):
         )
 
 
-@pytest.mark.parametrize("has_threads", [playback._has_threads(), False])
+@pytest.mark.parametrize("has_threads", [True, False])
 def test_a_rollout_that_diverges_ends_there_and_disturbs_no_other(
     monkeypatch, has_threads
 ):
-    monkeypatch.setattr(playback, "_has_threads", lambda: has_threads)
+    if not has_threads:
+        monkeypatch.delattr(playback.rollout, "Rollout", raising=False)
     rollouts = playback.ServoRollouts(robot_of(SEVEN))
     windows, inputs = random_inputs(rollouts)
     expected = rollouts.play(windows, inputs)
@@ -105,7 +106,7 @@ def test_the_models_own_servos_move_it_as_mujoco_does():
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data = mujoco.MjData(model)
     data.qpos[:] = WINDOW.q
-    for control in WINDOW.controls(0.0, EDGES):
+    for control in playback.mean_commands(TIME, COMMAND, WINDOW.start + EDGES):
         data.ctrl[:] = control
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(positions[-1], data.qpos, atol=1e-7)
@@ -187,12 +188,13 @@ def test_a_servo_pulls_no_harder_than_its_limit():
 
 @pytest.mark.parametrize("delay", [0.0, 0.013, 0.05])
 def test_commands_act_late_and_hold_until_the_next(delay):
-    controls = WINDOW.controls(delay, EDGES)
-    middles = WINDOW.start + 0.5 * (EDGES[1:] + EDGES[:-1]) - delay
+    edges = WINDOW.start + EDGES - delay
+    controls = playback.mean_commands(TIME, COMMAND, edges)
+    middles = 0.5 * (edges[1:] + edges[:-1])
     held = COMMAND[np.searchsorted(TIME, middles, side="right") - 1]
     # Steps in which a command changes hold a mean of both.
     assert np.isclose(controls, held).all(axis=1).mean() > 0.85
-    mean = WINDOW.controls(delay, np.array([0.0, 1.0]))[0]
+    mean = playback.mean_commands(TIME, COMMAND, edges[[0, -1]])[0]
     np.testing.assert_allclose(controls.mean(axis=0), mean, atol=1e-12)
 
 
