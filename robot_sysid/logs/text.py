@@ -3,8 +3,7 @@
 Recognised without being declared: comma, semicolon, tab, bar or blanks between cells, a decimal
 comma where the separator is another character, comment lines (``#`` or ``%``), a byte-order mark,
 UTF-16, Latin-1, Windows line ends, quoted cells, a header that is itself the last comment line (as
-``numpy.savetxt`` writes it), and times such as 2024-05-01T12:00:00.005Z or 12:00:00.005. NumPy
-reads the rows; only a block with a row that NumPy refuses is read cell by cell.
+``numpy.savetxt`` writes it), and times such as 2024-05-01T12:00:00.005Z or 12:00:00.005.
 """
 
 from __future__ import annotations
@@ -13,20 +12,19 @@ import contextlib
 import csv
 import functools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import TextIOWrapper
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import Block, LogSource, LogTable
-from robot_sysid.records import Array, Measurement
+from robot_sysid.records import Measurement
 from robot_sysid.records.file_access import atomic_file
 
 _EMPTY = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
@@ -49,26 +47,17 @@ class Dialect:
         path: of the file.
         encoding: of the file, as Python calls it.
         separator: "," ";" tab, "|", or " " for any run of blanks.
-        header: column titles as written; empty where the file has none.
+        titles: of the columns, as written; "#1", "#2", ... where the file has none.
         header_line: file line of the header; 0 where it has none, or in a comment.
         first_row: the cells of the first row of data.
-        is_quoted: whether cells stand in quotes.
     """
 
     path: Path
     encoding: str
     separator: str
-    header: tuple[str, ...]
+    titles: tuple[str, ...]
     header_line: int
     first_row: tuple[str, ...]
-    is_quoted: bool
-
-    @property
-    def titles(self) -> tuple[str, ...]:
-        """The header, or "#1", "#2", ... where there is none."""
-        return self.header or tuple(
-            map("#{}".format, range(1, len(self.first_row) + 1))
-        )
 
     def cells(self, line: str) -> list[str]:
         """Return the cells of a line, without an empty cell behind a trailing separator."""
@@ -83,7 +72,7 @@ def text_table(source: LogSource) -> LogTable:
     separator = _SEPARATORS[dialect.separator]
     layout = f"{len(dialect.titles)} columns separated by {separator}"
     choices = ColumnChoices()
-    if {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.header):
+    if {"time", "state.q[0]", "state.tau_J[0]"} <= set(dialect.titles):
         layout = f"libfranka's logToCSV, time in ms, {layout}"
         choices = ColumnChoices(time_unit="ms")
     return LogTable(
@@ -119,19 +108,18 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
     header_line, header_text = lines[0]
     _, row_text = lines[-1]
     separator = _find_separator(header_text)
-    header = _drop_last_empty(split_line(header_text, separator))
+    titles = _drop_last_empty(split_line(header_text, separator))
     row = _drop_last_empty(split_line(row_text, separator))
-    if _is_mostly_numbers(header):
+    if _is_mostly_numbers(titles):
         header_line = 0
-        row_text = header_text
-        row = header
-        header = _header_in_comment(comment, len(row))
+        row = titles
+        numbered = tuple(map("#{}".format, range(1, len(row) + 1)))
+        titles = _header_in_comment(comment, len(row)) or numbered
     elif len(lines) < 2:
         raise InputError(
             f"{path} has a header but no rows; check that the recording ran"
         )
-    is_quoted = '"' in row_text
-    return Dialect(path, encoding, separator, header, header_line, row, is_quoted)
+    return Dialect(path, encoding, separator, titles, header_line, row)
 
 
 def _find_separator(line: str) -> str:
@@ -261,74 +249,43 @@ def _is_mostly_numbers(cells: Sequence[str]) -> bool:
 def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of a log, with the columns of these indices; dates as seconds."""
     for first, lines, share in _read_lines(dialect.path, dialect.encoding, CHUNK):
-        rows = {}
+        numbers = []
+        rows = []
+        complaint = ""
         for number, line in enumerate(lines, first):
             text = line.lstrip()
-            if text and not text.startswith(_COMMENT) and number != dialect.header_line:
-                rows[number] = line
-        if not rows:
-            continue
-        cells = _read_with_numpy(dialect, columns, list(rows.values()))
-        complaint = ""
-        if cells is None:
-            cells, complaint = _read_rows(dialect, columns, rows)
-        yield Block(np.array(list(rows)), cells, complaint, share_read=share)
-
-
-def _read_with_numpy(
-    dialect: Dialect, columns: Sequence[int], lines: Sequence[str]
-) -> Array | None:
-    """Return the cells (R, C) of R lines in the C columns of these indices, as NumPy reads them.
-
-    None where a line has to be read cell by cell.
-    """
-    if dialect.is_quoted or not columns:
-        return None
-    separator = None if dialect.separator == " " else dialect.separator
-    if separator != ",":
-        lines = [line.replace(",", ".") for line in lines]
-    # A type of all columns, unlike a choice of some, refuses rows with more or fewer cells. Columns
-    # that are not wanted are texts of one character; NumPy calls columns without a name f0, f1, ...
-    types: list[tuple[str, Any]] = [("", "U1")] * len(dialect.titles)
-    for column in columns:
-        types[column] = ("", float)
-    try:
-        table = np.loadtxt(lines, types, delimiter=separator, comments=None, ndmin=1)
-    except (ValueError, IndexError):
-        return None
-    # Lines of odd blanks alone are no rows to numpy.
-    if len(table) != len(lines):
-        return None
-    return np.column_stack([table[f"f{k}"] for k in columns])
-
-
-def _read_rows(
-    dialect: Dialect, columns: Sequence[int], rows: Mapping[int, str]
-) -> tuple[Array, str]:
-    """Return (cells (R, C), complaint) of the rows of a log, by their line numbers.
-
-    A row that is not numbers has an infinite cell; the complaint is the fault of the first such
-    row, "" without one. ``columns``: indices of the C columns.
-    """
-    cells = np.full((len(rows), len(columns)), np.inf)
-    titles = dialect.titles
-    complaints = []
-    for (number, line), row in zip(rows.items(), cells):
-        texts = dialect.cells(line)
-        if len(texts) != len(titles):
-            fault = f"{len(texts)} cells instead of {len(titles)}"
-            complaints.append(f"line {number}: {fault}")
-            continue
-        for index, column in enumerate(columns):
-            # A row of data may be longer than the first one.
-            start = dialect.first_row[column] if column < len(dialect.first_row) else ""
+            if not text or text.startswith(_COMMENT) or number == dialect.header_line:
+                continue
             try:
-                row[index] = _parse_cell(texts[column], start)
-            except ValueError:
-                fault = f"{texts[column][:40]!r} is not a number"
-                complaints.append(f"line {number}, column {titles[column]!r}: {fault}")
-                break
-    return cells, next(iter(complaints), "")
+                row = _read_row(dialect, columns, line)
+            except ValueError as error:
+                row = [np.inf] * len(columns)
+                complaint = complaint or f"line {number}{error}"
+            numbers.append(number)
+            rows.append(row)
+        if rows:
+            yield Block(np.array(numbers), np.array(rows), complaint, share_read=share)
+
+
+def _read_row(dialect: Dialect, columns: Sequence[int], line: str) -> list[float]:
+    """Return the numbers of a row in the columns of these indices.
+
+    ValueError, with the fault as it follows the line's number, where the row is not numbers.
+    """
+    titles = dialect.titles
+    texts = dialect.cells(line)
+    if len(texts) != len(titles):
+        raise ValueError(f": {len(texts)} cells instead of {len(titles)}")
+    row = []
+    for column in columns:
+        # A row of data may be longer than the first one.
+        start = dialect.first_row[column] if column < len(dialect.first_row) else ""
+        try:
+            row.append(_parse_cell(texts[column], start))
+        except ValueError:
+            fault = f"{texts[column][:40]!r} is not a number"
+            raise ValueError(f", column {titles[column]!r}: {fault}") from None
+    return row
 
 
 _ATTRIBUTES = {
