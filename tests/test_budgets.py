@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 17989,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29460,
-    "robot_sysid/logs": 18826,
+    "robot_sysid/logs": 18153,
     "robot_sysid/mjcf": 8062,
     "robot_sysid/model": 8850,
     "robot_sysid/motion": 23745,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4038,
     "robot_sysid": 12009,
-    "tests": 227094,
+    "tests": 227076,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -7,7 +7,6 @@ that the file states.
 
 from __future__ import annotations
 
-import contextlib
 import re
 import statistics
 import warnings
@@ -23,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.joint_names import find_joint_match
 from robot_sysid.logs.table import (
     BLOCK,
     Block,
@@ -165,27 +163,16 @@ def matlab_table(source: LogSource) -> LogTable:
 
     InputError where it holds no arrays or too much.
     """
-    from scipy.io import loadmat, whosmat  # slow to import
+    from scipy.io import loadmat  # slow to import
 
     path = source.path
-    packed = path.stat().st_size
-    names = None
-    # SciPy lists no file that holds MATLAB's objects.
-    with contextlib.suppress(TypeError):
-        variables = whosmat(path)
-        names = [n for n, _, kind in variables if kind not in _NOT_NUMBERS]
-        sizes = [8.0 * np.prod(shape) for name, shape, _ in variables if name in names]
-        refuse_bomb(path, sum(sizes), packed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        content = loadmat(path, simplify_cells=True, variable_names=names)
+        content = loadmat(path, simplify_cells=True)
     arrays = dict(_numeric_arrays("", content))
-    refuse_bomb(path, sum(float(array.nbytes) for array in arrays.values()), packed)
+    unpacked = sum(float(array.nbytes) for array in arrays.values())
+    refuse_bomb(path, unpacked, path.stat().st_size)
     return arrays_table(path, "MATLAB .mat", arrays)
-
-
-_NOT_NUMBERS = ("cell", "char", "function")
-"""Classes of MATLAB's variables that hold no numbers."""
 
 
 def _numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
@@ -206,14 +193,30 @@ _NUMERIC_TYPE = re.compile(
 def parquet_table(source: LogSource) -> LogTable:
     """Return the columns of numbers of a Parquet file; a list in a cell is a column each."""
     path = source.path
-    parquet = import_optional("pyarrow.parquet", "parquet")
-    schema = parquet.read_schema(path)
+    schema = import_optional("pyarrow.parquet", "parquet").read_schema(path)
     names = [f.name for f in schema if _NUMERIC_TYPE.fullmatch(str(f.type))]
-    unpacked = _unpacked_bytes(parquet.read_metadata(path), names)
-    refuse_bomb(path, unpacked, path.stat().st_size)
-    columns = parquet.read_table(path, columns=names)
-    arrays = {name: _arrow_array(columns.column(name)) for name in names}
-    return arrays_table(path, "Parquet", arrays)
+    return arrays_table(path, "Parquet", _read_parquet(path, [path], names))
+
+
+def _read_parquet(
+    path: Path, files: Sequence[Path], columns: Sequence[str]
+) -> dict[str, Array]:
+    """Return name to column, (N,) or (N, k) for lists, of Parquet files one after the other.
+
+    InputError where one of them cannot be read, or all unpack to too much; ``path``: of the log.
+    """
+    parquet = import_optional("pyarrow.parquet", "parquet")
+    unpacked = 0.0
+    for file in files:
+        with as_input_errors(file, "a Parquet file"):
+            unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
+    refuse_bomb(path, unpacked, sum(file.stat().st_size for file in files))
+    arrays = []
+    for file in files:
+        with as_input_errors(file, "a Parquet file"):
+            frames = parquet.read_table(file, columns=list(columns))
+            arrays.append([_arrow_array(frames.column(name)) for name in columns])
+    return dict(zip(columns, map(np.concatenate, zip(*arrays))))
 
 
 def _arrow_array(column: Any) -> Array:
@@ -278,14 +281,17 @@ def lerobot_table(source: LogSource) -> LogTable:
     titles = {}
     for feature in (STATE, ACTION) if commanded else (STATE, *_FEATURES):
         names = _as_mapping(descriptions.get(feature)).get("names")
-        feature_titles = _lerobot_titles(names, feature, source.joint_names)
+        feature_titles = _lerobot_titles(names, feature)
         if feature_titles:
             titles[feature] = feature_titles
     columns = ["timestamp [s]", *chain.from_iterable(titles.values())]
     text = " ".join(columns)
     if not commanded and "torque" not in text and "current" not in text:
         raise _no_torque_error(path, text, has_actions=ACTION in descriptions)
-    frames = _read_frames(path, ["timestamp", "episode_index", *titles])
+    files = sorted((path / "data").rglob("*.parquet"))
+    if not files:
+        raise InputError(f"{path} has no Parquet files in data/; {_DOWNLOAD}")
+    frames = _read_parquet(path, files, ["timestamp", "episode_index", *titles])
     episode_index = frames.pop("episode_index").astype(int)
     available = np.unique(episode_index).tolist()
     # An episode that is named twice counts once.
@@ -342,50 +348,21 @@ def _as_mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _lerobot_titles(names: Any, feature: str, joint_names: Sequence[str]) -> list[str]:
+def _lerobot_titles(names: Any, feature: str) -> list[str]:
     """Return titles such as "elbow position [deg]" of the columns of a LeRobot feature.
 
     Args:
         names: of the numbers, such as ["elbow.pos"], or a JSON object of such lists; anything else
             makes no titles.
         feature: STATE, ACTION or a key of _FEATURES.
-        joint_names: (n,) of the arm's model; the data's names that differ from them in
-            a prefix alone are replaced by them.
     """
-    groups = names.values() if isinstance(names, dict) else [names]
-    joints = []
-    quantities = []
-    for group in groups:
+    titles = []
+    for group in names.values() if isinstance(names, dict) else [names]:
         for name in group if isinstance(group, list) else ():
             stem, _, suffix = str(name).rpartition(".")
-            joints.append(stem if suffix in _SUFFIXES else str(name))
+            joint = stem if suffix in _SUFFIXES else str(name)
             quantity = _SUFFIXES.get(suffix, _FEATURES.get(feature, "position"))
             if feature == ACTION:
                 quantity = quantity.replace("position", "command")
-            quantities.append(quantity)
-    joint_match = find_joint_match(joints, joint_names)
-    spelling = joint_match.model_names if joint_match else {}
-    pairs = zip(joints, quantities)
-    return [f"{spelling.get(joint, joint)} {quantity}" for joint, quantity in pairs]
-
-
-def _read_frames(path: Path, columns: Sequence[str]) -> dict[str, Array]:
-    """Return name to column, (N,) or (N, k) for lists, of all Parquet files of a data set together.
-
-    InputError where there are no files, or one of them cannot be read.
-    """
-    parquet = import_optional("pyarrow.parquet", "lerobot")
-    files = sorted((path / "data").rglob("*.parquet"))
-    if not files:
-        raise InputError(f"{path} has no Parquet files in data/; {_DOWNLOAD}")
-    unpacked = 0.0
-    for file in files:
-        with as_input_errors(file, "a Parquet file"):
-            unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
-    refuse_bomb(path, unpacked, sum(file.stat().st_size for file in files))
-    arrays = []
-    for file in files:
-        with as_input_errors(file, "a Parquet file"):
-            frames = parquet.read_table(file, columns=list(columns))
-            arrays.append([_arrow_array(frames.column(name)) for name in columns])
-    return dict(zip(columns, map(np.concatenate, zip(*arrays))))
+            titles.append(f"{joint} {quantity}")
+    return titles

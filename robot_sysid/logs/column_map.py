@@ -18,8 +18,8 @@ The file of ``--columns`` declares columns that titles do not determine, as ``ke
 Keys: time, position, velocity, acceleration (accepted but not used), torque, joint_time (a time
 stamp of each joint's own), command (commanded position of a servo), units (rad, deg; s, ms, us, ns)
 and rate (samples per second, for a log without a time column). ``#3`` is the third column, for a
-log without titles, and ``#3-9`` are seven of them. ``blank_columns`` is such a file with all lines
-to fill in, for a log whose columns are not recognised.
+log without titles. ``blank_columns`` is such a file with all lines to fill in, for a log whose
+columns are not recognised.
 """
 
 from __future__ import annotations
@@ -57,8 +57,6 @@ _SCALED = re.compile(
 )
 _ANGLE_UNITS = ("rad", "deg")
 """Units of angles that a user may declare."""
-BLANK = "?"
-"""Placeholder in a columns file for a column that the user has to name."""
 _MOST_UNUSED = 12
 """Largest number of columns that are named as not used."""
 _LONGEST = 1_000_000
@@ -133,14 +131,13 @@ def blank_columns(
     numbered = [f"#   #{k} {' '.join(t.split())}" for k, t in enumerate(titles, 1)]
     if titles[:1] == ("#1",):
         numbered = [f"#   #1 to #{len(titles)}, without titles"]
-    blanks = ", ".join([BLANK] * len(joint_names))
+    blanks = ", ".join("?" * len(joint_names))
     lines = [
         "# Which column is what: put titles or numbers of the log's columns in the place of ?,",
         "# and leave out the lines that the titles say. The columns are",
         *numbered,
-        f"# One for each of the joints {', '.join(joint_names)};",
-        f"# #2-{1 + len(joint_names)} are columns one after the other.",
-        f"time = {BLANK}",
+        f"# One for each of the joints {', '.join(joint_names)}:",
+        "time = ?",
         f"position = {blanks}",
         f"{driven} = {blanks}",
         "velocity = none",
@@ -173,10 +170,6 @@ def parse_columns(text: str, path: Path, joint_names: Sequence[str]) -> ColumnCh
         if not equals or not value or key in values:
             raise InputError(
                 f"{path} line {number}: expected one 'key = value' per key: {line!r}"
-            )
-        if BLANK in re.split(r"[,\s]+", value):
-            raise InputError(
-                f"{path} line {number}: put the log's columns in the place of ?"
             )
         quantity, _, joint = key.partition(".")
         if quantity not in _KEYS:
@@ -221,7 +214,7 @@ def _titles_by_joint(
         )
     if joint or value == "none":
         return dict.fromkeys([joint] if joint else joint_names, value)
-    titles = list(chain(*map(_expand_range, value.split(","))))
+    titles = list(map(str.strip, value.split(",")))
     if len(titles) != len(joint_names):
         joints = count_text(len(joint_names), "joint")
         listed = count_text(len(titles), "column")
@@ -229,17 +222,6 @@ def _titles_by_joint(
             f"{path}: {quantity} lists {listed}, the chain has {joints}: {', '.join(joint_names)}"
         )
     return dict(zip(joint_names, titles))
-
-
-def _expand_range(title: str) -> list[str]:
-    """Return the columns "#2", "#3", ... of a range "#2-8"; of any other title that title alone."""
-    match = re.fullmatch(r"#(\d{1,5})\s*-\s*#?(\d{1,5})", title.strip())
-    if not match:
-        return [title.strip()]
-    first = int(match[1])
-    last = int(match[2])
-    step = 1 if last >= first else -1
-    return list(map("#{}".format, range(first, last + step, step)))
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.errors import InputError
-from robot_sysid.logs.arrays import (
-    arrays_table,
-    can_be_column,
-    list_shapes,
-    recordings_table,
-)
+from robot_sysid.logs.arrays import arrays_table, can_be_column, recordings_table
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import LogSource, LogTable, import_optional, refuse_bomb
 
@@ -34,12 +28,19 @@ def hdf5_table(source: LogSource) -> LogTable:
         }
         is_aloha = "observations/qpos" in file
         if is_aloha:
-            datasets = _find_aloha_arrays(file, source.options.commanded)
+            paths = {
+                name: f"observations/{name}" for name in ("qpos", "qvel", "effort")
+            }
+            if source.options.commanded:
+                paths["command"] = "action"
+            datasets = {
+                name: file[path] for name, path in paths.items() if path in file
+            }
         columns = {name: data for name, data in datasets.items() if can_be_column(data)}
         unpacked = sum(float(data.nbytes) for data in columns.values())
         refuse_bomb(path, unpacked, path.stat().st_size)
         arrays = {name: data[()] for name, data in columns.items()}
-        if is_aloha and "qpos" in arrays:
+        if is_aloha:
             return _aloha_table(path, arrays)
         # Data sets that were not read serve the error of a file without columns.
         return arrays_table(path, "HDF5", {**datasets, **arrays})
@@ -54,32 +55,12 @@ _ALOHA_JOINTS = (
 """Names of the joints of one of ALOHA's arms."""
 
 
-def _find_aloha_arrays(file: Any, commanded: bool) -> dict[str, Any]:
-    """Return name to data set of those of ALOHA's data sets that a file has.
-
-    ``commanded``: whether its actions are among them, as "command".
-    """
-    paths = {name: f"observations/{name}" for name in ("qpos", "qvel", "effort")}
-    if commanded:
-        paths["command"] = "action"
-    return {name: file[path] for name, path in paths.items() if path in file}
-
-
 def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     """Return ALOHA's arrays "qpos" and others (N, joints) as a table, with its joints' names.
 
     For another number of joints than one or two of its arms have, they are called joint0, joint1...
     """
-    if "effort" not in arrays and "command" not in arrays:
-        raise InputError(
-            f"{path} has no /observations/effort, no measured torque; record effort"
-        )
-    shapes = {values.shape for values in arrays.values()}
     width = arrays["qpos"].shape[-1]
-    if len(shapes) > 1 or arrays["qpos"].ndim != 2:
-        raise InputError(
-            f"{path} does not hold the same joints in {list_shapes(arrays)}; record them together"
-        )
     joints = list(map("joint{}".format, range(width)))
     if width == len(_ALOHA_JOINTS):
         joints = list(_ALOHA_JOINTS)

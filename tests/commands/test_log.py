@@ -200,7 +200,7 @@ def test_columns_that_are_not_known_are_filled_in_with_the_command_that_is_named
         # The file that exists is not written over.
         text = (folder / "bare_columns.txt").read_text()
         (folder / "bare_columns.txt").write_text(
-            text.replace("time = ?", "time = Zeit").replace("?, ?, ?, ?", "#2-5", 1)
+            text.replace("time = ?", "time = Zeit").replace("?, ?, ?, ?", "#2, #3, #4, #5", 1)
             .replace("torque = ?, ?, ?, ?\n", "")
         )  # fmt: skip
     printed = command.run(f"log bare.csv arm.xml {arguments}")

@@ -24,8 +24,8 @@ ODD = ["q [deg]", "none", "-x", "2 * y", "k = v", "w # z", "a, b", "tau?", "tau?
 """Titles that a columns file cannot state as they are, one with a unit, one that occurs twice."""
 NUMBERS = [f"#{number}" for number in range(2, 11)]
 FILE = (
-    "# mine\ntime = #1\nposition = #2-4\nvelocity = #5-7\n"
-    "torque = #8-10\ntorque.joint1 = 0.5 * #9\n"
+    "# mine\ntime = #1\nposition = #2, #3, #4\nvelocity = #5, #6, #7\n"
+    "torque = #8, #9, #10\ntorque.joint1 = 0.5 * #9\n"
 )
 CORRECTIONS = [mistake.correction for mistake in mistakes(ROBOT)]
 
