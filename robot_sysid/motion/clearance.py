@@ -27,6 +27,7 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.dynamics.spatial import cross
+from robot_sysid.errors import InputError
 from robot_sysid.model.bodies import (
     count_moving_joints,
     joint_ranges,
@@ -35,7 +36,7 @@ from robot_sysid.model.bodies import (
 )
 from robot_sysid.model.chain import body_label
 from robot_sysid.motion import HalfSpace
-from robot_sysid.motion.solids import Solid, pass_filters, solids_of
+from robot_sysid.motion.solids import Solid, solids_of
 from robot_sysid.records import Array, RobotModel
 
 HORIZON = 0.05
@@ -50,8 +51,6 @@ _TOUCH_ROOM = 1e-4
 _NEIGHBOUR_POSTURES = 361
 """Number of positions, evenly spread over a joint's range, at which the distance of the bodies on
 its two sides is computed."""
-MOST_GROUPS = 31
-"""Largest number of groups of geoms in ``drop_pairs``: MuJoCo has 31 bits for them."""
 _UNLIMITED_TRAVEL = 1.0
 """Travel assumed for a slide joint without limits [m]."""
 
@@ -71,15 +70,6 @@ class Closest:
     distance: float = np.inf
     label: str = ""
     time: float = 0.0
-
-
-@dataclass(frozen=True)
-class _Wall:
-    """The boundary of a half-space for a body: ``required`` is the height to keep above it [m]."""
-
-    space: HalfSpace
-    solid: Solid
-    required: float
 
 
 class _Near(NamedTuple):
@@ -110,18 +100,6 @@ class _Near(NamedTuple):
         return _Near(*(values[order[first]] for values in self))
 
 
-class Slack(NamedTuple):
-    """Slack of N configurations: distance minus required distance of the tightest pair.
-
-    Attributes:
-        value: (N,) slack, at most ``HORIZON`` [m]; negative where a distance is not kept.
-        gradient: (N, n) derivative of the slack by the joint positions [m/rad, or 1 for slides].
-    """
-
-    value: Array
-    gradient: Array
-
-
 class Clearance:
     """Distances of one arm: what it must not touch, itself included.
 
@@ -136,8 +114,9 @@ class Clearance:
             one row per pair of links (``approach_rates``).
         collisions: descriptions of the pairs of bodies that are inside each other at rest, but not
             by design and deeper than ``DEEPEST_TOUCH``.
-        outside_at_rest: (half-space, name of the body, distance outside [m]) of each body that is
-            outside a half-space at rest.
+
+    Raises:
+        InputError: a body is outside a half-space at rest.
     """
 
     def __init__(
@@ -147,12 +126,12 @@ class Clearance:
         clearance: float,
         half_spaces: Sequence[HalfSpace],
     ) -> None:
-        self._arguments = (robot, start, clearance, half_spaces)
         self._robot = robot
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = data_at_pose(model, robot.reference_qpos)
         self._joints = model.dof_jntid[robot.dof_index]
-        self._walls: list[_Wall] = []
+        # Boundaries of half-spaces: each for one body, with the height to keep above it [m].
+        self._walls: list[tuple[HalfSpace, Solid, float]] = []
         self._link_of_body = link_of_body = count_moving_joints(robot)
         self.rates, rows = approach_rates(robot, self._data, link_of_body)
         # (nbody, nbody) the row of ``rates`` of each pair of bodies.
@@ -160,15 +139,15 @@ class Clearance:
         self._required = np.full((model.nbody, model.nbody), clearance)
         self.collisions = self._set_required_distances(start, clearance)
         self._ignore_harmless_neighbours(start)
-        drop_pairs(model, link_of_body, np.isneginf(self._required))
-        self.outside_at_rest = self._set_required_heights(start, half_spaces)
+        self._set_required_heights(start, half_spaces)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments of the constructor: another process makes its own MuJoCo data."""
-        return type(self), self._arguments
+    def slack(self, q: Array) -> tuple[Array, Array]:
+        """Return the slack of the tightest pair and its gradient at joint positions q (N, n).
 
-    def slack(self, q: Array) -> Slack:
-        """Return the slack, with its gradient, at joint positions q (N, n) [rad or m]."""
+        The slack (N,) is distance minus required distance [m], at most ``HORIZON``, and negative
+        where a distance is not kept. The gradient (N, n) is its derivative by the joint positions
+        [m/rad, or 1 for slides].
+        """
         frames = np.empty((2, len(q), self._model.njnt, 3))
         near = self._near(q, frames).tightest()
         near = _Near(*(values[near.slack < HORIZON] for values in near))
@@ -188,7 +167,7 @@ class Clearance:
         side = (joint < links[:, 1:]).astype(float) - (joint < links[:, :1])
         gradient = np.zeros(q.shape)
         gradient[near.posture] = side * rates
-        return Slack(value, gradient)
+        return value, gradient
 
     def slacks(self, q: Array) -> Array:
         """Return the slack (N, P) of each row of ``rates``, at most ``HORIZON``, at joint positions
@@ -210,7 +189,7 @@ class Clearance:
         first, second = near.bodies[0].tolist()
         label = self._label(first, second)
         if near.wall[0] >= 0:
-            space = self._walls[near.wall[0]].space
+            space, _, _ = self._walls[near.wall[0]]
             label = f"{body_label(self._model, second)} and {space.label}"
         return Closest(float(near.slack[0]), float(near.distance[0]), label)
 
@@ -269,25 +248,18 @@ class Clearance:
             positions: (N, nbody, 3) MuJoCo's xpos of all bodies in N postures [m].
             rotations: (N, nbody, 9) MuJoCo's xmat of all bodies.
         """
-        for number, wall in enumerate(self._walls):
-            normal = wall.space.normal
-            least = wall.required + HORIZON
-            # The ball around the body's origin that contains it tells most postures apart.
-            height = positions[:, wall.solid.body] @ normal - wall.space.offset
-            posture = np.flatnonzero(height - wall.solid.reach < least)
-            lowest = wall.solid.lowest(positions[posture], rotations[posture], normal)
-            height = lowest @ normal - wall.space.offset
-            is_near = height < least
-            posture = posture[is_near]
-            height = height[is_near]
+        for number, (space, solid, required) in enumerate(self._walls):
+            lowest = solid.lowest(positions, rotations, space.normal)
+            height = lowest @ space.normal - space.offset
+            posture = np.flatnonzero(height - required < HORIZON)
             count = len(posture)
             yield _Near(
                 posture,
-                np.tile([0, wall.solid.body], (count, 1)),
-                height,
-                height - wall.required,
-                np.tile(normal, (count, 1)),
-                lowest[is_near],
+                np.tile([0, solid.body], (count, 1)),
+                height[posture],
+                height[posture] - required,
+                np.tile(space.normal, (count, 1)),
+                lowest[posture],
                 np.full(count, number),
             )
 
@@ -324,12 +296,14 @@ class Clearance:
 
     def _set_required_heights(
         self, start: Array, half_spaces: Sequence[HalfSpace]
-    ) -> list[tuple[HalfSpace, str, float]]:
-        """Set the boundaries of half-spaces; return ``outside_at_rest``.
+    ) -> None:
+        """Set the boundaries of half-spaces.
 
         Bodies near a boundary at joint positions ``start`` (n,) keep half of their height above it.
+
+        Raises:
+            InputError: a body is outside a half-space there.
         """
-        outside = []
         data = self._data
         data.qpos[self._robot.qpos_index] = start
         mujoco.mj_kinematics(self._model, data)
@@ -338,11 +312,14 @@ class Clearance:
                 lowest = solid.lowest(data.xpos[None], data.xmat[None], space.normal)
                 height = float(lowest[0] @ space.normal) - space.offset
                 if height <= 0.0:
-                    name = body_label(self._model, solid.body)
-                    outside.append((space, name, -height))
-                required = min(space.clearance, max(0.0, KEPT_SHARE * height))
-                self._walls.append(_Wall(space, solid, required))
-        return outside
+                    body = body_label(self._model, solid.body)
+                    raise InputError(
+                        f"no trajectory is feasible: at rest, body {body} is "
+                        f"{-1000 * height:.0f} mm beyond {space.label}; move that limit, or "
+                        "change the model's reference configuration"
+                    )
+                required = min(space.clearance, KEPT_SHARE * height)
+                self._walls.append((space, solid, required))
 
     def _ignore_harmless_neighbours(self, start: Array) -> None:
         """Ignore pairs of neighbours that keep their distance over the entire range of the joint
@@ -379,47 +356,6 @@ def _with_margin(mj_model: Any, margin: float) -> Any:
         model.pair_gap[:] = 0.0
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return model
-
-
-def drop_pairs(mj_model: Any, link_of_body: Any, ignored: Any) -> None:
-    """Change a model's collision filter, in place, so that MuJoCo tests no pair that is ignored or
-    that cannot move against each other.
-
-    Geoms with equal filters on one link form a group with a bit of its own; the affinities then
-    define for every two groups whether they are tested. Explicit contact pairs of the model are
-    tested as before. A model with more than ``MOST_GROUPS`` groups is left as it is.
-
-    Args:
-        mj_model: compiled model; changed.
-        link_of_body: (nbody,) number of the link each body belongs to; bodies with equal numbers do
-            not move against each other.
-        ignored: (nbody, nbody) whether the distance of two bodies need not be tested.
-    """
-    body = mj_model.geom_bodyid
-    keys = np.stack(
-        (link_of_body[body], mj_model.geom_contype, mj_model.geom_conaffinity), axis=1
-    )
-    groups, member = np.unique(keys, axis=0, return_inverse=True)
-    member = np.ravel(member)
-    if len(groups) > MOST_GROUPS:
-        return
-    link, contype, conaffinity = groups.T
-    # (groups, geoms) membership, and (geoms, geoms) pairs whose distance matters: two groups are
-    # relevant where the number of such pairs between their members is not zero.
-    is_member = (np.arange(len(groups))[:, None] == member).astype(float)
-    matters = ~ignored[np.ix_(body, body)]
-    is_relevant = is_member @ matters.astype(float) @ is_member.T > 0.0
-    is_tested = pass_filters(link, contype, conaffinity) & is_relevant
-    bit = 1 << np.arange(len(groups))
-    # A group's affinity is the sum of the bits of all groups that it is tested against.
-    for name, value in (("contype", bit), ("conaffinity", is_tested @ bit)):
-        bits = value[member]
-        getattr(mj_model, f"geom_{name}")[:] = bits
-        # Bodies have all bits of their geoms, in releases that test them first.
-        of_bodies = getattr(mj_model, f"body_{name}", None)
-        if of_bodies is not None:
-            of_bodies[:] = 0
-            np.bitwise_or.at(of_bodies, body, bits.astype(of_bodies.dtype))
 
 
 def approach_rates(

@@ -430,11 +430,4 @@ def _obstacles(
     first_joint = model.dof_jntid[robot.dof_index[0]]
     moving = subtree(model, int(model.jnt_bodyid[first_joint]))
     spaces = (*options.half_spaces(moving, subtree(model, robot.body_id)), *base)
-    clearance = Clearance(robot, start_pose, options.clearance, spaces)
-    if clearance.outside_at_rest:
-        space, body, depth = max(clearance.outside_at_rest, key=lambda entry: entry[2])
-        raise InputError(
-            f"no trajectory is feasible: at rest, body {body} is {1000 * depth:.0f} mm beyond "
-            f"{space.label}; move that limit, or change the model's reference configuration"
-        )
-    return clearance
+    return Clearance(robot, start_pose, options.clearance, spaces)

@@ -286,12 +286,12 @@ def constraints_of(
         extra_slack: distance to keep in addition to the required one [m].
     """
     signals = problem.signals(_samples(*motion))
-    slack = problem.obstacles.slack(motion[0])
+    slack, slack_gradient = problem.obstacles.slack(motion[0])
     limits = share * problem.limits.columns
-    missing = (extra_slack - slack.value) / OBSTACLE_LENGTH
+    missing = (extra_slack - slack) / OBSTACLE_LENGTH
     value = np.column_stack((np.abs(signals) / limits - 1.0, missing))
     by_signal = np.sign(signals) / limits
-    return Constraints(value, by_signal, -slack.gradient / OBSTACLE_LENGTH)
+    return Constraints(value, by_signal, -slack_gradient / OBSTACLE_LENGTH)
 
 
 def _samples(q: Array, qd: Array, qdd: Array) -> Motion:

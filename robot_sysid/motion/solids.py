@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -54,8 +53,7 @@ _GLOBE = np.vstack(
 
 @dataclass(frozen=True)
 class Solid:
-    """The shape of one body: its geoms that collide; without any, its visible geoms; without any
-    geom, its origin.
+    """The shape of one body: all that is drawn of it or collides; without any geom, its origin.
 
     Attributes:
         body: MuJoCo id of the body.
@@ -66,11 +64,6 @@ class Solid:
     body: int
     points: Array
     radius: Array
-
-    @cached_property
-    def reach(self) -> float:
-        """Distance of the farthest point from the body's origin [m]."""
-        return float(np.max(np.linalg.norm(self.points, axis=1) + self.radius))
 
     def farthest(self, directions: Array) -> Array:
         """Return the points (K, 3) [m] farthest along unit directions (K, 3), both in the body's
@@ -101,8 +94,6 @@ def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
 def _solid(mj_model: Any, body: int) -> Solid:
     """Return the shape of a body; it has no points where it is a plane."""
     geoms = np.flatnonzero(mj_model.geom_bodyid == body)
-    is_solid = mj_model.geom_contype[geoms] | mj_model.geom_conaffinity[geoms]
-    geoms = geoms[is_solid != 0] if np.any(is_solid) else geoms
     if not len(geoms):
         return Solid(body, np.zeros((1, 3)), np.zeros(1))
     points = []
@@ -126,7 +117,10 @@ def _shape(mj_model: Any, geom: int) -> tuple[Array, float]:
     if geom_type == _TYPES.mjGEOM_PLANE:
         return np.zeros((0, 3)), 0.0
     if geom_type in (_TYPES.mjGEOM_MESH, _TYPES.mjGEOM_SDF):
-        return _hull_vertices(mj_model, int(mj_model.geom_dataid[geom])), 0.0
+        mesh = mj_model.geom_dataid[geom]
+        first = mj_model.mesh_vertadr[mesh]
+        count = mj_model.mesh_vertnum[mesh]
+        return mj_model.mesh_vert[first : first + count].astype(float), 0.0
     if geom_type == _TYPES.mjGEOM_BOX:
         return size * _CORNERS, 0.0
     if geom_type == _TYPES.mjGEOM_ELLIPSOID:
@@ -140,19 +134,6 @@ def _shape(mj_model: Any, geom: int) -> tuple[Array, float]:
         return np.vstack(rims), 0.0
     is_long = geom_type == _TYPES.mjGEOM_CAPSULE
     return size[1] * _ENDS if is_long else np.zeros((1, 3)), float(size[0])
-
-
-def _hull_vertices(mj_model: Any, mesh: int) -> Array:
-    """Return the vertices (P, 3) of a mesh; of its convex hull where MuJoCo has computed one."""
-    first = int(mj_model.mesh_vertadr[mesh])
-    count = int(mj_model.mesh_vertnum[mesh])
-    vertices = np.array(mj_model.mesh_vert[first : first + count], dtype=float)
-    graph = int(mj_model.mesh_graphadr[mesh])
-    if graph < 0:
-        return vertices
-    # For each mesh: P, F, P addresses, P vertex numbers, ...
-    hull = int(mj_model.mesh_graph[graph])
-    return vertices[mj_model.mesh_graph[graph + 2 + hull : graph + 2 + 2 * hull]]
 
 
 def mounting_height(
@@ -181,32 +162,20 @@ def mounting_height(
     # The parent of the first body that the arm moves.
     moving = np.flatnonzero(link_of_body)
     carrier = int(model.body_parentid[moving[0]])
-    fixed = np.flatnonzero(model.body_weldid == model.body_weldid[carrier])
-    is_mesh = model.geom_type == _TYPES.mjGEOM_MESH
-
-    def lowest_points(bodies: Any) -> dict[int, float]:
-        """Return a dict from each body that is no plane to the height of its lowest point [m]."""
-        heights = {}
-        for solid in solids_of(model, bodies.tolist()):
-            lowest = solid.lowest(data.xpos[None], data.xmat[None], up)
-            heights[solid.body] = float(lowest[0] @ up)
-        return heights
-
-    corners = []
-    for geom in np.flatnonzero(np.isin(model.geom_bodyid, fixed) & is_mesh).tolist():
-        vertices, _ = _shape(model, geom)
-        turned = vertices @ data.geom_xmat[geom].reshape(3, 3).T
-        corners.append(data.geom_xpos[geom] + turned)
-    if corners:
-        feet = [float(np.min(np.concatenate(corners) @ up))]
-    else:
-        feet = list(lowest_points(fixed).values())
-    height = min(float(up @ data.xpos[carrier]), *feet, np.inf)
+    is_fixed = model.body_weldid[model.geom_bodyid] == model.body_weldid[carrier]
+    is_mesh = is_fixed & (model.geom_type == _TYPES.mjGEOM_MESH)
+    height = float(up @ data.xpos[carrier])
+    for geom in np.flatnonzero(is_mesh if np.any(is_mesh) else is_fixed).tolist():
+        points, radius = _shape(model, geom)
+        turned = points @ data.geom_xmat[geom].reshape(3, 3).T
+        heights = (data.geom_xpos[geom] + turned) @ up - radius
+        height = float(np.min(heights, initial=height))
     above = []
-    for body, body_height in lowest_points(moving).items():
-        if body_height > height:
-            above.append(body)
-        elif link_of_body[body] > 1:
+    for solid in solids_of(model, moving.tolist()):
+        (lowest,) = solid.lowest(data.xpos[None], data.xmat[None], up)
+        if lowest @ up > height:
+            above.append(solid.body)
+        elif link_of_body[solid.body] > 1:
             return None
     return up, height, above
 

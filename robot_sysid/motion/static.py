@@ -198,7 +198,7 @@ def _is_feasible(problem: ExcitationProblem, poses: Array) -> NDArray[np.bool_]:
     """
     torque = np.abs(problem.torque_at(poses))
     is_held = np.all(torque <= problem.limits.torque, axis=1)
-    slack = problem.obstacles.slack(poses).value
+    slack, _ = problem.obstacles.slack(poses)
     return is_held & (slack >= 0.0)
 
 

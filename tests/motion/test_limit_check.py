@@ -72,7 +72,7 @@ def test_clearance_equals_that_of_dense_samples(seed, size):
     problem = make_problem(TUBES_AND_POST)
     plan = plan_of(problem, seed, size)
     often = plan.evaluate(np.arange(161) / 400.0)
-    least = np.min(problem.obstacles.slack(often.q).value)
+    least = np.min(problem.obstacles.slack(often.q)[0])
     fastest = np.max(problem.obstacles.rates @ np.max(np.abs(often.qd), axis=0))
     check = check_limits(problem, plan)
     assert check.closest.slack <= least + CLEARANCE_RESOLUTION + 1e-6
