@@ -12,7 +12,6 @@ The check is for one serial chain.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,12 +32,9 @@ TOUCH = 1e-6
 approach is a sum with rounding errors, so a motion that just keeps a clearance may miss it by
 1e-9 m."""
 SMALLEST = 2.0**-9
-"""Smallest factor by which ``scale_to_limits`` scales a motion for torque and clearance."""
+"""Smallest factor by which ``scale_to_limits`` scales a motion."""
 BISECTIONS = 4
 """Number of bisections, after halving, that refine the factor of ``scale_to_limits``."""
-RESERVE = 1e-4
-"""Share of speed and acceleration limits that is left for peaks between samples: of a 0.6 Hz motion
-at 1 kHz 1 - cos(pi 0.6 / 1000) = 2e-6 is missed; a window bends ten times more."""
 FINEST_RATE_HZ = 4000.0
 """Highest rate of collision tests, where bodies are near each other [Hz]: a body at 2 m/s moves
 0.5 mm between two tests."""
@@ -69,38 +65,18 @@ class Excess:
 
 
 @dataclass(frozen=True)
-class Peaks:
-    """Largest values along a trajectory of the quantities that have limits, except clearances.
+class LimitCheck:
+    """A trajectory against all its limits.
 
     Attributes:
         largest: (4 n + 1,) largest absolute value of each of ``ExcitationProblem.signals``.
         time: (4 n + 1,) when it is reached [s].
-        lowest: (n,) lowest position of each joint [rad or m].
-        highest: (n,) highest position of each joint [rad or m].
-    """
-
-    largest: Array
-    time: Array
-    lowest: Array
-    highest: Array
-
-    @property
-    def joints(self) -> Array:
-        """Largest distance from the middle of the position limits, speed, acceleration and torque,
-        one row each, of each joint (4, n).
-        """
-        return self.largest[:-1].reshape(4, -1)
-
-
-@dataclass(frozen=True)
-class LimitCheck(Peaks):
-    """Peaks of a trajectory against all its limits.
-
-    Attributes:
         closest: the pair with the least slack: distance minus required distance.
         excesses: limits that are not kept, the worst first; () for a trajectory that may be run.
     """
 
+    largest: Array
+    time: Array
     closest: Closest
     excesses: tuple[Excess, ...]
 
@@ -131,24 +107,29 @@ def check_limits(
         plan: the trajectory.
         sample_rate: at which it will be run [Hz]; it is checked at this rate, at least at 1 kHz.
     """
-    peaks = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate), tool=True)
-    closest = _tightest(problem.obstacles, plan, CLEARANCE_RESOLUTION)
-    excesses = list(_excesses(problem, peaks))
+    largest, time = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate))
+    share = largest / problem.limits.columns
+    excesses = []
+    # Written with "not", so that NaN counts as an excess.
+    for k in np.flatnonzero(~(share <= 1.0 + ROUNDING)):
+        excesses.append(
+            Excess(problem.signal_names[k], float(share[k]), float(time[k]))
+        )
+    closest = _tightest(problem.obstacles, plan)
     if closest.slack < -TOUCH:
-        share = 1.0 - closest.slack / OBSTACLE_LENGTH
-        excesses.append(Excess(f"clearance of {closest.label}", share, closest.time))
+        missing = 1.0 - closest.slack / OBSTACLE_LENGTH
+        excesses.append(Excess(f"clearance of {closest.label}", missing, closest.time))
     worst = tuple(sorted(excesses, key=lambda excess: -excess.share))
-    return LimitCheck(**vars(peaks), closest=closest, excesses=worst)
+    return LimitCheck(largest, time, closest, worst)
 
 
 def scale_to_limits(
     problem: ExcitationProblem, plan: SineTrajectory, sample_rate: float
-) -> tuple[SineTrajectory, Array]:
-    """Return a motion with amplitudes scaled down to keep all limits, and each joint's factor (n,).
+) -> tuple[SineTrajectory, float]:
+    """Return a motion with amplitudes scaled down to keep all limits, and their factor.
 
-    Speed and acceleration are proportional to a joint's own motion, so they get a factor per
-    joint; for torque and clearance all joints get a common factor, found by halving and then
-    bisection. Where even the smallest motion breaks a limit, the smallest motion is returned.
+    The factor is found by halving and then bisection. Where even the smallest motion breaks a
+    limit, the smallest motion is returned.
 
     Args:
         problem: the arm and its limits.
@@ -156,18 +137,10 @@ def scale_to_limits(
         sample_rate: at which it will be run [Hz]; it is checked at this rate, at least at 1 kHz.
     """
     rate = max(LEAST_RATE_HZ, sample_rate)
-    shares = _peaks(problem, plan, rate).joints / problem.limits.largest
-    # Rows 1 and 2 are speed and acceleration. A joint at rest has a share of zero, so the maximum
-    # keeps the division defined.
-    speed_share = np.max(shares[1:3], axis=0)
-    factors = np.minimum(1.0, (1.0 - RESERVE) / np.maximum(speed_share, RESERVE))
 
     def fits(factor: float) -> bool:
-        """Return whether the motion with amplitudes times ``factor`` and ``factors`` keeps all
-        limits.
-        """
-        scaled = plan.scale_amplitudes(factor * factors)
-        return keeps_limits(problem, scaled, rate)
+        """Return whether the motion with amplitudes times ``factor`` keeps all limits."""
+        return keeps_limits(problem, plan.scale_amplitudes(factor), rate)
 
     high = 1.0
     low = 1.0
@@ -175,12 +148,12 @@ def scale_to_limits(
         high = low
         low = 0.5 * low
     for _ in range(BISECTIONS if low < high else 0):
-        middle = np.sqrt(low * high)
+        middle = (low * high) ** 0.5
         if fits(middle):
             low = middle
         else:
             high = middle
-    return plan.scale_amplitudes(low * factors), low * factors
+    return plan.scale_amplitudes(low), low
 
 
 def keeps_limits(
@@ -191,7 +164,9 @@ def keeps_limits(
     """
     # Most motions that break a limit break it at the samples of the lower rate too.
     for rate in (FEW_RATE_HZ, sample_rate):
-        if any(_excesses(problem, _peaks(problem, plan, rate))):
+        largest, _ = _peaks(problem, plan, rate)
+        # NaN keeps no limit.
+        if not np.all(largest <= (1.0 + ROUNDING) * problem.limits.columns):
             return False
     return first_contact(problem, plan) is None
 
@@ -200,58 +175,33 @@ def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | Non
     """Return the bodies between which a clearance is first not kept along a motion, and when; None
     where all are kept.
     """
-    closest = _tightest(problem.obstacles, plan, np.inf, stop_below=0.0)
+    closest = _tightest(problem.obstacles, plan)
     return closest if closest.slack < 0.0 else None
 
 
 def _peaks(
-    problem: ExcitationProblem, plan: MotionPlan, rate: float, tool: bool = False
-) -> Peaks:
-    """Return the largest values of limited quantities along a motion sampled at a rate [Hz].
-
-    The tool's speed is computed where it has a limit or ``tool`` is true; it is zero otherwise.
+    problem: ExcitationProblem, plan: MotionPlan, rate: float
+) -> tuple[Array, Array]:
+    """Return the largest values (4 n + 1,) of limited quantities along a motion sampled at a rate
+    [Hz], and when they are reached (4 n + 1,) [s].
     """
     columns = np.arange(4 * problem.n_joints + 1)
     largest, time = np.zeros((2, len(columns)))
-    lowest = np.full(problem.n_joints, np.inf)
-    highest = -lowest
     for motion in motion_chunks(plan, rate):
-        magnitudes = np.abs(problem.signals(motion, torque=True, tool=tool))
+        magnitudes = np.abs(problem.signals(motion))
         peak_samples = np.argmax(magnitudes, axis=0)
         peaks = magnitudes[peak_samples, columns]
         time = np.where(peaks > largest, motion.time[peak_samples], time)
         largest = np.maximum(largest, peaks)
-        lowest = np.minimum(lowest, np.min(motion.q, axis=0))
-        highest = np.maximum(highest, np.max(motion.q, axis=0))
-    return Peaks(largest, time, lowest, highest)
+    return largest, time
 
 
-def _excesses(problem: ExcitationProblem, peaks: Peaks) -> Iterator[Excess]:
-    """Yield the limits of position, speed, acceleration, torque and tool speed that the peaks of a
-    motion exceed.
-    """
-    share = peaks.largest / problem.limits.columns
-    # Written with "not", so that NaN counts as an excess.
-    for k in np.flatnonzero(~(share <= 1.0 + ROUNDING)):
-        yield Excess(problem.signal_names[k], float(share[k]), float(peaks.time[k]))
-
-
-def _tightest(
-    obstacles: Clearance,
-    plan: MotionPlan,
-    resolution: float,
-    stop_below: float = -np.inf,
-) -> Closest:
+def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:
     """Return the pair with the least slack along a motion, and the time of that configuration.
 
-    A slack below -TOUCH anywhere along the motion is found, and no slack is smaller than the one
-    returned by more than the resolution.
-
-    Args:
-        obstacles: distances of the arm.
-        plan: the motion.
-        resolution: largest error of the least slack [m]; infinite where only contacts matter.
-        stop_below: the search ends after a stretch of the motion with a slack below this [m].
+    A slack below -TOUCH anywhere along the motion is found, and the search ends after the stretch
+    of the motion with it. Up to there no slack is smaller than the one returned by more than
+    ``CLEARANCE_RESOLUTION``.
     """
     least = np.inf
     for time in sample_times(plan.duration, FINEST_RATE_HZ):
@@ -271,19 +221,19 @@ def _tightest(
                 tightest = motion.q[tested[best]], float(motion.time[tested[best]])
             # Slack above the floor may be used up untested: no contact and no lower minimum is
             # missed by it.
-            floor = least - resolution
+            floor = least - CLEARANCE_RESOLUTION
             if least >= -TOUCH:
                 floor = max(-TOUCH, floor)
             approach = np.diff(path[tested], axis=0)
             room = 0.5 * np.min(slacks[:-1] + slacks[1:] - approach, axis=1)
             is_open = (room < floor) & (np.diff(tested) > 1)
-            if least < stop_below or not np.any(is_open):
+            if not np.any(is_open):
                 break
             middle = (tested[:-1] + tested[1:])[is_open] // 2
             at = np.flatnonzero(is_open) + 1
             tested = np.insert(tested, at, middle)
             slacks = np.insert(slacks, at, obstacles.slacks(motion.q[middle]), axis=0)
-        if least < stop_below:
+        if least < -TOUCH:
             break
     q, instant = tightest
     return replace(obstacles.closest(q), time=instant)

@@ -174,13 +174,10 @@ def _new_plan(
     progress.note(*notes)
     from robot_sysid.motion.limit_check import scale_to_limits
 
-    plan, factors = scale_to_limits(problem, plan, rate)
-    if np.min(factors) < 1.0:
-        percentage = 100.0 * np.min(factors)
-        joint = robot.joint_names[int(np.argmin(factors))]
+    plan, factor = scale_to_limits(problem, plan, rate)
+    if factor < 1.0:
         progress.note(
-            f"motion scaled down to keep all limits and clearances, most at {joint}: "
-            f"{percentage:.3g} %"
+            f"motion scaled to {100.0 * factor:.3g} % to keep all limits and clearances"
         )
     return plan, problem
 

@@ -161,17 +161,10 @@ def motion_lines(
     """Yield, mostly as details, how a motion uses its limits, and where it starts;
     assumed limits are no detail.
     """
-    yield Detail("Ranges, and peaks of their limits:")
-    limits = problem.limits.largest
-    for j, name in enumerate(problem.joint_names):
-        line = f"  {name}: position {check.lowest[j]:+.2f} to {check.highest[j]:+.2f}"
-        # Row 0 is the distance from the middle of the range; the line has the range itself.
-        for row, family in enumerate(LIMIT_NAMES[1:], 1):
-            line += f", {family} {check.joints[row, j]:.2f} of {limits[row, j]:.2f}"
-        yield Detail(line)
-    fastest = f"{check.largest[-1]:.2f} of {problem.limits.tool_speed:.2f} m/s"
-    when = f"at {check.time[-1]:.2f} s"
-    yield Detail(f"Fastest point of the tool: {fastest} {when}")
+    yield Detail("Largest values, a position from the middle of its range:")
+    uses = zip(problem.signal_names, check.largest, problem.limits.columns, check.time)
+    for name, largest, limit, time in uses:
+        yield Detail(f"  {largest:.2f} of {limit:.2f} at {time:.2f} s: {name}")
     limits_text = "; ".join(_assumed_limits(problem))
     if limits_text:
         yield f"Limits of this program (check them against the arm's): {limits_text}"
@@ -193,20 +186,16 @@ def _assumed_limits(problem: ExcitationProblem) -> Iterator[str]:
     """Yield the limits that neither the model nor an option states, such as "velocity 2 rad/s of
     joint0, joint1": a real arm may allow less than that.
     """
-    for family, is_assumed in problem.assumed.items():
-        for is_slide in (False, True):
-            is_listed = is_assumed & (problem.robot.is_slide == is_slide)
-            names = np.array(problem.joint_names)[is_listed].tolist()
-            text = f"of {', '.join(names)}"
-            if np.all(is_listed):
-                text = "of all joints"
-            if family != "position":
-                limit = problem.limits.largest[LIMIT_NAMES.index(family), is_listed]
-                values = ", ".join(f"{value:.4g}" for value in np.unique(limit))
-                squared = "²" if family == "acceleration" else ""
-                text = f"{values} {position_unit(is_slide)}/s{squared} {text}"
-            if names:
-                yield f"{family} {text}"
+    limits = problem.limits.columns[:-1].reshape(len(LIMIT_NAMES), -1)
+    joints: dict[str, list[str]] = {}
+    for row, per_second in enumerate(("", "/s", "/s²")):
+        for joint in np.flatnonzero(problem.assumed[row]):
+            unit = position_unit(problem.robot.is_slide[joint])
+            limit = f"{LIMIT_NAMES[row]} {limits[row, joint]:.4g} {unit}{per_second}"
+            joints.setdefault(limit, []).append(problem.joint_names[joint])
+    for limit, names in joints.items():
+        is_general = len(names) == problem.n_joints
+        yield f"{limit} of {'all joints' if is_general else ', '.join(names)}"
 
 
 def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,17 +86,11 @@ class MotionLimits(JointLimits):
         return 0.5 * (self.lower + self.upper)
 
     @property
-    def largest(self) -> Array:
-        """Largest allowed distance from ``center``, speed, acceleration and torque, one row each,
-        of each joint (4, n).
-        """
-        span = 0.5 * (self.upper - self.lower)
-        return np.stack((span, self.velocity, self.acceleration, self.torque))
-
-    @property
     def columns(self) -> Array:
         """Limits (4 n + 1,) of the columns of ``ExcitationProblem.signals``."""
-        return np.append(self.largest, self.tool_speed)
+        span = 0.5 * (self.upper - self.lower)
+        joints = (span, self.velocity, self.acceleration, self.torque)
+        return np.append(joints, self.tool_speed)
 
 
 @dataclass(frozen=True)
@@ -152,8 +145,8 @@ class ExcitationProblem:
             where the links are taken as they are.
         rows: indices of the chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of the noise of these torques [N m].
-        assumed: family of ``LIMIT_NAMES`` to whether each joint's limit (n,) is stated neither by
-            the model nor by an option.
+        assumed: (3, n) whether a joint's limit of position, velocity and acceleration is stated
+            neither by the model nor by an option.
         obstacles: distances between bodies that have to be kept.
         notes: sentences for the user on these limits.
         unguarded: names of the moving links without collision geometry.
@@ -171,7 +164,7 @@ class ExcitationProblem:
     obstacles: Clearance
     rows: tuple[int, ...]
     sigma: Array
-    assumed: Mapping[str, NDArray[np.bool_]]
+    assumed: NDArray[np.bool_]
     notes: tuple[str, ...] = ()
     unguarded: tuple[str, ...] = ()
 
@@ -251,24 +244,15 @@ class ExcitationProblem:
                 names.append(f"{family} limit of joint {joint}{ending}")
         return (*names, "speed limit of the tool")
 
-    def signals(
-        self, motion: Motion, torque: bool = False, tool: bool = False
-    ) -> Array:
-        """Return the quantities that have limits (N, 4 n + 1).
-
-        Distance from the middle of the range, speed, acceleration and torque of all joints, and the
-        speed of the tool's fastest point. Torques and the tool's speed are zero where nothing
-        limits them, unless ``torque`` and ``tool`` ask for them.
+    def signals(self, motion: Motion) -> Array:
+        """Return the quantities that have limits (N, 4 n + 1): distance from the middle of the
+        range, speed, acceleration and torque of all joints, and speed of the tool's fastest point.
         """
-        joint_torque = np.zeros_like(motion.q)
-        fastest = np.zeros(len(motion.q))
-        if torque or np.any(np.isfinite(self.limits.torque)):
-            joint_torque = self.torque(motion)
-        if tool or np.isfinite(self.limits.tool_speed):
-            links = self.dynamics.motion(motion.q, motion.qd, motion.qdd)
-            fastest = self.tool.speed(links.velocity[-1])
         offset = motion.q - self.limits.center
-        return np.column_stack((offset, motion.qd, motion.qdd, joint_torque, fastest))
+        links = self.dynamics.motion(motion.q, motion.qd, motion.qdd)
+        fastest = self.tool.speed(links.velocity[-1])
+        torque = self.torque(motion)
+        return np.column_stack((offset, motion.qd, motion.qdd, torque, fastest))
 
     @property
     def scale(self) -> Array:
@@ -353,7 +337,7 @@ def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
 
 def _limits(
     robot: RobotModel, options: LimitOptions, shakes_gently: bool
-) -> tuple[MotionLimits, Mapping[str, NDArray[np.bool_]]]:
+) -> tuple[MotionLimits, NDArray[np.bool_]]:
     """Return the limits of a motion, and which of them are assumed (``ExcitationProblem.assumed``).
 
     ``shakes_gently`` is as in ``build_problem``.
@@ -381,11 +365,9 @@ def _limits(
     default_speed = np.where(is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
     is_default = is_slide | (speed == DEFAULT_MAX_VELOCITY)
     has_range = np.isfinite(model_limits.lower) & np.isfinite(model_limits.upper)
-    assumed = {
-        "position": ~has_range,
-        "velocity": is_default & (model_limits.velocity >= default_speed),
-        "acceleration": is_natural & np.isfinite(acceleration),
-    }
+    is_usual_speed = is_default & (model_limits.velocity >= default_speed)
+    is_usual_acceleration = is_natural & np.isfinite(acceleration)
+    assumed = np.stack((~has_range, is_usual_speed, is_usual_acceleration))
     return limits, assumed
 
 

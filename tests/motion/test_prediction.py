@@ -46,16 +46,11 @@ def sines(xml, seed=0):
     return generate_excitation_trajectory(robot(xml), default_rng(seed), 2.0)[0]
 
 
-def find_numbers(lines, start):
-    """Return the numbers in the only line that begins with ``start``."""
-    (line,) = [line for line in lines if line.startswith(start)]
-    return [float(number) for number in re.findall(r"-?\d+\.?\d*", line)]
-
-
 def test_the_stated_tool_speed_is_that_of_the_fastest_point():
     problem = make_problem(TUBES, max_tool_speed=9.0)
     plan = sines(TUBES)
-    stated, limit, _ = find_numbers(report(problem, plan), "Fastest point of the tool")
+    (line,) = [line for line in report(problem, plan) if line.endswith("of the tool")]
+    stated, limit, _ = [float(number) for number in re.findall(r"\d+\.?\d*", line)]
     fastest = witness.fastest_point(robot(TUBES), plan, "link3")
     # A ball stands for the tube's round end: a little too fast, never too slow.
     assert fastest - 0.005 <= stated <= 1.03 * fastest + 0.005
