@@ -30,7 +30,7 @@ def designed_plan(robot, seed=1):
     problem = build_problem(robot, LimitOptions())
     knowledge = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, ExcitationOptions(), TrajectoryOptions(), knowledge)
-    return design_excitation(design, np.random.default_rng(seed)).trajectory
+    return design_excitation(design, np.random.default_rng(seed))
 
 
 def friction_errors(study, estimate):

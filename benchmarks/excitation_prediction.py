@@ -165,7 +165,7 @@ def lines(path, runs, exact):
     motion = TrajectoryOptions(sample_rate=RATE)
     options = ExcitationOptions()
     design = Design(problem, options, motion, prior_knowledge(problem, OPTIONS, "link"))
-    plan = design_excitation(design, np.random.default_rng(1)).trajectory
+    plan = design_excitation(design, np.random.default_rng(1))
     predicted = expected_fit(problem, plan, RecordingPlan(RATE, OPTIONS))
     covariance = predicted.covariance[:10, :10]
     if exact:

@@ -139,13 +139,13 @@ def line(path, joint, seeds):
     began = time.process_time()
     ratios = []
     for seed in seeds:
-        result = design_excitation(design, np.random.default_rng(seed))
-        ratios.append(left_by(design, result.trajectory))
+        plan = design_excitation(design, np.random.default_rng(seed))
+        ratios.append(left_by(design, plan))
     spent = (time.process_time() - began) / len(seeds)
     best = np.median(ratios, axis=0)
-    check = check_limits(problem, result.trajectory)
+    check = check_limits(problem, plan)
     stated = check.closest.distance
-    real = nearest(robot, result.trajectory)
+    real = nearest(robot, plan)
     pairs = zip(NAMES, sines / best, least / best)
     ratio_text = "  ".join(
         f"{name} {ratio:5.1f} ({100.0 * f:3.0f} %)" for name, ratio, f in pairs

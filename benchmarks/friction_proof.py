@@ -109,7 +109,7 @@ def plans(robot):
     knowledge = prior_knowledge(problem, EstimationOptions(), "arm")
     design = Design(problem, options, TrajectoryOptions(duration=30.0), knowledge)
     sines = [design_excitation(design, np.random.default_rng(seed)) for seed in SINES]
-    return [design_sweeps(problem), *(result.trajectory for result in sines)]
+    return [design_sweeps(problem), *sines]
 
 
 def prove(name: str, path: str) -> None:

@@ -94,7 +94,7 @@ def main(folder: Path) -> None:
     sines = generate_excitation_trajectory(
         robot, np.random.default_rng(SEED), 15.0, torque
     )[0]
-    optimal = design_excitation(design, np.random.default_rng(SEED)).trajectory
+    optimal = design_excitation(design, np.random.default_rng(SEED))
     plans: dict[str, MotionPlan] = {"random sinusoids": sines, "optimal, D": optimal}
     draw_trajectories(robot, plans, folder / "excitation_trajectories.png")
     draw_sweep(robot, plans, folder / "excitation_sweep.png")

@@ -13,7 +13,7 @@ from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import WEIGHT, ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.records import MotionPlan, RobotModel
-from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import (
     TrajectoryOptions,
     given_options,
@@ -25,8 +25,8 @@ from robot_sysid.simulator import ArmTorque
 if TYPE_CHECKING:
     from robot_sysid.motion.problem import ExcitationProblem
 
-LONGEST_CHECKED = 86400.0
-"""Length of a motion beyond which its limits are not checked any more [s]."""
+LONGEST_CHECKED = 3600.0
+"""Length of a motion beyond which it is not designed, and its limits are not checked [s]."""
 
 
 @dataclass(frozen=True)
@@ -196,16 +196,7 @@ def _designed_plan(
 
     knowledge = prior_knowledge(problem, request.estimation, request.poses.target)
     design = Design(problem, request.excitation, request.trajectory, knowledge)
-    result = design_excitation(design, rng, progress)
-    progress.note(*result.notes)
-    gain = result.start_objective / result.objective
-    progress.stage(
-        Detail(
-            f"Mean standard deviation: {result.objective:.4g}, {gain:.2f} times better than "
-            "the best random one"
-        )
-    )
-    return result.trajectory, problem
+    return design_excitation(design, rng, progress), problem
 
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -50,16 +50,9 @@ of a search grows only in proportion to its duration."""
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
 those at 1 kHz; with 10 points 0.1 %, with 5 points 0.8 % (Kinova)."""
-FEWEST_GRID_POINTS = 60
-"""Grid points of a motion, however short, at least."""
 INFORMATION_POINTS = slice(1, None, 3)
 """Grid points at which the information is computed: 8 per period change no criterion by over
 0.2 %."""
-MOST_MEMORY = 2e9
-"""Most memory that a search may take [bytes]."""
-COPIES = 3
-"""How many arrays of the size of the basis functions a search needs at a time."""
-
 STARTS = 2
 """Number of the best random trajectories that are improved by one round; only the best of these
 gets more rounds."""
@@ -99,24 +92,6 @@ touches nothing."""
 DRAW_SHARE = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
 """Share of the limits of position, speed and acceleration that a random motion uses at grid points;
 the remainder is for peaks between them."""
-CHECK_TIME = 2.0
-"""Time of a budget that is reserved for the final check of all limits [s]: what the check of a 15 s
-motion of a seven-joint arm takes."""
-DRAWS_PER_ROUND = 5
-"""Random trajectories that take about as long as a round of improvement, for the progress."""
-_STOP_NOTES: Mapping[str, tuple[str, ...]] = {
-    "": (),
-    "interrupted": (
-        "the search was interrupted; this is the best trajectory it had found until then",
-    ),
-    "time budget": (
-        "the time budget ended the search; the same seed may give another trajectory on another "
-        "machine, so keep this one (robot-sysid plan --save-trajectory) or raise "
-        "--excitation-time-budget",
-    ),
-}
-"""Reason why a search ended early, "" for none, to the notes for the user."""
-
 clock = time.monotonic
 """Returns the machine's time [s]."""
 
@@ -143,7 +118,7 @@ class Design:
         criterion: the number that is minimised.
 
     Raises:
-        InputError: the search takes too much memory, or the sample rate is too low.
+        InputError: the sample rate is too low.
     """
 
     def __init__(
@@ -174,16 +149,7 @@ class Design:
                 f"--sample-rate {motion.sample_rate:g} cannot show the motion's highest frequency, "
                 f"{top:.4g} Hz; give at least {2.0 * top:.4g}"
             )
-        points = int(np.ceil(GRID_PER_CYCLE * top * self.duration))
-        points = max(FEWEST_GRID_POINTS, points)
-        # The basis functions, and two derivatives, of 8 bytes per number.
-        memory = COPIES * 3.0 * 8.0 * points * self.size
-        if memory > MOST_MEMORY:
-            raise InputError(
-                f"designing {motion.duration:g} s would take about {memory / 1e9:.2g} GB of "
-                f"memory, the most is {MOST_MEMORY / 1e9:g} GB; make the motion shorter and "
-                "repeat it"
-            )
+        points = math.ceil(GRID_PER_CYCLE * top * self.duration)
         # In these units a step changes the speed equally in all harmonics: L-BFGS needs fewer.
         self.unit = 1.0 / np.maximum(1.0, self._waves[0] / base)
         self.grid = (np.arange(points) + 0.5) * self.duration / points
@@ -234,15 +200,15 @@ class Candidate:
         multipliers: (N, 4 n + 2) Lagrange multipliers of the constraints at the N grid points.
         rounds: number of rounds of improvement that have been completed.
         score: the criterion at ``x``, smaller is better; infinite if singular.
-        feasible_x: (n, M) the best coefficients so far that keep all limits, or None.
-        feasible_score: the criterion at ``feasible_x``; infinite where it is None.
+        feasible_x: (n, M) the best coefficients so far that keep all limits.
+        feasible_score: the criterion at ``feasible_x``; infinite where none are known.
     """
 
     x: Array
     multipliers: Array
+    feasible_x: Array
     rounds: int = 0
     score: float = np.inf
-    feasible_x: Array | None = None
     feasible_score: float = np.inf
 
     @property
@@ -357,7 +323,7 @@ def first_candidate(design: Design, x: Array) -> Candidate:
     largest multiple of x that keeps all limits as ``feasible_x``.
     """
     multipliers = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
-    return _update_feasible(design, Candidate(x, multipliers))
+    return _update_feasible(design, Candidate(x, multipliers, np.zeros_like(x)))
 
 
 def improve(
@@ -410,32 +376,13 @@ def _update_feasible(design: Design, candidate: Candidate) -> Candidate:
     return candidate
 
 
-@dataclass(frozen=True)
-class ExcitationResult:
-    """A designed trajectory and how the search for it went.
-
-    Attributes:
-        trajectory: the best one that was found; it keeps all limits.
-        objective: exp of the criterion's value: the geometric mean of the standard deviations of
-            the scaled parameters.
-        start_objective: objective of the best random trajectory.
-        stopped: "" where the search was finished, else "interrupted" or "time budget".
-        notes: sentences for the user on a search that ended early.
-    """
-
-    trajectory: SineTrajectory
-    objective: float
-    start_objective: float
-    stopped: str
-    notes: tuple[str, ...]
-
-
 def design_excitation(
     design: Design, rng: np.random.Generator, progress: Progress | None = None
-) -> ExcitationResult:
-    """Search for the trajectory that makes the predicted uncertainty smallest.
+) -> SineTrajectory:
+    """Search for the trajectory that makes the predicted uncertainty smallest; it keeps all limits.
 
-    Ctrl-C ends the search and keeps the best trajectory so far, a random one if need be.
+    Ctrl-C and the time budget end the search and keep the best trajectory so far, which a note then
+    says.
 
     Args:
         design: the arm, its limits and what is minimised.
@@ -444,117 +391,55 @@ def design_excitation(
 
     Raises:
         InputError: no drawn trajectory keeps all limits; names the limit that is in the way.
-        KeyboardInterrupt: interrupted before there was any trajectory.
+        KeyboardInterrupt: interrupted among the random trajectories.
     """
-    search = _Search(design, int(rng.integers(2**62)), progress or Progress())
-    stopped = ""
-    interruption: BaseException | None = None
+    progress = progress or Progress()
+    options = design.options
+    deadline = clock() + (options.time_budget or np.inf)
+    seed = int(rng.integers(2**62))
+    draws = []
+    for number in range(options.draws):
+        draws.append(draw_trajectory(design, seed, number))
+        progress.advance("Drawing random trajectories", number + 1, options.draws, "")
+        if np.isfinite(draws[-1].score) and clock() > deadline:
+            break
+    candidates: list[Candidate] = []
+    for draw in sorted(draws, key=lambda draw: draw.score):
+        if np.isfinite(draw.score) and len(candidates) < STARTS:
+            start = first_candidate(design, draw.x)
+            if np.isfinite(start.feasible_score):
+                candidates.append(start)
+    if not candidates:
+        raise InputError(_infeasibility(draws, design))
+
+    def require_time() -> None:
+        """Raise TimeoutError where the time budget is used up."""
+        if clock() > deadline:
+            raise TimeoutError
+
     try:
-        search.run()
-    except TimeoutError:
-        stopped = "time budget"
-    except KeyboardInterrupt as error:
-        stopped = "interrupted"
-        interruption = error
-    best = search.best
-    if best is None:  # Nothing was improved in time.
-        starts = (first_candidate(design, draw.x) for draw in search.feasible_draws())
-        best = next((start for start in starts if start.feasible_x is not None), None)
-    if best is None or best.feasible_x is None:
-        raise interruption or InputError(_infeasibility(search.draws, design))
-    return ExcitationResult(
-        trajectory=design.trajectory(best.feasible_x),
-        objective=float(np.exp(best.feasible_score)),
-        start_objective=float(np.exp(min(draw.score for draw in search.draws))),
-        stopped=stopped,
-        notes=_STOP_NOTES[stopped],
-    )
-
-
-class _Search:
-    """A search under way, of which an interruption loses nothing.
-
-    Args:
-        design: the arm, its limits and what is minimised.
-        seed: of the random trajectories.
-        progress: is advanced after every trajectory and round.
-
-    Attributes:
-        draws: the random trajectories.
-        best: the best improved trajectory that keeps all limits, or None.
-    """
-
-    def __init__(self, design: Design, seed: int, progress: Progress) -> None:
-        self.draws: list[Draw] = []
-        self.best: Candidate | None = None
-        self._design = design
-        self._seed = seed
-        self._progress = progress
-        self._shown = 0.0
-        budget = design.options.time_budget or np.inf
-        self._deadline = clock() + budget - min(0.5 * budget, CHECK_TIME)
-
-    def run(self) -> None:
-        """Draw random trajectories and improve the best; TimeoutError where the time budget ends
-        the search.
-        """
-        options = self._design.options
-        for number in range(options.draws):
-            self.draws.append(draw_trajectory(self._design, self._seed, number))
-            self._report(0.0, options.rounds / 2.0, "random motions")
-            if self.feasible_draws():
-                self._require_time()
-        candidates = []
-        for draw in self.feasible_draws()[:STARTS]:
-            start = first_candidate(self._design, draw.x)
-            candidates.append(self._improve(start))
-            self._report(len(candidates), options.rounds / 2.0)
-        if not candidates:
-            return
-        best = min(candidates, key=lambda candidate: candidate.feasible_score)
-        for n_rounds in range(1, options.rounds):
-            previous = best
-            best = self._improve(previous)
+        for number, start in enumerate(candidates):
+            candidates[number] = improve(design, start, require_time)
+        for number in range(1, options.rounds):
+            previous = min(candidates, key=lambda candidate: candidate.feasible_score)
+            text = f"round {number} of at most {options.rounds}"
+            progress.advance("Improving the best", number, options.rounds, text)
+            best = improve(design, previous, require_time)
+            candidates = [best]
             gain = previous.feasible_score - best.feasible_score
             # A round may only adapt the multipliers: the motion that breaks limits then leads, and
             # the next round turns that lead into a gain.
             lead = best.feasible_score - best.score
             if gain < LEAST_GAIN and lead < LARGEST_LEAD:
                 break
-            self._report(STARTS + n_rounds, _rounds_left(gain, lead))
-        self._report(1.0, 0.0)
-
-    def feasible_draws(self) -> list[Draw]:
-        """Return the draws that keep all limits on the grid, best first."""
-        feasible = [draw for draw in self.draws if np.isfinite(draw.score)]
-        return sorted(feasible, key=lambda draw: draw.score)
-
-    def _improve(self, candidate: Candidate) -> Candidate:
-        """Return a candidate after one more round; keep it if it is the best that keeps limits."""
-        improved = improve(self._design, candidate, self._require_time)
-        least = np.inf if self.best is None else self.best.feasible_score
-        if improved.feasible_score < least:
-            self.best = improved
-        return improved
-
-    def _require_time(self) -> None:
-        """Raise TimeoutError where the time budget is used up."""
-        if clock() > self._deadline:
-            raise TimeoutError
-
-    def _report(
-        self, done: float, left: float, text: str = "improving the best"
-    ) -> None:
-        """Show the progress after ``done`` rounds, if about as many as ``left`` will follow."""
-        done += len(self.draws) / DRAWS_PER_ROUND
-        left += (self._design.options.draws - len(self.draws)) / DRAWS_PER_ROUND
-        self._shown = max(self._shown, done / (done + left))
-        self._progress.advance("Designing the trajectory", self._shown, 1.0, text)
-
-
-def _rounds_left(gain: float, lead: float) -> float:
-    """Return about how many rounds follow one with a gain and a lead: each gains half as much."""
-    return 1.0 + max(0.0, math.log2(max(gain / LEAST_GAIN, lead / LARGEST_LEAD, 1.0)))
+        progress.advance("Improving the best", 1.0, 1.0, "")
+    except (KeyboardInterrupt, TimeoutError):
+        progress.note(
+            "the search was ended early, so that another run may find another trajectory; this is "
+            "the best one until then"
+        )
+    best = min(candidates, key=lambda candidate: candidate.feasible_score)
+    return design.trajectory(best.feasible_x)
 
 
 def _infeasibility(draws: list[Draw], design: Design) -> str:

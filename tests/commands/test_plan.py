@@ -94,8 +94,8 @@ def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
 
     monkeypatch.setattr(Console, "_print_progress", interrupt)
     printed = command.run("plan", path, SHORT)
-    assert len(lines) == 1 and re.match("Designing the trajectory: .* %", lines[0])
-    assert "interrupted; this is the best trajectory" in printed.err
+    assert len(lines) == 1 and re.match("Improving the best: .* %", lines[0])
+    assert "the search was ended early" in printed.err
     assert load_trajectory(path.parent / "sysid_output" / "trajectory.json")
 
 
