@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 18153,
     "robot_sysid/mjcf": 8062,
     "robot_sysid/model": 8850,
-    "robot_sysid/motion": 23745,
+    "robot_sysid/motion": 22030,
     "robot_sysid/pipeline": 6756,
     "robot_sysid/records": 8676,
     "robot_sysid/report": 8305,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4038,
     "robot_sysid": 12009,
-    "tests": 227076,
+    "tests": 226798,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

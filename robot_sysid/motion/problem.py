@@ -19,7 +19,7 @@ from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.solids import (
     has_floor,
     mounting_height,
-    outermost_points,
+    tool_corners,
     unguarded_links,
 )
 from robot_sysid.records import Array, JointLimits, Motion, RobotModel
@@ -94,40 +94,6 @@ class MotionLimits(JointLimits):
 
 
 @dataclass(frozen=True)
-class Tool:
-    """Shape of the terminal body and all it carries: its outermost points.
-
-    A point p of the body moves at v + w x p, so its speed is a convex function of p and the fastest
-    point is a corner of the body, or in the ball that stands for what is round about one.
-
-    Attributes:
-        points: (P, 3) in the terminal body's frame [m].
-        radius: (P,) of the ball about each point that belongs to the tool too [m].
-    """
-
-    points: Array
-    radius: Array
-
-    @property
-    def tip(self) -> Array:
-        """The tool's point (3,) farthest from the terminal body's origin, in its frame [m]."""
-        distance = np.linalg.norm(self.points, axis=1)
-        farthest = int(np.argmax(distance + self.radius))
-        point = self.points[farthest]
-        direction = np.zeros(3)
-        if distance[farthest] > 0.0:
-            direction = point / distance[farthest]
-        return point + self.radius[farthest] * direction
-
-    def speed(self, twist: Array) -> Array:
-        """Return the speed (N,) of the fastest point at twists (6, N) of the body [m/s]."""
-        turned = spatial.cross(twist[:3, None, :], self.points.T[:, :, None])
-        speeds = np.linalg.norm(twist[3:, None, :] + turned, axis=0)
-        spin = np.linalg.norm(twist[:3], axis=0)
-        return np.max(speeds + self.radius[:, None] * spin, axis=0)
-
-
-@dataclass(frozen=True)
 class ExcitationProblem:
     """One arm with everything that a search for motions and a check of limits need.
 
@@ -138,7 +104,9 @@ class ExcitationProblem:
         links: L indices in ``robot.links`` of the links with mass, descending from the terminal
             one, so that those that a joint moves come first.
         dynamics: motion of all links.
-        tool: the outermost points of the terminal link and all it carries.
+        tool: (8, 3) corners of a box about the terminal link and all it carries, in the terminal
+            body's frame [m]. Speed is a convex function of the point, so that the fastest one is a
+            corner.
         arm_torque: joint torques (N, n) along a motion, friction included, without any load.
         reserve: the heaviest load at the tip of the tool that torque limits hold for too [kg].
         link_errors: (10 L, 10 L) factor of the prior covariance of all links' parameters; zero
@@ -157,7 +125,7 @@ class ExcitationProblem:
     limits: MotionLimits
     links: tuple[int, ...]
     dynamics: LinkDynamics
-    tool: Tool
+    tool: Array
     arm_torque: TorqueFunction
     reserve: float
     link_errors: Array
@@ -214,11 +182,15 @@ class ExcitationProblem:
         return factor * np.concatenate(deviations)
 
     def torque_per_kilogram(self, motion: Motion) -> Array:
-        """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg]."""
+        """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg].
+
+        The tip is the corner of the tool's box that is farthest from the terminal body's origin.
+        """
+        tip = self.tool[np.argmax(np.linalg.norm(self.tool, axis=1))]
         thetas = np.zeros((self.n_joints, N_INERTIAL))
         # A point mass of 1 kg.
         point_inertia = np.zeros((3, 3))
-        thetas[-1] = spatial.theta_from_com(1.0, self.tool.tip, point_inertia)
+        thetas[-1] = spatial.theta_from_com(1.0, tip, point_inertia)
         return self.dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
 
     def torque_at(
@@ -250,7 +222,9 @@ class ExcitationProblem:
         """
         offset = motion.q - self.limits.center
         links = self.dynamics.motion(motion.q, motion.qd, motion.qdd)
-        fastest = self.tool.speed(links.velocity[-1])
+        spin, velocity = np.split(links.velocity[-1][:, None], 2)
+        corners = velocity + spatial.cross(spin, self.tool.T[:, :, None])
+        fastest = np.max(np.linalg.norm(corners, axis=0), axis=0)
         torque = self.torque(motion)
         return np.column_stack((offset, motion.qd, motion.qdd, torque, fastest))
 
@@ -307,7 +281,7 @@ def build_problem(
         limits=motion_limits,
         links=links,
         dynamics=LinkDynamics(robot),
-        tool=Tool(*outermost_points(robot)),
+        tool=tool_corners(robot),
         arm_torque=ArmTorque(robot),
         reserve=limits.payload_reserve,
         link_errors=model_link_factor(robot, links, 0.01 * link_uncertainty),

@@ -264,22 +264,21 @@ def has_floor(robot: RobotModel) -> bool:
     return bool(np.any(fixed & solid & is_ground))
 
 
-def outermost_points(robot: RobotModel) -> tuple[Array, Array]:
-    """Return corners (P, 3) of the terminal link and all it carries, in the terminal body's frame
-    [m], and the radius (P,) of a ball about each [m].
-
-    All of the link is within the convex hull of these balls.
+def tool_corners(robot: RobotModel) -> Array:
+    """Return the corners (8, 3) of a box about the terminal link and all it carries, along the axes
+    of the terminal body's frame, in that frame [m]; the frame's origin is in the box.
     """
     data = data_at_pose(robot.mj_model, robot.reference_qpos)
     turns = data.xmat.reshape(-1, 3, 3)
     body = robot.body_id
-    points = [np.zeros((0, 3))]
-    radius = [np.zeros(0)]
+    lowest, highest = np.zeros((2, 3))
     for solid in solids_of(robot.mj_model, subtree(robot.mj_model, body)):
-        corners = data.xpos[solid.body] + solid.points @ turns[solid.body].T
-        points.append((corners - data.xpos[body]) @ turns[body])
-        radius.append(solid.radius)
-    return _on_the_hull(np.vstack(points), np.concatenate(radius))
+        points = data.xpos[solid.body] + solid.points @ turns[solid.body].T
+        points = (points - data.xpos[body]) @ turns[body]
+        radius = solid.radius[:, None]
+        lowest = np.minimum(lowest, np.min(points - radius, axis=0))
+        highest = np.maximum(highest, np.max(points + radius, axis=0))
+    return 0.5 * (lowest + highest + (highest - lowest) * _CORNERS)
 
 
 def _on_the_hull(points: Array, radius: Array) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
-from robot_sysid.motion.problem import Tool, _space_above_base, build_problem
+from robot_sysid.motion.problem import _space_above_base, build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
@@ -59,43 +59,43 @@ def test_without_a_band_only_an_option_limits_accelerations():
     assert np.array_equal(limited.limits.acceleration, expected)
 
 
-TOOL = Tool(default_rng(0).normal(size=(7, 3)), np.array([0.0, 0.0, 0.3, 0, 0.1, 0, 0]))
-
-
-def twists(seed, count=5):
-    """Return random twists (6, count): angular velocity above linear velocity."""
-    return default_rng(seed).normal(size=(6, count))
-
-
-@given(SEEDS)
-def test_no_point_of_the_tool_exceeds_its_speed(seed):
-    """Points inside the hull of the balls, by v + w x p."""
-    rng = default_rng(seed)
-    twist = twists(seed)
-    share = rng.dirichlet(np.ones(7), size=50)
-    away = rng.normal(size=(50, 7, 3))
-    away *= TOOL.radius[:, None] / np.linalg.norm(away, axis=2, keepdims=True)
-    inside = np.einsum("sp,spi->si", share, TOOL.points + away)
-    w, v = np.split(twist.T, 2, axis=1)
-    velocities = v[:, None] + np.cross(w[:, None], inside)
-    speeds = np.linalg.norm(velocities, axis=2)
-    assert np.all(speeds <= TOOL.speed(twist)[:, None] + 1e-12)
-
-
-def test_the_tip_is_the_farthest_point():
-    far = Tool(np.array([[0.1, 0.0, 0.0], [0.0, 0.0, 0.2]]), np.array([0.3, 0.05]))
-    assert_allclose(far.tip, [0.4, 0.0, 0.0])
-    # The last tube of this arm ends 0.2 m from its joint, in a ball of 3 cm.
-    assert_allclose(make_problem(TUBES).tool.tip, [0.0, 0.0, 0.23], atol=1e-12)
-
-
-SEVEN = make_problem(arms.SEVEN)
-
-
 def random_motion(joints, seed, count=6):
     """Return a random Motion of ``count`` samples."""
     derivatives = default_rng(seed).normal(size=(3, count, joints))
     return Motion(np.arange(float(count)), *derivatives)
+
+
+@given(SEEDS)
+def test_no_point_of_the_tool_exceeds_its_speed(seed):
+    """Points of the last tube, by v + w x p; nor is the stated speed much larger."""
+    problem = make_problem(TUBES)
+    motion = random_motion(4, seed)
+    links = problem.dynamics.motion(motion.q, motion.qd, motion.qdd)
+    w, v = np.split(links.velocity[-1].T[:, None], 2, axis=2)
+    rng = default_rng(seed)
+    away = rng.normal(size=(200, 3))
+    away *= 0.03 / np.linalg.norm(away, axis=1, keepdims=True)
+    points = away + np.outer(rng.choice((0.04, 0.2), size=200), [0.0, 0.0, 1.0])
+    speeds = np.linalg.norm(v + np.cross(w, points), axis=2)
+    stated = problem.signals(motion)[:, -1]
+    assert np.all(speeds <= stated[:, None] + 1e-12)
+    assert np.all(stated <= np.max(speeds, axis=1) + 0.05 * np.linalg.norm(w, axis=2).T)
+
+
+def test_the_tip_is_the_farthest_corner():
+    """The last tube ends 0.2 m from its joint, in a ball of 3 cm."""
+    problem = make_problem(TUBES)
+    motion = random_motion(4, 0)
+    motion = replace(motion, qd=0.0 * motion.qd, qdd=0.0 * motion.qdd)
+    tip = np.array([-0.03, -0.03, 0.23])
+    thetas = np.zeros((4, 10))
+    thetas[-1] = spatial.theta_from_com(1.0, tip, np.zeros((3, 3)))
+    links = problem.dynamics.motion(motion.q, motion.qd, motion.qdd)
+    expected = links.torque(thetas)
+    assert_allclose(problem.torque_per_kilogram(motion), expected, atol=1e-12)
+
+
+SEVEN = make_problem(arms.SEVEN)
 
 
 def loaded_torque(motion, mass):
@@ -107,7 +107,8 @@ def loaded_torque(motion, mass):
 def test_the_torque_of_a_load_equals_that_of_a_loaded_arm(seed, mass):
     arm = robot(arms.SEVEN)
     motion = random_motion(7, seed)
-    load = spatial.theta_from_com(mass, SEVEN.tool.tip, np.zeros((3, 3)))
+    tip = SEVEN.tool[np.argmax(np.linalg.norm(SEVEN.tool, axis=1))]
+    load = spatial.theta_from_com(mass, tip, np.zeros((3, 3)))
     model = copy.copy(arm.mj_model)
     arms.write_body(model, arm.body_id, arm.prior.theta + load)
     mujoco.mj_setConst(model, mujoco.MjData(model))

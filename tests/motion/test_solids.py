@@ -11,7 +11,7 @@ from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from robot_sysid.motion.solids import outermost_points, solids_of, unguarded_links
+from robot_sysid.motion.solids import solids_of, tool_corners, unguarded_links
 from tests.support.arms import SEEDS, X, Z, compile_xml, hinge, link, world
 from tests.support.excitation_arms import robot
 
@@ -84,8 +84,8 @@ def test_a_solid_is_all_geoms_or_the_origin():
     assert_allclose(reach[3], (0.2, 0.3, 0.4), atol=1e-7)
 
 
-def test_the_outermost_points_include_bodies_fixed_to_the_last_one():
-    """The points are in the last body's frame."""
+def test_the_box_of_the_tool_includes_bodies_fixed_to_the_last_one():
+    """The corners are in the last body's frame."""
     tool = '<body name="tool" pos="0 0 .1" quat="1 0 1 0"><geom type="box" size=".1 .2 .3"/></body>'
     tip = link(
         hinge("roll", X),
@@ -93,12 +93,11 @@ def test_the_outermost_points_include_bodies_fixed_to_the_last_one():
         "tip",
         quat="0 1 1 0",
     )
-    points, radius = outermost_points(robot(world(link(hinge("yaw", Z), tip, "base"))))
-    assert sorted(radius) == pytest.approx([0.0] * 8 + [0.05])
-    assert_allclose(points[radius > 0.0], [[0.0, 0.0, -0.1]], atol=1e-12)
+    corners = tool_corners(robot(world(link(hinge("yaw", Z), tip, "base"))))
     # A quarter turn about y: the tool's z is the tip's x.
-    corners = points[radius == 0.0] - [0.0, 0.0, 0.1]
-    assert_allclose(np.max(corners, axis=0), [0.3, 0.2, 0.1], atol=1e-12)
+    assert_allclose(np.max(corners, axis=0), [0.3, 0.2, 0.2], atol=1e-12)
+    assert_allclose(np.min(corners, axis=0), [-0.3, -0.2, -0.15], atol=1e-12)
+    assert len({tuple(corner) for corner in corners.tolist()}) == 8
 
 
 SHELL = '<geom size=".03" pos="0 0 .1"/>'
