@@ -8,12 +8,11 @@ predicts.
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import partial
-from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -76,84 +75,50 @@ PATHS = {
     *["paths", "npaths", "nbuffer", "mesh_pathadr", "skin_pathadr", "hfield_pathadr"],
     *["tex_pathadr", "signature"],
 }
+_GAIN_ADVICE = "give the actuator kp and kv of its own"
 _ADVICE = {
     "dof_damping": "a joint's springdamper computes it from the inertia: give that joint "
-    "stiffness and damping instead to get a model"
+    "stiffness and damping instead to get a model",
+    "actuator_gainprm": _GAIN_ADVICE,
+    "actuator_biasprm": _GAIN_ADVICE,
 }
-_GAIN_ADVICE = "give the actuator kp and kv of its own"
+"""Field that MuJoCo may compute otherwise to what to do; "no model was written" for all others."""
 _NUMERIC_TYPES = (int, float, bytes, np.ndarray)
 
 
-class _RequiredValue(NamedTuple):
-    """A value that a change requires of a compiled model.
-
-    Attributes:
-        owner: description of the joint, actuator or tendon, for messages.
-        field: dotted name of the field of the compiled model.
-        address: index of the value in that field.
-        value: required number, or row of numbers.
-        advice: what to do where the compiled model has another value; ends the message.
-    """
-
-    owner: str
-    field: str
-    address: tuple[Any, ...]
-    value: Any
-    advice: str = "no model was written"
-
-    def require(self, mj_model: Any) -> None:
-        """Raise ExportError unless a compiled model has this value."""
-        actual = attrgetter(self.field)(mj_model)[self.address].tolist()
-        if not np.allclose(actual, self.value, rtol=TOLERANCE, atol=0.0):
-            raise ExportError(
-                f"in the written model, {self.owner} has {self.field} {actual} instead of "
-                f"{self.value}; {self.advice}"
-            )
-
-    def write_into(self, mj_model: Any) -> None:
-        """Set this value in a compiled model."""
-        attrgetter(self.field)(mj_model)[self.address] = self.value
-
-
-def _required_values(original: Any, change: ModelChange) -> Iterator[_RequiredValue]:
-    """Yield the values of joints, actuators, tendons and gravity that a change requires.
+def changed_copy(original: Any, change: ModelChange) -> Any:
+    """Return a compiled model with the changed numbers of joints, actuators, tendons and gravity.
 
     A position actuator (servo) of stiffness k and damping d makes the force k u - k q - d qd of
     command u: MuJoCo keeps it as the gain (k) and the bias (0, -k, -d).
 
     Args:
-        original: compiled model, whose ids of joints are those of the changed one.
-        change: the difference that is wanted.
+        original: compiled model, which stays as it is.
+        change: the difference that is wanted; bodies and new tendons are left out.
     """
+    expected = copy.copy(original)
     labels = list(map(partial(joint_label, original), range(original.njnt)))
     for joint in change.joints:
         dof = int(original.jnt_dofadr[labels.index(joint.label)])
         for name, value in joint.numbers.items():
-            field = f"dof_{name}"
-            advice = _ADVICE.get(field, "no model was written")
-            owner = f"joint '{joint.label}'"
-            yield _RequiredValue(owner, field, (dof,), value, advice)
+            getattr(expected, f"dof_{name}")[dof] = value
     for servo in change.actuators:
-        owner = f"actuator number {servo.actuator}"
         for name, value in servo.numbers.items():
-            yield _RequiredValue(owner, f"actuator_{name}", (servo.actuator,), value)
+            getattr(expected, f"actuator_{name}")[servo.actuator] = value
         if servo.stiffness is None:
             continue
-        bias_index = (servo.actuator, slice(3))
-        bias = (0.0, -servo.stiffness, -(servo.damping or 0.0))
         # A PID controller keeps its gain in the bias alone.
         if original.actuator_gainprm[servo.actuator, 0] != 0.0:
-            gain_index = (servo.actuator, 0)
-            yield _RequiredValue(
-                owner, "actuator_gainprm", gain_index, servo.stiffness, _GAIN_ADVICE
-            )
-        yield _RequiredValue(owner, "actuator_biasprm", bias_index, bias, _GAIN_ADVICE)
+            expected.actuator_gainprm[servo.actuator, 0] = servo.stiffness
+        bias = (0.0, -servo.stiffness, -(servo.damping or 0.0))
+        expected.actuator_biasprm[servo.actuator, :3] = bias
     for tendon in change.tendons:
         for name, value in tendon.numbers.items():
-            owner = f"tendon number {tendon.tendon}"
-            yield _RequiredValue(owner, f"tendon_{name}", (tendon.tendon,), value)
+            if not tendon.is_new:
+                getattr(expected, f"tendon_{name}")[tendon.tendon] = value
     if change.gravity is not None:
-        yield _RequiredValue("the world", "opt.gravity", ([0, 1, 2],), change.gravity)
+        expected.opt.gravity = change.gravity
+    return expected
 
 
 def verify_written_model(
@@ -209,24 +174,30 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
         has_mass = np.any(body.theta)
         scale_theta = body.theta if has_mass else body_theta(original, body_id)
         thetas[body_id] = body.theta, scale_theta
-    required_values = list(_required_values(original, change))
-    # Field to the rows of it that may differ.
-    rows: dict[str, set[int]] = {name: set(thetas) for name in BODY_FIELDS}
-    for required in required_values:
-        indices = np.ravel(required.address[0]).tolist()
-        rows.setdefault(required.field, set()).update(indices)
-    new_tendons = sum(tendon.is_new for tendon in change.tendons)
-    if changed.ntendon != original.ntendon + new_tendons:
+    new_tendons = [tendon for tendon in change.tendons if tendon.is_new]
+    if changed.ntendon != original.ntendon + len(new_tendons):
         count = changed.ntendon
         raise ExportError(
             f"the written model has {count} tendons; no model was written"
         )
-    require_same_model(original, changed, rows, new_body)
+    for tendon in new_tendons:
+        for name, value in tendon.numbers.items():
+            actual = getattr(changed, f"tendon_{name}")[tendon.tendon]
+            if not np.isclose(actual, value, rtol=TOLERANCE, atol=0.0):
+                raise ExportError(
+                    f"the new tendon has {name} {actual}; no model was written"
+                )
+    expected = changed_copy(original, change)
+    # Damping from a dampratio is computed from the inertia that the actuator moves.
+    is_computed = np.ones(len(original.actuator_biasprm), dtype=bool)
+    for servo in change.actuators:
+        is_computed[servo.actuator] = servo.stiffness is None
+    damping = changed.actuator_biasprm[: len(is_computed), 2]
+    expected.actuator_biasprm[is_computed, 2] = damping[is_computed]
+    require_same_model(expected, changed, set(thetas), new_body)
     for body_id, (theta, scale_theta) in thetas.items():
         is_behind_new = new_body is not None and body_id >= new_body
         require_theta(changed, body_id + is_behind_new, theta, scale_theta)
-    for required in required_values:
-        required.require(changed)
     if welded is not None and new_body is not None:
         _require_pose(changed, new_body, welded)
         require_theta(changed, new_body, welded.theta, welded.theta)
@@ -243,17 +214,17 @@ def compiled_again(written: Path) -> CompiledModel:
 def require_same_model(
     original: Any,
     other: Any,
-    changed_rows: Mapping[str, Collection[int]],
+    changed_bodies: Collection[int] = (),
     new_body: int | None = None,
 ) -> None:
-    """Raise ExportError if two compiled models differ in a field in which they may not.
+    """Raise ExportError if two compiled models differ in a field by more than rounding.
 
     The message names the first such field. Fields of ``DERIVED`` and ``PATHS`` may differ.
 
     Args:
         original: compiled model.
         other: compiled model; it may have further tendons, behind those of the original.
-        changed_rows: name of a field to the indices of its rows that may differ.
+        changed_bodies: ids of bodies of the original whose inertia may differ.
         new_body: id of the one body that only the other model has, or None.
     """
     other_fields = dict(compiled_fields(other))
@@ -272,13 +243,13 @@ def require_same_model(
     for name, value in compiled_fields(original):
         if name in ignored or name.startswith(ignored_prefixes):
             continue
-        rows = changed_rows.get(name, ())
+        rows = set(changed_bodies) if name in BODY_FIELDS else set()
         if name in _AXES_FIELDS:
-            rows = equal_bodies.union(rows)
+            rows |= equal_bodies
         if not _is_same(name, value, other_fields.get(name), rows, new_body):
             raise ExportError(
-                f"the written model differs from the original in {name}, which should not have "
-                f"changed; {_ADVICE.get(name, 'no model was written')}"
+                f"the written model has another {name} than it should have; "
+                f"{_ADVICE.get(name, 'no model was written')}"
             )
 
 
@@ -398,11 +369,9 @@ def _is_same(
         rows = np.setdiff1d(np.arange(len(original)), list(changed_rows))
         original = original[rows]
         other = other[rows]
-    if name == "actuator_biasprm":
-        # Damping from a dampratio is computed from the inertia the actuator moves.
-        original = np.delete(original, 2, axis=1)
-        other = np.delete(other, 2, axis=1)
-    return bool(np.array_equal(original, other, equal_nan=is_float))
+    if is_float:
+        return np.allclose(original, other, rtol=TOLERANCE, atol=0.0, equal_nan=True)
+    return np.array_equal(original, other)
 
 
 TORQUE_TOLERANCE = 1e-9
@@ -429,13 +398,8 @@ def require_reproduction(
         motion: motion of S samples, at which the torques are compared.
         path: path of the written model, for the message.
     """
-    expected = replace(robot, mj_model=copy.copy(robot.mj_model))
-    old_tendons = tuple(tendon for tendon in change.tendons if not tendon.is_new)
+    expected = replace(robot, mj_model=changed_copy(robot.mj_model, change))
     new_tendons = [tendon for tendon in change.tendons if tendon.is_new]
-    for required in _required_values(
-        robot.mj_model, replace(change, tendons=old_tendons)
-    ):
-        required.write_into(expected.mj_model)
     samples = motion.q, motion.qd, motion.qdd
     # What is no rigid body (springs, armature) does not depend on the links' inertia.
     predicted = LinkDynamics(expected).motion(*samples).torque(thetas)

@@ -22,11 +22,10 @@ from robot_sysid.mjcf.updated_model import (
     WeldedBody,
     changed_model_text,
 )
-from robot_sysid.model.bodies import subtree_bodies
+from robot_sysid.model.bodies import body_theta, subtree_bodies
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.verification import (
-    BODY_FIELDS,
     reads_fullinertia_exactly,
     require_change,
     require_reproduction,
@@ -58,9 +57,9 @@ def require_same_after_edit(original_text: str, replacement: str):
     """Require that the model with one text replaced differs in the inertia of link2 alone."""
     original = model()
     other = model(FULL.replace(original_text, replacement))
-    require_same_model(
-        original, other, dict.fromkeys(BODY_FIELDS, {original.body("link2").id})
-    )
+    body = original.body("link2").id
+    written = BodyChange("link2", body, body_theta(other, body))
+    require_change(original, other, ModelChange((written,), 0.0))
 
 
 def with_servo(bias):
@@ -71,11 +70,9 @@ def with_servo(bias):
 
 @pytest.mark.parametrize("bias", ["1 -10 0", "0 -11 0"])
 def test_an_actuators_own_force_and_stiffness_may_not_change(bias):
-    require_same_model(with_servo("0 -10 0"), with_servo("0 -10 0"), {})
-    with pytest.raises(
-        ExportError, match="differs from the original in actuator_biasprm"
-    ):
-        require_same_model(with_servo("0 -10 0"), with_servo(bias), {})
+    require_same_model(with_servo("0 -10 0"), with_servo("0 -10 0"))
+    with pytest.raises(ExportError, match="has another actuator_biasprm"):
+        require_same_model(with_servo("0 -10 0"), with_servo(bias))
 
 
 @pytest.mark.parametrize(
@@ -114,9 +111,7 @@ def test_the_inertia_of_the_terminal_body_may_differ_with_all_that_follows(
 )
 def test_any_other_difference_is_refused_by_name(original_text, replacement, field):
     assert original_text in FULL
-    with pytest.raises(
-        ExportError, match=f"differs from the original in {field}"
-    ) as caught:
+    with pytest.raises(ExportError, match=f"has another {field}") as caught:
         require_same_after_edit(original_text, replacement)
     assert "\n" not in str(caught.value)
 
@@ -169,9 +164,9 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
     source = write_files(tmp_path, {"m.xml": FULL.replace("-9.7", "-9.8")})
     original = model()
     for gravity, message in (
-        (None, "differs from the original in opt.gravity"),
-        ((0.0, 0.0, -9.8 + 1e-8), "opt.gravity .* instead of"),
-        ((1e-8, 0.0, -9.8), "opt.gravity .* instead of"),
+        (None, "has another opt.gravity"),
+        ((0.0, 0.0, -9.8 + 1e-8), "has another opt.gravity"),
+        ((1e-8, 0.0, -9.8), "has another opt.gravity"),
     ):
         with pytest.raises(ExportError, match=message):
             verify_written_model(
@@ -185,22 +180,16 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            JointChange("j{1}", {"armature": 0.7}),
-            "joint 'j{1}' has dof_armature 0.0 instead of 0.7",
-        ),
+        (JointChange("j{1}", {"armature": 0.7}), "has another dof_armature than"),
         (
             JointChange("j{1}", {"damping": 0.7}),
-            "joint 'j{1}' has dof_damping 0.0 instead of 0.7",
+            "has another dof_damping than it should have; a joint's springdamper",
         ),
         (
             ActuatorChange(0, 5.0, 1.0),
-            "number 0 has actuator_gainprm 10.0 instead of 5.0",
+            "another actuator_biasprm than it should have; give the actuator",
         ),
-        (
-            ActuatorChange(0, 10.0, 1.0),
-            "number 0 has actuator_biasprm [0.0, -10.0, 0.0] instead",
-        ),
+        (ActuatorChange(0, 10.0, 1.0), "has another actuator_biasprm than"),
     ],
 )
 def test_a_joint_or_actuator_without_its_new_number_is_refused_by_name(
@@ -344,7 +333,7 @@ def with_load(load_xml=NEW, original_text="", replacement=""):
 def test_a_difference_beside_the_welded_body_is_refused_by_name(
     original_text, replacement, field
 ):
-    with pytest.raises(ExportError, match=f"differs from the original in {field}"):
+    with pytest.raises(ExportError, match=f"has another {field}"):
         require_change(
             with_load(""),
             with_load(original_text=original_text, replacement=replacement),
