@@ -28,13 +28,13 @@ BUDGETS = {
     "robot_sysid/motion": 22030,
     "robot_sysid/pipeline": 6756,
     "robot_sysid/records": 8676,
-    "robot_sysid/report": 8305,
-    "robot_sysid/results": 14555,
+    "robot_sysid/report": 8024,
+    "robot_sysid/results": 14413,
     "robot_sysid/servo": 6478,
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4038,
     "robot_sysid": 12009,
-    "tests": 226798,
+    "tests": 226733,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

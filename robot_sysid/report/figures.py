@@ -21,7 +21,7 @@ from robot_sysid.report.drawing import (
     new_figure,
     svg,
 )
-from robot_sysid.report.runs import Run, theta_in
+from robot_sysid.report.runs import Run, body_in
 
 _LARGE_OFFSET = 0.5
 """Share of a residual's root mean square from which on its mean is stated."""
@@ -144,11 +144,11 @@ def motion_figure(traces: Traces, joint: int) -> Figure:
 def versions_of(run: Run, name: str) -> dict[str, Array]:
     """Return version ("before", "after", ...) to the parameters (10,) of a body of a run."""
     entry = run.bodies[name]
-    versions = {"after": theta_in(entry)}
+    versions = {"after": body_in(entry).theta}
     for version, key in (("before", "model"), ("in the file", "in_the_file")):
         # Of a run without links, "model" is the file.
         if "mass" in (entry.get(key) or {}):
-            versions[version] = theta_in(entry[key])
+            versions[version] = body_in(entry[key]).theta
     truth = None if run.traces is None else run.traces.truth
     if truth is not None and name == next(iter(run.bodies)):
         versions["truth"] = truth.theta

@@ -16,13 +16,10 @@ from typing import Any
 import numpy as np
 
 from robot_sysid import __version__
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, characteristic_length
-from robot_sysid.errors import InputError, SysidError
-from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.inertial import format_rmse
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.errors import InputError
 from robot_sysid.records.file_access import (
     CARD_NAME,
-    MODEL_NAMES,
     PARAMS_NAME,
     require_writable,
     write_atomically,
@@ -37,14 +34,13 @@ from robot_sysid.records.messages import (
 from robot_sysid.report import figures
 from robot_sysid.report.drawing import Figure, drawing_style
 from robot_sysid.report.pictures import pictures
-from robot_sysid.report.runs import Run, theta_in
+from robot_sysid.report.runs import Run, body_in
 from robot_sysid.results.body_errors import ERROR_NAMES
 from robot_sysid.results.parameter_table import (
-    CENTRAL_LABELS,
-    CENTRAL_UNITS,
     BeforeAfter,
+    central_numbers,
     friction_rows,
-    without_rounding,
+    ten_rows,
 )
 from robot_sysid.results.record import Quantity, Verdict
 
@@ -125,7 +121,6 @@ def _values_of(run: Run, mesh_dir: Path | None, progress: Progress) -> dict[str,
         "pictures": images,
         "no_pictures": no_pictures,
         "card": card.read_text("utf-8") if is_card else "",
-        "other_models": list(_other_models(run)),
         "cause": _largest_cause(next(iter(run.bodies.values()))),
     }
 
@@ -138,6 +133,8 @@ def _summary_of(run: Run) -> dict[str, Any]:
     is_refused = content["verdict"][0].startswith("Not usable")
     if is_refused or not content["valid"]["trustworthy"]:
         rating = "bad"
+    written_at = (run.folder / PARAMS_NAME).stat().st_mtime
+    day = datetime.date.fromtimestamp(written_at).isoformat()
     name = next(iter(run.bodies))
     rows = [*body_rows(run, name)[:4]]
     if not run.is_payload:
@@ -145,8 +142,8 @@ def _summary_of(run: Run) -> dict[str, Any]:
     return {
         "run": run,
         "content": content,
-        "title": title_of(run),
-        "day": _day(run),
+        "title": f"{Path(content['model']['path']).stem}, {day}: {run.log_names}",
+        "day": day,
         "rating": rating,
         "body_numbers": [_cells(row) for row in rows],
     }
@@ -184,37 +181,27 @@ def body_rows(run: Run, name: str) -> list[BeforeAfter]:
     """Return the rows of a body's mass, centre of mass and inertia about it."""
     entry = run.bodies[name]
     model = entry.get("model") or {}
-    before: Sequence[float | None] = [None] * 10
-    if "mass" in model:
-        before = _central_numbers(model)
-    shares = entry.get("data_share") or dict.fromkeys(PARAMETER_NAMES, 1.0)
-    mass_share, *other_shares = (shares[key] or 0.0 for key in PARAMETER_NAMES)
-    row_shares = [mass_share, *(min(mass_share, s) for s in other_shares[:3])]
-    row_shares += other_shares[3:]
-    errors: list[float | None] = [None] * 10
+    prior = body_in(model) if "mass" in model else None
+    shares = np.ones(10)
+    if "data_share" in entry:
+        shares = np.array([entry["data_share"][key] or 0.0 for key in PARAMETER_NAMES])
+    errors = np.zeros(10)
     if not run.is_self_test:
         # params.json has no number for an infinite error.
         known = (entry["standard_errors"][key] for key in ERROR_NAMES)
-        errors = [np.inf if error is None else error for error in known]
-    columns = (CENTRAL_LABELS, before, _central_numbers(entry), errors, CENTRAL_UNITS)
-    return list(map(BeforeAfter, *columns, row_shares))
-
-
-def _central_numbers(inertial: Mapping[str, Any]) -> list[float]:
-    """Return mass, centre of mass and inertia about it of an entry, 0.0 for rounding errors."""
-    inertia = inertial["inertia_about_com"].values()
-    length = characteristic_length(theta_in(inertial))
-    com = without_rounding(np.array(inertial["center_of_mass"], dtype=float), length)
-    return [inertial["mass"], *com.tolist(), *inertia]
+        errors = np.array([np.inf if error is None else error for error in known])
+    return ten_rows(body_in(entry), prior, errors, shares)
 
 
 def _body_cells(run: Run, name: str) -> list[tuple[str, ...]]:
     """Return the rows of a body's table, the last cell its value in the written file."""
-    written = run.bodies[name].get("in_the_file")
     rows = body_rows(run, name)
-    values = [None] * len(rows) if written is None else _central_numbers(written)
+    written = run.bodies[name].get("in_the_file")
+    if written is None:
+        return [(*_cells(row), "") for row in rows]
+    values = central_numbers(body_in(written)).tolist()
     return [
-        (*_cells(row), "" if value is None else number_text(value, row.error))
+        (*_cells(row), number_text(value, row.error))
         for row, value in zip(rows, values)
     ]
 
@@ -244,38 +231,6 @@ def _largest_cause(entry: Mapping[str, Any]) -> str:
     if not budget or entry["standard_errors"]["m"] is None:
         return ""
     return max(budget, key=lambda cause: budget[cause]["m"] or 0.0)
-
-
-def title_of(run: Run) -> str:
-    """Return the title of a run's page: the robot, the day of the identification, the logs."""
-    path = Path(run.content["model"]["path"])
-    robot = path.stem
-    try:
-        root = read_document(path).root
-        robot = root.get("model") or root.get("name") or robot
-    except SysidError:
-        # The model is not where it was: its file's name has to do.
-        pass
-    return f"{robot}, {_day(run)}: {run.log_names}"
-
-
-def _day(run: Run) -> str:
-    """Return the day on which the run wrote its result, as "2026-11-24"."""
-    written = (run.folder / PARAMS_NAME).stat().st_mtime
-    return datetime.date.fromtimestamp(written).isoformat()
-
-
-def _other_models(run: Run) -> Iterator[str]:
-    """Yield the name of each model file in the run's folder that another run has written.
-
-    A written model states the root mean square residual of its run, by which the run is recognised.
-    """
-    rmse_text = format_rmse(run.content["rmse"])
-    for name in MODEL_NAMES.values():
-        path = run.folder / name
-        # A run that writes no model leaves an older one in its folder.
-        if path.is_file() and rmse_text not in path.read_text("utf-8", "replace"):
-            yield name
 
 
 def _cell(value: float | None, error: float | None = None) -> str:

@@ -14,7 +14,7 @@ from robot_sysid.records import Array, Flange, RobotModel
 from robot_sysid.report.drawing import Figure
 from robot_sysid.report.figures import versions_of
 from robot_sysid.report.motion_strip import motion_strip
-from robot_sysid.report.runs import Run, theta_in
+from robot_sysid.report.runs import Run, body_in
 from robot_sysid.report.studio import Colour, Studio, png_bytes
 
 _SIZE = (800, 620)
@@ -101,7 +101,7 @@ def _drawn_bodies(
     without a payload, the links.
     """
     if run.is_payload:
-        payload, link, total = map(theta_in, run.bodies.values())
+        payload, link, total = (body_in(entry).theta for entry in run.bodies.values())
         entry = run.content["payload"]["flange"]
         pose = (np.array(entry["rotation"]), np.array(entry["translation"]))
         yield robot.body_id, {"after": Flange("flange", *pose).from_flange(payload)}

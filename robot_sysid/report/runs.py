@@ -21,7 +21,6 @@ from robot_sysid.logs.arrays import npz_arrays
 from robot_sysid.logs.table import as_input_errors
 from robot_sysid.records import (
     SIGNAL_NAMES,
-    Array,
     InertialParameters,
     JointLimits,
     Source,
@@ -147,12 +146,11 @@ class Run:
         return ", ".join(names) or str(self.content["source"])
 
 
-def theta_in(entry: Mapping[str, Any]) -> Array:
-    """Return the inertial parameters (10,) of an entry, in the order of ``PARAMETER_NAMES``."""
+def body_in(entry: Mapping[str, Any]) -> InertialParameters:
+    """Return the inertial parameters of an entry."""
     inertia = [entry["inertia_tensor"][name] for name in PARAMETER_NAMES[4:]]
-    return np.array(
-        [entry["mass"], *entry["center_of_mass_moment"], *inertia], dtype=float
-    )
+    theta = [entry["mass"], *entry["center_of_mass_moment"], *inertia]
+    return InertialParameters(np.array(theta, dtype=float))
 
 
 def fingerprint(folder: Path) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 
 import numpy as np
 
@@ -156,59 +155,73 @@ def parameter_rows(result: Result) -> list[BeforeAfter]:
 
 def theta_rows(body: BodyEstimate) -> list[BeforeAfter]:
     """Return the rows of the ten inertial parameters."""
-    columns = (_THETA_LABELS, PARAMETER_UNITS, body.errors, body.data_share)
-    return _number_rows(body, attrgetter("theta"), body.scale, *columns)
+    texts = (_THETA_LABELS, PARAMETER_UNITS)
+    return _rows(texts, body, body.prior, _theta_numbers, body.errors, body.data_share)
 
 
 def central_rows(body: BodyEstimate) -> list[BeforeAfter]:
-    """Return the rows of mass, centre of mass and inertia about it.
+    """Return the rows of mass, centre of mass and inertia about it, of these what is determined.
 
     The first is the mass; centre of mass (3) and inertia (6) follow where their errors are finite.
-    A centre of mass comes from the data as far as both the mass and its first moment do.
     """
-    scale = body.scale
-    scale[1:4] = spatial.characteristic_length(body.theta)
-    shares = body.data_share.copy()
-    shares[1:4] = np.minimum(shares[0], shares[1:4])
     errors = load_errors(body)
-    columns = (CENTRAL_LABELS, CENTRAL_UNITS, errors, shares)
-    rows = _number_rows(body, _central_values, scale, *columns)
+    rows = ten_rows(body, body.prior, errors, body.data_share)
     return [*rows[:1], *itertools.compress(rows[1:], np.isfinite(errors[1:]))]
 
 
-def _central_values(inertial: InertialParameters) -> Array:
-    """Return mass, centre of mass and inertia about it (10,), in the order of ``ERROR_NAMES``."""
-    mass, com, inertia = spatial.com_from_theta(inertial.theta)
-    return np.concatenate(([mass], com, spatial.six_from_symmetric(inertia)))
-
-
-def _number_rows(
-    body: BodyEstimate,
-    values_of: Callable[[InertialParameters], Array],
-    scale: Array,
-    labels: Sequence[str],
-    units: Sequence[str],
+def ten_rows(
+    body: InertialParameters,
+    prior: InertialParameters | None,
     errors: Array,
     shares: Array,
 ) -> list[BeforeAfter]:
-    """Return the rows of ten numbers of a body before and after an identification.
+    """Return the rows of mass, centre of mass and inertia about it.
+
+    A centre of mass comes from the data as far as both the mass and its first moment do.
 
     Args:
-        body: the body.
-        values_of: returns the numbers (10,) of the model's or the identified parameters.
-        scale: (10,) sizes of large values; a number far below its own is shown as zero.
-        labels: (10,) labels of the rows.
-        units: (10,) units of the numbers.
-        errors: (10,) standard errors of the identified numbers; one of zero counts as not stated.
-        shares: (10,) shares of the identified numbers that the data determines.
+        body: the identified parameters.
+        prior: those of the model; None where it has none.
+        errors: (10,) standard errors of mass, centre of mass and inertia about it; one of zero
+            counts as not stated.
+        shares: (10,) shares of the parameters that come from the data.
     """
-    priors: list[float | None] = [None] * len(errors)
-    if body.prior is not None:
-        priors = without_rounding(values_of(body.prior), scale).tolist()
-    values = without_rounding(values_of(body), scale).tolist()
+    shares = shares.copy()
+    shares[1:4] = np.minimum(shares[0], shares[1:4])
+    texts = (CENTRAL_LABELS, CENTRAL_UNITS)
+    return _rows(texts, body, prior, central_numbers, errors, shares)
+
+
+def _rows(
+    texts: tuple[Sequence[str], Sequence[str]],
+    body: InertialParameters,
+    prior: InertialParameters | None,
+    numbers_of: Callable[[InertialParameters], Array],
+    errors: Array,
+    shares: Array,
+) -> list[BeforeAfter]:
+    """Return rows of ten numbers, as of ``ten_rows``; ``texts`` are their labels and units."""
+    labels, units = texts
+    before: list[float | None] = [None] * 10
+    if prior is not None:
+        before = numbers_of(prior).tolist()
+    after = numbers_of(body).tolist()
     stated_errors = [error or None for error in errors.tolist()]
-    columns = (labels, priors, values, stated_errors, units, shares.tolist())
+    columns = (labels, before, after, stated_errors, units, shares.tolist())
     return list(map(BeforeAfter, *columns))
+
+
+def _theta_numbers(body: InertialParameters) -> Array:
+    """Return the ten parameters without rounding errors."""
+    return without_rounding(body.theta, body.scale)
+
+
+def central_numbers(body: InertialParameters) -> Array:
+    """Return mass, centre of mass and inertia about it (10,) without rounding errors."""
+    scale = body.scale
+    scale[1:4] = spatial.characteristic_length(body.theta)
+    inertia = spatial.six_from_symmetric(body.inertia_com)
+    return without_rounding(np.concatenate(([body.mass], body.com, inertia)), scale)
 
 
 def without_rounding(values: Array, scale: Array | float) -> Array:
