@@ -222,11 +222,10 @@ class Contest:
         """
         ones = np.ones(len(current.noise))
         white = self.rows.fit(current.equations.terms, current, ones)
-        fitted = self.rows.all_of(white)
         best: dict[object, tuple[float, Explanation]] = {}
         for explanation in self.offered:
-            if explanation.term.names[0] not in fitted.names:
-                gain = fitted.gain(explanation.term) - np.log(explanation.choices)
+            if explanation.term.names[0] not in white.names:
+                gain = white.gain(explanation.term) - np.log(explanation.choices)
                 family = (*explanation.subject, len(explanation.term.names))
                 if gain > best.get(family, (_WORTH,))[0]:
                     best[family] = float(gain), explanation

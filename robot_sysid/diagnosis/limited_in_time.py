@@ -149,7 +149,7 @@ def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
     terms = arm_question(log.arm, question, torque)
     equations = Equations(log.sums, terms, log.held)
     own = log.columns[:, :, equations.index]
-    known = log.columns[:, :, equations.others] @ log.held[equations.others]
+    known = log.columns @ equations.full(np.zeros_like(equations.usual))
     rows = np.concatenate((own, (log.right_sides - known)[:, :, None]), axis=2)
     size = 0.05 * typical
     weights = log.used.astype(float)

@@ -156,18 +156,29 @@ def velocity_ratios(pieces: Sequence[Measurement]) -> Array:
     It is one of joints that hardly move, and where no velocities were recorded.
 
     The displacements p of a joint by its positions and v by its velocities are compared by the sums
-    p.p and p.v over all windows of time. The velocities are p.v / p.p times the derivatives.
+    p.p and p.v over all stretches of ``INTEGRATION_TIME``, one of which begins at every sample of
+    the windows of ``spread_windows``. The velocities are p.v / p.p times the derivatives.
     """
-    n_joints = pieces[0].q.shape[1]
-    recordings = [piece for piece in pieces if piece.qd is not None]
-    if not recordings:
-        return np.ones(n_joints)
-    products = np.array([_products(recordings, k) for k in range(n_joints)])
-    largest = np.max(products[:, 0, 0], initial=0.0)
+    from scipy.integrate import cumulative_trapezoid
+
+    displacements = []
+    for piece in spread_windows(pieces):
+        length = max(1, round(INTEGRATION_TIME / sampling_period(piece.time)))
+        if piece.qd is not None and len(piece) > length:
+            integrated = cumulative_trapezoid(piece.qd, piece.time, axis=0, initial=0.0)
+            tracks = np.stack((piece.q, integrated))
+            displacements.append(tracks[:, length:] - tracks[:, :-length])
+    if not displacements:
+        return np.ones(pieces[0].q.shape[1])
+    by_position, by_velocity = np.concatenate(displacements, axis=1)
+    # A constant error of a drive's speed is neither an error of time nor another motion.
+    by_velocity = by_velocity - np.mean(by_velocity, axis=0)
+    by_position = by_position - np.mean(by_position, axis=0)
+    squares = np.sum(by_position**2, axis=0)
     # Joints that move enough, with a tenth of the largest displacement.
-    moving = products[:, 0, 0] > 0.01 * largest
-    size = np.where(moving, products[:, 0, 0], 1.0)
-    return np.where(moving, products[:, 1, 0] / size, 1.0)
+    moving = squares > 0.01 * np.max(squares)
+    products = np.sum(by_position * by_velocity, axis=0)
+    return np.where(moving, products / np.where(moving, squares, 1.0), 1.0)
 
 
 def time_share(ratios: Array) -> float:
@@ -193,31 +204,6 @@ def velocity_notes(ratios: Array, joint_names: Sequence[str]) -> Iterator[Findin
         )
         text += "positions, which are used in their place"
         yield Finding("clock", Level.NOTE, text)
-
-
-def _products(pieces: Sequence[Measurement], joint: int) -> Array:
-    """Return Y^T Y (2, 2) of a joint's displacements Y (windows, 2) over ``INTEGRATION_TIME``.
-
-    A window begins at every sample. The first column of Y is from positions, the second from
-    integrated velocities; both minus their mean. ``joint`` is the joint's index. One joint at a
-    time: arrays of all joints would take twice the memory of a long log.
-    """
-    displacements = []
-    for piece in pieces:
-        assert piece.qd is not None
-        q = piece.q[:, joint]
-        qd = piece.qd[:, joint]
-        # Number of steps in a window.
-        length = max(1, round(INTEGRATION_TIME / sampling_period(piece.time)))
-        steps = 0.5 * (qd[1:] + qd[:-1]) * np.diff(piece.time)
-        integrated = np.append(0.0, np.cumsum(steps))
-        tracks = np.stack((q, integrated))
-        displacements.append(tracks[:, length:] - tracks[:, :-length])
-    displacement = np.concatenate(displacements, axis=1)
-    # A constant error of a drive's speed is neither an error of time nor another motion.
-    count = max(displacement.shape[1], 1)
-    displacement -= np.sum(displacement, axis=1, keepdims=True) / count
-    return np.asarray(displacement @ displacement.T)
 
 
 def _steps(piece: Measurement) -> tuple[Array, Array]:
@@ -319,7 +305,7 @@ def low_pass(pieces: Sequence[Measurement], cutoff: float | None) -> list[Record
             chooses one for each piece from the data.
     """
     signals = []
-    for piece in _spread_windows(pieces):
+    for piece in spread_windows(pieces):
         log_piece = LogPiece.of(piece)
         cutoff_hz = min(cutoff or CUTOFF_SHARE * log_piece.choice.cutoff, CUTOFF_HZ)
         signals.append(process(log_piece, joint_names=(), cutoff=cutoff_hz))
@@ -327,22 +313,29 @@ def low_pass(pieces: Sequence[Measurement], cutoff: float | None) -> list[Record
     return [Recording("log", piece) for piece in signals]
 
 
-def _spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
+def spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
     """Return the pieces of a log, or windows of them where the log is long.
 
     It is long above ``MOST_WINDOWS`` times ``WINDOW``; at most ``MOST_WINDOWS`` windows, evenly
-    spread, are then returned. A window is at least ``WINDOW`` seconds long, unless its piece is
-    shorter.
+    spread, are then returned.
     """
     if _length(pieces) <= MOST_WINDOWS * WINDOW:
         return list(pieces)
-    windows = []
-    for piece in pieces:
-        count = max(1, int(_length([piece]) / WINDOW))
-        for rows in np.array_split(np.arange(len(piece)), count):
-            windows.append(slice_samples(piece, int(rows[0]), int(rows[-1]) + 1))
+    windows = [*_windows(pieces, WINDOW)]
     spread = np.linspace(0, len(windows) - 1, MOST_WINDOWS)
     return [windows[k] for k in np.unique(spread.astype(int))]
+
+
+def _windows(
+    pieces: Sequence[Measurement], longest: float, overlap: float = 0.0
+) -> Iterator[Measurement]:
+    """Yield windows of pieces, at most ``longest`` and what they overlap, ``overlap`` [s]."""
+    for piece in pieces:
+        before = round(overlap / sampling_period(piece.time))
+        count = math.ceil(_length([piece]) / longest)
+        edges = np.linspace(0, len(piece), count + 1).astype(int).tolist()
+        for first, last in zip(edges, edges[1:]):
+            yield slice_samples(piece, max(first - before, 0), last)
 
 
 def check_pieces(
@@ -408,15 +401,10 @@ def _touched(
     low-pass loses their ends.
     """
     parts: list[list[Measurement]] = [[]]
-    for piece in pieces:
-        overlap = round(_OVERLAP / sampling_period(piece.time))
-        count = math.ceil(_length([piece]) / _PART)
-        edges = np.linspace(0, len(piece), count + 1).astype(int).tolist()
-        for first, last in zip(edges, edges[1:]):
-            part = slice_samples(piece, max(first - overlap, 0), last)
-            if _length([*parts[-1], part]) > MOST_WINDOWS * WINDOW:
-                parts.append([])
-            parts[-1].append(part)
+    for window in _windows(pieces, _PART, _OVERLAP):
+        if _length([*parts[-1], window]) > MOST_WINDOWS * WINDOW:
+            parts.append([])
+        parts[-1].append(window)
     for part_pieces in filter(None, parts):
         recordings = low_pass(part_pieces, options.cutoff)
         yield from unusual_torque(robot, recordings, options)

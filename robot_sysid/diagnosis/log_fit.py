@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid.dynamics.equations import names_of, split_name
 from robot_sysid.estimate.choose import solved
-from robot_sysid.estimate.fit import Equations, Fit, correlation_times, fit, solve
+from robot_sysid.estimate.fit import Fit, correlation_times, fit, solve
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import USUAL_SCALE, Question
 from robot_sysid.estimate.rows import Mask, Part, Recording, Sums, add_up
@@ -71,6 +71,16 @@ class LogRows:
         """``typical_torque`` (J,) of the rows."""
         return typical_torque(self.sums)
 
+    @cached_property
+    def joined(self) -> Sums:
+        """The sums with all blocks as one."""
+        return replace(
+            self.sums,
+            grams=tuple(total[None] for total in self.sums.totals),
+            counts=np.sum(self.sums.counts, axis=0, keepdims=True),
+            logs=self.sums.logs[:1],
+        )
+
     def columns_of(self, names: Sequence[str]) -> Array:
         """Return the columns (K, J, e) of named parameters."""
         return self.columns[:, :, [self.sums.names.index(name) for name in names]]
@@ -95,45 +105,17 @@ class LogRows:
             like: a fit of it.
             correlation: (J,) rows that count as one; those of ``like`` by default.
         """
-        held = {name for name, value in self.arm.model.items() if value}
-        names = {name for term in terms for name in term.names}
         return fit(
             self.arm,
             self.recordings,
             self.point,
-            _narrowed(self.sums, names | held),
+            self.joined,
             terms,
             noise=like.noise,
             correlation=like.correlation if correlation is None else correlation,
             possible=False,
             question=like.question,
         )
-
-    def all_of(self, fitted: Fit) -> Fit:
-        """Return a fit of these rows with the columns of all terms, to be asked for gains."""
-        equations = Equations(self.sums, fitted.equations.terms, self.held)
-        return replace(fitted, equations=equations)
-
-
-def _narrowed(sums: Sums, names: set[str]) -> Sums:
-    """Return the sums of some parameters, all blocks as one."""
-    is_kept = np.array([name in names for name in sums.names])
-    places = np.cumsum(is_kept) - 1
-    columns = []
-    grams = []
-    for own, total in zip(sums.columns, sums.totals):
-        at = np.flatnonzero(is_kept[own])
-        columns.append(places[own[at]])
-        at = np.append(at, len(own))
-        grams.append(total[None][:, at[:, None], at])
-    return Sums(
-        tuple(np.array(sums.names)[is_kept].tolist()),
-        sums.joints,
-        tuple(columns),
-        tuple(grams),
-        np.sum(sums.counts, axis=0, keepdims=True),
-        sums.logs[:1],
-    )
 
 
 def root_mean_square(torque: Array) -> Array:

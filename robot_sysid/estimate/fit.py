@@ -78,7 +78,6 @@ class Equations:
         self.terms = tuple(terms)
         self.names = tuple(name for term in terms for name in term.names)
         self.index = sums.at(self.names)
-        self.others = np.setdiff1d(np.flatnonzero(held), self.index)
         self.own = sums.of(self.names, held)
         size = len(self.names)
         self.prior = np.zeros((size + 1, size + 1))
