@@ -58,7 +58,6 @@ _NAMES = {
         "Estimate",
         "Measurement",
         "Motion",
-        "PriorConflict",
         "Traces",
         "Validation",
         "WrongLink",

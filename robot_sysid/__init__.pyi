@@ -40,7 +40,6 @@ from robot_sysid.records.data import DataOrigin as DataOrigin
 from robot_sysid.records.data import Estimate as Estimate
 from robot_sysid.records.data import Measurement as Measurement
 from robot_sysid.records.data import Motion as Motion
-from robot_sysid.records.data import PriorConflict as PriorConflict
 from robot_sysid.records.data import Traces as Traces
 from robot_sysid.records.data import Validation as Validation
 from robot_sysid.records.data import WrongLink as WrongLink

@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -451,8 +451,6 @@ def _fit_entries(result: Result) -> dict[str, Any]:
     errors = None
     if estimate.standard_errors is not None:
         errors = dict(zip(estimate.names, estimate.standard_errors))
-    conflict_keys = ("cause", "members", "asked", "scale")
-    conflicts = [dict(zip(conflict_keys, astuple(c))) for c in result.conflicts]
     return {
         "method": estimate.method,
         "torques": result.torques,
@@ -462,7 +460,6 @@ def _fit_entries(result: Result) -> dict[str, Any]:
         "condition_number_scaled": identifiability.scaled_condition_number,
         "constrained": estimate.constrained,
         "standard_errors": errors,
-        "prior_conflicts": conflicts,
         "link_scales": result.link_scales,
         "wrong_links": result.wrong_links,
         "noise_per_joint": estimate.noise_per_joint,
@@ -479,7 +476,7 @@ def _run_entries(result: Result, notes: Sequence[str]) -> dict[str, Any]:
         "validation": result.validation,
         "cutoff": result.cutoff,
         "friction_model": result.friction_model,
-        "limitations": limitations(result),
+        "limitations": [*limitations(result)],
         "notes": [*result.notes, *notes],
         "source": data.description,
         "logs": data.files,

@@ -51,7 +51,6 @@ from robot_sysid.records import (
     Estimate,
     InertialParameters,
     JointLimits,
-    PriorConflict,
     Validation,
     WrongLink,
 )
@@ -69,8 +68,6 @@ from robot_sysid.results.record import (
 )
 from robot_sysid.signals.process import ProcessedSignals
 
-SURE = 0.99
-"""Confidence level above which a contradiction between data and prior is reported."""
 # Distance of an encoder zero from zero, in standard errors, above which it is significant.
 _CLEAR = 3.0
 # Size of an encoder zero up to which no note is added, even if it is significant [rad].
@@ -187,40 +184,12 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
         friction_model="-".join(fitted.question.friction) or "none",
         cutoff=signals[0].cutoff if signals else None,
         link_scales={name: getattr(scales, name) for name in LINK_KINDS},
-        conflicts=tuple(conflicts(fitted)),
     )
 
 
 def signals_of(fitted: Fit) -> list[ProcessedSignals]:
     """Return the low-passed signals of all recordings; resting poses have none."""
     return [r.signals for r in fitted.recordings if r.signals is not None]
-
-
-def conflicts(fitted: Fit) -> Iterator[PriorConflict]:
-    """Yield the priors that the data contradicts, of sensors and unknown friction.
-
-    The prior of the links is sized by the data, and links are judged by themselves.
-    """
-    from scipy.special import ndtri
-
-    if fitted.question.loaded:
-        return
-    for term, span in zip(fitted.equations.terms, fitted.equations.spans):
-        if term.prior is None or term.cause in (LINKS, MOTORS):
-            continue
-        off = fitted.values[span] - term.prior.mean
-        # A deviation varies by what the data has taken from the prior's variance.
-        moved = term.prior.variances - np.diag(fitted.inverse)[span]
-        seen = moved > 0.1 * term.prior.variances
-        sizes = np.where(seen, np.abs(off) / np.sqrt(np.maximum(moved, 1e-300)), 0.0)
-        limit = float(ndtri(1.0 - 0.5 * (1.0 - SURE) / (10.0 * len(sizes))))
-        if np.max(sizes) > limit:
-            members = [k for k in np.argsort(-sizes) if sizes[k] > limit]
-            owners = [split_name(term.names[k])[1] or "the arm" for k in members]
-            deviation = float(np.max(np.abs(off) / np.sqrt(term.prior.variances)))
-            yield PriorConflict(
-                term.cause, tuple(dict.fromkeys(owners)), deviation, 1.0
-            )
 
 
 def _select(fitted: Fit, names: Sequence[str]) -> Array:

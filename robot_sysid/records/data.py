@@ -333,23 +333,6 @@ class WrongLink:
     error: float
 
 
-@dataclass(frozen=True)
-class PriorConflict:
-    """A prior that the data contradicts, such as that of "links".
-
-    Attributes:
-        cause: what the prior is about.
-        members: names of the parameters' owners, the one with the largest deviation first.
-        deviation: root mean square deviation from the prior's mean, in its standard deviations.
-        scale: the factor by which the prior was widened; 1 where it was not.
-    """
-
-    cause: str
-    members: tuple[str, ...]
-    deviation: float
-    scale: float
-
-
 class Source(Enum):
     """Where the torques of an identification come from; the value describes the source."""
 

@@ -367,7 +367,6 @@ class Result:
         link_scales: "mass", "centre_of_mass" and "inertia" to the factor by which the prior
             standard deviation of the other links was widened.
         wrong_links: links of the model that the recordings contradict.
-        conflicts: priors that the data contradicts.
         notes: remarks for the user, one sentence each.
         checkpoints: motion on which a written model has to reproduce the predicted torque.
         traces: computes the measured and predicted torques that a report draws.
@@ -391,7 +390,6 @@ class Result:
     cutoff: float | None = None
     link_scales: Mapping[str, float] = field(default_factory=dict)
     wrong_links: tuple[records.WrongLink, ...] = ()
-    conflicts: tuple[records.PriorConflict, ...] = ()
     notes: tuple[str, ...] = ()
     checkpoints: Motion | None = None
     traces: Callable[[], Traces] | None = None

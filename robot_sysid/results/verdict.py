@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from robot_sysid.records import Source, Validation
-from robot_sysid.records.messages import Detail, percent
+from robot_sysid.records.messages import percent
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
 
 UNKNOWN = 0.5
@@ -34,14 +34,6 @@ _CAUSE_TEXTS = {
     "common torque scale": "the common scale of torques and masses",
 }
 """Cause of error, as in params.json, to its name in a sentence, where that is another one."""
-_CONFLICT_TEXTS = {
-    "links": "the model's numbers of other links do not fit this arm",
-    "torque scale": "the scale of the torques does not fit the model",
-    "joint offsets": "zero positions of joints do not fit the model",
-    "gravity": "the base is not level as in the model",
-    "friction model": "the joints' friction follows another law than the one that was fitted",
-}
-"""Cause of a prior that the data contradicts to a sentence that says so."""
 
 
 def verdict_line(result: Result, failure: str | None = None) -> str:
@@ -171,38 +163,13 @@ def largest_cause(body: BodyEstimate) -> str:
     return max(causes, key=lambda cause: causes[cause], default="")
 
 
-def limitations(result: Result) -> tuple[str, ...]:
-    """Return one sentence per limit of a result's accuracy; none of the model's own simulation.
+def limitations(result: Result) -> Iterator[str]:
+    """Yield sentences on torques that are predicted worse than the fitted ones.
 
-    Sentences on what the errors allow for already are ``Detail``.
+    There is none of the model's own simulation.
     """
     if not result.is_measured:
-        return ()
-    return (*_prior_conflicts(result), *_worse_predictions(result))
-
-
-def _prior_conflicts(result: Result) -> Iterator[str]:
-    """Yield a sentence per prior that the data contradicts, with the three worst members.
-
-    It is a warning where the prior had to be widened (``conflict.scale`` above 1), and a detail
-    where the errors allow for the deviation.
-    """
-    for conflict in result.conflicts:
-        text = _CONFLICT_TEXTS.get(
-            conflict.cause, f"the data contradicts the prior on {conflict.cause}"
-        )
-        text += f" (most: {', '.join(conflict.members[:3])})"
-        if conflict.scale > 1.0:
-            yield (
-                f"{text}: they are off by {conflict.deviation:.2g} times the standard deviation "
-                "of the prior, which was widened"
-            )
-        else:
-            yield Detail(f"{text}; the stated errors include this")
-
-
-def _worse_predictions(result: Result) -> Iterator[str]:
-    """Yield sentences on torques that are predicted worse than the fitted ones."""
+        return
     estimate = result.estimate
     # The residual of exact data may be far below the least noise that a fit assumes.
     joint_noise = list(estimate.noise_per_joint.values()) or [0.0]

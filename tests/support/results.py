@@ -17,7 +17,6 @@ from robot_sysid.records import (
     InertialParameters,
     JointFriction,
     JointLimits,
-    PriorConflict,
     RobotModel,
     Source,
     SubtreeBody,
@@ -261,7 +260,6 @@ def whole(**changes) -> Result:
         cutoff=8.0,
         link_scales={"mass": 4.0, "centre_of_mass": 1.0, "inertia": 2.0},
         wrong_links=(WrongLink("link3", 3.96, 2.8, 0.3),),
-        conflicts=(PriorConflict("links", ("link5",), 2.5, 1.0),),
         reasons=("because",),
         notes=("a note",),
     )
