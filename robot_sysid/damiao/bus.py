@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -218,13 +218,6 @@ _LONGEST_CYCLE = 0.1
 """Time after which answers are no longer waited for [s]: they are useless to a control loop."""
 
 
-class RegisterReply(NamedTuple):
-    """A register's value and the arbitration id of the reply."""
-
-    value: float
-    reply_id: int
-
-
 class RegisterClient:
     """Reads and writes registers of motors over a link.
 
@@ -242,10 +235,10 @@ class RegisterClient:
         self._timeout = timeout
         self.error_frames = 0
 
-    def read(self, can_id: int, register: int) -> RegisterReply | None:
-        """Return a motor's reply with a register's value; None if three requests get no answer."""
+    def read(self, can_id: int, register: int) -> float | None:
+        """Return the value of a motor's register; None if three requests get no answer."""
         replies = self.answers(protocol.read_frame(can_id, register), limit=1)
-        return replies[0] if replies else None
+        return replies[0][0] if replies else None
 
     def write(
         self, can_id: int, register: int, value: float, verify: bool = True
@@ -271,7 +264,7 @@ class RegisterClient:
         replies = self.answers(request, limit=1)
         if not replies:
             raise HardwareAbort(f"motor {can_id} did not answer to writing {name}")
-        stored = replies[0].value
+        stored, _ = replies[0]
         if protocol.bytes_from_value(register, stored) != raw:
             raise HardwareAbort(
                 f"motor {can_id} refused {name} = {value:g} and keeps {stored:g}"
@@ -320,8 +313,10 @@ class RegisterClient:
 
     def answers(
         self, request: protocol.Frame, limit: int | None = None
-    ) -> list[RegisterReply]:
-        """Return the replies to a register request; motors that share an id send several.
+    ) -> list[tuple[float, int]]:
+        """Return value and arbitration id of each reply to a register request.
+
+        Motors that share an id send several.
 
         ``limit`` is the number of replies after which no more are waited for; None waits until the
         timeout. Without any reply the request is sent again, up to three times in all; then the
@@ -333,8 +328,8 @@ class RegisterClient:
                 return replies
         return []
 
-    def _replies(self, request: protocol.Frame) -> Iterator[RegisterReply]:
-        """Send a request about a register and yield its replies until the timeout.
+    def _replies(self, request: protocol.Frame) -> Iterator[tuple[float, int]]:
+        """Send a request about a register; yield value and id of its replies until the timeout.
 
         Requests and replies have the CAN id (two bytes), operation, register and value (four).
         """
@@ -348,7 +343,7 @@ class RegisterClient:
         for frame in self._frames_after(request):
             if frame.data[:4] in heads:
                 value = protocol.value_from_bytes(register, frame.data[4:8])
-                yield RegisterReply(value, frame.id)
+                yield value, frame.id
 
     def _frames_after(self, request: protocol.Frame) -> Iterator[protocol.Frame]:
         """Send a request and yield the 8-byte frames that then come.
@@ -531,9 +526,9 @@ def _inspect_motor(client: RegisterClient, can_id: int) -> InspectedMotor | None
         return None
     registers = {}
     for number in protocol.LOGGED:
-        reply = client.read(can_id, number)
-        if reply is not None:
-            registers[number] = reply.value
-    reply_ids = tuple(answer.reply_id for answer in answers)
+        value = client.read(can_id, number)
+        if value is not None:
+            registers[number] = value
+    reply_ids = tuple(reply_id for _, reply_id in answers)
     motor = InspectedMotor(can_id, reply_ids, registers, feedback=None)
     return replace(motor, feedback=client.state_of(motor))

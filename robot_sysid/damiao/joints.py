@@ -200,25 +200,19 @@ def damiao_joints(
     Raises:
         InputError: wrong number of types or ids, unknown type, or ids that clash.
     """
-    if not motor_types:
-        raise InputError(
-            "--export-damiao requires at least one --motor-type: give one per joint, base to "
-            f"terminal, out of {', '.join(MOTORS)}"
-        )
     types = [motor_spec(name).name for name in motor_types]
     can_ids = can_ids or range(1, n_joints + 1)
     master_ids = master_ids or [can_id + MASTER_ID_OFFSET for can_id in can_ids]
-    for option, values, alternative in (
-        ("--motor-type", types, ", base to terminal"),
-        ("--can-id", can_ids, " or not at all"),
-        ("--master-id", master_ids, " or not at all"),
-        ("a joint's name", names or types, " or not at all"),
+    for option, values in (
+        ("--motor-type", types),
+        ("--can-id", can_ids),
+        ("--master-id", master_ids),
+        ("a joint's name", names or types),
     ):
         if len(values) != n_joints:
-            times = "once" if len(values) == 1 else f"{len(values)} times"
             raise InputError(
-                f"{option} was given {times} but the chain has {n_joints} joints: give it once "
-                f"per joint{alternative}"
+                f"{option} needs one value per joint of the chain, base to terminal: {n_joints}, "
+                f"got {len(values)}"
             )
     for problem in id_problems(list(zip(can_ids, master_ids))):
         raise InputError(problem)
@@ -439,16 +433,12 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
             torque_ratio=float(cells.get("torque_ratio") or 1.0),
             verified=cells.get("verified", ""),
         )
+        is_sound = joint.verified in ("", BY_HAND) and joint.direction in (1, -1)
+        if is_sound and math.isfinite(joint.offset) and 0.0 < joint.torque_ratio < 1e9:
+            return joint
     except ValueError:
-        raise InputError(
-            f"{where}: expected a name and numbers, as in elbow,can0,2,0x12,-1,0,1"
-        ) from None
-    if joint.verified not in ("", BY_HAND):
-        raise InputError(
-            f"{where}: verified must be {BY_HAND} or nothing, got {joint.verified}"
-        )
-    if joint.direction not in (1, -1):
-        raise InputError(f"{where}: direction must be +1 or -1, got {joint.direction}")
-    if not math.isfinite(joint.offset) or not 0.0 < joint.torque_ratio < math.inf:
-        raise InputError(f"{where}: offset must be a number and torque_ratio positive")
-    return joint
+        pass
+    raise InputError(
+        f"{where}: expected a row as elbow,can0,2,0x12,-1,0,1,{BY_HAND}: name, bus, ids, direction "
+        f"+1 or -1, offset, positive torque_ratio, verified {BY_HAND} or nothing"
+    )

@@ -48,6 +48,7 @@ class CycleTimer:
         period: length of a cycle [s].
         max_lateness: largest delay with which a cycle may begin [s].
         skipped: number of cycles that passed while the computer was late.
+        lateness: delay of each cycle [s].
     """
 
     def __init__(self, clock: SystemClock, period: float, max_lateness: float) -> None:
@@ -57,7 +58,7 @@ class CycleTimer:
         self._start = clock.now() + period
         self._index = 0
         self.skipped = 0
-        self._lateness = array("f")
+        self.lateness = array("f")
 
     @property
     def next_deadline(self) -> float:
@@ -74,7 +75,7 @@ class CycleTimer:
         deadline = self.next_deadline
         self._clock.sleep_until(deadline)
         lateness = self._clock.now() - deadline
-        self._lateness.append(lateness)
+        self.lateness.append(lateness)
         n_passed = max(int(lateness / self.period), 0)
         self.skipped += n_passed
         self._index += n_passed + 1
@@ -87,12 +88,6 @@ class CycleTimer:
                 f"{1e3 * self.max_lateness:g} ms; {remedy}"
             )
         return deadline + n_passed * self.period
-
-    def lateness(self, percentile: float) -> float:
-        """Return a percentile (0 to 100) of the cycles' delays [s]; 0 before the first cycle."""
-        if not self._lateness:
-            return 0.0
-        return float(np.percentile(self._lateness, percentile))
 
 
 _LIFT_SHARE = 0.2
@@ -214,12 +209,12 @@ class Player:
                     raise
                 reason = f"{type(error).__name__}: {error_text(error)}"
                 raise HardwareAbort(reason) from error
-        timer = self._timer
+        lateness_p50, lateness_p99 = np.percentile(self._timer.lateness, [50.0, 99.0])
         return PlayReport(
             cycles=self._n_recorded,
-            skipped=timer.skipped,
-            lateness_p50=timer.lateness(percentile=50.0),
-            lateness_p99=timer.lateness(percentile=99.0),
+            skipped=self._timer.skipped,
+            lateness_p50=float(lateness_p50),
+            lateness_p99=float(lateness_p99),
             missed=self._observer.total_missed,
             worst_tracking=self._observer.worst_tracking,
         )
@@ -246,9 +241,6 @@ class Player:
         self._phase(hold_reference(standing), settings.ramp_time, standing=True)
         self._rising = False
         self._hold_and_compare(standing)
-        # The torques that held the arm in the last cycles, or else the feed-forward torque.
-        torques = [torque for _, torque in self._recent_states] or [standing.torque]
-        holding_torque = np.asarray(np.mean(torques, axis=0))
         self._announce(f"moving to the first point ({approach_time:.1f} s)")
         self._phase(approach, approach_time)
         self._hold_and_compare(first)
@@ -257,7 +249,7 @@ class Player:
         self._announce("coming to rest")
         last = trajectory(duration)
         self._phase(hold_reference(last), settings.rest_time)
-        self._leave(last, at_start=standing._replace(torque=holding_torque))
+        self._leave(last, at_start=standing)
 
     def _hold_and_compare(self, reference: Reference) -> None:
         """Hold the arm still for ``rest_time``, and compare its torques with the expected ones.

@@ -397,13 +397,10 @@ def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
         options = f"--rate {least_rate:g} and --set-watchdog {LONGEST_SET_WATCHDOG:g}"
     remedy = f"give {options} or set TIMEOUT"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
-    if timeout == 0.0:
+    if not 0.0 < timeout <= _NO_WATCHDOG:
         return _stop(
-            f"{name} has no watchdog: it would go on for ever if this program died; {remedy}"
-        )
-    if timeout > _NO_WATCHDOG:
-        return _stop(
-            f"{name}'s watchdog of {timeout:g} s is none: the arm would go on that long; {remedy}"
+            f"{name} has no watchdog ({timeout:g} s): the arm would go on if this program died; "
+            f"{remedy}"
         )
     if timeout < least:
         return _stop(

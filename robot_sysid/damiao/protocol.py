@@ -44,7 +44,9 @@ _FLOAT32_SLACK = 1e-6
 A register holds float32: a limit of 12.566 comes back as 12.5659999..., and a command of 12.566
 must still be accepted.
 """
-_LOWER_ENDS = np.array([-1.0, -1.0, 0.0, 0.0, -1.0])
+COMMAND_BITS = 16, 12, 12, 12, 12
+"""Bits of position, velocity, kp, kd and torque in a command."""
+LOWER_ENDS = -1.0, -1.0, 0.0, 0.0, -1.0
 """Lower end of the range of each of a command's five fields, as a multiple of the upper end."""
 _MEASURED = [0, 1, 4]
 """Indices of position, velocity and torque among the five fields of a command."""
@@ -78,7 +80,7 @@ class _Layout:
         )
 
 
-_COMMAND = _Layout(16, 12, 12, 12, 12)
+_COMMAND = _Layout(*COMMAND_BITS)
 """Layout of a command: position, velocity, kp, kd, torque."""
 _FEEDBACK = _Layout(4, 4, 16, 12, 12, 8, 8)
 """Layout of feedback: status, CAN id, position, velocity, torque, two temperatures."""
@@ -104,7 +106,7 @@ class Scaling:
                 )
         # Ranges (n, 5) of the command's fields: position, velocity, kp, kd, torque.
         self._high = np.insert(self.limits, [2, 2], (KP_MAX, KD_MAX), axis=1)
-        self._low = self._high * _LOWER_ENDS
+        self._low = self._high * LOWER_ENDS
 
     @property
     def steps(self) -> tuple[Array, Array, Array]:

@@ -378,9 +378,10 @@ class MotorSession:
         return command
 
     def switch_off(self, joints: Mask) -> None:
-        """Command the motors of joints (n,) to disable, once and without confirmation."""
+        """Command the motors of joints (n,) to disable, once, whatever the bus raises."""
         for j in np.flatnonzero(joints).tolist():
-            self._send_disable(self.joints[j])
+            with contextlib.suppress(BaseException):
+                self._link.send(protocol.disable_frame(self.joints[j].can_id))
 
     def disable(self) -> None:
         """Disable every motor; ``unconfirmed`` then has the joints whose motors did not confirm.
@@ -391,15 +392,9 @@ class MotorSession:
         for repeat in range(_DISABLE_REPEATS):
             if repeat:
                 self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
-            for joint in self.joints:
-                self._send_disable(joint)
+            # The next of the five attempts, and the confirmation, tell whether it worked.
+            self.switch_off(np.ones(self.n_joints, bool))
         self._confirm()
-
-    def _send_disable(self, joint: DamiaoJoint) -> None:
-        """Send one disable frame, whatever the bus raises."""
-        # The next of the five attempts, and the confirmation, tell whether it worked.
-        with contextlib.suppress(BaseException):
-            self._link.send(protocol.disable_frame(joint.can_id))
 
     def _confirm(self) -> None:
         """Ask motors to disable until each has confirmed it, or ``_CONFIRM_PATIENCE`` is over.
@@ -411,8 +406,7 @@ class MotorSession:
         while np.any(running) and self.clock.now() < patience:
             try:
                 self._link.drain()
-                for j in np.flatnonzero(running):
-                    self._send_disable(self.joints[j])
+                self.switch_off(running)
                 replies = self._collect(running, self.clock.now() + _CONFIRM_TIMEOUT)
                 running &= ~replies.answered | (replies.feedback.status == ENABLED)
             except BaseException:

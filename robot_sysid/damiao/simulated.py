@@ -32,10 +32,6 @@ DEFAULT_WATCHDOG = 0.1
 """Default watchdog time of simulated motors [s], as docs/damiao.md recommends for real ones."""
 _MEASURED_BITS = 16, 12, 12
 """Bits of position, velocity and torque in an answer."""
-_COMMAND_BITS = 16, 12, 12, 12, 12
-"""Bits of position, velocity, kp, kd and torque in a command."""
-_LOWER_SIGNS = -1.0, -1.0, 0.0, 0.0, -1.0
-"""Lower ends of the ranges of a command's fields, as multiples of the upper ends."""
 _NOTHING = (0.0,) * 5
 """Command without effect: position, velocity, kp, kd and torque are zero."""
 _SAME_TIME = 1e-9
@@ -202,7 +198,9 @@ class SimulatedMotor:
         word = int.from_bytes(data, "big")
         shift = 64
         values = []
-        for high, sign, bits in zip(highest, _LOWER_SIGNS, _COMMAND_BITS):
+        for high, sign, bits in zip(
+            highest, protocol.LOWER_ENDS, protocol.COMMAND_BITS
+        ):
             low = sign * high
             max_code = (1 << bits) - 1
             shift -= bits
@@ -218,16 +216,17 @@ def simulated_motor(
 
     ``watchdog`` is the time without a command after which the motor stops [s].
     """
-    # Registers without a name here are only read, by inspections: they have a new motor's values.
     peak = joint.spec.peak_torque
-    gear = joint.spec.gear_ratio
-    registers: dict[int, float] = {
-        0: 15.0, 1: 0.0, 2: 100.0, 3: 0.8, 11: 1.96e-4, 12: 1.97e-5, 14: 5013.0, 16: 14.0,
-        17: 0.84, 19: 5.16e-3, 29: 32.0, 30: 1.0, protocol.CAN_BR: 4.0, protocol.GR: gear,
-        protocol.MST_ID: float(joint.master_id), protocol.ESC_ID: float(joint.can_id),
+    # Registers that inspections only read are zero.
+    registers = {
+        **dict.fromkeys(protocol.LOGGED, 0.0),
+        protocol.CAN_BR: 4.0,
+        protocol.GR: joint.spec.gear_ratio,
+        protocol.MST_ID: float(joint.master_id),
+        protocol.ESC_ID: float(joint.can_id),
         protocol.CTRL_MODE: float(protocol.MIT_MODE),
         protocol.TIMEOUT: float(round(watchdog / protocol.TIMEOUT_UNIT)),
-    }  # fmt: skip
+    }
     registers.update(
         zip(protocol.SCALING, np.array(joint.spec.limits, np.float32).tolist())
     )
@@ -263,18 +262,14 @@ class SimulatedArm:
         self._was_enabled = False
         # Whether commands or states have changed since ``_gather`` stored them.
         self._changed = True
-        # Time at which the motors' measured values were set, and whether the arm moved since.
-        self._read_at = -math.inf
-        self._has_moved = True
 
     def advance(self, until: float) -> None:
         """Simulate up to the time ``until`` [s]; the last step ends there.
 
         An arm of which no motor was ever enabled stands still meanwhile.
         """
-        self._has_moved |= until > self.time
         if not self._was_enabled:
-            self.leave_out(max(self.time, until))
+            self.time = max(self.time, until)
         while until - self.time > _SAME_TIME:
             duration = min(self.mechanism.timestep, until - self.time)
             self.time += duration
@@ -285,11 +280,6 @@ class SimulatedArm:
             torque, damping = self._motor_torques(ahead)
             self.mechanism.step(torque, damping, duration)
 
-    def leave_out(self, until: float) -> None:
-        """Set the simulated time to ``until`` [s]; neither the arm nor a motor's state changes."""
-        self.time = until
-        self._has_moved = True
-
     def handle(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
         """Simulate up to ``time`` [s], send a frame to all motors and return their answers."""
         self.advance(time)
@@ -298,15 +288,10 @@ class SimulatedArm:
     def answers(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
         """Send a frame to all motors at ``time`` [s] and return their answers, without simulating.
 
-        Measured positions are extrapolated with the velocities since the last simulated step. Every
-        answer is on the bus too: another motor that takes it for a command answers it in turn.
+        Every answer is on the bus too: another motor that takes it for a command answers it in
+        turn.
         """
-        if self._has_moved:
-            self._read_sensors()
-        since_reading = max(time - self._read_at, 0.0)
-        for motor in self.motors:
-            motor.position += since_reading * motor.velocity
-        self._read_at += since_reading
+        self._read_sensors()
         self._changed = True
         answers = []
         for motor in self.motors:
@@ -355,8 +340,6 @@ class SimulatedArm:
 
     def _read_sensors(self) -> None:
         """Set each motor's position, velocity and torque from the arm's present state."""
-        self._read_at = self.time
-        self._has_moved = False
         q = self.mechanism.q
         qd = self.mechanism.qd
         torque, damping = self._motor_torques(q)

@@ -139,8 +139,8 @@ def export_damiao_trajectory(
         joint_names: name of each joint, for messages; by default none.
 
     Raises:
-        InputError: motor types or ids do not fit the n joints, the arrays of a chunk do not fit
-            together, there are no samples, or a value is not finite.
+        InputError: motor types or ids do not fit the n joints, there are no samples, or a value is
+            not finite.
     """
     chunks = iter(motion_chunks)
     first = next(chunks, None)
@@ -158,7 +158,12 @@ def export_damiao_trajectory(
     with atomic_file(path_or_file) as file:
         file.write(_head(joints))
         for chunk in chain([first], chunks):
-            signals = _require_chunk(chunk, len(joints))
+            # Position, velocity and torque (3, N, n).
+            signals = np.stack(chunk[1:])
+            if not np.all(np.isfinite(signals)):
+                raise InputError(
+                    "the trajectory to export has values that are not finite"
+                )
             clamped = np.clip(signals, -limits, limits)
             n_clamped += np.any(clamped != signals, axis=0).sum(axis=0)
             _, top_velocity, top_torque = np.abs(signals).max(axis=1, initial=0.0)
@@ -197,21 +202,6 @@ def trajectory_columns(n_joints: int) -> list[str]:
     for j in range(n_joints):
         columns += [f"j{j}_pos", f"j{j}_vel", f"j{j}_tau"]
     return columns
-
-
-def _require_chunk(chunk: MotionChunk, n: int) -> Array:
-    """Return position, velocity and torque of a chunk of n joints as one array (3, N, n).
-
-    InputError where shapes do not fit together or a value is not finite.
-    """
-    time, *signals = (np.asarray(x, dtype=float) for x in chunk)
-    if time.ndim != 1 or any(x.shape != (len(time), n) for x in signals):
-        raise InputError(
-            f"motion chunks must be (N,), (N, {n}), (N, {n}), (N, {n}) arrays"
-        )
-    if not all(np.all(np.isfinite(x)) for x in (time, *signals)):
-        raise InputError("the trajectory to export contains values that are not finite")
-    return np.stack(signals)
 
 
 def _rows(time: Array, values: Array, decimals: int) -> str:

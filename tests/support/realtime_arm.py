@@ -160,7 +160,7 @@ def _serve(
         now = moment - start
         if now - arm.time > _MOST_BEHIND:
             report.left_out += now - arm.time
-            arm.leave_out(now)
+            arm.time = now
         if frame is None or now - arm.time > _LONGEST_CYCLE:
             # Only whole steps: advancing to the moment of each frame would need twice as many.
             arm.advance(arm.time + math.floor((now - arm.time) / step) * step)

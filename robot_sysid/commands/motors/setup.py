@@ -170,7 +170,7 @@ class MotorSetup:
         self._client.write(self._can_id, register, value, verify=verify)
         old_text = "unknown"
         if old is not None:
-            old_text = protocol.register_text(register, old.value)
+            old_text = protocol.register_text(register, old)
         new_text = protocol.register_text(register, value)
         return f"{self._name}: {old_text} is now {new_text}"
 

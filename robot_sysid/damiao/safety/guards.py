@@ -7,7 +7,7 @@ velocity changed no faster than a motor can change it, and the reported torque c
 command did. An implausible sample is not used, unless the next sample confirms it.
 
 Positions, velocities and torques are scaled by numbers stored in the motor. If one of these is
-wrong, every value is wrong by a constant factor, which ``ScaleCheck`` detects.
+wrong, every value is wrong by a constant factor, which ``VelocityCheck`` detects.
 
 Every command to a motor has to keep to ``CommandBounds``.
 """
@@ -232,50 +232,6 @@ _COARSE = 1.3
 """Ratio of a cycle's mean velocity to its last one above which slip cannot be judged."""
 
 
-class ScaleCheck:
-    """Checks whether two signals of n joints that should be equal have one scale.
-
-    The uncertainty of a ratio is the rounding error divided by the rms of the first signal, plus
-    three standard errors.
-
-    Args:
-        rounding: (n,) largest constant error of a pair.
-        least: least number of pairs from which a ratio is judged.
-        tolerance: error of a ratio that is accepted besides.
-        explained: (n,) largest ratio above 1 that has another cause.
-    """
-
-    def __init__(
-        self, rounding: Array, least: int, tolerance: float, explained: Array
-    ) -> None:
-        self._rounding = rounding
-        self._least = least
-        self._tolerance = tolerance
-        self._explained = explained
-        # Number of pairs (x, y) and sums of xx, xy, yy, for each joint.
-        self._sums = np.zeros((4, len(rounding)))
-
-    def add(self, x: Array, y: Array, usable: Mask) -> None:
-        """Add a pair x, y (n,) of each joint that is ``usable`` (n,)."""
-        x = np.where(usable, x, 0.0)
-        y = np.where(usable, y, 0.0)
-        self._sums += np.stack([usable, x * x, x * y, y * y])
-
-    def worst(self) -> tuple[int, float] | None:
-        """Return index and ratio y / x of the joint that is farthest beyond its doubt, or None."""
-        count, xx, xy, yy = self._sums
-        number = np.maximum(count, 1.0)
-        size = np.sqrt(xx / number)
-        is_judged = (count >= self._least) & (size > 2.0 * self._rounding)
-        ratio = np.where(is_judged, xy / np.where(is_judged, xx, 1.0), 1.0)
-        scatter = np.sqrt(np.maximum(yy - ratio * xy, 0.0)) / number
-        doubt = (self._rounding + 3.0 * scatter) / np.where(is_judged, size, np.inf)
-        unexplained = ratio / np.clip(ratio, 1.0, self._explained)
-        excess = np.abs(unexplained - 1.0) - doubt
-        j = int(np.argmax(excess))
-        return (j, float(ratio[j])) if excess[j] > self._tolerance else None
-
-
 class VelocityCheck:
     """Checks whether the velocities that n joints report integrate to their positions.
 
@@ -293,16 +249,14 @@ class VelocityCheck:
 
     Attributes:
         explained: (n,) largest possible ratio of a cycle's mean velocity to its last one.
-        scale: compares the changes of position with the integrals.
     """
 
     def __init__(self, velocity_step: Array, fades: Array) -> None:
         n_joints = len(velocity_step)
         self.explained: Array = np.expm1(fades) / fades
         self._rounding = 0.5 * velocity_step * _WINDOW
-        self.scale = ScaleCheck(
-            self._rounding, _LEAST_WINDOWS, _VELOCITY_TOLERANCE, self.explained
-        )
+        # Number of windows, and sums of xx, xy, yy of integrals x and changes y, for each joint.
+        self._sums = np.zeros((4, n_joints))
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
         # Time and position (2, n) at which each joint's window begins.
@@ -325,7 +279,7 @@ class VelocityCheck:
         is_full = is_fresh & (now[0] - self._begin[0] >= _WINDOW)
         integral, path = np.where(is_full, self._integrals, 0.0)
         change = np.where(is_full, now[1] - self._begin[1], 0.0)
-        self.scale.add(integral, change, is_full)
+        self._sums += [is_full, integral**2, integral * change, change**2]
         self._integrals = np.where(is_full, 0.0, self._integrals)
         self._begin = np.where(is_full, now[:2], self._begin)
         # Sampling late in each cycle explains any change from the integral to ``fastest``.
@@ -343,6 +297,24 @@ class VelocityCheck:
                 "reports: its gear or its encoder slips, or one of the two has another sign"
             )
         return None
+
+    def worst(self) -> tuple[int, float] | None:
+        """Return index and ratio of the joint whose velocities have the wrongest scale, or None.
+
+        It is the ratio of changes of position to integrals. Its uncertainty is the rounding error
+        divided by the rms of the integrals, plus three standard errors.
+        """
+        count, xx, xy, yy = self._sums
+        number = np.maximum(count, 1.0)
+        size = np.sqrt(xx / number)
+        is_judged = (count >= _LEAST_WINDOWS) & (size > 2.0 * self._rounding)
+        ratio = np.where(is_judged, xy / np.where(is_judged, xx, 1.0), 1.0)
+        scatter = np.sqrt(np.maximum(yy - ratio * xy, 0.0)) / number
+        doubt = (self._rounding + 3.0 * scatter) / np.where(is_judged, size, np.inf)
+        unexplained = ratio / np.clip(ratio, 1.0, self.explained)
+        excess = np.abs(unexplained - 1.0) - doubt
+        j = int(np.argmax(excess))
+        return (j, float(ratio[j])) if excess[j] > _VELOCITY_TOLERANCE else None
 
 
 _ROUNDING = 1e-6
