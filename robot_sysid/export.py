@@ -358,16 +358,9 @@ def _file_entry(file: ModelFile | None) -> dict[str, Any] | None:
     """Return the errors of the written model and the parts that it keeps."""
     if file is None:
         return None
-    model_test = file.validation_before
-    file_test = file.validation_after
-    errors = {
-        "before": model_test.relative_error,
-        "after": file_test and file_test.relative_error,
-    }
     return {
-        "torque_error": errors,
-        "before": model_test,
-        "after": file_test,
+        "before": file.validation_before,
+        "after": file.validation_after,
         "others": [{"before": b, "after": a} for b, a in file.other_validations],
         "gravity": file.gravity,
         "kept": file.unchanged,
@@ -380,14 +373,8 @@ def _payload_entry(
     """Return flange, bodies, recordings and card of a payload."""
     if payload is None:
         return None
-    flange = payload.flange
     return {
-        "flange": {
-            "name": flange.name,
-            "in_body": flange.terminal,
-            "translation": flange.translation,
-            "rotation": flange.rotation,
-        },
+        "flange": payload.flange,
         "body": _body_entry(payload.body),
         "link": _body_entry(payload.link),
         "total": _body_entry(payload.total),
@@ -444,7 +431,7 @@ def _joint_entry(
 
 
 def _fit_entries(result: Result) -> dict[str, Any]:
-    """Return the entries on the fit: method, identifiability, errors, priors, samples."""
+    """Return the entries on the fit: identifiability, errors, priors, samples."""
     estimate = result.estimate
     identifiability = estimate.identifiability
     sources = np.where(identifiability.identified, "identified", "from_model").tolist()
@@ -452,19 +439,16 @@ def _fit_entries(result: Result) -> dict[str, Any]:
     if estimate.standard_errors is not None:
         errors = dict(zip(estimate.names, estimate.standard_errors))
     return {
-        "method": estimate.method,
         "torques": result.torques,
         "parameter_source": dict(zip(estimate.names, sources)),
         "unidentifiable_combinations": identifiability.unidentifiable,
         "rmse_per_joint": estimate.rmse_per_joint,
         "condition_number_scaled": identifiability.scaled_condition_number,
-        "constrained": estimate.constrained,
         "standard_errors": errors,
         "link_scales": result.link_scales,
         "wrong_links": result.wrong_links,
         "noise_per_joint": estimate.noise_per_joint,
         "samples_per_joint": estimate.samples,
-        "effective_samples_per_joint": estimate.effective_samples,
     }
 
 

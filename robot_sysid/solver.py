@@ -53,11 +53,7 @@ def identify_parameters(
         identifiability=analyse_identifiability(matrix, information.names, joints[-1]),
         rmse=float(np.sqrt(np.sum(squares) / max(information.n_samples, 1))),
         rmse_per_joint=dict(zip(joints, rms_per_joint)),
-        method="ols",
-        covariance=covariance,
         standard_errors=errors,
         noise_per_joint={j: noise for j, count in zip(joints, counts) if count},
         samples=dict(zip(joints, counts.tolist())),
-        effective_samples=dict(zip(joints, counts.astype(float).tolist())),
-        constrained=bool(np.any(values != free)),
     )

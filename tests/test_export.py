@@ -362,7 +362,8 @@ def test_links_joints_and_the_file_stand_beside_the_models():
         "links/1/model/mass": approx(1.0),
         "links/1/in_the_file/mass": approx(1.8),
         "links/1/error_budget/links/m": approx(0.8 * 2e-3),
-        "file/torque_error": {"before": 0.27, "after": 0.0025},
+        "file/before/relative_error": 0.27,
+        "file/after/relative_error": 0.0025,
         "file/others/0/before/relative_error": 0.3,
         "file/others/0/after/rmse": 0.05,
         "file/gravity": [0.0, 0.1, -9.8],
@@ -378,9 +379,7 @@ def test_links_joints_and_the_file_stand_beside_the_models():
     thetas = np.array([np.zeros(10), made.THETA])
     massless = made.model_file(thetas=thetas, validation_after=None)
     content = content_of(made.whole(file=massless))
-    assert_holds(
-        content, {"links/0/in_the_file": None, "file/torque_error/after": None}
-    )
+    assert_holds(content, {"links/0/in_the_file": None, "file/after": None})
 
 
 def test_every_formula_is_the_column_of_its_term():
@@ -406,7 +405,7 @@ def test_a_payload_stands_between_the_link_without_and_with_it():
         "payload/link/mass": 0.8,
         "payload/total/mass": 2.0,
         "payload/flange/name": "site 'flange'",
-        "payload/flange/in_body": "link6",
+        "payload/flange/terminal": "link6",
         "payload/recordings": {"empty": ["a.csv"], "loaded": ["b.csv", "c.csv"]},
         "payload/scatter/0/mass": 1.19,
         "payload/known_mass": 2.0,

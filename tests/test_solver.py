@@ -84,15 +84,10 @@ def test_an_estimate_carries_what_it_was_made_of(seed):
     samples, names, _, rng = noisy_samples(seed, noises=(0.1, 0.2, 0.3), count=40)
     estimate = identify_parameters(samples.information(names), rng.normal(size=16))
     joints = ("joint0", "joint1", "joint2")
-    assert (estimate.names, estimate.method) == (names, "ols")
+    assert estimate.names == names
     assert estimate.samples == dict.fromkeys(joints, 40)
-    assert not estimate.constrained
     assert estimate.identifiability.rank == 12
-    for fixed in (
-        estimate.rmse_per_joint,
-        estimate.noise_per_joint,
-        estimate.effective_samples,
-    ):
+    for fixed in (estimate.rmse_per_joint, estimate.noise_per_joint):
         assert tuple(fixed) == joints
     rmse = []
     for (rows, columns), tau in zip(samples.equations, samples.torques):
@@ -100,7 +95,6 @@ def test_an_estimate_carries_what_it_was_made_of(seed):
         rmse.append(np.sqrt(np.mean(residual**2)))
     assert list(estimate.rmse_per_joint.values()) == pytest.approx(rmse, rel=1e-9)
     assert estimate.rmse == pytest.approx(np.sqrt(np.mean(np.square(rmse))), rel=1e-9)
-    assert estimate.effective_samples == dict.fromkeys(joints, 40.0)
 
 
 # --- possible bodies ----------------------------------------------------------------------------
@@ -124,7 +118,7 @@ def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(
         identify_parameters(information, prior, possible) for possible in (False, True)
     )
     is_impossible = not spatial.is_consistent(plain.values[:10])
-    assert estimate.constrained is is_impossible and not plain.constrained
+    assert np.any(estimate.values != plain.values) == is_impossible
     assert spatial.is_consistent(estimate.values[:10])
     if not is_impossible:
         assert_array_equal(estimate.values, plain.values)

@@ -326,12 +326,8 @@ def _estimate(fitted: Fit) -> Estimate:
         rmse=float(np.sqrt(np.sum(squares) / max(float(np.sum(counts)), 1.0))),
         rmse_per_joint=dict(zip(joints, rms.tolist())),
         samples=dict(zip(joints, counts.astype(int).tolist())),
-        method="wls",
-        covariance=fitted.covariance[np.ix_(order, order)],
         standard_errors=fitted.errors[order],
         noise_per_joint=fitted.noise_per_joint,
-        effective_samples=dict(zip(joints, (counts / fitted.correlation).tolist())),
-        constrained=bool(np.any(fitted.values != fitted.free)),
     )
 
 

@@ -38,7 +38,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.estimate.rows import Mask, Part, Recording, Sums, add_up
 from robot_sysid.model.bodies import usual_bodies
-from robot_sysid.records import DELAY_NAME, Array, RobotModel
+from robot_sysid.records import Array, RobotModel
 
 # Causes, as they are called in results.
 LINKS = "links"
@@ -299,7 +299,7 @@ class ArmTerms:
             yield Term(DRIFT, names_of("drift", self.joints), self._drift)
         if self.has_gravity:
             yield Term(TILT, TILT_NAMES, self._tilt, held_by=BOTH)
-        yield Term(DELAY, (DELAY_NAME,), self._delay)
+        yield Term(DELAY, ("delay",), self._delay)
 
     def _values(self, names: Sequence[str]) -> Array:
         """Return the model's values (k,) of named parameters."""

@@ -41,7 +41,7 @@ from robot_sysid.logs.table import (
 )
 from robot_sysid.logs.text import text_table
 from robot_sysid.logs.titles import read_title
-from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel, Source
+from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.messages import Detail, Progress, count_text
 from robot_sysid.records.option_fields import (
@@ -221,7 +221,7 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
     rate = sum(len(log.samples) - 1 for log in logs) / duration
     files = [str(log.path.absolute()) for log in logs]
     listed = ", ".join(map(str, logs))
-    return DataOrigin(Source.LOG, listed, duration, rate, files=tuple(files))
+    return DataOrigin(f"log {listed}", duration, rate, files=tuple(files))
 
 
 TableReader = Callable[[LogSource], LogTable]

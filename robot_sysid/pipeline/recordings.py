@@ -33,7 +33,7 @@ from robot_sysid.logs.reader import (
 )
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel, Source
+from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel
 from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
 from robot_sysid.records.messages import Progress
@@ -122,7 +122,7 @@ def identify_plant(
     if arm.save_measurements is not None:
         write_measurement_csv(arm.save_measurements, robot.joint_names, [run])
     name = str(arm.plant_model)
-    origin = DataOrigin(Source.SIMULATED_ARM, name, plan.duration, rate, seed)
+    origin = DataOrigin(f"simulated plant {name}", plan.duration, rate, seed)
     stretches = split_at_gaps(run)
     pieces = [Piece(name, samples) for samples in stretches]
     notes = (*plant.notes, *piece_notes(run, stretches))

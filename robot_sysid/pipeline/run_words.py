@@ -8,7 +8,6 @@ from robot_sysid.config import Config, PayloadConfig
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
-from robot_sysid.records import Source
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import given_arguments
 from robot_sysid.results.next_steps import step_after
@@ -22,7 +21,7 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
     """Return what to do after an identification that may be used, or None for nothing more."""
     model = str(config.model.path)
     arm = given_arguments(config.model)
-    if result.data.source is Source.ITSELF:
+    if not result.is_measured:
         folder = config.output.output_dir
         return step_after("self-test passed", model=model, options=arm, folder=folder)
     if not isinstance(config, PayloadConfig):

@@ -43,12 +43,12 @@ from robot_sysid.pipeline.planning import (
 )
 from robot_sysid.pipeline.run_words import step_after_run
 from robot_sysid.records import (
+    ITSELF,
     DataOrigin,
     Estimate,
     JointLimits,
     MotionPlan,
     RobotModel,
-    Source,
 )
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.data import Traces
@@ -294,7 +294,7 @@ def run_self_test(
         estimate=estimate,
         verdict=self_test_verdict(estimate),
         torques=options.torques,
-        data=DataOrigin(Source.ITSELF, "", plan.duration, rate, seed),
+        data=DataOrigin(ITSELF, plan.duration, rate, seed),
         joints={robot.terminal_joint: JointEstimate(model.name, terms, model_terms)},
         notes=robot.notes,
         checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),

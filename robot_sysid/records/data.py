@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Protocol
 
 import numpy as np
@@ -156,10 +155,6 @@ class SquareRootInformation:
         return np.array(sums)
 
 
-DELAY_NAME = "delay"
-"""Name of the parameter by which torque lags position."""
-
-
 @dataclass(frozen=True)
 class Identifiability:
     """Which parameters of the terminal link and its joint's friction the equations determine.
@@ -192,15 +187,10 @@ class Estimate:
         identifiability: of these parameters.
         rmse: root mean square torque residual of all joints [N m].
         rmse_per_joint: joint name to that of the joint [N m].
-        method: name of the solver.
-        covariance: (p, p), or None where none was computed; zero along unidentifiable directions.
         standard_errors: (p,) standard deviation of each value, all causes together; infinite where
             only the model's value is known.
         noise_per_joint: joint name to standard deviation of its torque noise [N m], where used.
         samples: joint name to the number of samples of its equations.
-        effective_samples: joint name to the number of independent samples, by the autocorrelation
-            of its noise.
-        constrained: whether the plain estimate was replaced by the best possible rigid body.
     """
 
     names: tuple[str, ...]
@@ -208,13 +198,9 @@ class Estimate:
     identifiability: Identifiability
     rmse: float
     rmse_per_joint: Mapping[str, float]
-    method: str = "ols"
-    covariance: Array | None = None
     standard_errors: Array | None = None
     noise_per_joint: Mapping[str, float] = field(default_factory=dict)
     samples: Mapping[str, int] = field(default_factory=dict)
-    effective_samples: Mapping[str, float] = field(default_factory=dict)
-    constrained: bool = False
 
     def __post_init__(self) -> None:
         check_arrays(self, values=(len(self.names),))
@@ -223,15 +209,6 @@ class Estimate:
     def inertial(self) -> InertialParameters:
         """The ten inertial parameters."""
         return InertialParameters(self.values[:10])
-
-    @property
-    def independent_share(self) -> dict[str, float]:
-        """Joint name to independent samples per sample; small where residuals are correlated."""
-        shares = {}
-        for joint, count in self.samples.items():
-            if count and joint in self.effective_samples:
-                shares[joint] = self.effective_samples[joint] / count
-        return shares
 
     def value(self, name: str) -> float | None:
         """Return one parameter by name, or None where it was not estimated."""
@@ -333,12 +310,8 @@ class WrongLink:
     error: float
 
 
-class Source(Enum):
-    """Where the torques of an identification come from; the value describes the source."""
-
-    ITSELF = "simulation of the model itself"
-    SIMULATED_ARM = "simulated plant"
-    LOG = "log"
+ITSELF = "simulation of the model itself"
+"""Description of the data of a self-test."""
 
 
 @dataclass(frozen=True)
@@ -346,25 +319,18 @@ class DataOrigin:
     """Where the data of an identification comes from.
 
     Attributes:
-        source: of the torques.
-        detail: added to the source's description, such as the name of a log.
+        description: such as "log arm.csv", or ``ITSELF``.
         duration: [s].
         sample_rate: [Hz].
         seed: of trajectory and simulated noise; None for a log.
         files: full paths of the logs.
     """
 
-    source: Source
-    detail: str
+    description: str
     duration: float
     sample_rate: float
     seed: int | None = None
     files: tuple[str, ...] = ()
-
-    @property
-    def description(self) -> str:
-        """Source and detail, such as "log arm.csv"."""
-        return f"{self.source.value} {self.detail}".rstrip()
 
 
 SIGNAL_NAMES = ("q", "qd", "measured", "predicted", "prior_prediction", "friction")

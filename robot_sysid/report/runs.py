@@ -20,10 +20,10 @@ from robot_sysid.export import SCHEMA_VERSION
 from robot_sysid.logs.arrays import npz_arrays
 from robot_sysid.logs.table import as_input_errors
 from robot_sysid.records import (
+    ITSELF,
     SIGNAL_NAMES,
     InertialParameters,
     JointLimits,
-    Source,
     Traces,
 )
 from robot_sysid.records.file_access import PARAMS_NAME, read_json, write_atomically
@@ -119,7 +119,7 @@ class Run:
     @property
     def is_self_test(self) -> bool:
         """Whether the data are a simulation of the model itself: all errors are of rounding."""
-        return str(self.content["source"]).startswith(Source.ITSELF.value)
+        return self.content["source"] == ITSELF
 
     @property
     def bodies(self) -> dict[str, Mapping[str, Any]]:

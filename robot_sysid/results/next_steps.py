@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Union
 
 from robot_sysid.motion import PAYLOAD_ORDER
-from robot_sysid.records import Source
 from robot_sysid.records.file_access import CARD_NAME, models_in
 from robot_sysid.records.messages import NextStep
 from robot_sysid.results.record import Result
@@ -104,7 +103,7 @@ def last_lines(
     if failure is not None:
         return tuple(lines)
     # A self-test writes back what its model says already.
-    if result.data.source is not Source.ITSELF:
+    if result.is_measured:
         for path in models_in(files)[:1]:
             lines += use_lines(path)
     if result.payload is not None:

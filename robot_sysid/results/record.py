@@ -416,7 +416,7 @@ class Result:
     @property
     def is_measured(self) -> bool:
         """Whether the data comes from anything but a simulation of the model itself."""
-        return self.data.source is not records.Source.ITSELF
+        return self.data.description != records.ITSELF
 
     @property
     def body(self) -> BodyEstimate:

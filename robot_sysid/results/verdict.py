@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from robot_sysid.records import Source, Validation
+from robot_sysid.records import Validation
 from robot_sysid.records.messages import percent
 from robot_sysid.results.record import BodyEstimate, Result, Verdict
 
@@ -48,7 +48,7 @@ def verdict_line(result: Result, failure: str | None = None) -> str:
     if failure is not None:
         return f"Not usable: {failure}"
     unseen = ", ".join(result.estimate.identifiability.unidentifiable)
-    if result.data.source is Source.ITSELF:
+    if not result.is_measured:
         use = (
             "Self-test passed: the model's own numbers came back from its own simulation, which "
             "says nothing of the real arm"

@@ -78,8 +78,6 @@ def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
     estimate = result.estimate
     assert estimate.names[:10] == spatial.PARAMETER_NAMES
     assert len(estimate.identifiability.identified) == 10 + 4 * 3
-    variances = np.square(estimate.standard_errors)
-    assert_allclose(np.diag(estimate.covariance), variances, rtol=1e-6)
     assert result.validation[0].rmse < 1.5 * estimate.rmse
 
 

@@ -14,7 +14,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
-from robot_sysid.records.data import DataOrigin, Source
+from robot_sysid.records.data import DataOrigin
 from robot_sysid.records.messages import Progress
 from robot_sysid.results.record import RolloutError, RolloutTest
 from robot_sysid.servo.commands import commanded_pieces
@@ -50,7 +50,7 @@ def identification(robot, error=0.1):
     true = np.ones(2, dtype=bool)
     errors = np.full((4, 2), 0.01)
     fit = ServoFit(numbers, errors, 0.02, 1e-3, np.ones(2), true, ~true, true)
-    origin = DataOrigin(Source.LOG, "log.csv", 10.0, 50.0)
+    origin = DataOrigin("log log.csv", 10.0, 50.0)
     rollout = test_of(robot, error)
     return servo.ServoIdentification(
         robot, fit, true, np.zeros(2), origin, rollout, 0.05, (0.5,)

@@ -10,7 +10,7 @@ from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
-from robot_sysid.records import DataOrigin, Source
+from robot_sysid.records import DataOrigin
 from tests.support.measured_logs import CUTOFF
 
 BASIC = DEFAULT_MEASURED
@@ -19,7 +19,7 @@ NO_PRIORS = Priors(link=0.0, scale=0.0, zero=0.0, gravity=0.0, delay=0.0, fricti
 """Priors with which torque noise is the only source of error."""
 NOISE_ONLY = {"priors": NO_PRIORS}
 """Options with which torque noise is the only source of error."""
-ORIGIN = DataOrigin(Source.LOG, "a log", 10.0, 200.0)
+ORIGIN = DataOrigin("log a log", 10.0, 200.0)
 
 
 def fit_recordings(robot, recordings, options=None, **question):

@@ -10,7 +10,7 @@ import pytest
 
 from robot_sysid.export import params_json_text
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import DataOrigin, JointLimits, Source
+from robot_sysid.records import DataOrigin, JointLimits
 from robot_sysid.records.data import Traces
 from robot_sysid.report.page import REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run, save_data
@@ -34,7 +34,7 @@ def arm_text():
 
 def on_arm(result, path):
     """A made-up result as one about the arm in a file."""
-    data = DataOrigin(Source.LOG, "<u>log</u>.csv", 6.0, 100.0)
+    data = DataOrigin("log <u>log</u>.csv", 6.0, 100.0)
     return replace(result, robot=load_robot_model(path), data=data)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, theta_from_com
 from robot_sysid.records import (
+    ITSELF,
     DataOrigin,
     Estimate,
     Flange,
@@ -18,7 +19,6 @@ from robot_sysid.records import (
     JointFriction,
     JointLimits,
     RobotModel,
-    Source,
     SubtreeBody,
     Validation,
     WrongLink,
@@ -74,12 +74,9 @@ def estimate(**changes) -> Estimate:
         identifiability=identifiability_record,
         rmse=0.03,
         rmse_per_joint={"j5": 0.03, "j6": 0.03},
-        method="wls",
-        covariance=np.diag(errors**2),
         standard_errors=errors,
         noise_per_joint={"j5": 0.03, "j6": 0.031},
         samples={"j5": 200, "j6": 200},
-        effective_samples={"j5": 190.0, "j6": 180.0},
     )
     return replace(defaults, **changes)
 
@@ -93,7 +90,7 @@ def found(result: Estimate | None = None, **changes) -> Result:
         estimate=result,
         verdict=Verdict.BETTER,
         torques="chain",
-        data=DataOrigin(Source.LOG, "arm.csv", 15.0, 1000.0),
+        data=DataOrigin("log arm.csv", 15.0, 1000.0),
         links={} if result.standard_errors is None else by_name(terminal(result)),
         joints={joint: joint_of(result, joint) for joint in JOINTS},
         friction_model="coulomb-viscous",
@@ -140,7 +137,7 @@ def itself(result: Estimate | None = None, **changes) -> Result:
     fit = full.names, full.values, full.identifiability, full.rmse, full.rmse_per_joint
     defaults = found(
         Estimate(*fit),
-        data=DataOrigin(Source.ITSELF, "", 15.0, 1000.0, 1),
+        data=DataOrigin(ITSELF, 15.0, 1000.0, 1),
         verdict=Verdict.OK,
         links={},
         joints={},
