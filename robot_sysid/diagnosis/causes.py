@@ -4,7 +4,7 @@ An error that every fit allows for, such as a joint's zero, has a second term he
 columns and a wider prior. To add a cause, add a function to ``CAUSES`` that takes the fit of a log
 and yields explanations.
 
-Throughout, m is the number of rows of a part, J that of joints, e that of a cause's parameters. In
+Throughout, m is the number of rows of a chunk, J that of joints, e that of a cause's parameters. In
 texts {value} stands for the number with its error, {joint} for the joint's name.
 """
 
@@ -27,7 +27,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.dynamics.spatial import parameter_scale
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.rows import Part
+from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import (
     DELAY,
     LAST_LINK,
@@ -59,8 +59,8 @@ SURE = 2.0
 """Standard errors that count as sure."""
 Values = Callable[[Array, Array], str]
 """Function that returns the user's text from values (e,) and standard errors (e,)."""
-Column = Callable[[Part, Point], Array]
-"""Function that returns a torque (m, J) or (m, J, e) of a part around a point [N m]."""
+Column = Callable[[Rows, Point], Array]
+"""Function that returns a torque (m, J) or (m, J, e) of a chunk of rows around a point [N m]."""
 
 
 @dataclass(frozen=True)
@@ -132,9 +132,9 @@ def single(
     deviations = np.atleast_1d(np.asarray(spread, dtype=float))
     names = tuple(f"{check} {key} {k}" for k in range(len(deviations)))
 
-    def stacked(part: Part, point: Point) -> Array:
+    def stacked(rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, e)."""
-        torque = columns(part, point)
+        torque = columns(rows, point)
         return torque if torque.ndim == 3 else torque[:, :, None]
 
     term = Term(check, names, stacked, independent(deviations), text=text)
@@ -163,9 +163,9 @@ def per_joint(
     owners = ("all", *arm.joints)
     names = tuple(f"{check} {key} {owner}" for owner in owners)
 
-    def with_sum(part: Part, point: Point) -> Array:
+    def with_sum(rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 1 + J), the sum of all joints first."""
-        own = columns(part, point)
+        own = columns(rows, point)
         return np.concatenate((np.sum(own, axis=2, keepdims=True), own), axis=2)
 
     family = Term(check, names, with_sum, independent(np.full(len(names), spread)))
@@ -180,45 +180,45 @@ def per_joint(
 def part_of(family: Term, number: int, text: str) -> Term:
     """Return the term of one parameter of a family."""
 
-    def columns(part: Part, point: Point) -> Array:
+    def columns(rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 1)."""
-        return family.columns(part, point)[:, :, [number]]
+        return family.columns(rows, point)[:, :, [number]]
 
     term = family.only([family.names[number]])
     return replace(term, columns=columns, text=text)
 
 
-def rigid(arm: ArmTerms, part: Part, point: Point) -> Array:
+def rigid(arm: ArmTerms, rows: Rows, point: Point) -> Array:
     """Return the torque (m, J) of the point's links [N m]."""
-    thetas = point.carried(part.is_loaded)
-    return part.links_torque(arm.robot, point.gravity, thetas)[:, arm.indices]
+    thetas = point.carried(rows.is_loaded)
+    return rows.links_torque(arm.robot, point.gravity, thetas)[:, arm.indices]
 
 
-def at_rest(arm: ArmTerms, part: Part, gravity: Array) -> LinksMotion:
-    """Return all links at rest in a part's positions, under a gravity (3,)."""
-    q = part.motion.q
+def at_rest(arm: ArmTerms, rows: Rows, gravity: Array) -> LinksMotion:
+    """Return all links at rest in the positions of rows, under a gravity (3,)."""
+    q = rows.motion.q
     still = np.zeros_like(q)
     return LinkDynamics(arm.robot, gravity).motion(q, still, still)
 
 
-def weight(arm: ArmTerms, part: Part, point: Point) -> Array:
+def weight(arm: ArmTerms, rows: Rows, point: Point) -> Array:
     """Return the torque (m, J) of the weight of the point's links [N m]."""
-    moves = at_rest(arm, part, point.gravity)
-    return moves.torque(point.carried(part.is_loaded))[:, arm.indices]
+    moves = at_rest(arm, rows, point.gravity)
+    return moves.torque(point.carried(rows.is_loaded))[:, arm.indices]
 
 
-def last_weight(arm: ArmTerms, part: Part, gravity: Array) -> Array:
+def last_weight(arm: ArmTerms, rows: Rows, gravity: Array) -> Array:
     """Return the torque (m, J, 4) of the last link's weight, per unit of mass and first moments."""
-    moves = at_rest(arm, part, gravity)
+    moves = at_rest(arm, rows, gravity)
     return moves.columns([arm.robot.n_joints - 1])[:, arm.indices, :4]
 
 
 def diagonal(columns: Column) -> Column:
     """Return a torque (m, J) as columns (m, J, J): each joint's own."""
 
-    def spread(part: Part, point: Point) -> Array:
+    def spread(rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J)."""
-        torque = columns(part, point)
+        torque = columns(rows, point)
         return torque[:, :, None] * np.eye(torque.shape[1])
 
     return spread
@@ -229,10 +229,10 @@ def along(fitted: Fit, columns: Column) -> Column:
     first = fitted.recordings[0].motion.time[0]
     last = fitted.recordings[-1].motion.time[-1]
 
-    def drifting(part: Part, point: Point) -> Array:
+    def drifting(rows: Rows, point: Point) -> Array:
         """Return the torque (m, J)."""
-        time = (2.0 * part.motion.time - first - last) / (last - first)
-        return np.asarray(columns(part, point)) * time[:, None]
+        time = (2.0 * rows.motion.time - first - last) / (last - first)
+        return np.asarray(columns(rows, point)) * time[:, None]
 
     return drifting
 
@@ -278,7 +278,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "zero",
         "the position of joint {joint} reads {value} too much; correct its zero",
         "",
-        lambda part, point: arm.terms[ZEROS].columns(part, point)[:, :, arm.indices],
+        lambda rows, point: arm.terms[ZEROS].columns(rows, point)[:, :, arm.indices],
         0.1,
         unit="rad",
         harmful_from=GROSS_ZERO,
@@ -288,7 +288,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "delay",
         "torque of joint {joint} alone lags position by {value}; record all joints at once",
         "",
-        diagonal(lambda part, point: arm.terms[DELAY].columns(part, point)[:, :, 0]),
+        diagonal(lambda rows, point: arm.terms[DELAY].columns(rows, point)[:, :, 0]),
         0.04,
         "torque lags position by {value}; record both at the same instant",
         factor=1e3,
@@ -336,10 +336,10 @@ def time_base(fitted: Fit) -> Iterator[Explanation]:
     arm = fitted.arm
     advice = "record the controller's own time stamps"
 
-    def both(part: Part, point: Point) -> Array:
+    def both(rows: Rows, point: Point) -> Array:
         """Return the torque (m, J, 2) per unit of a constant error and its change to the end."""
-        inertial = 2.0 * (rigid(arm, part, point) - weight(arm, part, point))
-        change = along(fitted, lambda *_: inertial)(part, point)
+        inertial = 2.0 * (rigid(arm, rows, point) - weight(arm, rows, point))
+        change = along(fitted, lambda *_: inertial)(rows, point)
         return np.stack((inertial, change), axis=-1)
 
     def describe(v: Array, e: Array) -> str:
@@ -385,11 +385,11 @@ def payload_step(fitted: Fit, instant: float, spacing: float) -> Explanation:
     arm = fitted.arm
     last = arm.terms[LAST_LINK]
 
-    def columns(part: Part, point: Point) -> Array:
+    def columns(rows: Rows, point: Point) -> Array:
         """Return the torque (m, J, 10) per unit of the last link's parameters after the instant."""
         key = "after", instant
-        after = part.low_passed(key, lambda m: (m.time >= instant).astype(float))
-        return last.columns(part, point) * after[:, None, None]
+        after = rows.low_passed(key, lambda m: (m.time >= instant).astype(float))
+        return last.columns(rows, point) * after[:, None, None]
 
     def describe(v: Array, e: Array) -> str:
         """Return the text for the ten changes v (10,) with standard errors e (10,)."""
@@ -436,17 +436,17 @@ def forces(fitted: Fit) -> Iterator[Explanation]:
     down = float(np.linalg.norm(gravity_vector(arm.robot))) or 9.81
     load = parameter_scale(0.1 * total, 0.1)[:4]
 
-    def pull(part: Part, point: Point) -> Array:
+    def pull(rows: Rows, point: Point) -> Array:
         """Return the torque (m, J, 12) of forces along three axes, and of their offsets."""
         # The weight of one kilogram under a gravity of one along an axis stands for a unit force.
-        axes = [-last_weight(arm, part, axis) for axis in np.eye(3)]
+        axes = [-last_weight(arm, rows, axis) for axis in np.eye(3)]
         torque = np.stack(axes, axis=-1)
         return torque.reshape(*torque.shape[:2], 12)
 
-    def share(part: Part, point: Point) -> Array:
+    def share(rows: Rows, point: Point) -> Array:
         """Return the torque (m, J, 5) of all links' weight, and of the last link's."""
-        own = weight(arm, part, point)[:, :, None]
-        return np.concatenate((own, last_weight(arm, part, point.gravity)), axis=-1)
+        own = weight(arm, rows, point)[:, :, None]
+        return np.concatenate((own, last_weight(arm, rows, point.gravity)), axis=-1)
 
     yield single(
         "force",
@@ -465,7 +465,7 @@ def forces(fitted: Fit) -> Iterator[Explanation]:
         "the last link weighs {value} more than its inertia says: something holds a part of it, "
         "or pulls, as a hand or a hose does; take it away, record again",
         "weight",
-        lambda part, point: last_weight(arm, part, point.gravity),
+        lambda rows, point: last_weight(arm, rows, point.gravity),
         load,
         level=Level.REFUSE,
         unit="kg",
@@ -493,9 +493,9 @@ def shapes_at(
     """Return the torque (m, J, e) of shapes (m,) of the motion that act at one joint."""
     arm = fitted.arm
 
-    def columns(part: Part, point: Point) -> Array:
+    def columns(rows: Rows, point: Point) -> Array:
         """Return the torque (m, J, e)."""
-        stacked = np.stack(shapes(part.motion, arm.indices[joint]), axis=-1)
+        stacked = np.stack(shapes(rows.motion, arm.indices[joint]), axis=-1)
         return stacked[:, None, :] * np.eye(len(arm.joints))[joint][:, None]
 
     return columns
@@ -586,10 +586,10 @@ def crosstalk(fitted: Fit) -> Iterator[Explanation]:
             own = np.eye(len(arm.joints))[joint]
 
             def columns(
-                part: Part, point: Point, other: int = other, own: Array = own
+                rows: Rows, point: Point, other: int = other, own: Array = own
             ) -> Array:
                 """Return the torque (m, J) of the other joint at this one."""
-                return rigid(arm, part, point)[:, [other]] * own
+                return rigid(arm, rows, point)[:, [other]] * own
 
             yield single(
                 "crosstalk",
@@ -617,10 +617,10 @@ def warming(fitted: Fit) -> Iterator[Explanation]:
     spread = 0.5 * np.maximum(np.abs(dry), 0.01 * typical_torque(fitted.sums))
     for constant in WARM_UP:
 
-        def excess(part: Part, point: Point, constant: float = constant) -> Array:
+        def excess(rows: Rows, point: Point, constant: float = constant) -> Array:
             """Return the torque (m, J) of friction above that at the end."""
-            decay = np.exp((first - part.motion.time) / constant)
-            return arm.friction_column("coulomb", part, point) * decay[:, None]
+            decay = np.exp((first - rows.motion.time) / constant)
+            return arm.friction_column("coulomb", rows, point) * decay[:, None]
 
         yield single(
             "friction",

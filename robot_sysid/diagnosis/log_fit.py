@@ -19,7 +19,7 @@ from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Fit, correlation_times, fit, solve
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import USUAL_SCALE, Question
-from robot_sysid.estimate.rows import Mask, Part, Recording, Sums, add_up
+from robot_sysid.estimate.rows import Mask, Recording, Rows, Sums, add_up
 from robot_sysid.estimate.terms import LAST_LINK, LINKS, ArmTerms, Point, Term
 from robot_sysid.records import Array, RobotModel
 
@@ -135,11 +135,11 @@ def log_rows(
     arm.names = tuple(name for term in arm.terms.values() for name in term.names)
     chunks = []
 
-    def make(part: Part) -> tuple[Array, Array, Mask]:
-        """Return the columns, right-hand sides and mask of used rows of a part."""
-        columns = [term.columns(part, point) for term in arm.terms.values()]
-        tau = part.recording.torque[part.rows][:, arm.indices] - arm.known(part)
-        used = part.recording.used[part.rows][:, arm.indices]
+    def make(rows: Rows) -> tuple[Array, Array, Mask]:
+        """Return the columns, right-hand sides and mask of used rows of a chunk."""
+        columns = [term.columns(rows, point) for term in arm.terms.values()]
+        tau = rows.recording.torque[rows.span][:, arm.indices] - arm.known(rows)
+        used = rows.recording.used[rows.span][:, arm.indices]
         chunks.append((np.concatenate(columns, axis=2), tau, used))
         return chunks[-1]
 

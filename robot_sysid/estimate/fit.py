@@ -152,7 +152,7 @@ def _inverse(matrix: Array) -> Array:
     try:
         np.linalg.cholesky(scaled)
     except np.linalg.LinAlgError:
-        # Rounding has made it indefinite: its positive part.
+        # Rounding has made it indefinite: its positive rows.
         values, vectors = np.linalg.eigh(scaled)
         half = vectors / np.sqrt(np.maximum(values, _RIDGE))
         return scale[:, None] * (half @ half.T) * scale
@@ -304,9 +304,11 @@ class Fit:
         rest = np.sum(moved * combinations, axis=1)
         for term, span in zip(self.equations.terms, self.equations.spans):
             if term.prior is not None:
-                part = np.sum((moved[:, span] @ term.prior.rows[:, :-1].T) ** 2, axis=1)
-                rest = rest - part
-                budget[term.cause] = budget.get(term.cause, 0.0) + part
+                share = np.sum(
+                    (moved[:, span] @ term.prior.rows[:, :-1].T) ** 2, axis=1
+                )
+                rest = rest - share
+                budget[term.cause] = budget.get(term.cause, 0.0) + share
         scales = np.sum((combinations @ self.scale_errors) * combinations, axis=1)
         budget[SCALES] = budget.get(SCALES, 0.0) + scales
         causes = {"noise": np.maximum(rest, 0.0), **budget}
@@ -440,10 +442,10 @@ class Fit:
         """Return the residual torque (K of all recordings, J) [N m]; NaN where not used."""
         residuals = []
         for recording in self.recordings:
-            for part in recording.parts(36 * self.arm.robot.n_joints):
-                measured = recording.torque[part.rows][:, self.arm.indices]
-                predicted = self.arm.torque(part, self.point, self.by_name)
-                used = recording.used[part.rows][:, self.arm.indices]
+            for rows in recording.chunks(36 * self.arm.robot.n_joints):
+                measured = recording.torque[rows.span][:, self.arm.indices]
+                predicted = self.arm.torque(rows, self.point, self.by_name)
+                used = recording.used[rows.span][:, self.arm.indices]
                 residuals.append(np.where(used, measured - predicted, np.nan))
         return np.concatenate(residuals)
 

@@ -342,11 +342,11 @@ def _rows(fitted: Fit, names: Sequence[str]) -> Array:
     blocks = []
     for recording in fitted.recordings:
         step = max(1, sum(map(len, fitted.recordings)) // _MOST_ROWS)
-        for part in recording.parts(len(present) * len(fitted.arm.joints)):
-            columns = [term.columns(part, fitted.point) for term in terms]
-            rows = np.concatenate(columns, axis=2)[:, :, at][::step]
-            used = recording.used[part.rows][:, fitted.arm.indices][::step]
-            blocks.append(rows[used])
+        for rows in recording.chunks(len(present) * len(fitted.arm.joints)):
+            columns = [term.columns(rows, fitted.point) for term in terms]
+            shown = np.concatenate(columns, axis=2)[:, :, at][::step]
+            used = recording.used[rows.span][:, fitted.arm.indices][::step]
+            blocks.append(shown[used])
     return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
 
 
@@ -505,19 +505,19 @@ def traces_of(
             )
     fields: dict[str, list[Array]] = {}
     for recording in fitted.recordings:
-        for part in recording.parts(36 * arm.robot.n_joints):
-            used = recording.used[part.rows][:, arm.indices]
-            measured = recording.torque[part.rows][:, arm.indices]
-            known = arm.known(part)
-            motion = part.motion
+        for rows in recording.chunks(36 * arm.robot.n_joints):
+            used = recording.used[rows.span][:, arm.indices]
+            measured = recording.torque[rows.span][:, arm.indices]
+            known = arm.known(rows)
+            motion = rows.motion
             signals = {
                 "time": motion.time,
                 "q": motion.q[:, arm.indices],
                 "qd": motion.qd[:, arm.indices],
                 "measured": np.where(used, measured, np.nan),
-                "predicted": arm.torque(part, shown.point, values),
-                "prior_prediction": arm.torque(part, shown.point, model),
-                "friction": arm.torque(part, shown.point, friction) - known,
+                "predicted": arm.torque(rows, shown.point, values),
+                "prior_prediction": arm.torque(rows, shown.point, model),
+                "friction": arm.torque(rows, shown.point, friction) - known,
             }
             for name, signal in signals.items():
                 fields.setdefault(name, []).append(signal)

@@ -111,31 +111,31 @@ class Recording:
         """Return the torque (K, n) of links with parameters ``thetas`` (n, 10) [N m]."""
         key = "links", gravity.tobytes(), thetas.tobytes()
         if self._kept.get("links of") != key:
-            parts = self.parts(36 * robot.n_joints)
-            torques = [part.moves(robot, gravity).torque(thetas) for part in parts]
+            chunks = self.chunks(36 * robot.n_joints)
+            torques = [rows.moves(robot, gravity).torque(thetas) for rows in chunks]
             self._kept["links of"] = key
             self._kept["links"] = np.concatenate(torques)
         return np.asarray(self._kept["links"])
 
-    def parts(self, width: int) -> Iterator[Part]:
+    def chunks(self, width: int) -> Iterator[Rows]:
         """Yield the rows in chunks, of which columns ``width`` numbers wide fit in memory."""
         size = max(1, _NUMBERS // max(width, 1))
         for start in range(0, len(self), size):
-            yield Part(self, slice(start, min(start + size, len(self))))
+            yield Rows(self, slice(start, min(start + size, len(self))))
 
 
 @dataclass(frozen=True)
-class Part:
-    """Successive rows of a recording: the columns of terms are made of one part at a time."""
+class Rows:
+    """Successive rows of a recording: columns of terms are made chunk by chunk, to bound memory."""
 
     recording: Recording
-    rows: slice
+    span: slice
 
     @property
     def motion(self) -> Motion:
         """The motion (m, n) at these rows."""
         fields = vars(self.recording.motion)
-        return Motion(*(fields[name][self.rows] for name in ("time", "q", "qd", "qdd")))
+        return Motion(*(fields[name][self.span] for name in ("time", "q", "qd", "qdd")))
 
     def moves(self, robot: RobotModel, gravity: Array) -> LinksMotion:
         """Return the motion of an arm's links at these rows, gravity (3,) in the world frame."""
@@ -154,11 +154,11 @@ class Part:
 
     def low_passed(self, key: object, make: Callable[[Motion], Array]) -> Array:
         """Return ``Recording.low_passed`` at these rows."""
-        return self.recording.low_passed(key, make)[self.rows]
+        return self.recording.low_passed(key, make)[self.span]
 
     def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
         """Return ``Recording.links_torque`` at these rows."""
-        return self.recording.links_torque(robot, gravity, thetas)[self.rows]
+        return self.recording.links_torque(robot, gravity, thetas)[self.span]
 
 
 @dataclass(frozen=True)
@@ -311,7 +311,7 @@ def add_up(
     recordings: Sequence[Recording],
     names: Sequence[str],
     joints: Sequence[str],
-    make: Callable[[Part], tuple[Array, Array, Mask]],
+    make: Callable[[Rows], tuple[Array, Array, Mask]],
 ) -> Sums:
     """Return the sums of all rows; columns that are nothing but rounding are zero.
 
@@ -319,7 +319,7 @@ def add_up(
         recordings: one at least.
         names: (p,) of the parameters.
         joints: names of the J joints with equations.
-        make: returns (columns (m, J, p), right-hand sides (m, J), used (m, J)) of a part.
+        make: returns (columns (m, J, p), right-hand sides (m, J), used (m, J)) of a chunk.
 
     Raises:
         InputError: no row can be used.
@@ -328,11 +328,11 @@ def add_up(
     width = len(names) * len(joints)
     joint_sums = [_JointSums(len(logs)) for _ in joints]
     for recording, blocks in zip(recordings, numbers):
-        for part in recording.parts(width):
-            rows, tau, used = make(part)
+        for rows in recording.chunks(width):
+            columns, tau, used = make(rows)
             for joint, sums in enumerate(joint_sums):
-                block = np.where(used[:, joint], blocks[part.rows], -1)
-                sums.add(rows[:, joint], tau[:, joint], block)
+                block = np.where(used[:, joint], blocks[rows.span], -1)
+                sums.add(columns[:, joint], tau[:, joint], block)
     counts = np.stack([sums.counts for sums in joint_sums], axis=1)
     if not np.any(counts):
         raise InputError(

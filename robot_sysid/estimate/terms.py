@@ -14,7 +14,7 @@ A torque scale multiplies the last estimate of the last link and, without a payl
 values of the others: with all links' estimates in their place, scales would come out too large by
 as much as links are off.
 
-Shapes: part of m rows, n joints of the chain, J joints with equations; a body has ten inertial
+Shapes: a chunk of m rows, n joints of the chain, J joints with equations; a body has ten inertial
 parameters (``PARAMETER_NAMES``).
 """
 
@@ -36,7 +36,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     tilt_axes,
 )
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
-from robot_sysid.estimate.rows import Mask, Part, Recording, Sums, add_up
+from robot_sysid.estimate.rows import Mask, Recording, Rows, Sums, add_up
 from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.records import Array, RobotModel
 
@@ -133,7 +133,7 @@ class Point:
         return thetas
 
 
-Columns = Callable[[Part, Point], Array]
+Columns = Callable[[Rows, Point], Array]
 """Function that returns the columns (m, J, k) of a term's k parameters: torque per unit of each."""
 
 
@@ -309,28 +309,28 @@ class ArmTerms:
         """Return the sums of all rows, linearised around a point."""
         terms = [*self.terms.values()]
 
-        def make(part: Part) -> tuple[Array, Array, Mask]:
-            """Return the columns, right-hand sides and mask of used rows of a part."""
+        def make(rows: Rows) -> tuple[Array, Array, Mask]:
+            """Return the columns, right-hand sides and mask of used rows of a chunk."""
             columns = np.concatenate(
-                [term.columns(part, point) for term in terms], axis=2
+                [term.columns(rows, point) for term in terms], axis=2
             )
-            tau = part.recording.torque[part.rows][:, self.indices] - self.known(part)
-            return columns, tau, part.recording.used[part.rows][:, self.indices]
+            tau = rows.recording.torque[rows.span][:, self.indices] - self.known(rows)
+            return columns, tau, rows.recording.used[rows.span][:, self.indices]
 
         return add_up(recordings, self.names, self.joints, make)
 
-    def torque(self, part: Part, point: Point, values: Mapping[str, float]) -> Array:
+    def torque(self, rows: Rows, point: Point, values: Mapping[str, float]) -> Array:
         """Return the torque (m, J) of named parameters, the known torque added [N m]."""
-        torque = self.known(part)
+        torque = self.known(rows)
         for term in self.terms.values():
             coefficients = np.array([values.get(name, 0.0) for name in term.names])
             if np.any(coefficients):
-                torque = torque + term.columns(part, point) @ coefficients
+                torque = torque + term.columns(rows, point) @ coefficients
         return torque
 
-    def known(self, part: Part) -> Array:
+    def known(self, rows: Rows) -> Array:
         """Return the torque (m, J) of springs, tendons and actuators, which no term has [N m]."""
-        motion = part.motion
+        motion = rows.motion
         torque = self._beyond.torque(motion.q, motion.qd, motion.qdd)
         torque = torque - self.robot.armature * motion.qdd
         for motor in self.motors:
@@ -342,84 +342,84 @@ class ArmTerms:
                 )
         return torque[:, self.indices]
 
-    def _links(self, links: Sequence[int], part: Part, point: Point) -> Array:
+    def _links(self, links: Sequence[int], rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 10 links) of links by their numbers in the chain."""
-        moves = part.moves(self.robot, point.gravity)
+        moves = rows.moves(self.robot, point.gravity)
         return moves.columns(links)[:, self.indices]
 
-    def _payload(self, part: Part, point: Point) -> Array:
+    def _payload(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 10) of the payload, zero where it is not on the arm."""
-        if not part.is_loaded:
-            return np.zeros((len(part.motion.q), len(self.joints), N_INERTIAL))
-        return self._links([self.robot.n_joints - 1], part, point)
+        if not rows.is_loaded:
+            return np.zeros((len(rows.motion.q), len(self.joints), N_INERTIAL))
+        return self._links([self.robot.n_joints - 1], rows, point)
 
     def _per_joint(self, columns: Array) -> Array:
         """Return columns (m, J) of one parameter per joint as columns (m, J, J)."""
         return columns[:, :, None] * np.eye(len(self.joints))
 
-    def friction_column(self, name: str, part: Part, point: Point) -> Array:
+    def friction_column(self, name: str, rows: Rows, point: Point) -> Array:
         """Return the column (m, J) of a friction term at each joint."""
         if name in DRY_TERMS:
-            dry = part.low_passed(name, lambda m: TERMS[name](m.qd, m.qdd, m.q))
+            dry = rows.low_passed(name, lambda m: TERMS[name](m.qd, m.qdd, m.q))
         elif name == "load":
-            dry = part.low_passed(
+            dry = rows.low_passed(
                 "coulomb", lambda m: TERMS["coulomb"](m.qd, m.qdd, m.q)
             )
-            dry = dry * np.abs(self._links_torque(part, point))
+            dry = dry * np.abs(self._links_torque(rows, point))
         else:
-            motion = part.motion
+            motion = rows.motion
             dry = TERMS[name](motion.qd, motion.qdd, motion.q)
         return dry[:, self.indices]
 
-    def _friction(self, name: str, part: Part, point: Point) -> Array:
+    def _friction(self, name: str, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of a friction term."""
-        return self._per_joint(self.friction_column(name, part, point))
+        return self._per_joint(self.friction_column(name, rows, point))
 
-    def _motor(self, motor: Coupling, part: Part, point: Point) -> Array:
+    def _motor(self, motor: Coupling, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 3) of a motor that turns several joints.
 
         One that turns at s = sum_j r_j qd_j puts its torque on each of these joints r_j times,
         because power is the same on both sides.
         """
-        motion = part.motion
-        dry = part.low_passed(motor.name, lambda m: np.sign(m.qd @ motor.ratios))
+        motion = rows.motion
+        dry = rows.low_passed(motor.name, lambda m: np.sign(m.qd @ motor.ratios))
         own = np.stack(
             (dry, motion.qd @ motor.ratios, motion.qdd @ motor.ratios), axis=-1
         )
         return own[:, None, :] * motor.ratios[self.indices][:, None]
 
-    def _links_torque(self, part: Part, point: Point) -> Array:
+    def _links_torque(self, rows: Rows, point: Point) -> Array:
         """Return the torque (m, n) of the point's links [N m]."""
-        thetas = point.carried(part.is_loaded)
-        return part.links_torque(self.robot, point.gravity, thetas)
+        thetas = point.carried(rows.is_loaded)
+        return rows.links_torque(self.robot, point.gravity, thetas)
 
-    def _scales(self, part: Part, point: Point) -> Array:
+    def _scales(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of torque scales."""
-        return self._per_joint(self._links_torque(part, point)[:, self.indices])
+        return self._per_joint(self._links_torque(rows, point)[:, self.indices])
 
-    def _zeros(self, part: Part, point: Point) -> Array:
+    def _zeros(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, n) of encoders that read too much [N m/rad]."""
-        moves = part.moves(self.robot, point.gravity)
-        slopes = moves.slopes(point.carried(part.is_loaded), part.motion.qd)
+        moves = rows.moves(self.robot, point.gravity)
+        slopes = moves.slopes(point.carried(rows.is_loaded), rows.motion.qd)
         return -slopes[:, self.indices]
 
-    def _tilt(self, part: Part, point: Point) -> Array:
+    def _tilt(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 2) of gravity turned about two horizontal axes [N m/rad]."""
-        motion = part.motion
+        motion = rows.motion
         still = np.zeros_like(motion.q)
         columns = []
         for axis in tilt_axes(gravity_vector(self.robot), point.gravity):
             dynamics = LinkDynamics(self.robot, np.cross(axis, point.gravity))
             moves = dynamics.motion(motion.q, still, still)
-            columns.append(moves.torque(point.carried(part.is_loaded)))
+            columns.append(moves.torque(point.carried(rows.is_loaded)))
         return np.stack(columns, axis=-1)[:, self.indices]
 
-    def _delay(self, part: Part, point: Point) -> Array:
+    def _delay(self, rows: Rows, point: Point) -> Array:
         """Return the column (m, J, 1) of a torque that lags, -d tau / dt [N m/s]."""
-        recording = part.recording
+        recording = rows.recording
         if recording.signals is None:
-            return np.zeros((len(part.motion.q), len(self.joints), 1))
-        thetas = point.carried(part.is_loaded)
+            return np.zeros((len(rows.motion.q), len(self.joints), 1))
+        thetas = point.carried(rows.is_loaded)
         torque = recording.links_torque(self.robot, point.gravity, thetas)[
             :, self.indices
         ]
@@ -428,16 +428,16 @@ class ArmTerms:
             sizes = point.sizes(name, self.joints)
             torque = torque + rates[:, self.indices] * sizes
         late = -np.gradient(torque, recording.motion.time, axis=0)
-        return late[part.rows][:, :, None]
+        return late[rows.span][:, :, None]
 
-    def _drift(self, part: Part, point: Point) -> Array:
+    def _drift(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of friction's drift from recording to recording."""
-        friction = np.zeros((len(part.motion.q), len(self.joints)))
+        friction = np.zeros((len(rows.motion.q), len(self.joints)))
         for name in _DRIFTING:
             sizes = point.sizes(name, self.joints)
             if np.any(sizes):
-                friction += self.friction_column(name, part, point) * sizes
-        return self._per_joint(part.order * friction)
+                friction += self.friction_column(name, rows, point) * sizes
+        return self._per_joint(rows.order * friction)
 
 
 def term_key(term: Term) -> str:

@@ -145,8 +145,8 @@ def test_scaling_all_torques_scales_the_estimate(seed):
         scaled = add_torque(recording, (factor - 1.0) * recording.torque)
         sums = arm.sums([scaled], arm.start())
         fitted = fit(arm, [scaled], arm.start(), sums, terms, QUESTION, possible=False)
-        (part,) = scaled.parts(1)
-        torques.append(arm.torque(part, fitted.point, fitted.by_name) / factor)
+        (rows,) = scaled.chunks(1)
+        torques.append(arm.torque(rows, fitted.point, fitted.by_name) / factor)
         assert fitted.noise[0] == pytest.approx(0.1 * factor, rel=0.2)
     size = 1e-6 * np.max(np.abs(torques[0]))
     assert_allclose(torques[1:], [torques[0]] * 2, rtol=0.0, atol=size)
@@ -250,8 +250,8 @@ def test_what_is_put_in_is_found_with_its_value_and_nothing_else_is(key, seed):
     for factor in (0.0, 1.0):
         logs = []
         for recording in recordings:
-            (part,) = recording.parts(1)
-            torque = term.columns(part, point) @ (factor * sizes)
+            (rows,) = recording.chunks(1)
+            torque = term.columns(rows, point) @ (factor * sizes)
             logs.append(add_torque(recording, torque))
         sums = arm.sums(logs, point)
         terms = arm_question(arm, QUESTION, sums.rms_torque)
@@ -355,7 +355,7 @@ def test_what_no_prior_names_is_in_the_errors_by_the_blocks():
 def test_the_causes_of_an_error_add_up_in_squares(payload_fit):
     rows = np.eye(len(payload_fit.names))[payload_fit.at(PAYLOAD_NAMES)]
     budget = payload_fit.budget(rows)
-    total = np.sum([part**2 for part in budget.values()], axis=0)
+    total = np.sum([error**2 for error in budget.values()], axis=0)
     variances = np.diag(payload_fit.inverse + payload_fit.scale_errors)
     assert_allclose(total, rows @ variances, rtol=1e-6)
     assert len(budget) >= 6

@@ -41,9 +41,9 @@ def dense_rows(recordings, joint):
     """Return the rows [A b] (K, p + 1) of a joint that are used."""
     found = []
     for recording in recordings:
-        (part,) = recording.parts(1)
-        columns = [term.columns(part, POINT)[:, joint] for term in ARM.terms.values()]
-        tau = recording.torque[:, joint] - ARM.known(part)[:, joint]
+        (rows,) = recording.chunks(1)
+        columns = [term.columns(rows, POINT)[:, joint] for term in ARM.terms.values()]
+        tau = recording.torque[:, joint] - ARM.known(rows)[:, joint]
         found.append(np.column_stack((*columns, tau))[recording.used[:, joint]])
     return np.concatenate(found)
 

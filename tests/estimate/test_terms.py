@@ -19,8 +19,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import motors_of, neighbours
-from robot_sysid.estimate.terms import PAYLOAD_NAMES, ArmTerms, Point
-from robot_sysid.records import DELAY_NAME
+from robot_sysid.estimate.terms import DELAY, PAYLOAD_NAMES, ArmTerms, Point
 from tests.support import arms
 from tests.support.payload_logs import (
     UNFILTERED,
@@ -36,7 +35,7 @@ ARMS = {
     "slide": arms.robot_of(arms.SLIDE_IN_CHAIN),
 }
 MEAN_OF_SEVEN = replace(UNFILTERED, kernel=np.full(7, 1.0 / 7.0), step=3)
-LINEARISED = ("scale", "zero", "load", "drift", "tilt_1", "tilt_2", DELAY_NAME)
+LINEARISED = ("scale", "zero", "load", "drift", "tilt_1", "tilt_2", DELAY)
 """Parameters that multiply others: zero at the point around which they are linearised."""
 PLACE = 0.7
 """Place of the recording on the axis along which friction drifts."""
@@ -116,13 +115,13 @@ def torque_of(arm, motion, values, gravity, loaded=True):
 
 
 def record(motion, tau, arm, loaded=True, low_pass=UNFILTERED):
-    """Return the only part of a recording of torques (N, J)."""
+    """Return all rows of a recording of torques (N, J)."""
     readings = np.zeros_like(motion.q)
     readings[:, arm.indices] = tau
     recording = exact_recording(motion, readings, loaded, PLACE)
     signals = replace(recording.source, low_pass=low_pass)
-    (part,) = replace(recording, source=signals).parts(1)
-    return part
+    (rows,) = replace(recording, source=signals).chunks(1)
+    return rows
 
 
 @pytest.mark.parametrize(
@@ -136,18 +135,18 @@ def test_each_column_is_the_derivative_of_the_torque(name, torques, seed):
     values = random_values(arm, rng)
     gravity = turn_gravity(gravity_vector(arm.robot), rng.uniform(-0.5, 0.5, 2))
     motion = wide_motion(seed, arm.robot.n_joints, 0.08, 100.0)
-    part = record(motion, 0.0, arm)
+    rows = record(motion, 0.0, arm)
     point = point_of(arm, values, gravity)
     assert_allclose(
-        arm.torque(part, point, values),
+        arm.torque(rows, point, values),
         torque_of(arm, motion, values, gravity),
         rtol=1e-9,
         atol=1e-9,
     )
     for term in arm.terms.values():
-        columns = term.columns(part, point)
+        columns = term.columns(rows, point)
         for k, name in enumerate(term.names):
-            if name == DELAY_NAME:
+            if name == DELAY:
                 expected = delay_column(arm, motion, values, gravity)
             else:
                 ahead, behind = (
@@ -188,10 +187,10 @@ def test_friction_passes_the_filter_that_the_torque_has_passed(seed):
     start = arm.start()
     nothing = dict.fromkeys((*dict.fromkeys(values), *PAYLOAD_NAMES), 0.0)
     tau = torque_of(arm, motion, {**nothing, **dry}, start.gravity)
-    part = record(motion, tau, arm, low_pass=MEAN_OF_SEVEN)
-    known = arm.known(part)
-    measured = part.recording.torque[part.rows][:, arm.indices]
-    assert_allclose(arm.torque(part, start, dry) - known, measured, atol=1e-9)
+    rows = record(motion, tau, arm, low_pass=MEAN_OF_SEVEN)
+    known = arm.known(rows)
+    measured = rows.recording.torque[rows.span][:, arm.indices]
+    assert_allclose(arm.torque(rows, start, dry) - known, measured, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", arms.MODELS)
@@ -201,14 +200,14 @@ def test_the_models_parameters_make_the_models_torque(name):
     motors, _ = motors_of(robot, "chain")
     arm = ArmTerms(robot, motors=motors)
     motion = arms.seeded_motion(0, robot.n_joints)
-    part = record(motion, 0.0, arm)
+    rows = record(motion, 0.0, arm)
     friction = robot.friction.coulomb * np.sign(motion.qd)
     expected = ArmDynamics(robot).torque(motion.q, motion.qd, motion.qdd) + friction
     expected += robot.friction.viscous * motion.qd
     for motor in motors:
         dry = motor.model[0] * np.sign(motion.qd @ motor.ratios)
         expected += np.outer(dry, motor.ratios)
-    torque = arm.torque(part, arm.start(), arm.model)
+    torque = arm.torque(rows, arm.start(), arm.model)
     assert_allclose(torque, expected, atol=1e-9 * np.max(np.abs(expected)))
 
 
