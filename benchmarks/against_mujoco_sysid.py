@@ -25,7 +25,6 @@ from mujoco import rollout
 from benchmarks.arm_results import result_of_logs
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.plant import round_to_multiples
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
@@ -105,7 +104,7 @@ def record_log(model, robot, seed: int, seconds: float):
         data.ctrl[:] = tau[k]
         mujoco.mj_step(model, data)
     read = tau + TORQUE_NOISE * rng.normal(size=tau.shape)
-    return clock, round_to_multiples(q, ENCODER), read
+    return clock, np.round(q / ENCODER) * ENCODER, read
 
 
 def by_torques(robot, log) -> dict:

@@ -35,7 +35,7 @@ from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.links import own_errors
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.terms import LINKS
+from robot_sysid.estimate.terms import DELAY, LINKS
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import (
     RecordingPlan,
@@ -46,7 +46,7 @@ from robot_sysid.motion.expected_errors import (
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import DELAY_NAME, Measurement
+from robot_sysid.records import Measurement
 from robot_sysid.trajectory import TrajectoryOptions, sample_count
 from tests.support.places import GUESS, MODELS
 
@@ -112,7 +112,7 @@ def simulate_log(robot, values, motion):
     for term, column in TERMS.items():
         if np.any(of(term)):
             torque += of(term) * column(motion.qd, motion.qdd, motion.q)
-    late = motion.time - values.get(DELAY_NAME, 0.0)
+    late = motion.time - values.get(DELAY, 0.0)
     delayed = [np.interp(late, motion.time, column) for column in torque.T]
     return np.column_stack(delayed), motion.q + of("zero")
 

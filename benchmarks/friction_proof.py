@@ -30,7 +30,6 @@ from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.motion.static import design_sweeps
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.simulation.plant import round_to_multiples
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.places import MODELS
 
@@ -88,7 +87,8 @@ class Truth:
         clock = np.arange(0.0, plan.duration, 1.0 / RATE)
         motion = plan.evaluate(clock)
         tau = self.torque(motion) + NOISE * rng.normal(size=motion.q.shape)
-        return Measurement(clock, round_to_multiples(motion.q, STEP), None, tau)
+        q = np.round(motion.q / STEP) * STEP
+        return Measurement(clock, q, None, tau)
 
 
 def draw_wrong_link(theta, rng):

@@ -32,7 +32,6 @@ from robot_sysid.records import (
     Estimate,
     MotionPlan,
     RobotModel,
-    Source,
     SquareRootInformation,
 )
 from robot_sysid.results.record import LINK
@@ -173,7 +172,7 @@ class NoiseStudy:
         sums = self.arm.sums([recording], point)
         terms = arm_question(self.arm, question, sums.rms_torque)
         fitted = fit(self.arm, [recording], point, sums, terms, question)
-        origin = DataOrigin(Source.LOG, "", self.plan.duration, SAMPLE_RATE)
+        origin = DataOrigin("log", self.plan.duration, SAMPLE_RATE)
         possible, plain = (
             common_result(solution, origin, LINK).estimate
             for solution in (fitted, replace(fitted, values=fitted.free))
