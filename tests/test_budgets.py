@@ -17,8 +17,8 @@ from tests.support.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 5043,
-    "robot_sysid/commands": 12325,
-    "robot_sysid/damiao": 36744,
+    "robot_sysid/commands": 12321,
+    "robot_sysid/damiao": 36076,
     "robot_sysid/diagnosis": 17642,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29095,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4038,
     "robot_sysid": 11854,
-    "tests": 226393,
+    "tests": 226331,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

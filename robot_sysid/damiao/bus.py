@@ -13,7 +13,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Protocol
@@ -367,41 +367,6 @@ class RegisterClient:
         self._link.send(request)
 
 
-@contextlib.contextmanager
-def watchdogs_set_to(
-    client: RegisterClient,
-    motors: Sequence[InspectedMotor],
-    seconds: float,
-    is_off: Callable[[int], bool],
-) -> Iterator[None]:
-    """Set the watchdog of each motor for a ``with`` block, and restore the old value afterwards.
-
-    A motor that may still be running keeps the new value: without a watchdog it might run forever.
-    Nothing is stored in flash: after a power cycle the motors have their own values again.
-
-    Args:
-        client: access to the registers.
-        motors: motors with the values of their registers.
-        seconds: new watchdog time [s].
-        is_off: called when the block has ended; returns whether the motor with a CAN id is known
-            to be disabled.
-
-    Raises:
-        HardwareAbort: before the block, if a motor does not answer or refuses the value.
-    """
-    old_values = {motor.can_id: motor.registers[protocol.TIMEOUT] for motor in motors}
-    timeout = float(round(seconds / protocol.TIMEOUT_UNIT))
-    try:
-        for can_id in old_values:
-            client.write(can_id, protocol.TIMEOUT, timeout)
-        yield
-    finally:
-        for can_id in filter(is_off, old_values):
-            # A motor that no longer answers keeps the new value until power-off.
-            with contextlib.suppress(BaseException):
-                client.write(can_id, protocol.TIMEOUT, old_values[can_id])
-
-
 _ALL_IDS = range(1, 16)
 """CAN ids that motors may have: feedback has four bits for them."""
 _LISTEN = 0.05
@@ -439,14 +404,9 @@ class InspectedMotor:
         return int(self.registers.get(protocol.MST_ID, self.reply_ids[0]))
 
     @property
-    def limits(self) -> tuple[float, float, float]:
+    def limits(self) -> tuple[float, ...]:
         """PMAX, VMAX and TMAX in the motor's registers [rad, rad/s, N m]; 0 where unknown."""
-        values = self.registers
-        return (
-            values.get(protocol.PMAX, 0.0),
-            values.get(protocol.VMAX, 0.0),
-            values.get(protocol.TMAX, 0.0),
-        )
+        return tuple(self.registers.get(number, 0.0) for number in protocol.SCALING)
 
     def decode_feedback(self, data: bytes) -> Feedback | None:
         """Return the state, fields (1,), in a feedback frame's 8 bytes; None without limits."""

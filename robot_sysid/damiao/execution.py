@@ -18,10 +18,8 @@ from robot_sysid.damiao.bus import (
     GuardedLink,
     InspectedMotor,
     Inspection,
-    RegisterClient,
     SimulatedClock,
     SystemClock,
-    watchdogs_set_to,
 )
 from robot_sysid.damiao.joints import DamiaoJoint, map_joints, read_joint_map
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
@@ -56,7 +54,7 @@ from robot_sysid.records.option_fields import given_options, record_from
 class MotorRun:
     """One run on motors: makes its plan, checks it, opens the bus and plays.
 
-    The robot and the search of contacts are made once and cached.
+    The robot and its geometry are made once and cached.
 
     Args:
         values: value of each option that was given, by its key, from the command line or the API.
@@ -158,17 +156,17 @@ class MotorRun:
             return checks
         from robot_sysid.damiao import model_check
 
-        checks += model_check.model_checks(plan, self._contacts)
+        checks += model_check.model_checks(plan, self._problem)
         checks += model_check.torque_checks(plan.trajectory, plan.settings, self.robot)
         return checks
 
     @cached_property
-    def _contacts(self) -> Any:
-        """Finder of contacts of the model's arm within the user's limits (Contacts)."""
+    def _problem(self) -> Any:
+        """Geometry of the model's arm and the user's obstacles (ExcitationProblem)."""
         # Imported here so that playing on real motors does not wait for MuJoCo.
-        from robot_sysid.damiao.model_check import Contacts
+        from robot_sysid.motion.problem import build_problem
 
-        return Contacts(self.robot, self._limits())
+        return build_problem(self.robot, self._limits())
 
     def inspection_checks(
         self, plan: Plan, inspection: Inspection, real: bool = True
@@ -180,9 +178,10 @@ class MotorRun:
         checks = preflight.bus_checks(plan, inspection)
         q = plan.joint_positions(inspection)
         if np.all(np.isfinite(q)):
-            checks += preflight.limit_checks(plan, q)
             for transfer in plan.transfers(q) if self.robot is not None else ():
-                checks += self._contacts.transfer_checks(*transfer)
+                from robot_sysid.damiao.model_check import transfer_checks
+
+                checks += transfer_checks(self._problem, *transfer)
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
@@ -314,11 +313,6 @@ def run(
             recorder = _open_recorder(plan, motors, writer)
             if recorder is not None:
                 stack.enter_context(recorder)
-            watchdog = plan.permissions.watchdog
-            if watchdog is not None:
-                client = RegisterClient(link)
-                watchdogs = watchdogs_set_to(client, motors, watchdog, session.is_off)
-                stack.enter_context(watchdogs)
             stack.enter_context(session)
             holding = holding or FileHolding(plan.trajectory)
             player = Player(

@@ -64,7 +64,6 @@ class MotorSpec:
         gear_ratio: rotor turns per turn of the output shaft.
         supply: usual supply voltage [V].
         no_load_rpm: output speed without load at ``supply`` [rev/min]; None where unknown.
-        note: warning that is printed for plans with this type; "" for none.
     """
 
     name: str
@@ -74,7 +73,6 @@ class MotorSpec:
     gear_ratio: float
     supply: float = 24.0
     no_load_rpm: float | None = None
-    note: str = ""
 
 
 # Name, (PMAX, VMAX, TMAX), rated torque, peak torque, gear ratio, supply, no-load rpm.
@@ -87,19 +85,14 @@ _SPECS = (
     MotorSpec("DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 10.0, 24.0, 100.0),
     MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 9.0, 24.0, 160.0),
     MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 7.0, 24.0, 460.0),
-    MotorSpec(
-        *("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 10.0, 48.0, 400.0),
-        note="the maker's sources disagree about VMAX (30 or 50 rad/s)",
-    ),
+    # The maker's sources disagree about its VMAX, 30 or 50 rad/s.
+    MotorSpec("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 10.0, 48.0, 400.0),
     MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, 48.0, 48.0, None),
     MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 10.0, 48.0, 150.0),
     MotorSpec("DMH3510", (12.5, 280.0, 1.0), 0.18, 0.45, 1.0),
     MotorSpec("DMH6215", (12.5, 45.0, 10.0), 1.0, 2.0, 1.0),
-    MotorSpec(
-        *("DMS3519", (12.5, 2000.0, 2.0), 3.5, 7.8, 19.2),
-        note="its TMAX is below the motor's rated torque and its VMAX leaves steps of 1 rad/s: "
-        "compare with the registers before using torques or velocities",
-    ),
+    # Its TMAX is below its rated torque, and its VMAX leaves steps of 1 rad/s.
+    MotorSpec("DMS3519", (12.5, 2000.0, 2.0), 3.5, 7.8, 19.2),
     MotorSpec("DMG6220", (12.5, 45.0, 10.0), 1.3, 2.7, 1.0),
 )
 MOTORS = {spec.name: spec for spec in _SPECS}
@@ -122,7 +115,7 @@ def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:
     return np.array([joint.spec.peak_torque * joint.torque_ratio for joint in joints])
 
 
-def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
+def matching_types(limits: Sequence[float]) -> tuple[str, ...]:
     """Return the names of all motor types whose factory limits agree with given limits.
 
     Args:
@@ -131,9 +124,7 @@ def matching_types(limits: tuple[float, float, float]) -> tuple[str, ...]:
     return tuple(spec.name for spec in _SPECS if limits_agree(spec.limits, limits))
 
 
-def limits_agree(
-    expected: tuple[float, float, float], actual: tuple[float, float, float]
-) -> bool:
+def limits_agree(expected: Sequence[float], actual: Sequence[float]) -> bool:
     """Tell whether scaling limits (PMAX, VMAX, TMAX) agree within 0.1 % of the expected ones."""
     return np.allclose(actual, expected, rtol=_AGREEMENT, atol=0.0)
 

@@ -21,16 +21,14 @@ from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import (
     CANNOT_FOLLOW,
-    NO_LIMITS,
     WEIGH_FIRST,
     Bounds,
     DamiaoTrajectory,
     excesses,
     peaks_beyond,
 )
-from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.limit_check import first_contact
-from robot_sysid.motion.problem import build_problem
+from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.records import Array, Motion, RobotModel
@@ -65,50 +63,36 @@ class PlayedPath:
         return Motion(time, q, slope, np.zeros_like(q))
 
 
-class Contacts:
-    """Finds contacts of an arm: with itself, its surroundings and planes.
-
-    Args:
-        robot: model of the arm.
-        limits: the user's planes and boxes, and the least clearance.
-
-    Attributes:
-        robot: as given.
-        problem: geometry, obstacles and limits of the arm, for the search of contacts.
-    """
-
-    def __init__(self, robot: RobotModel, limits: LimitOptions = NO_LIMITS) -> None:
-        self.robot = robot
-        self.problem = build_problem(robot, limits)
-
-    def transfer_checks(self, name: str, begin: Array, end: Array) -> Iterator[Check]:
-        """Yield a stop where the arm touches something on the line between two poses (n,) [rad].
-
-        A line on which all joints move less than 0.02 rad is not looked at: bodies that touch there
-        touch where the arm stands, and the model has a contact too many. ``name`` is the begin of
-        the message: "on the way to the first point" or "... to where it is parked".
-        """
-        if np.max(np.abs(end - begin)) <= _SHORT:
-            return
-        contact = first_contact(self.problem, straight_way(begin, end))
-        if contact is not None:
-            remedy = "bring the arm nearer by hand"
-            yield Check(STOP, f"{name} the model's {contact.label} touch; {remedy}")
-
-
 _SHORT = 0.02
 """Largest motion of a joint in a transfer that is too short to be judged [rad]."""
 
 
-def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
+def transfer_checks(
+    problem: ExcitationProblem, name: str, begin: Array, end: Array
+) -> Iterator[Check]:
+    """Yield a stop where the arm touches something on the line between two poses (n,) [rad].
+
+    A line on which all joints move less than 0.02 rad is not looked at: bodies that touch there
+    touch where the arm stands, and the model has a contact too many. ``name`` is the begin of the
+    message: "on the way to the first point" or "... to where it is parked".
+    """
+    if np.max(np.abs(end - begin)) <= _SHORT:
+        return
+    contact = first_contact(problem, straight_way(begin, end))
+    if contact is not None:
+        remedy = "bring the arm nearer by hand"
+        yield Check(STOP, f"{name} the model's {contact.label} touch; {remedy}")
+
+
+def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Check]:
     """Yield a stop for each limit of the model that a plan exceeds and for each contact.
 
     If there is none, one check with severity OK is yielded. A note names the links whose contacts
-    cannot be found. ``contacts`` has the arm of the model, loaded with an infinite
-    ``max_velocity``, so that only the model's limits of speed count.
+    cannot be found. ``problem`` has the arm of the model, loaded with an infinite ``max_velocity``,
+    so that only the model's limits of speed count, and its geometry and obstacles.
     """
-    robot = contacts.robot
-    unguarded = unguarded_text(contacts.problem.unguarded)
+    robot = problem.robot
+    unguarded = unguarded_text(problem.unguarded)
     if unguarded:
         yield Check(NOTE, unguarded)
     speed = plan.settings.speed
@@ -119,7 +103,7 @@ def model_checks(plan: Plan, contacts: Contacts) -> Iterator[Check]:
         torque=limits.torque,
     )
     found = list(excesses(plan.trajectory, speed, bounds))
-    contact = first_contact(contacts.problem, PlayedPath(plan.trajectory, speed))
+    contact = first_contact(problem, PlayedPath(plan.trajectory, speed))
     if contact is not None:
         found.append(f"the model's {contact.label} touch at {contact.time:.2f} s")
     for excess in found:

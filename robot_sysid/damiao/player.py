@@ -102,8 +102,6 @@ _REPLY_SHARE = 0.9
 
 Motors get this time even if the computer began the cycle late; then the next cycle is skipped.
 """
-_PROGRESS_INTERVAL = 0.1
-"""Least time between two calls of ``on_progress`` [s] (a judgement)."""
 _STILL_SAMPLES = 100
 """Largest number of last cycles over which holding torques are averaged (a judgement)."""
 _DEAF = 0.15
@@ -188,7 +186,6 @@ class Player:
         # Time of the last answer in the clock [s].
         self._heard_at = 0.0
         self._n_recorded = 0
-        self._progress_at = -np.inf
         # Positions and commanded torques (2, n) of the last cycles, up to 100.
         self._recent_states: list[Array] = []
         # Torque (n,) that was commanded at the moment of the last samples [N m].
@@ -277,7 +274,8 @@ class Player:
             return
         speed = self._settings.approach_speed
         parking, parking_time = paths.transfer_reference(
-            last, at_start, speed, shortest=1.0, carries=self._holding.torque
+            *(last, at_start, speed, self._settings.approach_time),
+            carries=self._holding.torque,
         )
         self._announce(f"parking ({parking_time:.1f} s)")
         self._phase(parking, parking_time)
@@ -406,16 +404,14 @@ class Player:
     def _record(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
     ) -> None:
-        """Record a cycle and report progress at intervals.
+        """Record a cycle and report progress.
 
         ``time`` [s] counts since the trajectory began, at ``origin`` in the clock [s].
         """
         self._n_recorded += 1
         if self._recorder:
             self._recorder.write(time, origin, replies, acted)
-        if time - self._progress_at >= _PROGRESS_INTERVAL:
-            self._progress_at = time
-            self._on_progress(time)
+        self._on_progress(time)
 
     def _command_for(self, reference: Reference) -> MitCommand:
         """Return the command for a reference; stiffness and torque are scaled while gains rise."""

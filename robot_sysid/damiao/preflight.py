@@ -12,20 +12,9 @@ from robot_sysid.damiao import protocol
 from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, id_problems, limits_agree
-from robot_sysid.damiao.references import (
-    PEAK_ACCELERATION,
-    PEAK_SPEED,
-    FileHolding,
-    HoldingCheck,
-    transfer_time,
-)
+from robot_sysid.damiao.references import FileHolding, HoldingCheck
 from robot_sysid.damiao.session import PAUSE
-from robot_sysid.damiao.settings import (
-    LONGEST_SET_WATCHDOG,
-    Permissions,
-    Plan,
-    PlaySettings,
-)
+from robot_sysid.damiao.settings import Permissions, Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
@@ -68,37 +57,11 @@ _note = partial(Check, NOTE)
 _stop = partial(Check, STOP)
 
 
-def limit_checks(plan: Plan, q: Array | None = None) -> list[Check]:
-    """Return a stop for each limit of the user that the trajectory, or a transfer, exceeds.
-
-    Args:
-        plan: plan of the run, with the user's limits.
-        q: positions (n,) at which the arm stands [rad]; then only its transfers to the first point
-            and back are compared. None compares only the trajectory.
-    """
+def limit_checks(plan: Plan) -> list[Check]:
+    """Return a stop for each limit of the user that the trajectory of a plan exceeds."""
     trajectory = plan.trajectory
-    settings = plan.settings
     bounds = motion.user_bounds(plan.limits, trajectory.n_joints)
-    if q is None:
-        found = motion.excesses(trajectory, settings.speed, bounds)
-        return list(map(_stop, found))
-    checks = []
-    for name, begin, end in plan.transfers(q):
-        line = np.abs(end - begin)
-        duration = transfer_time(line, settings.approach_speed, settings.approach_time)
-        for quantity, peaks, limits in (
-            ("rad/s", PEAK_SPEED * line / duration, bounds.velocity),
-            ("rad/s^2", PEAK_ACCELERATION * line / duration**2, bounds.acceleration),
-        ):
-            for j in np.flatnonzero(peaks > limits).tolist():
-                checks.append(
-                    _stop(
-                        f"{name}, {trajectory.joints[j].label}: {peaks[j]:.4g} {quantity} is "
-                        f"beyond your limit {limits[j]:g}; move it nearer by hand, or lower "
-                        f"--approach-speed {settings.approach_speed:g}"
-                    )
-                )
-    return checks
+    return list(map(_stop, motion.excesses(trajectory, plan.settings.speed, bounds)))
 
 
 def stops(checks: Sequence[Check]) -> list[str]:
@@ -168,8 +131,7 @@ def _motion_checks(plan: Plan) -> Iterator[Check]:
 def _motor_checks(plan: Plan) -> Iterator[Check]:
     """Yield the checks of motors by the data of their types: torque, speed, resolution.
 
-    A rating that the motor cannot exceed stops the run, one that can be exceeded briefly is noted,
-    and so is the motor type's own note.
+    A rating that the motor cannot exceed stops the run, one that can be exceeded briefly is noted.
     """
     trajectory = plan.trajectory
     joints = trajectory.joints
@@ -180,8 +142,6 @@ def _motor_checks(plan: Plan) -> Iterator[Check]:
         motor_torque = torques[j] / joint.torque_ratio
         for warning in motion.rating_warnings(joint, speeds[j], motor_torque):
             yield Check(STOP if motion.CANNOT_FOLLOW in warning else NOTE, warning)
-        if joint.spec.note:
-            yield _note(f"{joint.label}, {joint.motor_type}: {joint.spec.note}")
 
 
 def _load_check(
@@ -199,7 +159,7 @@ def _load_check(
 
 
 def _frame_limit_checks(
-    plan: Plan, limits: Sequence[tuple[float, float, float]], owner: str
+    plan: Plan, limits: Sequence[tuple[float, ...]], owner: str
 ) -> list[Check]:
     """Return a stop for each quantity of a joint beyond the range of its motor's frames.
 
@@ -291,20 +251,11 @@ def _other_motor_checks(motors: Sequence[InspectedMotor]) -> Iterator[Check]:
         names = ", ".join(motor.name for motor in motors)
         yield _note(f"not in the trajectory and left limp: {names}")
     for motor in motors:
-        yield from _limp_checks(motor)
-
-
-def _limp_checks(motor: InspectedMotor) -> Iterator[Check]:
-    """Yield a stop where a motor outside the trajectory may be enabled by another program."""
-    if motor.feedback is None:
-        yield _stop(
-            f"{motor.name} does not tell whether it is enabled; take it off the bus"
-        )
-    elif motor.feedback.status[0] == protocol.ENABLED:
-        yield _stop(
-            f"{motor.name} is enabled by another program and not in the trajectory; end that "
-            "program and power-cycle the motor"
-        )
+        if motor.feedback is None or motor.feedback.status[0] == protocol.ENABLED:
+            yield _stop(
+                f"{motor.name} is not in the trajectory, and is enabled by another program or does "
+                "not tell: end that program and power-cycle the motor, or take it off the bus"
+            )
 
 
 def _condition_checks(
@@ -318,7 +269,7 @@ def _condition_checks(
     Args:
         motor: answers of the motor.
         settings: settings of the run, with the cycle rate and the temperature at its start.
-        permissions: deviations that the user allows; a watchdog time in them replaces the motor's.
+        permissions: deviations that the user allows.
         joint: joint that the motor drives, with which ids and scaling are compared, or None.
     """
     name = joint.label if joint else motor.name
@@ -337,9 +288,7 @@ def _condition_checks(
     if mode != protocol.MIT_MODE:
         mode_name = protocol.MODES.get(mode, "unknown")
         yield _stop(f"{name} is in mode {mode} ({mode_name}); set CTRL_MODE to 1 (MIT)")
-    watchdog = permissions.watchdog
-    if watchdog is None:
-        watchdog = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
+    watchdog = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
     yield _watchdog_check(name, watchdog, settings)
     yield from _state_checks(motor, settings, name)
 
@@ -389,13 +338,9 @@ def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
     ``name`` is the motor's name in the message.
     """
     least = _LEAST_WATCHDOG_CYCLES * settings.period
-    # The timeout to propose: tenths of a second, or the longest with the rate that it needs.
-    timeout_option = max(0.1, np.ceil(10.0 * least) / 10.0)
-    options = f"--set-watchdog {timeout_option:g}"
-    if least > LONGEST_SET_WATCHDOG:
-        least_rate = _LEAST_WATCHDOG_CYCLES / LONGEST_SET_WATCHDOG
-        options = f"--rate {least_rate:g} and --set-watchdog {LONGEST_SET_WATCHDOG:g}"
-    remedy = f"give {options} or set TIMEOUT"
+    # The timeout to propose, in tenths of a second.
+    proposed = max(0.1, np.ceil(10.0 * least) / 10.0)
+    remedy = f"set it with motors setup --watchdog {proposed:g} --store"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
     if not 0.0 < timeout <= _NO_WATCHDOG:
         return _stop(
@@ -403,11 +348,9 @@ def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
             f"{remedy}"
         )
     if timeout < least:
-        return _stop(
-            f"{watchdog} is too short for {settings.rate:g} Hz; give {options}"
-        )
+        return _stop(f"{watchdog} is too short for {settings.rate:g} Hz; {remedy}")
     if timeout > _LONG_WATCHDOG:
-        return _note(f"{watchdog} is long; {options} is better")
+        return _note(f"{watchdog} is long; {remedy}")
     return Check(OK, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
 
 
@@ -452,10 +395,7 @@ def _answer_time_checks(
     if round_trip <= _ANSWER_SHARE * settings.period:
         yield Check(OK, f"{text}, in time for {settings.rate:g} Hz")
         return
-    # The highest handy rate in whose cycle the answers come, or else the lowest one.
-    for rate in protocol.HANDY_RATES:
-        if rate * round_trip <= _ANSWER_SHARE:
-            break
+    rate = protocol.handy_rate(_ANSWER_SHARE / round_trip)
     yield _stop(
         f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "
         f"--rate {rate:g} or a faster adapter"

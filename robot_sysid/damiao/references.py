@@ -64,17 +64,6 @@ def trajectory_reference(
     return reference
 
 
-PEAK_SPEED = 15.0 / 8.0
-"""Peak of a transfer's speed, relative to its mean speed."""
-PEAK_ACCELERATION = 5.774
-"""Peak of a transfer's acceleration, relative to its mean speed divided by its duration."""
-
-
-def transfer_time(line: Array, speed: float, shortest: float) -> float:
-    """Return the duration [s] of a transfer along a line (n,) [rad]: see ``transfer_reference``."""
-    return float(max(shortest, PEAK_SPEED * np.max(np.abs(line)) / speed))
-
-
 def transfer_reference(
     start: Reference,
     target: Reference,
@@ -97,7 +86,7 @@ def transfer_reference(
             equals the torques of ``start`` and ``target`` at the ends.
     """
     line = target.position - start.position
-    duration = transfer_time(line, speed, shortest)
+    duration = float(max(shortest, 15.0 / 8.0 * np.max(np.abs(line)) / speed))
     extra_at_start = start.torque - carries(start.position)
     extra_at_target = target.torque - carries(target.position)
 
@@ -225,6 +214,7 @@ class HoldingCheck:
         watch: returns a new check of the motion of one run; None where there is none.
 
     Attributes:
+        torque: as given.
         doubt: torque (n,) that friction alone may explain [N m].
         is_model: as given.
         watch: as given.
@@ -239,7 +229,7 @@ class HoldingCheck:
         is_model: bool = False,
         watch: Callable[[], MotionCheck] | None = None,
     ) -> None:
-        self._expected_torque = torque
+        self.torque = torque
         self._joints = joints
         self._source = source
         self.watch = watch
@@ -248,13 +238,9 @@ class HoldingCheck:
 
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) [rad] does not show how they turn."""
-        is_bare = np.abs(self._expected_torque(q)) <= _LOADED * self.doubt
+        is_bare = np.abs(self.torque(q)) <= _LOADED * self.doubt
         joints = zip(self._joints, is_bare)
         return [joint for joint, bare in joints if bare and not joint.verified]
-
-    def torque(self, q: Array) -> Array:
-        """Return the torque (n,) [N m] that should hold the arm at q (n,) [rad]."""
-        return self._expected_torque(q)
 
     def __call__(self, q: Array, tau: Array) -> None:
         """Compare the torques tau (n,) [N m] of an arm that is held still at q (n,) [rad].
@@ -262,7 +248,7 @@ class HoldingCheck:
         HardwareAbort where a joint has a torque opposite to the expected one, or far less of it. A
         joint is only judged where more torque is expected than friction may explain.
         """
-        expected = self._expected_torque(q)
+        expected = self.torque(q)
         size = np.abs(expected)
         # Torque in the direction of the expected one.
         along = np.sign(expected) * tau

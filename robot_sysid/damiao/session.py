@@ -189,7 +189,7 @@ class MotorSession:
 
         They are NaN before the first answer, and must not be changed.
         """
-        return self._filter.q, self._filter.qd
+        return self._filter.last.q, self._filter.last.qd
 
     @property
     def command_range(self) -> CommandRange:
@@ -203,10 +203,6 @@ class MotorSession:
         """
         lowered = self._bounds.including(self._frame_range.lower)
         self._bounds = lowered.including(self._frame_range.upper)
-
-    def is_off(self, can_id: int) -> bool:
-        """Return whether a motor was never enabled or confirmed to be disabled."""
-        return all(joint.can_id != can_id for joint in self.unconfirmed)
 
     def __enter__(self) -> MotorSession:
         """Return the session; no motor is enabled by this."""
@@ -307,7 +303,7 @@ class MotorSession:
                 ``Outstanding``, and commands are limited to the bounds instead of refused.
 
         Raises:
-            BeyondBounds: the command exceeds the bounds; nothing was sent.
+            HardwareAbort: the command exceeds the bounds; nothing was sent.
             InputError: the command does not fit into a frame; nothing was sent.
             LinkError: the bus does not work.
         """
@@ -364,7 +360,7 @@ class MotorSession:
     ) -> protocol.MitCommand:
         """Return a command, fields (n,) in joint space, that is within the bounds.
 
-        A command beyond the bounds raises BeyondBounds, or is limited to them if ``braking``.
+        A command beyond the bounds raises HardwareAbort, or is limited to them if ``braking``.
         ``now`` is the time [s]. A joint without a last command may be sent anywhere in its range.
         """
         is_new = np.isnan(self.sent_position)
@@ -373,8 +369,8 @@ class MotorSession:
         # next one follows in less time than there is between two positions of the trajectory.
         elapsed = np.minimum(now - self._moved_until, _LONGEST_PAUSE)
         if braking:
-            return self._bounds.confine(command, last, elapsed, self._filter.q)
-        self._bounds.require(self._labels, command, last, elapsed, self._filter.q)
+            return self._bounds.confine(command, last, elapsed, self._filter.last.q)
+        self._bounds.require(self._labels, command, last, elapsed, self._filter.last.q)
         return command
 
     def switch_off(self, joints: Mask) -> None:

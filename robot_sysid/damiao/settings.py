@@ -23,7 +23,7 @@ from robot_sysid.damiao.protocol import (
 )
 from robot_sysid.damiao.recorder import SamplingRipple
 from robot_sysid.damiao.safety.guards import CommandRange
-from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
+from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory, user_bounds
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
@@ -51,8 +51,8 @@ _TORQUE_ERROR = 2.0 / 3.0
 """Default torque error limit divided by the peak torque: more than any excitation needs."""
 _LEAST_SHARE = 0.4
 """Least damping of a light joint, as a share of the usual: models often lack rotor inertia."""
-LONGEST_SET_WATCHDOG = 1.0
-"""No run needs a motor's watchdog above this [s]: a judgement."""
+_TRANSFER_PEAK = 3.08
+"""Peak acceleration of a transfer, at most, relative to its peak speed over its least duration."""
 _SPEED_MARGIN = 1.1
 """Largest speed of commands relative to the trajectory's, whose rows are rounded."""
 _EACH = "one for all or one per joint"
@@ -196,13 +196,6 @@ class PlaySettings(OptionRecord):
         return min(_START_TEMPERATURE, self.max_temperature)
 
 
-def _watchdog_problem(timeout: float) -> str | None:
-    """Return why a watchdog may not be set to a timeout [s], or None."""
-    if 0.0 < timeout <= LONGEST_SET_WATCHDOG:
-        return None
-    return f"must be above 0 and at most {LONGEST_SET_WATCHDOG:g} s"
-
-
 @dataclass(frozen=True)
 class Permissions(OptionRecord):
     """Deviations from the checks before a run that the user allows on purpose."""
@@ -211,14 +204,6 @@ class Permissions(OptionRecord):
         False,
         "use the motors' own PMAX, VMAX, TMAX where they differ from the motor type's",
         flag="--accept-register-limits",
-    )
-    watchdog: float | None = option(
-        None,
-        "set the motors' watchdogs for this run; nothing is stored in them",
-        "S [s]",
-        flag="--set-watchdog",
-        check=_watchdog_problem,
-        default_text="as they are",
     )
     directions: bool = option(
         False,
@@ -270,6 +255,7 @@ class Plan:
             without a model.
 
     The settings become complete when the plan is made: ``PlaySettings.for_motors`` fills them in.
+    The approach is made as slow as the user's limits ask for.
     """
 
     trajectory: DamiaoTrajectory
@@ -290,6 +276,12 @@ class Plan:
             )
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(specs, self.timing, self.inertia)
+        # Transfers keep the user's limits, too.
+        bounds = user_bounds(self.limits, self.trajectory.n_joints)
+        speed = min(settings.approach_speed, float(np.min(bounds.velocity)))
+        time = _TRANSFER_PEAK * speed / float(np.min(bounds.acceleration))
+        time = max(settings.approach_time, time)
+        settings = replace(settings, approach_speed=speed, approach_time=time)
         object.__setattr__(self, "settings", settings)
 
     @property

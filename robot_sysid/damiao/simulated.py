@@ -217,9 +217,7 @@ def simulated_motor(
     ``watchdog`` is the time without a command after which the motor stops [s].
     """
     peak = joint.spec.peak_torque
-    # Registers that inspections only read are zero.
     registers = {
-        **dict.fromkeys(protocol.LOGGED, 0.0),
         protocol.CAN_BR: 4.0,
         protocol.GR: joint.spec.gear_ratio,
         protocol.MST_ID: float(joint.master_id),

@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao.model_check import Contacts, model_checks, torque_checks
+from robot_sysid.damiao.model_check import model_checks, torque_checks, transfer_checks
 from robot_sysid.damiao.preflight import NOTE, OK, STOP
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
+from robot_sysid.motion.problem import build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
@@ -55,7 +56,7 @@ def check_trajectory(folder, motion, speed, robot, limits=NO_LIMITS):
     joints = tuple(replace(joint, name=name) for joint, name in pairs)
     played = replace(played, joints=joints)
     plan = Plan(played, PlaySettings(speed=speed), limits=limits)
-    checks = model_checks(plan, Contacts(robot, limits))
+    checks = model_checks(plan, build_problem(robot, limits))
     return [check for check in checks if check.severity != NOTE]
 
 
@@ -195,5 +196,6 @@ def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(
 def test_each_way_is_compared_too(angle):
     robot = arms.robot_of(WALL, max_velocity=np.inf)
     ends = np.zeros(1), np.array([angle])
-    stops = [check.text for check in Contacts(robot).transfer_checks("going", *ends)]
+    problem = build_problem(robot, NO_LIMITS)
+    stops = [check.text for check in transfer_checks(problem, "going", *ends)]
     assert ["wall" in text for text in stops] == [True] * (angle > 1.5)

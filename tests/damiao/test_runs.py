@@ -28,7 +28,6 @@ from robot_sysid.damiao.settings import Permissions
 from robot_sysid.damiao.simulated import SimulatedArm
 from robot_sysid.errors import HardwareAbort
 from tests.support.damiao_rig import GRAVITY, Rig, fault, motor, swing
-from tests.support.motor_bench import answering_writes_with
 from tests.support.places import ROOT
 
 SHORT = {"ramp_time": 0.1, "approach_time": 0.1, "rate": 125.0}
@@ -92,28 +91,13 @@ def test_a_short_stall_skips_cycles_and_never_replays_them(rig):
     assert np.all(np.diff(run.recording.columns["j0_cmd_pos"][:120]) >= 0.0)
 
 
-@pytest.mark.parametrize("opcode", [0x33, 0x55])
-def test_a_missing_watchdog_is_set_for_the_run_and_put_back(rig, opcode):
-    run = rig(watchdog=0.0, permissions=Permissions(watchdog=0.1))
-    for simulated in run.motors:
-        answering_writes_with(opcode, simulated)
-    registers = []
-    timeout = protocol.TIMEOUT
-    run.during(
-        "playing", 0.1, lambda r: registers.append(r.motors[1].registers[timeout])
-    ).run()
-    run.assert_played()
-    assert registers == [2000.0]
-    assert [m.registers[timeout] for m in run.motors] == [0.0, 0.0]
-
-
 def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(rig):
     plain = rig(name="plain").run().recording.joint_values("tau")
     faults = [fault("tmax", 0, 20.0)]
     permissions = Permissions(register_limits=True)
     run = rig(faults=faults, permissions=permissions).run()
     recording = run.assert_played()
-    assert any("TMAX=20," in line for line in recording.head)
+    assert any("TMAX=20" in line for line in recording.head)
     np.testing.assert_allclose(recording.joint_values("tau"), plain, rtol=0, atol=0.05)
 
 
@@ -126,8 +110,7 @@ def test_the_frames_in_the_manual_are_those_of_a_run(tmp_path):
         .split("```")[0]
     )
     motion = swing(1, duration=1.0)
-    permissions = Permissions(watchdog=0.1)
-    run = Rig(tmp_path, 1, motion=motion, watchdog=0.0, permissions=permissions)
+    run = Rig(tmp_path, 1, motion=motion)
     run.arm.mechanism.timestep = 2e-3
     run.run()
     lines = iter(
@@ -430,7 +413,6 @@ class Line:
     begins: float = 0.15
 
 
-KEPT = {"watchdog": 0.0, "permissions": Permissions(watchdog=0.1)}
 DEAF = {"max_speed_error": 9.0, "max_tracking_error": 9.0}
 UNPLUGGED = driver_fails(LinkError("gone"), 1e9)
 LOST = "answer in time for 6 cycles; no confirmation that these motors are disabled: motor 2. Cut"
@@ -455,7 +437,6 @@ TABLE = (
         after_stop(fault("status", 0, 0xA), 0.02, fault("status", 1, 0xB)),
         *("AB AB AB", "motor 1 reports status A"),
     ),
-    Line("watchdog set for the run", fault("silent", 1), "1D 0D 0D", "motor 2. Cut", KEPT),
     Line("blocked joint", fault("jammed", 0), "01 00 00", "one and the same position"),
     Line("weak motor", fault("peak_torque", 1, 0.05), SLOWLY, "motor 2 reports -0.1 N m"),
     Line("power stage hot", fault("temperature_mos", 1, 81), BRAKES, "motor 2 is at 81 deg C"),
@@ -505,9 +486,6 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
         frame.data[7] for frame in run.wire.sent if is_special(frame.data)
     ].count(0xFC)
     assert enabled == 2
-    if line.options is KEPT:
-        # The one that was seen to be off has its old value back, the other one keeps its watchdog.
-        assert [m.registers[protocol.TIMEOUT] for m in run.motors] == [0.0, 2000.0]
 
 
 def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):

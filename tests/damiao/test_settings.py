@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,9 +22,12 @@ from robot_sysid.damiao.protocol import (
     default_rate,
     encode_mit,
 )
-from robot_sysid.damiao.settings import PlaySettings
+from robot_sysid.damiao.references import Reference, transfer_reference
+from robot_sysid.damiao.settings import Plan, PlaySettings
+from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.errors import InputError
 from robot_sysid.records.option_fields import options_of
+from tests.support.damiao_rig import swing, trajectory_file
 
 SPECS = st.lists(st.sampled_from(list(MOTORS.values())), min_size=1, max_size=8)
 TIMINGS = st.builds(BusTiming, fd=st.booleans())
@@ -97,3 +102,19 @@ def test_a_light_joint_is_damped_less(specs, timing, data):
         assert kd == pytest.approx(
             np.clip(min(kp / 40.0, i * light.rate), least, KD_MAX)
         )
+
+
+def test_transfers_keep_the_limits_of_a_user(tmp_path):
+    file = trajectory_file(tmp_path, swing(2))
+    limits = replace(NO_LIMITS, max_velocity=(0.1, 9.0), max_acceleration=0.05)
+    settings = Plan(file, limits=limits).settings
+    begin = Reference(*np.zeros((3, 2)))
+    for way in (0.01, 0.2, 0.5):
+        target = begin._replace(position=np.full(2, way))
+        speed = settings.approach_speed, settings.approach_time
+        path, duration = transfer_reference(begin, target, *speed)
+        moments = np.linspace(0.0, duration, 501)
+        velocity = np.array([path(moment).velocity[0] for moment in moments])
+        assert np.max(velocity) <= 0.1 + 1e-9
+        assert np.max(np.gradient(velocity, moments)) <= 0.05
+    assert Plan(file).settings.approach_speed == 0.2

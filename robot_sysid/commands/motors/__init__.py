@@ -234,7 +234,6 @@ _MAIN = (
     "yes",
     "joint_map",
     "accept_register_limits",
-    "set_watchdog",
 )
 
 

@@ -197,7 +197,7 @@ def _heat_and_status(feedback: Feedback | None) -> tuple[str, str]:
     return heat, protocol.status_text(int(feedback.status[0]))
 
 
-def _type_name(limits: tuple[float, float, float], joint: DamiaoJoint | None) -> str:
+def _type_name(limits: tuple[float, ...], joint: DamiaoJoint | None) -> str:
     """Return the names of the motor types with given limits, or whether a joint's type has them.
 
     Args:

@@ -111,6 +111,9 @@ class SampleFilter:
     Args:
         peak_torque: (n,) peak torque of each joint [N m].
         velocity_step: (n,) one quantisation step of each joint's velocity [rad/s].
+
+    Attributes:
+        last: last believed samples; NaN before the first.
     """
 
     def __init__(self, peak_torque: Array, velocity_step: Array) -> None:
@@ -119,25 +122,15 @@ class SampleFilter:
         n_joints = len(peak_torque)
         unknown = np.full(n_joints, np.nan)
         enabled = np.ones(n_joints, dtype=bool)
-        self._last = _Samples(unknown, unknown, unknown, unknown, enabled, unknown)
-        self._suspect = self._last
+        self.last = _Samples(unknown, unknown, unknown, unknown, enabled, unknown)
+        self._suspect = self.last
         self._is_suspected = np.zeros(n_joints, dtype=bool)
-
-    @property
-    def q(self) -> Array:
-        """Last believed positions (n,) [rad]."""
-        return self._last.q
-
-    @property
-    def qd(self) -> Array:
-        """Last believed velocities (n,) [rad/s]."""
-        return self._last.qd
 
     def start(self, time: float, q: Array) -> None:
         """Take q (n,) [rad] at zero velocity as the last believed sample, of ``time`` [s]."""
         zero_speed = np.zeros_like(q)
         times = zero_speed + time
-        self._last = self._last._replace(time=times, q=q.copy(), qd=zero_speed)
+        self.last = self.last._replace(time=times, q=q.copy(), qd=zero_speed)
 
     def believe(
         self,
@@ -167,8 +160,8 @@ class SampleFilter:
         now = _Samples(time, q, qd, error, feedback.status == ENABLED, heat)
         # An answer is believed if it follows the last believed one, or repeats the suspect one. A
         # motor that was enabled and reports that it is not has to say so twice.
-        jumps, bends, is_plausible = self._compare(self._last, now)
-        follows = is_plausible & (now.enabled | ~self._last.enabled)
+        jumps, bends, is_plausible = self._compare(self.last, now)
+        follows = is_plausible & (now.enabled | ~self.last.enabled)
         *_, repeats = self._compare(self._suspect, now)
         repeated = repeats & self._is_suspected
         repeated &= now.enabled == self._suspect.enabled
@@ -177,10 +170,10 @@ class SampleFilter:
         repeated &= ~(jumps & (bends | ~now.enabled))
         believed = came & (follows | repeated)
         jumped = believed & ~follows & jumps
-        jump = np.where(jumped, np.nan_to_num(q - self._last.q), 0.0)
+        jump = np.where(jumped, np.nan_to_num(q - self.last.q), 0.0)
         self._is_suspected = np.where(came, ~believed, self._is_suspected)
         self._suspect = now.where(came, self._suspect)
-        self._last = now.where(believed, self._last)
+        self.last = now.where(believed, self.last)
         return believed, jump
 
     def _compare(self, previous: _Samples, now: _Samples) -> tuple[Mask, Mask, Mask]:
@@ -321,10 +314,6 @@ _ROUNDING = 1e-6
 """Relative error of a command at its bound after conversion to frames and back."""
 
 
-class BeyondBounds(HardwareAbort):
-    """A command was not sent because it is beyond the bounds of a joint."""
-
-
 @dataclass(frozen=True)
 class CommandRange:
     """Positions and speeds that commands of n joints may have, each (n,).
@@ -390,7 +379,7 @@ class CommandBounds:
         elapsed: Array,
         q: Array,
     ) -> None:
-        """Raise BeyondBounds for the first joint whose command is beyond its bounds.
+        """Raise HardwareAbort for the first joint whose command is beyond its bounds.
 
         Args:
             labels: names of the n joints, for messages.
@@ -426,7 +415,7 @@ class CommandBounds:
             # Written so that a NaN counts as too much.
             beyond = ~(np.abs(wanted - limited) <= tolerance)
             for j in np.flatnonzero(beyond).tolist():
-                raise BeyondBounds(
+                raise HardwareAbort(
                     f"{labels[j]} would {text.format(wanted[j], limited[j])}"
                 )
 

@@ -19,14 +19,13 @@ from robot_sysid.damiao.protocol import (
     is_special,
 )
 from robot_sysid.damiao.safety.guards import (
-    BeyondBounds,
     CommandBounds,
     CommandRange,
     SampleFilter,
     VelocityCheck,
 )
 from robot_sysid.damiao.session import MotorSession
-from robot_sysid.errors import SysidError
+from robot_sysid.errors import HardwareAbort, SysidError
 from tests.support.clocks import ScriptedClock
 
 PEAK = 27.0
@@ -328,7 +327,7 @@ def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
     ],
 )
 def test_what_is_asked_too_much_is_named(requested, message):
-    with pytest.raises(BeyondBounds, match=f"^second {message}"):
+    with pytest.raises(HardwareAbort, match=f"^second {message}"):
         BOUNDS.require(LABELS, requested, *STANDING)
     BOUNDS.require(LABELS, BOUNDS.confine(requested, *STANDING), *STANDING)
 
