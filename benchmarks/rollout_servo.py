@@ -22,9 +22,9 @@ from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
-from robot_sysid.servo import UNITS, run_servo
-from robot_sysid.servo.commands import commanded_pieces
-from robot_sysid.servo.windows import play_servos, split_pieces
+from robot_sysid.servo import HELD_OUT_SHARE, UNITS, run_servo
+from robot_sysid.servo.windows import WINDOW, ServoProblem, rms
+from robot_sysid.signals.resampling import slice_samples
 from robot_sysid.simulation.playback import ServoRollouts, servos_in_model
 from tests.support.places import MODELS
 
@@ -51,7 +51,9 @@ def main(*names: str) -> None:
             outcome = run_servo(robot, options, Path(folder) / "out", None, Progress())
             spent = time.monotonic() - begun
             piece = open_log(robot, log, replace(options, commanded=True))
-            held = split_pieces(commanded_pieces([piece], robot.joint_names))[1]
+            (samples,) = piece.pieces
+            first = round((1.0 - HELD_OUT_SHARE) * len(samples))
+            held = slice_samples(samples, first, len(samples))
         report(name, arm, robot, outcome, held, spent)
 
 
@@ -71,15 +73,14 @@ def report(name, arm, robot, outcome, held, spent) -> None:
         )
         print(f"  {term} [{unit}]: model {model_values}\n    true {values}")
         print(f"    found {estimates}\n    error {errors}")
-    pair = servos_in_model(robot), servos
-    without = play_servos(ServoRollouts(robot), held, pair, "", 0.0)[0].errors
-    for error, bare in zip(result.rollout.errors, without):
-        (late, new) = error.overall
-        (old, _) = bare.overall
-        print(
-            f"  held out, {error.horizon:g} s: model {old:.4g} rad, model with the delay found "
-            f"{late:.4g}, found {new:.4g}: {old / new:.1f} and {late / new:.1f} times smaller"
-        )
+    problem = ServoProblem(ServoRollouts(robot), [held])
+    old = rms(problem.test(servos_in_model(robot), servos)[0])
+    late = rms(result.before)
+    new = rms(result.after)
+    print(
+        f"  held out, {WINDOW:g} s: model {old:.4g} rad, model with the delay found {late:.4g}, "
+        f"found {new:.4g}: {old / new:.1f} and {late / new:.1f} times smaller"
+    )
 
 
 if __name__ == "__main__":

@@ -1,5 +1,4 @@
-"""Prediction of logs that were not fitted: the torques of a model file, and whether servos played
-on held-out pieces (a rollout) are better than the model's own."""
+"""Prediction of logs that were not fitted: the torques of a model file."""
 
 from __future__ import annotations
 
@@ -15,14 +14,8 @@ from robot_sysid.records import Array, Motion, RobotModel, Validation
 from robot_sysid.records.data import validation_of
 from robot_sysid.signals.process import ProcessedSignals
 
-HORIZONS = (0.1, 0.3, 1.0, 3.0)
-"""Durations over which the models are simulated [s]."""
-HELD_OUT_SHARE = 0.2
-"""Share of each log, its end, that is held out; cross-validation leaves out as much."""
 BLOCKS = 10
 """Number of blocks of a log in which two models are compared."""
-LAST_FIFTH = "the last fifth of every log, which was not fitted for it"
-"""Description of the pieces that ``HELD_OUT_SHARE`` holds out."""
 
 
 def torque_error(

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from robot_sysid import records
 from robot_sysid.dynamics.friction import Coupling
 from robot_sysid.records import Array, InertialParameters, Motion, Traces, Validation
-from robot_sysid.records.arm import check_arrays
 from robot_sysid.records.file_access import MODEL_NAMES, AtomicFiles
 from robot_sysid.records.messages import number_text, with_error
 
@@ -269,76 +268,6 @@ class Payload:
 
 
 @dataclass(frozen=True)
-class RolloutError:
-    """Position errors of the old and the new model, simulated over windows of the same length.
-
-    Attributes:
-        horizon: length of a window [s].
-        windows: number of windows.
-        errors_before: (n,) root mean square errors with the old model [rad or m].
-        errors_after: (n,) root mean square errors with the new model [rad or m].
-        is_worse: (n,) whether the new model's are clearly larger, window by window.
-    """
-
-    horizon: float
-    windows: int
-    errors_before: Array
-    errors_after: Array
-    is_worse: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        check_arrays(
-            self, errors_before=(None,), errors_after=(np.size(self.errors_before),)
-        )
-
-    @property
-    def overall(self) -> tuple[float, float]:
-        """Root mean square error of all joints together, with the old and the new model."""
-        pair = np.array([self.errors_before, self.errors_after])
-        before, after = np.sqrt(np.mean(pair**2, axis=1)).tolist()
-        return before, after
-
-    @property
-    def ratio(self) -> float:
-        """Error of all joints with the new model over that with the old."""
-        error_before, error_after = self.overall
-        return error_after / max(error_before, 1e-12)
-
-
-@dataclass(frozen=True)
-class RolloutTest:
-    """The old and the new model, simulated along pieces of the logs that were not fitted.
-
-    Attributes:
-        joint_names: the n chain joints, base to terminal.
-        held_out: description of the pieces.
-        servo: description of what the servos of the model follow.
-        errors: one per horizon that could be simulated, the longest horizon last.
-        notes: horizons that could not be simulated, one sentence each.
-    """
-
-    joint_names: tuple[str, ...]
-    held_out: str
-    servo: str
-    errors: tuple[RolloutError, ...]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def score(self) -> float | None:
-        """Geometric mean of the error ratios of all horizons; None without any."""
-        ratios = [error.ratio for error in self.errors]
-        if not ratios:
-            return None
-        return float(np.exp(np.mean(np.log(ratios))))
-
-    @property
-    def worse(self) -> list[str]:
-        """Joints whose errors are clearly larger with the new model over some horizon."""
-        is_worse = np.any([error.is_worse for error in self.errors], axis=0)
-        return [self.joint_names[k] for k in np.flatnonzero(is_worse)]
-
-
-@dataclass(frozen=True)
 class Result:
     """Everything that files, console, report and Python programs read of an identification.
 
@@ -498,31 +427,3 @@ def _strict(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return list(map(_strict, value))
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def rollout_entry(test: RolloutTest) -> dict[str, Any]:
-    """Return a rollout test as an entry of servo.json."""
-
-    def ratio_entry(old_error: float, new_error: float) -> dict[str, float | None]:
-        """Return the errors of old and new model and their ratio, None if the old one is 0."""
-        ratio = new_error / old_error if old_error > 0.0 else None
-        return {"before": old_error, "after": new_error, "ratio": ratio}
-
-    errors = []
-    for error in test.errors:
-        joint_entries = map(ratio_entry, error.errors_before, error.errors_after)
-        errors.append(
-            {
-                "horizon": error.horizon,
-                "windows": error.windows,
-                "overall": ratio_entry(*error.overall),
-                "joints": dict(zip(test.joint_names, joint_entries)),
-            }
-        )
-    return {
-        "held_out": test.held_out,
-        "closed_loop_is": test.servo,
-        "score": test.score,
-        "errors": errors,
-        "notes": list(test.notes),
-    }

@@ -33,7 +33,7 @@ from robot_sysid.results.parameter_table import (
     table_lines,
     without_rounding,
 )
-from robot_sysid.results.record import Payload, Result, RolloutTest
+from robot_sysid.results.record import Payload, Result
 from robot_sysid.results.verdict import (
     before_after_text,
     cause_text,
@@ -286,20 +286,3 @@ def folder_text(folder: Path) -> str:
     text = folder.as_posix()
     prefix = "" if folder.is_absolute() or text.startswith(".") else "./"
     return f"{prefix}{text}/" if text != "." else "./"
-
-
-def rollout_lines(test: RolloutTest) -> Iterator[str]:
-    """Yield the position errors of the old and the new model, and joints that became worse."""
-    yield (
-        f"Played on {test.held_out}: root mean square position error [rad or m], model before -> "
-        "new model"
-    )
-    for error in test.errors:
-        old_error, new_error = error.overall
-        yield (
-            f"  {error.horizon:g} s ({error.windows} windows): {old_error:.3g} -> "
-            f"{new_error:.3g}, {error.ratio:.3g} times"
-        )
-    yield from map("  {}".format, test.notes)
-    if test.worse:
-        yield f"  clearly worse than before: {', '.join(test.worse)}"

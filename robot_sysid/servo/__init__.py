@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,51 +18,40 @@ from numpy.typing import NDArray
 from robot_sysid.errors import ExportError
 from robot_sysid.export import Written, remove_earlier, writable_folder
 from robot_sysid.logs import FittedLogOptions
-from robot_sysid.logs.reader import (
-    MeasurementLog,
-    open_log,
-    origin_of,
-    refuse_fitted_log,
-    refuse_repeated_logs,
-)
+from robot_sysid.logs.reader import open_log, origin_of, refuse_repeated_logs
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
-from robot_sysid.records import Array, DataOrigin, Motion, RobotModel, file_access
+from robot_sysid.records import (
+    Array,
+    DataOrigin,
+    Measurement,
+    Motion,
+    RobotModel,
+    file_access,
+)
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.next_steps import use_lines
-from robot_sysid.results.prediction import LAST_FIFTH
-from robot_sysid.results.record import (
-    ModelTarget,
-    RolloutTest,
-    json_text,
-    rollout_entry,
-)
-from robot_sysid.results.result_lines import folder_text, rollout_lines
+from robot_sysid.results.record import ModelTarget, Quantity, json_text
+from robot_sysid.results.result_lines import folder_text
 from robot_sysid.results.written_model import versions, write_joints
-from robot_sysid.servo.commands import commanded_pieces
+from robot_sysid.servo.commands import check_commands
 from robot_sysid.servo.fit import (
-    LARGEST_ERROR,
     LINK_ERROR,
     OWN_GAIN,
     ServoFit,
+    distances,
     fit_servos,
-    loop_equations,
     refine_played,
 )
-from robot_sysid.servo.windows import (
-    make_problem,
-    play_servos,
-    rollout_error,
-    servo_fault,
-    split_pieces,
-)
+from robot_sysid.servo.windows import MAX_DELAY_PERIODS, WINDOW, ServoProblem, rms
+from robot_sysid.signals.resampling import slice_samples
 from robot_sysid.simulation.playback import (
     ServoRollouts,
     chain_actuators,
     servos_in_model,
 )
 
-SERVO_SCHEMA = "robot-sysid servo 2"
+SERVO_SCHEMA = "robot-sysid servo 3"
 """Name and version of the format of servo.json."""
 WITHOUT_TORQUE = (
     "No torque was measured: all of this follows from commanded and measured positions, and from "
@@ -75,24 +65,10 @@ UNITS = {
     "armature": "kg·m²",
 }
 """The identified numbers of a joint, in the order of ``ServoParameters``, and their units."""
-IDENTIFIED = "identified"
-FROM_MODEL = "from_model"
-ASSUMED = "assumed"
-_DOUBTS = {
-    FROM_MODEL: " (kept: the model's)",
-    ASSUMED: " (not determined alone: goes with the joint's other numbers)",
-}
-"""What follows a number in the printed lines, by its source, unless it is identified."""
+HELD_OUT_SHARE = 0.2
+"""Share of each log, its end, that is not fitted where there is no validation log."""
 OFTEN_LIMITED = 0.2
 """Share of time at its limit from which on a servo is mentioned."""
-_POSES = 200
-"""Number of poses of the logs in which a written model is checked."""
-_FITTED_WINDOWS = 24
-"""Largest number of windows of a fast servo that are played."""
-_WINDOW = 3.0
-"""Length of such a window [s]."""
-_SETTLING_TIME = 0.6
-"""Its beginning, in which errors do not count: the start state is uncertain [s]."""
 
 
 @dataclass(frozen=True)
@@ -106,9 +82,10 @@ class ServoIdentification:
         is_new: (n,) whether the numbers of a joint are not the model's.
         limit_share: (n,) share of time in which a servo needs more than its torque limit.
         data: the logs.
-        rollout: the models before and after, played on held-out pieces.
-        goal_delay, goal_errors: prediction of the same pieces by the commands of this time before
-            [s], and its errors, one per horizon of the rollouts [rad].
+        before, after: (n,) root mean square position errors of the models before and after, played
+            on held-out windows [rad or m].
+        is_worse: (n,) whether the errors after are clearly larger, window by window.
+        goal: error of the commands of some time before, where that fits best [rad or m].
         notes: sentences for the user.
     """
 
@@ -117,9 +94,10 @@ class ServoIdentification:
     is_new: NDArray[np.bool_]
     limit_share: Array
     data: DataOrigin
-    rollout: RolloutTest
-    goal_delay: float
-    goal_errors: tuple[float, ...]
+    before: Array
+    after: Array
+    is_worse: NDArray[np.bool_]
+    goal: float
     notes: tuple[str, ...] = ()
 
     @property
@@ -127,26 +105,19 @@ class ServoIdentification:
         """Each joint's numbers: by the joint's name, then by a key of ``UNITS``.
 
         A number is a dict of "before" (NaN where the model has none), "value", "standard_error",
-        "source" (``IDENTIFIED``, ``FROM_MODEL`` or ``ASSUMED``) and "unit".
+        "source" and "unit". The source is "identified"; "assumed" where the logs do not show the
+        number alone, and it goes with the joint's others; or "from_model" where all are kept.
         """
         before = servos_in_model(self.robot).numbers
-        value = self.fit.numbers
-        error = self.fit.errors
-        is_shown = self.fit.has_scale & (error < LARGEST_ERROR * value)
-        found = np.where(is_shown, IDENTIFIED, ASSUMED)
-        source = np.where(self.is_new, found, FROM_MODEL)
+        found = np.where(self.fit.is_shown, "identified", "assumed")
+        source = np.where(self.is_new, found, "from_model")
+        keys = "before", "value", "standard_error", "source", "unit"
         joints = {}
         for k, joint in enumerate(self.robot.joint_names):
-            joints[joint] = {
-                name: {
-                    "before": float(before[row, k]),
-                    "value": float(value[row, k]),
-                    "standard_error": float(error[row, k]),
-                    "source": str(source[row, k]),
-                    "unit": unit,
-                }
-                for row, (name, unit) in enumerate(UNITS.items())
-            }
+            arrays = before, self.fit.numbers, self.fit.errors, source
+            columns = [array[:, k].tolist() for array in arrays]
+            rows = zip(*columns, UNITS.values())
+            joints[joint] = {n: dict(zip(keys, row)) for n, row in zip(UNITS, rows)}
         return joints
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
@@ -167,8 +138,7 @@ class ServoIdentification:
             joint_changes.append(JointChange(self.robot.joint_names[k], numbers))
             if np.isfinite(actuators.stiffness[k]):
                 squared_gear = actuators.gear[k] ** 2
-                motor_kv = kv / squared_gear if kv > 0.0 else None
-                gains = stiffness / squared_gear, motor_kv
+                gains = stiffness / squared_gear, kv / squared_gear or None
                 actuator_changes.append(ActuatorChange(actuators.index[k], *gains))
         return joint_changes, actuator_changes
 
@@ -178,20 +148,20 @@ class ServoIdentification:
         It holds each joint's numbers with units, the delay, the comparison of the models before and
         after, and where all of it comes from.
         """
-        has_servo = np.isfinite(chain_actuators(self.robot).stiffness)
-        joints: dict[str, dict[str, Any]] = self.joint_numbers
-        for numbers, *others in zip(
-            joints.values(), self.is_new, has_servo, self.limit_share
-        ):
-            numbers.update(zip(("is_new", "has_servo", "at_limit"), others))
         return {
             "schema": SERVO_SCHEMA,
             "torque": "none measured; from position error",
             "meaning": WITHOUT_TORQUE,
-            "delay": {"value": self.fit.delay, "standard_error": self.fit.delay_error},
-            "joints": joints,
-            "rollout": rollout_entry(self.rollout),
-            "goal_prediction": {"delay": self.goal_delay, "errors": self.goal_errors},
+            "delay": Quantity(self.fit.delay, self.fit.delay_error),
+            "joints": self.joint_numbers,
+            "joint_names": self.robot.joint_names,
+            "at_limit": self.limit_share,
+            "rollout": {
+                "before": self.before,
+                "after": self.after,
+                "is_worse": self.is_worse,
+                "goal": self.goal,
+            },
             "source": self.data.description,
             "duration": self.data.duration,
             "model": {"path": str(self.robot.path), "sha256": self.robot.sha256},
@@ -200,28 +170,42 @@ class ServoIdentification:
         }
 
 
-def servo_lines(result: ServoIdentification) -> list[str]:
-    """Return the printed lines of a result: delay, each joint's numbers, errors of rollouts."""
+def servo_lines(result: ServoIdentification) -> Iterator[str]:
+    """Yield the printed lines of a result: delay, each joint's numbers, errors of rollouts."""
     fit = result.fit
-    lines = [
-        "Servos, friction and rotor inertia, before -> after, ± one standard error:",
-        f"  {WITHOUT_TORQUE}.",
-        f"  delay of the commands: {with_error(1e3 * fit.delay, 1e3 * fit.delay_error, 'ms')}",
-    ]
+    yield "Servos, friction and rotor inertia, before -> after, ± one standard error:"
+    yield f"  {WITHOUT_TORQUE}."
+    yield f"  delay of the commands: {with_error(1e3 * fit.delay, 1e3 * fit.delay_error, 'ms')}"
     for joint, numbers in result.joint_numbers.items():
         texts = []
         for name, number in numbers.items():
-            is_new = number["source"] != FROM_MODEL and np.isfinite(number["before"])
-            old = f"{number['before']:.3g} -> " if is_new else ""
             new = with_error(number["value"], number["standard_error"], number["unit"])
-            texts.append(f"{name} {old}{new}{_DOUBTS.get(number['source'], '')}")
-        lines.append(f"  {joint}: {'; '.join(texts)}")
-    lines += rollout_lines(result.rollout)
-    errors = ", ".join(f"{error:.3g}" for error in result.goal_errors)
-    lines.append(
-        f'  "position = command of {1e3 * result.goal_delay:.0f} ms before": {errors}'
+            source = number["source"].replace("_", " ")
+            texts.append(f"{name} {number['before']:.3g} -> {new} ({source})")
+        yield f"  {joint}: {'; '.join(texts)}"
+    yield (
+        f"Played on held-out windows of {WINDOW:g} s: root mean square position error "
+        f"{rms(result.before):.3g} rad of the model before, {rms(result.after):.3g} of the new "
+        f'one, {result.goal:.3g} of "position = command of some time before"'
     )
-    return lines
+
+
+def servo_faults(result: ServoIdentification) -> Iterator[str]:
+    """Yield why the new model is not usable.
+
+    It must predict positions better than the model before and than the delayed commands, and no
+    joint's clearly worse than before.
+    """
+    error = rms(result.after)
+    rivals = {
+        "the model before": rms(result.before),
+        "the delayed commands": result.goal,
+    }
+    for name, rival_error in rivals.items():
+        if error >= rival_error:
+            yield f"{error:.3g} rad over {WINDOW:g} s, {name} {rival_error:.3g}"
+    for k in np.flatnonzero(result.is_worse).tolist():
+        yield f"{result.robot.joint_names[k]} is predicted worse than before"
 
 
 def servo_notes(result: ServoIdentification) -> Iterator[str]:
@@ -240,13 +224,13 @@ def servo_notes(result: ServoIdentification) -> Iterator[str]:
                 f"the numbers found of {joint} predict held-out positions worse than the model's, "
                 "which stay, all of them"
             )
-        elif not fit.has_scale[k]:
+        elif not fit.is_shown[0, k]:
             yield (
                 f"the links' torque on {joint} is too small to show the absolute size of its "
                 f"numbers, only their ratios: its gain of {gain:.3g} N·m/rad is assumed to be like "
                 "those of the other joints, and the others are right in proportion to it"
             )
-        elif abs(np.log(fit.gain_ratio[k])) > 2.0 * OWN_GAIN:
+        elif abs(np.log(fit.gain_ratio[k])) > OWN_GAIN:
             yield (
                 f"the gain of {joint} is {fit.gain_ratio[k]:.2g} times what those of the other "
                 "joints lead to expect; check that servo's settings, and the masses of the links"
@@ -290,45 +274,51 @@ def run_servo(
     with writable_folder(folder, progress), file_access.atomic_files() as files:
         result, poses = identify_servos(robot, logs, progress)
         progress.note(*result.notes)
-        fault = servo_fault(result.rollout, result.goal_errors)
+        verdict = (
+            "Usable: position errors of the model, played on what was not fitted, are "
+            f"{rms(result.after) / rms(result.before):.2g} times those before"
+        )
         failure = None
-        # A URDF holds no rotor inertia, which the rollouts had: an MJCF is written beside it.
-        kinds = list(dict.fromkeys(("mjcf", robot.kind)))
-        if fault is not None and "rollout" not in logs.accept:
-            failure = f"no model was written: {fault}; to write it all the same: --accept rollout"
-            kinds = []
-        models: list[Path] = []
+        faults = "; ".join(servo_faults(result))
+        if faults:
+            verdict = (
+                "Not usable, but written because of --accept rollout: on held-out pieces the new "
+                f"model predicts positions no better than what is there without it ({faults})"
+            )
+        if faults and "rollout" not in logs.accept:
+            failure = (
+                "no model was written: on held-out pieces the new one predicts positions no better "
+                f"than what is there without it ({faults}); to write it all the same: --accept "
+                "rollout"
+            )
+        written: list[Path] = []
         notes: list[str] = []
         try:
-            for kind in kinds:
+            # A URDF holds no rotor inertia, which the rollouts had: an MJCF is written beside it.
+            for kind in () if failure else dict.fromkeys(("mjcf", robot.kind)):
                 path = folder / file_access.MODEL_NAMES[kind]
                 # No torque was measured, so there is no residual to state.
                 target = ModelTarget(files, path, poses, rmse=0.0, mesh_dir=mesh_dir)
                 notes += write_joints(robot, *result.changes(), target, kind)
-                models.append(path)
+                written.append(path)
         except ExportError as error:
-            for model in models:
-                files.withdraw(model)
-            models = []
+            for path in written:
+                files.withdraw(path)
+            written = []
             failure = (
                 f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
             )
         result = replace(result, notes=(*result.notes, *notes))
-        written = (*models, folder / file_access.SERVO_NAME)
+        written.append(folder / file_access.SERVO_NAME)
         files.write(written[-1], json_text(result.json_content()))
         read = [*filter(None, input_files), *read_document(robot.path).contents]
         notes += remove_earlier(files, folder, written, read)
     progress.note(*notes)
     lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
+    last_lines = [verdict, *use_lines(written[0])]
     if failure is not None:
-        return Written(written, lines, (f"Not usable: {failure}",), failure, result)
-    judgement = f"Not usable, but written because of --accept rollout: {fault}"
-    if fault is None:
-        judgement = (
-            "Usable: position errors of the model, played on what was not fitted, are "
-            f"{result.rollout.score:.2g} times those before"
-        )
-    return Written(written, lines, (judgement, *use_lines(models[0])), None, result)
+        last_lines = [f"Not usable: {failure}"]
+    return Written(tuple(written), lines, tuple(last_lines), failure, result)
 
 
 def identify_servos(
@@ -345,68 +335,59 @@ def identify_servos(
         logs: names the logs to fit, and the validation log if there is one.
         progress: receives each stage.
     """
-    fitted_logs = _open_logs(robot, logs.measurements, logs, progress)
-    fitted = commanded_pieces(fitted_logs, robot.joint_names)
-    if logs.validation_measurements is None:
-        fitted, held_out = split_pieces(fitted)
-        held_out_text = LAST_FIFTH
-    else:
-        test_logs = _open_logs(robot, [logs.validation_measurements], logs, progress)
-        refuse_fitted_log(test_logs[0], fitted_logs)
-        held_out = commanded_pieces(test_logs, robot.joint_names)
-        held_out_text = "the validation log"
+    test_path = logs.validation_measurements
+    opened = []
+    for path in (*logs.measurements, *filter(None, [test_path])):
+        progress.stage(f"Reading commands and positions from {path}...")
+        opened.append(open_log(robot, path, replace(logs, commanded=True), progress))
+    refuse_repeated_logs((str(log.path), log.samples) for log in opened)
+    check_commands(opened, robot.joint_names)
+    fitted_logs = opened[: len(logs.measurements)]
+    pieces: list[Sequence[Measurement]] = [log.pieces for log in opened]
+    fitted = list(chain(*pieces[: len(fitted_logs)]))
+    held_out = list(chain(*pieces[len(fitted_logs) :]))
+    if test_path is None:
+        ends = [round((1.0 - HELD_OUT_SHARE) * len(piece)) for piece in fitted]
+        held_out = [slice_samples(p, end, len(p)) for p, end in zip(fitted, ends)]
+        fitted = [slice_samples(p, 0, end) for p, end in zip(fitted, ends)]
     progress.stage("Searching for servos, friction and rotor inertia...")
-    in_model = servos_in_model(robot).numbers
     rollouts = ServoRollouts(robot)
-    problem = make_problem(rollouts, fitted, _FITTED_WINDOWS, _WINDOW, _SETTLING_TIME)
-    equations = loop_equations(robot, fitted)
-    goal_delay = equations.best_goal_delay()
-    found = refine_played(problem, fit_servos(robot, equations), in_model)
+    problem = ServoProblem(rollouts, fitted)
+    test_problem = ServoProblem(rollouts, held_out)
+    found = refine_played(problem, fit_servos(robot, fitted))
 
     # Where the model has no servo, its joint's damping is not that of both: what was found stands
     # for gain and damping.
-    kept = in_model.copy()
-    without = np.isnan(in_model[0])
+    kept = servos_in_model(robot).numbers
+    without = np.isnan(kept[0])
     kept[:2, without] = found.numbers[:2, without]
     old = replace(found, numbers=kept)
     is_new = found.is_known
     while True:
         fit = replace(found, numbers=np.where(is_new, found.numbers, kept))
-        pair = (old.servos, fit.servos)
-        rollout, goal_errors = play_servos(
-            rollouts, held_out, pair, held_out_text, goal_delay
-        )
+        before, after, is_worse = test_problem.test(old.servos, fit.servos)
         # Rollouts of what was fitted may only become worse where the equations miss something.
-        errors = (rollout_error(problem, pair), *rollout.errors)
-        is_worse = is_new & np.any([error.is_worse for error in errors], axis=0)
+        *_, is_worse_fitted = problem.test(old.servos, fit.servos)
+        is_worse = is_new & (is_worse | is_worse_fitted)
         if "rollout" in logs.accept or not np.any(is_worse):
             break
         is_new = is_new & ~is_worse
-    distance = np.abs(fit.numbers[0] * equations.distances(fit.delay))
+    origin = origin_of(fitted_logs)
+    delays = np.linspace(0.0, MAX_DELAY_PERIODS / origin.sample_rate, 41)
+    torque = np.abs(fit.numbers[0] * distances(fitted, fit.delay))
     result = ServoIdentification(
         robot=robot,
         fit=fit,
         is_new=is_new,
-        limit_share=np.mean(distance > chain_actuators(robot).limit, axis=0),
-        data=origin_of(fitted_logs),
-        rollout=rollout,
-        goal_delay=goal_delay,
-        goal_errors=goal_errors,
+        limit_share=np.mean(torque > chain_actuators(robot).limit, axis=0),
+        data=origin,
+        before=before,
+        after=after,
+        is_worse=is_worse,
+        goal=min(rms(distances(held_out, delay)) for delay in delays),
     )
     notes = [note for log in fitted_logs for note in log.notes]
     notes += servo_notes(result)
-    q = equations.position[:: max(1, len(equations.position) // _POSES)]
+    q = problem.measured[:, 0]
     poses = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
     return replace(result, notes=tuple(dict.fromkeys(notes))), poses
-
-
-def _open_logs(
-    robot: RobotModel, paths: Sequence[Path], logs: FittedLogOptions, progress: Progress
-) -> list[MeasurementLog]:
-    """Return the logs in files, with their commands; announce each that is read."""
-    opened = []
-    for path in paths:
-        progress.stage(f"Reading commands and positions from {path}...")
-        opened.append(open_log(robot, path, replace(logs, commanded=True), progress))
-    refuse_repeated_logs((str(log.path), log.samples) for log in opened)
-    return opened

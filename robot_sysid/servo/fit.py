@@ -27,10 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimate.fit import solve
 from robot_sysid.estimate.links import model_link_factor
 from robot_sysid.records import Array, Measurement, RobotModel
-from robot_sysid.servo.windows import MAX_DELAY_PERIODS, ServoProblem, smooth_states
+from robot_sysid.servo.windows import (
+    MAX_DELAY_PERIODS,
+    ServoProblem,
+    low_pass,
+    low_pass_motion,
+)
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
     ServoParameters,
@@ -41,11 +45,13 @@ from robot_sysid.simulation.playback import (
 LINK_ERROR = 0.1
 """Relative standard deviation of the links' masses, of their centres of mass in link sizes, and
 half that of their inertias: those of small arms are drawn, and seldom weighed."""
-OWN_GAIN = 0.3
+OWN_GAIN = 0.5
 """Standard deviation of the logarithm of a joint's gain over the model's about that of the others:
 servos of one arm are of one kind, and set alike."""
 UNKNOWN_GAIN = 1.5
 """The same of all gains together, and of one about the others where the model has none."""
+FREE_GAIN = 1e3
+"""The same of a gain that the data alone determines."""
 LARGEST_ERROR = 1.0 / 3.0
 """Relative standard error up to which a number is identified, and up to which a joint's resistance
 at ``USUAL_SPEED`` is known well enough for its numbers to be written."""
@@ -53,8 +59,6 @@ USUAL_SPEED = 1.0
 """Speed of joints in the motions that a model is used for [rad/s]."""
 CREEP = 0.1
 """Speed below which dry friction creeps, in MuJoCo as on arms, and looks like damping [rad/s]."""
-DELAY_ERROR = 0.05
-"""Standard error of the delay that sampling leaves, in sampling periods."""
 FAST_PRIOR = 1.0
 """Standard deviation of the logarithm of a fast servo's numbers about the model's."""
 LARGEST_TURN = 1.2
@@ -70,111 +74,62 @@ _OUTLIER = 5.0
 """Residual, in root mean squares of the first fit, from which on a sample is left out."""
 _CORRELATED_ROLLOUTS = 30.0
 """The same of the position errors of rollouts, which last until the servo pulls them back."""
-_STEPS = (0.3, 0.3, 0.7, 0.3)
-"""Steps of central differences by the logarithms of gain, damping, friction and rotor inertia. A
-servo that is at its limit again and again makes rollouts rough on smaller scales."""
-_LEAST_ERRORS = (2.0 * LINK_ERROR, 2.0 * LINK_ERROR, 1.0, 2.0 * LINK_ERROR)
-"""Relative errors of the same numbers beside those of noise: of the links, which fix the scale and
-add up to about two single ones, and of friction that a stiff servo hides."""
-_EVALUATIONS = 5
-"""Largest number of evaluations in each of two searches."""
-
-_CENTRE = 5.0
-"""Unknown of a number that is as in the model: far from zero, as relative steps need."""
-_DELAY_STEPS = 4
-"""Number of fits that lead to the delay; each is linear in it."""
+_STEP = 0.3
+"""Relative step of central differences by the numbers of a fast servo: one that is at its limit
+again and again makes rollouts rough on smaller scales."""
+_LEAST_ERRORS = (2.0 * LINK_ERROR, 2.0 * LINK_ERROR, 2.0, 2.0 * LINK_ERROR)
+"""Relative errors of a fast servo's numbers beside those of noise: of the links, which fix the
+scale and add up to about two single ones, and of friction that a stiff servo hides."""
 _DEFAULT_RATE = 20.0
 """Bandwidth of a servo of which the model says nothing [rad/s]."""
 
 
-@dataclass(frozen=True)
-class LoopEquations:
-    """The equations of the servos' closed loops, smoothed.
-
-    Attributes:
-        pieces: of logs, with commands.
-        period: sampling period [s].
-        position: (M, n) measured positions [rad or m].
-        columns: (M, n, 4) the links' torque, velocity, its sign, and acceleration.
-        is_moving: (M, n) whether a joint moves, so that its friction has the sign of its velocity;
-            never in the beginning of a piece, whose commands are not known.
-        link_columns: (M, n, L) torque by one standard deviation of each of L link errors [N m].
+def distances(pieces: Sequence[Measurement], delay: float) -> Array:
+    """Return the distance (M, n) from each position to its command of ``delay`` [s] before, behind
+    the low-pass.
     """
-
-    pieces: tuple[Measurement, ...]
-    period: float
-    position: Array
-    columns: Array
-    is_moving: NDArray[np.bool_]
-    link_columns: Array
-
-    def distances(self, delay: float) -> Array:
-        """Return the distance (M, n) from each position to its command of ``delay`` [s] before."""
-        commands = []
-        for piece in self.pieces:
-            middles = 0.5 * (piece.time[1:] + piece.time[:-1])
-            half = 0.5 * self.period
-            edges = np.hstack((piece.time[0] - half, middles, piece.time[-1] + half))
-            assert piece.command is not None
-            command = mean_commands(piece.time, piece.command, edges - delay)
-            smooth_command, _ = smooth_states(replace(piece, q=command))
-            commands.append(_average(_average(smooth_command)))
-        return np.asarray(np.concatenate(commands) - self.position)
-
-    def best_goal_delay(self) -> float:
-        """Return the time [s] by which positions lag behind commands if they else equal them."""
-        delays = self.period * np.arange(0.0, MAX_DELAY_PERIODS + 0.25, 0.25)
-        return float(min(delays.tolist(), key=lambda d: np.sum(self.distances(d) ** 2)))
+    distances = []
+    for piece in pieces:
+        assert piece.command is not None
+        # The mean command from the middle of one sampling period to that of the next.
+        period = sampling_period(piece.time)
+        edges = np.append(piece.time, piece.time[-1] + period) - 0.5 * period - delay
+        command = mean_commands(piece.time, piece.command, edges)
+        distances.append(low_pass(piece.time, command - piece.q))
+    return np.concatenate(distances)
 
 
-def loop_equations(robot: RobotModel, pieces: Sequence[Measurement]) -> LoopEquations:
-    """Return the equations of an arm's servos in pieces of logs, which have commands."""
+def loop_columns(
+    robot: RobotModel, pieces: Sequence[Measurement]
+) -> tuple[Array, Array]:
+    """Return the columns of the equations of an arm's servos, behind the low-pass.
+
+    They are (M, n, 4) the links' torque, velocity, its sign, and acceleration; and (M, n, L) the
+    torque by one standard deviation of each of L link errors [N m].
+    """
     dynamics = LinkDynamics(robot)
     links = list(range(robot.n_joints))
     factor = model_link_factor(robot, links, LINK_ERROR)
-    rows = []
+    columns = []
+    link_columns = []
     for piece in pieces:
-        q, _ = smooth_states(piece)
-        # A central difference is the mean velocity over two samples: the other terms are averaged
-        # over them as well, once for each difference.
-        slope = np.gradient(q, piece.time, axis=0)
-        qd = _average(slope)
-        qdd = np.gradient(slope, piece.time, axis=0)
-        q = _average(_average(q))
+        q, qd, qdd = low_pass_motion(piece)
         motion = dynamics.motion(q, qd, qdd)
-        torque = motion.torque(robot.thetas)
-        sign, _ = smooth_states(replace(piece, q=np.sign(qd)))
-        sign = _average(_average(sign))
-        columns = np.stack((torque, qd, sign, qdd), axis=-1)
-        is_inner = np.arange(len(q)) >= MAX_DELAY_PERIODS
-        rows.append((q, columns, is_inner, motion.columns(links) @ factor))
-    position, columns, is_inner, link_columns = map(np.concatenate, zip(*rows))
-    speed = np.abs(columns[:, :, 1])
-    least = np.maximum(0.1 * np.sqrt(np.mean(speed**2, axis=0)), CREEP)
-    return LoopEquations(
-        pieces=tuple(pieces),
-        period=float(np.median([sampling_period(piece.time) for piece in pieces])),
-        position=position,
-        columns=columns,
-        is_moving=(speed > least) & (is_inner[:, None] > 0),
-        link_columns=link_columns,
-    )
-
-
-def _average(values: Array) -> Array:
-    """Return the mean of values (N, n) over the two sampling periods around each sample."""
-    from scipy.ndimage import convolve1d
-
-    return np.asarray(convolve1d(values, [0.25, 0.5, 0.25], axis=0, mode="nearest"))
+        sign = low_pass(piece.time, np.sign(qd))
+        terms = motion.torque(robot.thetas), qd, sign, qdd
+        columns.append(np.stack(terms, axis=-1))
+        link_columns.append(motion.columns(links) @ factor)
+    return np.concatenate(columns), np.concatenate(link_columns)
 
 
 def fit_joint(
     columns: Array, mean: Array, deviation: Array, links: Array, error: Array
-) -> tuple[Array, Array]:
-    """Return the values (p,) of terms that explain a joint's position error, and their covariance.
+) -> tuple[Array, Array, float]:
+    """Return the values (p,) of terms that explain a joint's position error, their covariance, and
+    the root mean square of what they leave [rad].
 
     They are solved from the samples nearest to their commands first, then from all that are no
-    outliers. The first is that of torque; all but the last are not negative.
+    outliers. The first is that of torque; none is negative.
 
     Args:
         columns: (M, p) derivative of the position error by the values [rad].
@@ -183,30 +138,23 @@ def fit_joint(
             file keeps: none of it is fitted, all of it is in the covariance.
         error: (M,) position error [rad].
     """
-    prior = np.column_stack((np.eye(len(mean)), mean)) / deviation[:, None]
-    rows = np.column_stack((columns, error))
-    is_used = np.abs(error) <= np.quantile(np.abs(error), _SURE_SHARE)
-    noise = _rms(error[is_used])
-    for _ in range(3):
+    from scipy.optimize import nnls
+
+    residual = np.abs(error)
+    is_used = residual <= np.quantile(residual, _SURE_SHARE)
+    for _ in range(4):
+        noise = np.sqrt(np.mean(residual[is_used] ** 2)) + 1e-9
         weight = 1.0 / (noise * np.sqrt(_CORRELATED_SAMPLES))
-        weighted = weight * rows[is_used]
-        normal = weighted.T @ weighted + prior.T @ prior
-        values, inverse = solve(normal, mean)
-        is_kept = np.ones(len(mean), dtype=bool)
-        for _ in mean:
-            is_kept[:-1] &= values[:-1] > 0.0
-            values, _ = solve(normal, np.where(is_kept, mean, 0.0), is_kept)
-        by_links = weight * values[0] * links[is_used]
-        spread = inverse @ weighted[:, :-1].T @ by_links
+        data = weight * columns[is_used]
+        rows = np.vstack((data, np.diag(1.0 / deviation)))
+        values, _ = nnls(rows, np.append(weight * error[is_used], mean / deviation))
         residual = np.abs(error - columns @ values)
-        noise = _rms(residual[is_used])
+        by_links = weight * values[0] * links[is_used]
         is_used = residual <= _OUTLIER * noise
-    return values, inverse + spread @ spread.T
-
-
-def _rms(values: Array) -> float:
-    """Return the root mean square of values, a little more than zero."""
-    return float(np.sqrt(np.mean(values**2))) + 1e-9
+    left = np.minimum(residual, _OUTLIER * noise)
+    covariance = np.linalg.inv(rows.T @ rows)
+    spread = covariance @ data.T @ by_links
+    return values, covariance + spread @ spread.T, float(np.sqrt(np.mean(left**2)))
 
 
 @dataclass(frozen=True)
@@ -218,7 +166,6 @@ class ServoFit:
         errors: (4, n) their standard errors.
         delay, delay_error: by which all commands act late, and its standard error [s].
         gain_ratio: (n,) gain over what the other joints lead to expect.
-        has_scale: (n,) whether the links' torque shows the gain.
         is_fast: (n,) whether the samples do not resolve the motion of the servo.
         is_known: (n,) whether a joint moves enough to show its numbers.
     """
@@ -228,9 +175,13 @@ class ServoFit:
     delay: float
     delay_error: float
     gain_ratio: Array
-    has_scale: NDArray[np.bool_]
     is_fast: NDArray[np.bool_]
     is_known: NDArray[np.bool_]
+
+    @property
+    def is_shown(self) -> NDArray[np.bool_]:
+        """Which numbers (4, n) the data shows, and not only in proportion to the gain."""
+        return self.errors < LARGEST_ERROR * self.numbers
 
     @property
     def servos(self) -> ServoParameters:
@@ -239,136 +190,130 @@ class ServoFit:
         return ServoParameters(stiffness, damping, frictionloss, armature, self.delay)
 
 
-def fit_servos(robot: RobotModel, equations: LoopEquations) -> ServoFit:
+def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
     """Return the servo numbers that solve the equations best, with one delay for all joints.
 
     The delay is found first. Links then show the gains of the joints that carry them, and the
     others' are taken to be like these. Joints that do not move keep the model's numbers.
     """
+    from scipy.optimize import minimize_scalar
+
+    columns, link_columns = loop_columns(robot, pieces)
+    is_moving = np.abs(columns[:, :, 1]) > CREEP
+    moves = np.any(is_moving, axis=0)
     in_model = servos_in_model(robot).numbers
     inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature
     has_gain = np.isfinite(in_model[0])
     gain = np.where(has_gain, in_model[0], np.median(inertia) * _DEFAULT_RATE**2)
-    moves = np.any(equations.is_moving, axis=0)
-    # Of each joint 1/K, D/K, f/K, A/K, and its own delay; zero of one that does not move.
-    values = np.zeros((len(moves), 5))
-    covariances = np.zeros((len(moves), 5, 5))
-    period = equations.period
+    # Of each joint 1/K, D/K, f/K, A/K; zero of one that does not move.
+    values = np.zeros((len(moves), 4))
+    covariances = np.zeros((len(moves), 4, 4))
 
-    def fit_joints(delay: float, own_delay: float, gain_error: Array) -> None:
-        """Set values and covariances of the joints that move, by what is known of two of them."""
-        distances = equations.distances(delay)
-        step = 0.25 * period
-        slopes = (equations.distances(delay + step) - distances) / step
-        for k in np.flatnonzero(moves).tolist():
-            at = equations.is_moving[:, k]
-            columns = np.column_stack((equations.columns[at, k], slopes[at, k]))
-            error = distances[at, k]
-            mean = np.array([1.0, *in_model[1:, k], 0.0]) / gain[k]
+    def fit_joints(delay: float, gain_error: Array) -> float:
+        """Set values and covariances of the joints that move; return the log of what they leave."""
+        errors = distances(pieces, delay)
+        misfit = 0.0
+        for k in np.flatnonzero(moves):
+            at = is_moving[:, k]
+            mean = np.array([1.0 / gain[k], 0.0, 0.0, 0.0])
             # Beside the gain, a term may be as large as the whole distance.
-            deviation = np.std(error) / (np.std(columns, axis=0) + 1e-12) + mean
+            size = np.std(columns[at, k], axis=0) + 1e-12
+            deviation = np.std(errors[at, k]) / size
             deviation[0] = gain_error[k] / gain[k]
-            deviation[-1] = own_delay
-            links = equations.link_columns[at, k]
-            values[k], covariances[k] = fit_joint(
-                columns, mean, deviation, links, error
+            values[k], covariances[k], residual = fit_joint(
+                columns[at, k], mean, deviation, link_columns[at, k], errors[at, k]
             )
+            misfit += np.sum(at) * np.log(residual)
+        return misfit
 
-    delay = period
-    free = np.full(len(moves), np.inf)
-    for _ in range(_DELAY_STEPS):
-        fit_joints(delay, np.inf, free)
-        weights = 1.0 / covariances[moves, 4, 4]
-        shift = float(np.average(values[moves, 4], weights=weights))
-        delay = min(max(delay - shift, 0.0), MAX_DELAY_PERIODS * period)
-    delay_error = DELAY_ERROR * period
-    fit_joints(delay, delay_error, free)
-    inverse = values[:, 0]
-    has_scale = np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * inverse
-    gain_error = np.full(len(moves), UNKNOWN_GAIN)
+    period = float(np.median([sampling_period(piece.time) for piece in pieces]))
+    gain_error = np.full(len(moves), FREE_GAIN)
+    delay = minimize_scalar(
+        fit_joints,
+        bounds=(0.0, MAX_DELAY_PERIODS * period),
+        args=(gain_error,),
+        method="bounded",
+        options={"xatol": 1e-2 * period},
+    ).x
+    fit_joints(delay, gain_error)
+    gain_error[:] = UNKNOWN_GAIN
+    has_scale = np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * values[:, 0]
     if np.any(has_scale):
-        gain *= np.median(1.0 / (inverse * gain)[has_scale])
+        gain *= np.median(1.0 / (values[:, 0] * gain)[has_scale])
         gain_error[has_gain] = OWN_GAIN
-    fit_joints(delay, delay_error, gain_error)
+    fit_joints(delay, gain_error)
 
     found = 1.0 / np.maximum(values[:, 0], 1e-9)
-    numbers = found * values[:, :4].T
+    numbers = found * values.T
     numbers[0] = found
     # The derivative of each number by the joint's values.
-    slopes = found[:, None, None] * np.eye(4, 5)
+    slopes = found[:, None, None] * np.eye(4)
     slopes[:, :, 0] = -(numbers * found).T
     variance = np.einsum("kij,kjl,kil->ik", slopes, covariances, slopes)
     turn = period * np.sqrt(found / (numbers[3] + inertia))
     is_fast = moves & (turn > LARGEST_TURN)
     # Over the gain, by which all numbers of the joint are off alike.
-    at_speed = np.array([0.0, USUAL_SPEED, 1.0, 0.0, 0.0])
+    at_speed = np.array([0.0, USUAL_SPEED, 1.0, 0.0])
     doubt = np.sqrt(at_speed @ covariances @ at_speed)
     return ServoFit(
         numbers=np.where(moves, numbers, in_model),
         errors=np.sqrt(variance),
         delay=delay,
-        delay_error=delay_error,
+        delay_error=0.0,
         gain_ratio=found / gain,
-        has_scale=has_scale,
         is_fast=is_fast,
         is_known=is_fast | (doubt < LARGEST_ERROR * (values @ at_speed)),
     )
 
 
-def refine_played(problem: ServoProblem, fit: ServoFit, in_model: Array) -> ServoFit:
+def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
     """Return a fit with a delay, and numbers of fast servos, with which a model plays the windows.
 
-    Unknown are logarithms of the numbers over the model's, or over those of the equations where it
-    has none.
+    Unknown are factors on the model's numbers, the means of wide priors, or on those of the
+    equations where it has none, and on the delay.
 
     Args:
         problem: windows of the log.
         fit: numbers of the equations.
-        in_model: (4, n) numbers of the model, the means of wide priors.
     """
     from scipy.optimize import least_squares
 
-    fast = np.flatnonzero(fit.is_fast)
+    fast = fit.is_fast
+    in_model = servos_in_model(problem.rollouts.robot).numbers
     start = np.where(in_model > 0.0, in_model, np.maximum(fit.numbers, 1e-4))[:, fast]
-    # Friction changes by as much as is typical: small changes move the rollouts less than chance.
-    steps = np.append(np.repeat(_STEPS, len(fast)), _STEPS[0])
-    x = np.full(len(steps), _CENTRE)
 
-    def fit_at(x: Array) -> ServoFit:
-        """Return the fit with the numbers and the delay that unknowns stand for."""
-        factors = np.exp(x - _CENTRE)
+    def fit_at(factors: Array) -> ServoFit:
+        """Return the fit with the numbers and the delay that factors stand for."""
         numbers = fit.numbers.copy()
         numbers[:, fast] = start * factors[:-1].reshape(4, -1)
         return replace(fit, numbers=numbers, delay=fit.delay * factors[-1])
 
-    def residuals(x: Array, scale: Array | float) -> Array:
+    def residuals(factors: Array, scale: Array) -> Array:
         """Return the position errors over their scale, then the prior's residuals."""
-        errors = problem.errors([fit_at(x).servos])[0] / scale
-        return np.append(errors, (x - _CENTRE) / FAST_PRIOR)
+        errors = problem.errors(fit_at(factors).servos) / scale
+        return np.append(errors, np.log(factors) / FAST_PRIOR)
 
+    factors = np.ones(start.size + 1)
     for _ in range(2):
-        errors = problem.errors([fit_at(x).servos])[0]
-        scale = np.sqrt(_CORRELATED_ROLLOUTS * np.mean(errors**2, axis=0)) + 1e-9
+        squares = problem.errors(fit_at(factors).servos) ** 2
+        scale = np.sqrt(_CORRELATED_ROLLOUTS * np.mean(squares, axis=(0, 1)))
         fitted = least_squares(
             residuals,
-            x,
+            factors,
             jac="3-point",
-            bounds=(0.0, 2.0 * _CENTRE),
-            diff_step=steps / _CENTRE,
+            bounds=(0.01, 100.0),
+            diff_step=_STEP,
             loss="soft_l1",
-            max_nfev=_EVALUATIONS,
-            args=(scale,),
+            max_nfev=5,
+            args=(scale + 1e-9,),
         )
-        x = fitted.x
-    refined = fit_at(x)
-    variance = np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac))
+        factors = fitted.x
+    refined = fit_at(factors)
+    deviation = np.sqrt(np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac))) / factors
     least = np.array(_LEAST_ERRORS)[:, None]
-    relative = np.sqrt(variance[:-1].reshape(4, -1) + least**2)
+    relative = np.hypot(deviation[:-1].reshape(4, -1), least)
     errors = fit.errors.copy()
     errors[:, fast] = relative * refined.numbers[:, fast]
     return replace(
-        refined,
-        errors=errors,
-        delay_error=float(refined.delay * np.sqrt(variance[-1])),
-        has_scale=fit.has_scale | fit.is_fast,
+        refined, errors=errors, delay_error=float(refined.delay * deviation[-1])
     )

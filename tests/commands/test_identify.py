@@ -210,8 +210,8 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(
             assert (
                 abs(number["value"] - terms[term][k]) < 4.0 * number["standard_error"]
             )
-    errors = content["rollout"]["errors"]
-    assert all(3.0 * e["overall"]["after"] < e["overall"]["before"] for e in errors)
+    rollout = content["rollout"]
+    assert 3.0 * max(rollout["after"]) < max(rollout["before"])
     written = mujoco.MjModel.from_xml_path(str(folder / "updated_model.xml"))
     gains = [
         content["joints"][joint]["gain"]["value"] for joint in ("joint0", "joint1")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from robot_sysid.records import Measurement
-from robot_sysid.servo.fit import LINK_ERROR, fit_servos, loop_equations, refine_played
-from robot_sysid.servo.windows import make_problem
+from robot_sysid.servo.fit import LINK_ERROR, fit_servos, refine_played
+from robot_sysid.servo.windows import ServoProblem, rms
 from robot_sysid.simulation.playback import (
     ServoParameters,
     ServoRollouts,
@@ -50,14 +50,14 @@ LOG = log(arm())
 
 
 def fit_to(robot, piece=LOG):
-    return fit_servos(robot, loop_equations(robot, [piece]))
+    return fit_servos(robot, [piece])
 
 
 @pytest.mark.parametrize("kp", [5.0, 998.0])
 def test_numbers_come_from_the_log_and_not_from_the_models_servos(kp):
     """Those of a joint whose link weighs nothing come with the gain of the other one."""
     fit = fit_to(arm(kp=kp))
-    assert fit.has_scale.tolist() == [True, False] and not fit.is_fast.any()
+    assert fit.is_shown[0].tolist() == [True, False] and not fit.is_fast.any()
     for name, tolerance in (("stiffness", 0.05), ("damping", 0.2), ("armature", 0.2)):
         expected = pytest.approx(getattr(TRUTH, name), rel=tolerance)
         assert getattr(fit.servos, name) == expected, name
@@ -140,12 +140,11 @@ def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
     piece = log(robot, truth=truth, steps=10)
     fit = fit_to(robot, piece)
     assert fit.is_fast.all()
-    problem = make_problem(ServoRollouts(robot), [piece], 4, 3.0, 0.6)
-    refined = refine_played(problem, fit, servos_in_model(robot).numbers)
+    problem = ServoProblem(ServoRollouts(robot), [piece])
+    refined = refine_played(problem, fit)
     assert refined.servos.armature == pytest.approx(truth.armature, rel=0.1)
     assert refined.servos.damping == pytest.approx(truth.damping, rel=0.2)
     off = np.abs(refined.numbers - truth.numbers)
     assert np.all(off <= 3.0 * refined.errors)
-    errors = problem.errors([replace(in_model, delay=fit.delay), refined.servos])
-    before, after = np.mean(errors**2, axis=(1, 2))
-    assert after < 0.25 * before
+    before, after, _ = problem.test(replace(in_model, delay=fit.delay), refined.servos)
+    assert rms(after) < 0.5 * rms(before)

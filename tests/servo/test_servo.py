@@ -16,11 +16,14 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.records.data import DataOrigin
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.record import RolloutError, RolloutTest
-from robot_sysid.servo.commands import commanded_pieces
+from robot_sysid.servo.commands import check_commands
 from robot_sysid.servo.fit import ServoFit
-from robot_sysid.servo.windows import play_servos, servo_fault, smooth_states
-from robot_sysid.simulation.playback import ServoParameters, servos_in_model
+from robot_sysid.servo.windows import ServoProblem, low_pass_motion
+from robot_sysid.simulation.playback import (
+    ServoParameters,
+    ServoRollouts,
+    servos_in_model,
+)
 from tests.support import schemas, urdf
 from tests.support.model_files import write_files
 from tests.support.servo_logs import XML, commanded, positions, write
@@ -36,28 +39,15 @@ def robots(tmp_path_factory):
     return {name: load_robot_model(folder / f"arm.{name}") for name in ("xml", "urdf")}
 
 
-def test_of(robot, *new_errors):
-    """Rollouts over 1 s, 3 s, ... with an error of 1 before and some new error of each joint."""
-    errors = []
-    for horizon, error in zip((1.0, 3.0), new_errors):
-        new = np.full(2, error)
-        errors.append(RolloutError(horizon, 3, np.ones(2), new, new > 1.0))
-    return RolloutTest(robot.joint_names, "the last fifth", "servos", tuple(errors))
-
-
 def identification(robot, error=0.1):
     numbers = np.outer((GAIN, 3.0, 0.2, 0.1), np.ones(2))
     true = np.ones(2, dtype=bool)
     errors = np.full((4, 2), 0.01)
-    fit = ServoFit(numbers, errors, 0.02, 1e-3, np.ones(2), true, ~true, true)
+    fit = ServoFit(numbers, errors, 0.02, 1e-3, np.ones(2), ~true, true)
     origin = DataOrigin("log log.csv", 10.0, 50.0)
-    rollout = test_of(robot, error)
-    return servo.ServoIdentification(
-        robot, fit, true, np.zeros(2), origin, rollout, 0.05, (0.5,)
-    )
-
-
-test_of.__test__ = False
+    after = np.full(2, error)
+    errors = np.ones(2), after, after > 1.0, 0.5
+    return servo.ServoIdentification(robot, fit, true, np.zeros(2), origin, *errors)
 
 
 class NoteRecorder(Progress):
@@ -102,7 +92,9 @@ def test_a_gain_far_from_its_neighbours_is_said(robots):
     fit = replace(result.fit, gain_ratio=np.array([1.2, 0.5]))
     (note,) = servo.servo_notes(replace(result, fit=fit))
     assert "gain of joint1 is 0.5 times" in note
-    fit = replace(result.fit, has_scale=np.array([True, False]))
+    errors = result.fit.errors.copy()
+    errors[0, 1] = 0.5 * GAIN
+    fit = replace(result.fit, errors=errors)
     result = replace(result, fit=fit)
     (note,) = servo.servo_notes(result)
     assert "joint1" in note and "only their ratios" in note
@@ -110,20 +102,17 @@ def test_a_gain_far_from_its_neighbours_is_said(robots):
 
 
 @pytest.mark.parametrize(
-    ("new_errors", "fault"),
+    ("error", "fault"),
     [
-        ((0.1, 0.1), None),
-        ((0.1, 1.1), "1.1 rad over 3 s, the model before 1"),
-        ((0.1, 0.6), "0.6 rad over 3 s, the delayed commands 0.5"),
-        (((0.1, 1.2), (0.1, 1.2)), "joint1 is predicted worse than before"),
-        ((), "nothing could be played"),
+        (0.1, None),
+        (1.1, "1.1 rad over 1 s, the model before 1"),
+        (0.6, "0.6 rad over 1 s, the delayed commands 0.5"),
+        ((0.1, 1.2), "joint1 is predicted worse than before"),
     ],
 )
-def test_a_model_must_beat_its_rivals_over_every_horizon_and_joint(
-    robots, new_errors, fault
-):
-    found = servo_fault(test_of(robots["xml"], *new_errors), (0.5, 0.5))
-    assert found is None if fault is None else fault in found
+def test_a_model_must_beat_its_rivals_with_every_joint(robots, error, fault):
+    faults = list(servo.servo_faults(identification(robots["xml"], error)))
+    assert faults == [] if fault is None else fault in faults
 
 
 def test_what_got_worse_is_not_called_usable_even_if_it_is_accepted(
@@ -201,12 +190,11 @@ def test_a_gain_that_no_link_shows_is_written_with_its_friction_and_rotor(
     written = servos_in_model(
         load_robot_model(tmp_path / "found" / "updated_model.xml")
     )
-    assert outcome.result.fit.has_scale.tolist() == [True, True, False]
+    assert outcome.result.fit.is_shown[0].tolist() == [True, True, False]
     for name, tolerance in (("stiffness", 0.1), ("damping", 0.2), ("armature", 0.2)):
         expected = pytest.approx(getattr(SO_TRUTH, name), rel=tolerance)
         assert getattr(written, name) == expected, name
-    for error in outcome.result.rollout.errors[1:]:
-        assert error.errors_after[2] < 0.5 * error.errors_before[2]
+    assert outcome.result.after[2] < 0.5 * outcome.result.before[2]
 
 
 def test_numbers_that_play_worse_than_the_models_are_all_kept(
@@ -255,7 +243,7 @@ def delay(values, samples):
 
 def log(q, command):
     piece = Measurement(TIME, q, None, command - q, command=command)
-    return SimpleNamespace(path="log.csv", pieces=(piece,))
+    return SimpleNamespace(path="log.csv", samples=piece)
 
 
 FOLLOWED = delay(COMMAND, 2) + NOISE
@@ -263,12 +251,13 @@ FOLLOWED = delay(COMMAND, 2) + NOISE
 
 def test_commands_that_are_followed_are_accepted():
     """A joint that stands still is no fault."""
-    (piece,) = commanded_pieces([log(FOLLOWED, COMMAND)], NAMES)
-    _, qd = smooth_states(piece)
+    followed = log(FOLLOWED, COMMAND)
+    check_commands([followed], NAMES)
+    _, qd, _ = low_pass_motion(followed.samples)
     expected = np.gradient(FOLLOWED, 0.02, axis=0)
     assert qd[100] == pytest.approx(expected[100], abs=0.05)
     still = np.column_stack((FOLLOWED[:, 0], np.full(len(TIME), 0.3)))
-    assert commanded_pieces([log(still, np.round(still, 1))], NAMES)
+    check_commands([log(still, np.round(still, 1))], NAMES)
 
 
 ENCODER_STEPS = COMMAND * 4096 / (2 * np.pi) + 2048
@@ -295,16 +284,15 @@ def test_implausible_commands_are_refused(q, command, message_parts):
     commands = np.column_stack((COMMAND[:, 0], command[:, 1]))
     positions = np.column_stack((FOLLOWED[:, 0], q[:, 1]))
     with pytest.raises(InputError) as error:
-        commanded_pieces([log(positions, commands)], NAMES)
+        check_commands([log(positions, commands)], NAMES)
     message = str(error.value)
     assert "log.csv" in message and "\n" not in message
     assert all(word in message for word in message_parts), message
 
 
-def test_pieces_without_commands_are_not_played_and_not_called_short():
-    time = np.arange(0.0, 60.0, 0.1)
-    piece = Measurement(time, np.zeros((len(time), 1)), None, None)
-    rollouts = SimpleNamespace(robot=SimpleNamespace(joint_names=("a",)))
-    played, goal = play_servos(rollouts, [piece], (), "the last fifth", 0.05)
-    assert played.errors == goal == ()
-    assert "no held-out piece has commands for 1 s" in played.notes
+def test_a_log_that_is_too_short_to_be_judged_is_refused(robots):
+    time = np.arange(0.0, 1.0, 0.02)
+    q = np.zeros((len(time), 2))
+    pieces = [Measurement(time, q, None, q, command=q)]
+    with pytest.raises(InputError, match="no piece of 1 s"):
+        ServoProblem(ServoRollouts(robots["xml"]), pieces)
