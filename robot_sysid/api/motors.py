@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_sysid.api.keywords import MOTORS, Model, path_of, with_keywords
-from robot_sysid.damiao.bus import GuardedLink, inspect_bus
+from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.execution import MotorRun
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.preflight import require_no_stop
-from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
@@ -82,31 +81,18 @@ def play(
         run.require_free(plan)
         arm = run.simulated_arm(plan, DEFAULT_WATCHDOG) if simulate else None
         with run.open_guarded() if arm is None else run.open_simulated(arm) as link:
-            return _play_plan(run, link, plan, say, is_real=not simulate)
-
-
-def _play_plan(
-    run: MotorRun, link: GuardedLink, plan: Plan, say: Say, is_real: bool
-) -> PlayReport:
-    """Inspect the motors of an open bus, play a plan on them and return the report.
-
-    Args:
-        run: options of the run.
-        link: the open bus.
-        plan: the motion.
-        say: called with a sentence for each thing that happens.
-        is_real: whether the signs of the motors' directions are checked, too: not of a simulated
-            arm.
-
-    Raises:
-        HardwareAbort: a check forbids it, or the run was stopped.
-    """
-    stop = StopRequest()
-    inspection = inspect_bus(link)
-    require_no_stop(run.inspection_checks(plan, inspection, is_real), "not played")
-    return run.play(
-        link, plan, inspection, stop, on_phase=say, on_progress=lambda time: None
-    )
+            inspection = inspect_bus(link)
+            # The signs of a simulated arm's motors are not in doubt.
+            checks = run.inspection_checks(plan, inspection, not simulate)
+            require_no_stop(checks, "not played")
+            return run.play(
+                link,
+                plan,
+                inspection,
+                StopRequest(),
+                say,
+                on_progress=lambda time: None,
+            )
 
 
 @contextlib.contextmanager

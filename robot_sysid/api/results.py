@@ -163,9 +163,12 @@ class Result(record.Result):
         """Return a matplotlib Figure: measured and predicted torque of each joint over time [N m].
 
         Raises:
-            InputError: matplotlib is not installed.
+            InputError: matplotlib is not installed, or it is a simulation of the model itself.
         """
-        assert self.traces is not None
+        if self.traces is None:
+            raise InputError(
+                "a self-test has no torques to draw: all are the model's own"
+            )
         traces = self.traces()
         figure, grid = _axes(len(traces.joints))
         axes = grid[:, 0]

@@ -139,7 +139,6 @@ class Parser(argparse.ArgumentParser):
         title: str,
         *records: Any,
         only: Collection[str] = (),
-        leave_out: Collection[str] = (),
         defaults: Mapping[str, Any] | None = None,
     ) -> Any:
         """Add the options of records as one group of the help and return the group.
@@ -147,13 +146,12 @@ class Parser(argparse.ArgumentParser):
         Args:
             records: classes of option records.
             only: keys of the options to add; empty for all.
-            leave_out: keys of options not to add.
             defaults: by key, defaults of this command in place of the records'.
         """
         group = self.add_argument_group(title)
         for record in records:
             for name, option in options.options_of(record).items():
-                if option.key in leave_out or (only and option.key not in only):
+                if only and option.key not in only:
                     continue
                 default = options.default_of(record, name)
                 default = (defaults or {}).get(option.key, default)

@@ -5,21 +5,15 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 
 import robot_sysid
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.config import SelfTestConfig
+from robot_sysid.config import FolderOptions, SelfTestConfig
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.file_access import draft_folder, temporary_folder
-from robot_sysid.records.option_fields import (
-    OptionRecord,
-    option,
-    parse_folder,
-    record_from,
-)
+from robot_sysid.records.option_fields import record_from
 
 EXAMPLES = ("kinova",)
 MAIN = ("output_dir",)
@@ -46,19 +40,6 @@ WALKTHROUGH = {
 """Heading to command, with the copied files in braces."""
 
 
-@dataclass(frozen=True)
-class ExampleOptions(OptionRecord):
-    """Folder that an example is copied to; None for one of the example's name."""
-
-    output_dir: Path | None = option(
-        None,
-        "folder for the copy",
-        "DIR",
-        parse=parse_folder,
-        default_text="the example's name",
-    )
-
-
 def build_parser(full: bool = True) -> Parser:
     """Return the parser of this command; without ``full``, its help has the main options only."""
     parser = Parser(
@@ -72,14 +53,17 @@ def build_parser(full: bool = True) -> Parser:
     parser.add_argument(
         "name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES)
     )
-    parser.add("output", ExampleOptions)
+    only = ("output_dir",)
+    parser.add("output", FolderOptions, only=only, defaults={"output_dir": "NAME"})
     return parser.add_console_options()
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parse_command(build_parser, arguments)
-    folder = record_from(ExampleOptions, values).output_dir or Path(values["name"])
+    folder = Path(values["name"])
+    if "output_dir" in values:
+        folder = record_from(FolderOptions, values).output_dir
     if folder.exists():
         raise InputError(
             f"{folder} exists; choose another folder with --output-dir DIR"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from robot_sysid.commands import Console
@@ -11,25 +10,7 @@ from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.config import FolderOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.option_fields import (
-    OptionRecord,
-    option,
-    parse_folder,
-    record_from,
-)
-
-
-@dataclass(frozen=True)
-class PageOptions(OptionRecord):
-    """Folder of the page; None for that of the first run."""
-
-    output_dir: Path | None = option(
-        None,
-        "folder for the page",
-        "DIR",
-        parse=parse_folder,
-        default_text="the run's own, or the first one's",
-    )
+from robot_sysid.records.option_fields import record_from
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -47,7 +28,8 @@ def build_parser(full: bool = True) -> Parser:
         type=Path,
         help="folder that a run wrote to",
     )
-    parser.add("page", PageOptions)
+    only = ("output_dir",)
+    parser.add("page", FolderOptions, only=only, defaults={"output_dir": "DIR"})
     parser.add("model", ModelOptions, only=("mesh_dir",))
     return parser.add_console_options()
 
@@ -55,7 +37,6 @@ def build_parser(full: bool = True) -> Parser:
 def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parse_command(build_parser, arguments)
-    page = record_from(PageOptions, values)
     mesh_dir = record_from(ModelOptions, values).mesh_dir
     require_report(True)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
@@ -63,7 +44,9 @@ def main(arguments: Sequence[str]) -> int:
     from robot_sysid.report.runs import load_run
 
     runs = [load_run(folder) for folder in values["folders"]]
-    folder = page.output_dir or runs[0].folder
+    folder = runs[0].folder
+    if "output_dir" in values:
+        folder = record_from(FolderOptions, values).output_dir
     path = write_report(runs, folder, mesh_dir, console)
     console.stage(f"Written: {path}")
     verdicts = [run.content["verdict"] for run in runs]

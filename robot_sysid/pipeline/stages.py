@@ -7,7 +7,6 @@ time.
 from __future__ import annotations
 
 import math
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +27,6 @@ from robot_sysid.dynamics.equations import (
     friction_per_joint,
     split_name,
 )
-from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
@@ -42,16 +40,8 @@ from robot_sysid.pipeline.planning import (
     write_plan,
 )
 from robot_sysid.pipeline.run_words import step_after_run
-from robot_sysid.records import (
-    ITSELF,
-    DataOrigin,
-    Estimate,
-    JointLimits,
-    MotionPlan,
-    RobotModel,
-)
+from robot_sysid.records import ITSELF, DataOrigin, Estimate, MotionPlan, RobotModel
 from robot_sysid.records.controllers import AUTO
-from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import write_torque_scale
@@ -59,7 +49,7 @@ from robot_sysid.results.record import LINK, JointEstimate, Quantity, Result, Ve
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
-from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count, spread_motion
+from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count
 
 
 def run(config: Config, progress: Progress | None = None) -> Written:
@@ -246,8 +236,6 @@ def write_results(
     return written
 
 
-_DRAWN_SAMPLES = 2000
-"""Samples of the simulation that a report draws."""
 _NEGLIGIBLE_MASS_ERROR = 1e-6
 """Standard error of a mass that is small enough whatever the mass is [kg]."""
 
@@ -298,56 +286,6 @@ def run_self_test(
         joints={robot.terminal_joint: JointEstimate(model.name, terms, model_terms)},
         notes=robot.notes,
         checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
-        traces=partial(_traces, robot, plan, options.torques, model, estimate),
-    )
-
-
-def _traces(
-    robot: RobotModel,
-    plan: MotionPlan,
-    torques: str,
-    model: FrictionModel,
-    estimate: Estimate,
-) -> Traces:
-    """Return simulated and predicted torques of a self-test for a report.
-
-    The model is simulated anew: MuJoCo's own data cannot be kept safely until then.
-
-    Args:
-        robot: the arm.
-        plan: the motion of the self-test.
-        torques: "chain" or "terminal", the joints whose torques were fitted.
-        model: friction of the terminal joint.
-        estimate: the identified parameters, by whose values the torque is predicted.
-    """
-    equations = Equations(robot, torques, friction_per_joint(robot, "terminal", model))
-    motion = spread_motion(plan, _DRAWN_SAMPLES)
-    (measurement,) = simulate_inverse(robot, [motion])
-    at = list(equations.joint_indices)
-    measured = measurement.tau[:, at]
-    is_friction = np.arange(len(equations.names)) >= N_INERTIAL
-    values = (estimate.values, equations.prior, estimate.values * is_friction)
-    predictions = []
-    for columns, (rows, right_side), tau in zip(
-        equations.columns, equations.rows(measurement), measured.T
-    ):
-        known = np.outer(tau - right_side, [1.0, 1.0, 0.0])
-        predictions.append(known + rows @ np.stack(values)[:, columns].T)
-    predicted, prior_prediction, friction = np.stack(predictions).T
-    limits = robot.limits
-    return Traces(
-        joints=equations.joints,
-        is_slide=tuple(robot.is_slide[at].tolist()),
-        time=motion.time,
-        q=motion.q[:, at],
-        qd=motion.qd[:, at],
-        measured=measured,
-        predicted=predicted,
-        prior_prediction=prior_prediction,
-        friction=friction,
-        limits=JointLimits(
-            limits.lower[at], limits.upper[at], limits.velocity[at], limits.torque[at]
-        ),
     )
 
 

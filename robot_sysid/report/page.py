@@ -18,6 +18,7 @@ import numpy as np
 from robot_sysid import __version__
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
+from robot_sysid.records import Traces
 from robot_sysid.records.file_access import (
     CARD_NAME,
     PARAMS_NAME,
@@ -137,8 +138,8 @@ def _summary_of(run: Run) -> dict[str, Any]:
     day = datetime.date.fromtimestamp(written_at).isoformat()
     name = next(iter(run.bodies))
     rows = [*body_rows(run, name)[:4]]
-    if not run.is_payload:
-        rows += _friction_rows(run)
+    if run.traces is not None and not run.is_payload:
+        rows += _friction_rows(run, run.traces)
     return {
         "run": run,
         "content": content,
@@ -163,9 +164,8 @@ def _figures_of(run: Run, progress: Progress) -> dict[str, list[Figure]]:
         drawn["prediction"] = [figures.prediction_figure(file)]
     if traces is None:
         return drawn
-    if not run.is_self_test:
-        joint = figures.most_changed(traces)
-        drawn["first"] = [figures.torque_figure(traces, joint, "first")]
+    joint = figures.most_changed(traces)
+    drawn["first"] = [figures.torque_figure(traces, joint, "first")]
     for section in ("torques", "friction", "motion"):
         drawn[section] = []
     for joint in range(len(traces.joints)):
@@ -212,7 +212,7 @@ def _cells(row: BeforeAfter) -> tuple[str, ...]:
     return (f"{name} [{unit}]" if unit else name, *values, change)
 
 
-def _friction_rows(run: Run) -> Iterator[BeforeAfter]:
+def _friction_rows(run: Run, traces: Traces) -> Iterator[BeforeAfter]:
     """Return the rows of the terminal joint's friction and rotor inertia, where estimated."""
     name = run.content["joint_name"]
     joint = run.content["joints"].get(name, {"terms": {}, "model": {}})
@@ -220,9 +220,8 @@ def _friction_rows(run: Run) -> Iterator[BeforeAfter]:
     for term, quantity in joint["terms"].items():
         error = quantity["standard_error"]
         terms[term] = Quantity(quantity["value"], np.nan if error is None else error)
-    traces = run.traces
-    slides = {} if traces is None else dict(zip(traces.joints, traces.is_slide))
-    return friction_rows(terms, joint["model"], slides.get(name, False))
+    is_slide = dict(zip(traces.joints, traces.is_slide)).get(name, False)
+    return friction_rows(terms, joint["model"], is_slide)
 
 
 def _largest_cause(entry: Mapping[str, Any]) -> str:

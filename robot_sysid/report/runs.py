@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -102,13 +102,13 @@ class Run:
     Attributes:
         folder: folder that the run wrote to.
         content: content of params.json.
-        traces: signals to draw; None if they cannot be read.
-        missing: one sentence on why ``traces`` is None; "" otherwise.
+        traces: signals to draw; None if they cannot be read, and of a self-test.
+        missing: one sentence on why they cannot be read; "" otherwise.
     """
 
     folder: Path
     content: Mapping[str, Any]
-    traces: Traces | None
+    traces: Traces | None = None
     missing: str = ""
 
     @property
@@ -179,9 +179,10 @@ def load_run(folder: Path) -> Run:
             f"{path} has schema_version {version!r:.20}, and this program reads {SCHEMA_VERSION}; "
             f"{remedy}"
         )
+    run = Run(folder, content)
+    if run.is_self_test:
+        return run
     try:
-        traces = load_data(folder / DATA_NAME, fingerprint(folder))
-        return Run(folder, content, traces)
+        return replace(run, traces=load_data(folder / DATA_NAME, fingerprint(folder)))
     except InputError as error:
-        missing = f"Torques cannot be drawn: {error}; {remedy}."
-        return Run(folder, content, None, missing)
+        return replace(run, missing=f"Torques cannot be drawn: {error}; {remedy}.")
