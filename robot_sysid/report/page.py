@@ -112,6 +112,11 @@ def _values_of(run: Run, mesh_dir: Path | None, progress: Progress) -> dict[str,
     card = run.folder / CARD_NAME
     payload = content["payload"]
     is_card = payload is not None and payload["card"] is not None and card.is_file()
+    entry = next(iter(run.bodies.values()))
+    causes = {}
+    if entry["standard_errors"].get("m") is not None:
+        for cause, errors in entry["error_budget"].items():
+            causes[cause] = errors["m"] or 0.0
     images, no_pictures = pictures(run, mesh_dir)
     with drawing_style():
         drawn = _figures_of(run, progress)
@@ -122,7 +127,7 @@ def _values_of(run: Run, mesh_dir: Path | None, progress: Progress) -> dict[str,
         "pictures": images,
         "no_pictures": no_pictures,
         "card": card.read_text("utf-8") if is_card else "",
-        "cause": _largest_cause(next(iter(run.bodies.values()))),
+        "cause": max(causes, key=lambda cause: causes[cause]) if causes else "",
     }
 
 
@@ -222,14 +227,6 @@ def _friction_rows(run: Run, traces: Traces) -> Iterator[BeforeAfter]:
         terms[term] = Quantity(quantity["value"], np.nan if error is None else error)
     is_slide = dict(zip(traces.joints, traces.is_slide)).get(name, False)
     return friction_rows(terms, joint["model"], is_slide)
-
-
-def _largest_cause(entry: Mapping[str, Any]) -> str:
-    """Return the cause of the largest part of the error of a body's mass; "" if not known."""
-    budget = entry.get("error_budget")
-    if not budget or entry["standard_errors"]["m"] is None:
-        return ""
-    return max(budget, key=lambda cause: budget[cause]["m"] or 0.0)
 
 
 def _cell(value: float | None, error: float | None = None) -> str:

@@ -148,11 +148,6 @@ class Studio:
         self.data.qpos[self.robot.qpos_index] = q
         mujoco.mj_kinematics(self._model, self.data)
 
-    def point_camera(self, target: Array, distance: float) -> None:
-        """Point the camera at a target (3,) from a distance [m], beginning with the next pose."""
-        self.camera.lookat = target
-        self.camera.distance = distance
-
     def look_at_arm(self, postures: Array) -> None:
         """Point the camera so that the arm stays in the picture in all postures (N, n).
 
@@ -162,7 +157,8 @@ class Studio:
         low = np.min(points, axis=0)
         high = np.max(points, axis=0)
         distance = 0.75 * float(np.linalg.norm(high - low)) + 0.1
-        self.point_camera(0.5 * (low + high), distance)
+        self.camera.lookat = 0.5 * (low + high)
+        self.camera.distance = distance
         self.pose(postures[0])
 
     def _corners(self, q: Array) -> Array:
