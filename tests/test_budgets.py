@@ -22,19 +22,19 @@ BUDGETS = {
     "robot_sysid/diagnosis": 17642,
     "robot_sysid/dynamics": 6427,
     "robot_sysid/estimate": 29095,
-    "robot_sysid/logs": 18147,
+    "robot_sysid/logs": 17792,
     "robot_sysid/mjcf": 8062,
     "robot_sysid/model": 8850,
     "robot_sysid/motion": 22030,
-    "robot_sysid/pipeline": 6375,
+    "robot_sysid/pipeline": 6343,
     "robot_sysid/records": 8523,
     "robot_sysid/report": 8005,
     "robot_sysid/results": 13720,
-    "robot_sysid/servo": 5260,
+    "robot_sysid/servo": 5245,
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4038,
     "robot_sysid": 11854,
-    "tests": 226128,
+    "tests": 226032,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

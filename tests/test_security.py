@@ -34,7 +34,6 @@ HELD = {
     "a recording of arrays": f"{ARRAYS}"
     "test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused",
     "such a recording": f"{ARRAYS}test_hdf5_whose_arrays_are_too_much_together_is_refused",
-    "a recording of more": f"{ARRAYS}test_no_more_arrays_are_read_than_a_log_has",
     "JSON nested": "records/test_file_access.py::test_what_is_no_json_is_refused_in_one_line",
     "or of more than 30 MB": "records/test_file_access.py::test_what_is_too_large_is_not_read",
     "an integer": "records/test_file_access.py::test_an_integer_beyond_all_floats_is_infinite",

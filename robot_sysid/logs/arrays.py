@@ -35,9 +35,6 @@ from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import read_json
 
-MAX_ARRAYS = 10_000
-"""Largest number of columns of a log; with ten times as many, names take a minute."""
-
 
 def recordings_table(
     path: Path,
@@ -104,10 +101,6 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         rows = values if len(values) == n_rows else values.T
         if len(rows) == n_rows:
             samples[name] = rows.reshape(n_rows, -1)
-    count = sum(rows.shape[1] for rows in samples.values())
-    if count > MAX_ARRAYS:
-        fault = f"{path} holds {count} columns, more than the {MAX_ARRAYS} of a log"
-        raise InputError(f"{fault}; save those of the arm alone")
     titles = []
     for name, rows in samples.items():
         width = rows.shape[1]
@@ -272,22 +265,18 @@ _DOWNLOAD = "download the data set whole"
 def lerobot_table(source: LogSource) -> LogTable:
     """Return the selected episodes of a LeRobot data set, or all, each as one recording.
 
-    InputError where it holds no torque, no frames, or not the selected episodes.
+    InputError where it holds no frames, or not the selected episodes.
     """
     path = source.path
-    commanded = source.options.commanded
     info = _as_mapping(read_json(path / "meta" / "info.json", _DOWNLOAD))
     descriptions = _as_mapping(info.get("features"))
     titles = {}
-    for feature in (STATE, ACTION) if commanded else (STATE, *_FEATURES):
+    for feature in (STATE, ACTION, *_FEATURES):
         names = _as_mapping(descriptions.get(feature)).get("names")
         feature_titles = _lerobot_titles(names, feature)
         if feature_titles:
             titles[feature] = feature_titles
     columns = ["timestamp [s]", *chain.from_iterable(titles.values())]
-    text = " ".join(columns)
-    if not commanded and "torque" not in text and "current" not in text:
-        raise _no_torque_error(path, text, has_actions=ACTION in descriptions)
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{path} has no Parquet files in data/; {_DOWNLOAD}")
@@ -318,29 +307,6 @@ def lerobot_table(source: LogSource) -> LogTable:
     table = recordings_table(path, layout, columns, recordings)
     is_per_cent = _PER_CENT_ARMS.search(str(info.get("robot_type")))
     return replace(table, notes=(_DEGREES_NOTE,) if is_per_cent else ())
-
-
-def _no_torque_error(path: Path, columns: str, has_actions: bool) -> InputError:
-    """Return the error for a data set without torque or current.
-
-    Args:
-        path: of the data set.
-        columns: titles of what it holds.
-        has_actions: whether it holds what was commanded, which can stand in for the torque.
-    """
-    if has_actions:
-        return InputError(
-            f"{path} is a data set of measured positions ({STATE}) and goals ({ACTION}), as "
-            "position servos give them, and holds no torque; identify --torque-from position-error "
-            "needs none: it takes the torque from the distance of positions to goals",
-            options=[("--torque-from", "position-error")],
-            command="identify",
-        )
-    return InputError(
-        f"{path} holds no torque ({columns}); record it too: for OpenArm "
-        "use_velocity_and_torque=true of the robot's configuration, for other robots an "
-        "observation whose names end in .torque"
-    )
 
 
 def _as_mapping(value: Any) -> Mapping[str, Any]:

@@ -26,7 +26,7 @@ from robot_sysid.logs.table import (
     LogRows,
 )
 from robot_sysid.records import RobotModel
-from robot_sysid.records.messages import count_text, position_unit
+from robot_sysid.records.messages import count_text
 from robot_sysid.signals.frozen import frozen_positions
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
@@ -170,13 +170,9 @@ def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
     period = sampling_period(rows.samples.time)
     if not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
-        # The first unit in which a long period is at most 50 ms, else ns.
-        unit = "ms" if period <= 50 else "us" if period <= 5e4 else "ns"
-        remedy = f"if time is in {unit}, pass --units {unit}"
-        if period < _SHORTEST_PERIOD:
-            remedy = "declare the unit, or write 'time = 60 * TITLE' in --columns FILE"
         raise InputError(
-            f"time steps of {period:.6g} s are not those of a recording; {remedy}"
+            f"time steps of {period:.6g} s are not those of a recording; pass --units ms, us or "
+            "ns, or write 'time = 60 * TITLE' in --columns FILE"
         )
     if period * _SLOW_RATE > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
@@ -215,21 +211,19 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     q = rows.samples.q
     limit = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
     # Twice the limit, but at least one full turn; two turns for a joint without limit.
+    limit = np.where(np.isfinite(limit), limit, 2.0 * np.pi)
     reach = np.maximum(2.0 * limit, 2.0 * np.pi)
-    reach = np.where(np.isfinite(limit), reach, 4.0 * np.pi)
     largest = np.max(np.abs(q), axis=0)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None]
-    is_far = ~robot.is_slide & (largest > reach)
     is_often_fast = np.mean(speed > _FAST, axis=0) > _OFTEN
-    is_fast = ~robot.is_slide & is_often_fast
-    if np.any(is_far):
-        joint = int(np.argmax(is_far))
-        symptom = f"joint {robot.joint_names[joint]} reaches {largest[joint]:.4g}"
-    elif np.any(is_fast):
-        name = robot.joint_names[int(np.argmax(is_fast))]
-        symptom = f"joint {name} would often exceed {_FAST:g} rad/s"
-    else:
+    is_wrong = ~robot.is_slide & ((largest > reach) | is_often_fast)
+    if not np.any(is_wrong):
         return
+    joint = int(np.argmax(is_wrong))
+    symptom = (
+        f"joint {robot.joint_names[joint]} would reach {largest[joint]:.4g} rad and "
+        f"{np.max(speed[:, joint]):.4g} rad/s"
+    )
     rate = (len(time) - 1) / (time[-1] - time[0])
     raise InputError(
         f"positions look like degrees, or time stamps are those of another unit, or of when rows "
@@ -278,14 +272,12 @@ def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     lines = rows.lines[np.any(excess > _LIMIT_MARGIN, axis=1)]
     if not len(lines):
         return
-    largest = np.max(excess, axis=0)
-    outside = []
-    for joint in np.flatnonzero(largest > _LIMIT_MARGIN).tolist():
-        unit = position_unit(robot.is_slide[joint])
-        outside.append(f"{robot.joint_names[joint]} by {largest[joint]:.3g} {unit}")
+    is_outside = np.any(excess > _LIMIT_MARGIN, axis=0)
+    names = [robot.joint_names[joint] for joint in np.flatnonzero(is_outside)]
     yield (
-        f"positions leave the model's joint limits: {', '.join(outside)} "
-        f"({rows.cite(lines)}); check zero positions, signs, units and the order of the columns"
+        f"positions of {', '.join(names)} leave the model's joint limits by up to "
+        f"{np.max(excess):.3g} rad or m ({rows.cite(lines)}); check zero positions, signs, units "
+        "and the order of the columns"
     )
 
 

@@ -453,12 +453,17 @@ class _ColumnFinder:
                 "they are not known, begin with 1 N·m/A, and a weight of known mass shows them"
             )
             return InputError(fault, [("--torque-constants", "1")])
+        commands = [t for t in self.titles if t.quantity_beside_name == "command"]
+        if quantity == "torque" and len(commands) >= self.robot.n_joints:
+            fault += (
+                f"; {commands[0].text}, ... are commanded positions, as of position servos: "
+                "identify --torque-from position-error takes the torque from the distance of "
+                "positions to them; torques that it has are named with --columns FILE"
+            )
+            option = ("--torque-from", "position-error")
+            return InputError(fault, [option], command="identify")
         if quantity == "command":
             fault += " (titles such as action, command, q_des or goal_position)"
-        elif quantity == "torque" and not candidates:
-            fault += "; with commanded positions, identify --torque-from position-error needs none"
-        if any(t.is_commanded and t.quantity != self.driven for t in self.titles):
-            fault += "; commanded columns are not measurements"
         return InputError(f"{fault}. Columns: {', '.join(self._texts)}")
 
     def _look_up(self, text: str) -> tuple[int, float]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, zip_longest
 from operator import attrgetter
@@ -153,30 +153,16 @@ def _refuse_other_reading(
             )
 
 
-def refuse_fitted_log(test: MeasurementLog, logs: Sequence[MeasurementLog]) -> None:
-    """Raise InputError where a validation log has the samples of one of the fitted logs."""
-    for log in logs:
-        if _are_same_samples(log.samples, test.samples):
-            raise InputError(
-                f"the validation log has the samples of {log.path}, which is fitted: that tests "
-                "nothing; give another validation log, or none"
-            )
-
-
-def refuse_repeated_logs(logs: Iterable[tuple[str, Measurement]]) -> None:
-    """Raise InputError where two of the logs, each a name and samples, are the same recording."""
-    for (name, samples), (other_name, other_samples) in combinations(logs, 2):
-        if _are_same_samples(samples, other_samples):
-            raise InputError(
-                f"{other_name} has the samples of {name}: noise that counts twice makes errors "
-                "too small; give each log once"
-            )
-
-
-def _are_same_samples(first: Measurement, second: Measurement) -> bool:
-    """Return whether two logs are one recording; logs that were read hold no NaN."""
+def refuse_repeated_logs(logs: Sequence[MeasurementLog]) -> None:
+    """Raise InputError where two logs, to be fitted or to test the result, are one recording."""
     arrays_of = attrgetter("time", "q", "tau")
-    return all(map(np.array_equal, arrays_of(first), arrays_of(second)))
+    for log, other in combinations(logs, 2):
+        # Logs that were read hold no NaN.
+        if all(map(np.array_equal, arrays_of(log.samples), arrays_of(other.samples))):
+            raise InputError(
+                f"{other} has the samples of {log}: noise that counts twice makes errors too "
+                "small, and no log tests itself; give each log once"
+            )
 
 
 def _map_columns(
@@ -229,7 +215,6 @@ TableReader = Callable[[LogSource], LogTable]
 _BAG = "a ROS bag", bag_table
 _MATLAB = "a MATLAB .mat file", arrays.matlab_table
 _HDF5 = "an HDF5 file", hdf5_table
-_LEROBOT = "a LeRobot data set", arrays.lerobot_table
 _TEXT = "a table of text", text_table
 _FILES: Mapping[bytes, tuple[str, TableReader]] = {
     b"\x89MCAP0": _BAG,
@@ -245,14 +230,12 @@ _FILES: Mapping[bytes, tuple[str, TableReader]] = {
 """First bytes of a file to its form and the form's reader; any other file is a text table."""
 _FOLDERS: Mapping[str, tuple[str, TableReader]] = {
     "metadata.yaml": _BAG,
-    "meta/info.json": _LEROBOT,
+    "meta/info.json": ("a LeRobot data set", arrays.lerobot_table),
 }
 """A file in a folder to the folder's form and the form's reader."""
 _REMEDY = "say which column is what with --columns FILE"
 """What to do where columns are not recognised."""
-_FORM_OPTIONS = {"topic": _BAG, "episode": _LEROBOT}
-"""Option that is about one form alone, to the form."""
-_READING_OPTIONS = ("columns", "units", *_FORM_OPTIONS)
+_READING_OPTIONS = ("columns", "units", "topic", "episode")
 """Fields of options that change what is read from a log."""
 _FACTOR_OPTIONS = ("torque_scale", "torque_constants")
 """Fields of options that change torques."""
@@ -280,11 +263,6 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
         reason = error.strerror or error
         raise InputError(f"cannot read the log {path}: {reason}") from error
     form, reader = _find_form(path, is_folder, first_bytes)
-    for option, (only_form, only_reader) in _FORM_OPTIONS.items():
-        if getattr(options, option) and reader is not only_reader:
-            raise InputError(
-                f"--{option} is about {only_form}, and {path} is none; leave it off"
-            )
     if is_folder and reader is text_table:
         raise InputError(
             f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "

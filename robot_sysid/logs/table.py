@@ -142,10 +142,6 @@ def import_optional(module: str, extra: str) -> Any:
         raise InputError(f"reading this log {hint}") from None
 
 
-_LIBRARY_DEFECTS = (AssertionError, AttributeError, LookupError, TypeError)
-"""Exceptions whose text says nothing of a file: its content met a defect of the library."""
-
-
 @contextlib.contextmanager
 def as_input_errors(path: Path, form: str) -> Iterator[None]:
     """Turn any exception inside the block, which reads a file of a form, into an InputError.
@@ -157,15 +153,11 @@ def as_input_errors(path: Path, form: str) -> Iterator[None]:
         yield
     except SysidError:
         raise
-    except MemoryError:
-        fault = "asks for more memory than there is; it is damaged, or too long"
-        raise InputError(f"{path} {fault}") from None
     except Exception as error:
-        fault = error_text(error)
-        if isinstance(error, _LIBRARY_DEFECTS):
-            kind = type(error).__name__
-            fault = f"it is damaged, or of a kind that is not read ({kind}: {fault})"
-        raise InputError(f"cannot read {path} as {form}: {fault}") from error
+        fault = f"{error_text(error)} ({type(error).__name__})"
+        raise InputError(
+            f"cannot read {path} as {form}: {fault}; it may be damaged"
+        ) from error
 
 
 UNREADABLE = "unreadable"

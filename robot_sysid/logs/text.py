@@ -308,18 +308,17 @@ def write_measurement_csv(
     """
     with atomic_file(path) as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        attributes: dict[str, str] = {}
+        quantities: list[str] = []
         for chunk in chunks:
-            if not attributes:
-                pairs = _ATTRIBUTES.items()
-                attributes = {q: a for q, a in pairs if getattr(chunk, a) is not None}
-                columns = product(attributes, joint_names)
+            if not quantities:
+                attributes = _ATTRIBUTES.items()
+                quantities = [q for q, a in attributes if getattr(chunk, a) is not None]
+                columns = product(quantities, joint_names)
                 titles = [f"{joint}_{quantity}" for quantity, joint in columns]
                 # The name of a joint may hold ends of lines.
-                lines = [re.sub(r"[\r\n]", " ", title) for title in titles]
-                writer.writerow(["time", *lines])
-            values = [getattr(chunk, name) for name in attributes.values()]
+                writer.writerow(re.sub(r"[\r\n]", " ", t) for t in ("time", *titles))
+            values = [getattr(chunk, _ATTRIBUTES[q]) for q in quantities]
             rows = np.column_stack((chunk.time, *values)).tolist()
             writer.writerows(map(repr, row) for row in rows)
-        if not attributes:
+        if not quantities:
             raise InputError("there are no samples to write")

@@ -214,7 +214,7 @@ def _read_logs(
                 robot, log, accept, progress, links_known=False, checks=checks
             )
             logs.append(log)
-    refuse_repeated_logs((str(log.path), log.samples) for log in logs)
+    refuse_repeated_logs(logs)
     return logs
 
 

@@ -28,7 +28,6 @@ from robot_sysid.logs.reader import (
     MeasurementLog,
     open_log,
     origin_of,
-    refuse_fitted_log,
     refuse_repeated_logs,
 )
 from robot_sysid.logs.text import write_measurement_csv
@@ -67,14 +66,13 @@ def identify_logs(
     for path in options.measurements:
         progress.stage(f"Reading measurements from {path}...")
         logs.append(open_log(robot, path, options, progress))
-    refuse_repeated_logs((str(log.path), log.samples) for log in logs)
     tests = []
     if options.validation_measurements is not None:
         test = open_log(robot, options.validation_measurements, options, progress)
-        refuse_fitted_log(test, logs)
         tests.append(test)
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
+    refuse_repeated_logs([*logs, *tests])
     checked = diagnose_logs(
         robot, [*logs, *tests], options.accept, config.estimation, progress
     )

@@ -340,7 +340,7 @@ def identify_servos(
     for path in (*logs.measurements, *filter(None, [test_path])):
         progress.stage(f"Reading commands and positions from {path}...")
         opened.append(open_log(robot, path, replace(logs, commanded=True), progress))
-    refuse_repeated_logs((str(log.path), log.samples) for log in opened)
+    refuse_repeated_logs(opened)
     check_commands(opened, robot.joint_names)
     fitted_logs = opened[: len(logs.measurements)]
     pieces: list[Sequence[Measurement]] = [log.pieces for log in opened]

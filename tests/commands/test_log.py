@@ -136,12 +136,9 @@ def test_titles_cannot_steer_the_terminal(command):
 def test_a_data_set_without_torque_ends_with_the_command_that_needs_none(
     command, folder, truth
 ):
-    names = truth.robot.joint_names
-    path = recorded.lerobot("v3.0")(folder, truth.log)
-    info = path / "meta" / "info.json"
-    feature = {"names": [f"{joint}.pos" for joint in names]}
-    features = {"observation.state": feature, "action": feature}
-    info.write_text(json.dumps({"features": features}))
+    positions = [f"{name}.pos" for name in truth.robot.joint_names], truth.log.q
+    features = {"observation.state": positions, "action": positions}
+    recorded.write_data_set(folder / "set", "v3.0", 200, features)
     message = command.run("log set arm.xml --episode 0", code=2).err
     assert message.splitlines()[-1] == (
         "  robot-sysid identify arm.xml set --episode 0 --torque-from position-error"

@@ -110,13 +110,6 @@ def test_a_recording_that_unpacks_to_far_more_than_its_size_is_refused(
     assert_refused(r"unpacks to 0.00\d+ GB, more than the 0.001 GB .* size", path)
 
 
-def test_no_more_arrays_are_read_than_a_log_has(tmp_path, monkeypatch):
-    monkeypatch.setattr(arrays, "MAX_ARRAYS", 20)
-    path = tmp_path / "log.npz"
-    np.savez(path, **{f"a{k}": np.arange(9.0) for k in range(22)})
-    assert_refused("more than the 20 of a log; save those of the arm", path)
-
-
 def test_an_archive_of_something_else_is_refused(tmp_path):
     path = tmp_path / "log.zip"
     with zipfile.ZipFile(path, "w") as packed:
@@ -241,11 +234,8 @@ def test_every_episode_is_a_piece(tmp_path, version):
 @pytest.mark.parametrize(
     ("features", "fault"),
     [
-        ("none", "holds no torque"),
-        (
-            {"observation.state": {"names": 3}},
-            "holds no torque.*use_velocity_and_torque",
-        ),
+        ("none", "one position column"),
+        ({"observation.state": {"names": 3}}, "one position column"),
         ({"observation.state": {"names": ["wrist.torque"]}}, "names 1 numbers"),
     ],
 )
@@ -256,11 +246,11 @@ def test_an_odd_description_is_refused(tmp_path, features, fault):
 
 
 def test_a_data_set_of_actions_without_torque_names_the_option_that_uses_them(tmp_path):
-    path = recorded.FORMS["LeRobot"](tmp_path, DATA)
-    goal = {"names": [f"{joint}.pos" for joint in JOINTS]}
-    describe_features(path, {"observation.state": goal, "action": goal})
+    positions = [f"{joint}.pos" for joint in JOINTS], DATA.q
+    features = {"observation.state": positions, "action": positions}
+    path = recorded.write_data_set(tmp_path / "set", "v3.0", 200, features)
     with pytest.raises(
-        InputError, match="positions .* and goals .* needs none"
+        InputError, match="base command .* are commanded positions"
     ) as caught:
         read_measurements(path, JOINTS)
     assert caught.value.options == (("--torque-from", "position-error"),)

@@ -223,7 +223,10 @@ def test_declared_degrees_leave_slides_alone():
         ),
         ("t,q1,q2,q3", ["torque", "found none"]),
         ("t,q1,q2,q3,tau1,tau2,tau3<script>", ["torque", "found tau1, tau2."]),
-        ("t,q1,q2,q3,tau1_cmd,tau2_cmd,tau3_cmd", ["torque", "commanded"]),
+        (
+            "t,q1,q2,q3,q1_cmd,q2_cmd,q3_cmd",
+            ["torque", "q1_cmd, ... are commanded", "--torque-from position-error"],
+        ),
         ("q1,q2,q3,tau1,tau2,tau3", ["no time column", "rate"]),
         (
             "t,joint1_pos,joint2_pos,joint3_pos,tau1,tau2,tau3",
