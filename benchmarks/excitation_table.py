@@ -33,6 +33,7 @@ from robot_sysid.trajectory import (
     generate_excitation_trajectory,
     motion_chunks,
 )
+from tests.support.excitation_arms import link_covariance
 from tests.support.places import GUESS, MODELS
 
 ARMS = [
@@ -71,7 +72,7 @@ def left_by(design, plan):
 
 def figures(design, criterion, motion):
     """Return standard deviations of mass, centre of mass, Izz and the ten, and the mean axis."""
-    covariance = criterion.covariance(motion)
+    covariance = link_covariance(criterion, motion)
     standard_errors = np.sqrt(np.diag(covariance))
     scale = design.problem.scale
     slopes = centre_slopes(design.problem.robot.prior.theta)

@@ -22,15 +22,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
 from robot_sysid.trajectory import Series
 
-_RIDGE = 1e-10
-"""Share of the trace of Z^T Z that is added to its diagonal: x_j can then be eliminated too where a
-joint stands still and its friction columns are zero."""
+_RIDGE = 1e-12
+"""Share of the trace of the information about all x_j that is added to its diagonal: x_j can then
+be eliminated too where a joint stands still and its friction columns are zero."""
 _INVISIBLE = 1e-9
 """Information along a direction, over the largest along any, up to which the direction is not
 identifiable."""
@@ -99,134 +98,111 @@ class Criterion:
         smoothing: float = SMOOTHING_SHARE,
     ) -> None:
         self._problem = problem
-        self._knowledge = knowledge
         self._theta = np.ravel([problem.robot.links[k].theta for k in problem.links])
         self._joints = slice(problem.rows[0], None)
         self._smooth_speed = smoothing * problem.limits.velocity[self._joints]
-        deviations = knowledge.joint_deviations.T
-        self._has_prior = np.isfinite(deviations)
-        self._unit = np.where(self._has_prior, deviations, 1.0)
-        scale = np.diag(problem.scale)
         # All directions at first, and the noise of one torque [N m]: only shares count.
-        self.visible = scale
-        self._sigma = np.ones(len(problem.rows))
-        information = self._information(self._rows(*random_motion(problem)))
+        scale = np.diag(problem.scale)
+        self._set_unknowns(knowledge, scale, np.ones(len(problem.rows)))
+        information = self.information(random_motion(problem))
         cross = information[:10, 10:]
         precision = information[:10, :10] - cross @ np.linalg.solve(
             information[10:, 10:], cross.T
         )
         values, vectors = np.linalg.eigh(precision)
-        self.visible = scale @ vectors[:, values > _INVISIBLE * values[-1]]
-        self._sigma = problem.sigma / np.sqrt(samples)
+        visible = scale @ vectors[:, values > _INVISIBLE * values[-1]]
+        self._set_unknowns(knowledge, visible, problem.sigma / np.sqrt(samples))
 
-    def covariance(self, motion: Series) -> Array:
-        """Return the covariance (10, 10) of the terminal link's parameters that a motion and the
-        priors leave; zero along directions that no motion shows.
+    def _set_unknowns(
+        self, knowledge: PriorKnowledge, visible: Array, sigma: Array
+    ) -> None:
+        """Set the P unknowns: r visible directions, the other links', then each joint's own.
 
-        ``motion`` has q, qd and qdd, (N, n) each.
+        Args:
+            knowledge: priors.
+            visible: (10, r) directions of the terminal link's parameters.
+            sigma: (rows,) noise of each joint's torque [N m].
         """
-        inverse = np.linalg.inv(self._information(self._rows(*motion)))
-        count = self.visible.shape[1]
-        return np.asarray(self.visible @ inverse[:count, :count] @ self.visible.T)
+        factor = knowledge.link_factor
+        deviations = knowledge.joint_deviations.T
+        has_prior = np.isfinite(deviations)
+        unit = np.where(has_prior, deviations, 1.0)
+        n_visible = visible.shape[1]
+        n_others = len(factor)
+        n_links = n_visible + n_others
+        size = n_links + unit.size
+        self.visible = visible
+        self._n_links = n_links
+        self._n_target = n_links if knowledge.target == "arm" else n_visible
+        # (P,) prior information about each unknown.
+        self._prior = np.concatenate(
+            (np.zeros(n_visible), np.ones(n_others), has_prior.ravel())
+        )
+        # (rows, 10 L + 7, P) columns of a joint's equations per unit of each unknown, over the
+        # noise.
+        self._changes = np.zeros((len(unit), len(self._theta) + _N_TERMS, size))
+        self._changes[:, :10, :n_visible] = visible
+        self._changes[:, 10 : 10 + n_others, n_visible:n_links] = factor
+        for joint, units in enumerate(unit):
+            first = n_links + joint * _N_TERMS
+            self._changes[joint, -_N_TERMS:, first : first + _N_TERMS] = np.diag(units)
+        self._changes /= sigma[:, None, None]
+
+    def information(self, motion: Series) -> Array:
+        """Return H (P, P), the inverse covariance of all unknowns: the terminal link's along
+        ``visible``, the other links', each joint's. ``motion`` is q, qd and qdd, (N, n) each.
+        """
+        return self._information(self._columns(*motion))
 
     def evaluate(self, motion: Series) -> float:
         """Return the value of a motion q, qd and qdd, (N, n) each; infinite if singular."""
-        return self._solve(self._rows(*motion))[0]
+        return self._solve(self._columns(*motion))[0]
 
     def with_gradient(self, motion: Series) -> tuple[float, Series]:
         """Return the value of a motion and its gradient by q, qd and qdd, (N, n) each."""
-        rows = self._rows(*motion)
-        value, weight = self._solve(rows)
-        n_links = rows.shape[2] - _N_TERMS
-        adjoint = np.empty((len(self._sigma), len(self._change), len(rows)))
-        for joint, sigma in enumerate(self._sigma):
-            at = self._columns_of(joint, n_links)
-            by_row = -rows[:, joint] @ weight[np.ix_(at, at)]
-            adjoint[joint] = self._change @ by_row.T / sigma
-        by_links = adjoint[:, :-_N_TERMS]
-        by_terms = self._unit[:, :, None] * adjoint[:, -_N_TERMS:]
+        columns = self._columns(*motion)
+        value, weight = self._solve(columns)
+        by_column = -self._changes @ weight @ self._changes.transpose(0, 2, 1) @ columns
 
         def total(q: Array, qd: Array, qdd: Array) -> Array:
             """Return the sums (m, N) of all columns times their derivatives of the value."""
-            links, terms = self._raw_columns(q, qd, qdd)
-            links = links.reshape(*links.shape[:2], -1, len(rows))
-            terms = terms.reshape(*terms.shape[:2], -1, len(rows))
-            sums = np.einsum("jkmn,jkn->mn", links, by_links)
-            return np.asarray(sums + np.einsum("jkmn,jkn->mn", terms, by_terms))
+            moved = self._columns(q, qd, qdd)
+            moved = moved.reshape(*moved.shape[:2], -1, columns.shape[2])
+            return np.asarray(np.einsum("jkmn,jkn->mn", moved, by_column))
 
         return value, gradient_of(total, motion)
 
-    @property
-    def _change(self) -> Array:
-        """The raw columns (10 L + 7) per unit of each unknown of a joint's equations."""
-        factor = self._knowledge.link_factor
-        n_visible = self.visible.shape[1]
-        n_others = len(factor)
-        n_links = n_visible + n_others
-        change = np.zeros((len(self._theta) + _N_TERMS, n_links + _N_TERMS))
-        change[:10, :n_visible] = self.visible
-        change[10 : 10 + n_others, n_visible:n_links] = factor
-        change[-_N_TERMS:, -_N_TERMS:] = np.eye(_N_TERMS)
-        return change
-
-    def _columns_of(self, joint: int, n_links: int) -> NDArray[np.int64]:
-        """Return the indices, among all unknowns, of those in a joint's equations."""
-        own = n_links + joint * _N_TERMS + np.arange(_N_TERMS)
-        return np.append(np.arange(n_links), own)
-
-    def _raw_columns(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
-        """Return the columns (rows, 10 L, N) of the links' parameters, and (rows, 7, N) of each
-        joint's own terms.
+    def _columns(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the columns (rows, 10 L + 7, N) of each joint's equations: those of the links'
+        parameters, then those of ``JOINT_TERMS``.
         """
         problem = self._problem
         columns = problem.dynamics.motion(q, qd, qdd).columns(problem.links)
         links = columns.transpose(1, 2, 0)[self._joints]
         load = self._theta @ links
-        return links, self._joint_terms(qd.T[self._joints], qdd.T[self._joints], load)
-
-    def _rows(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the equations (N, rows, k) in units of the unknowns, over the noise."""
-        links, terms = self._raw_columns(q, qd, qdd)
-        columns = np.concatenate((links, self._unit[:, :, None] * terms), axis=1)
-        rows = columns.transpose(2, 0, 1) @ self._change
-        return np.asarray(rows / self._sigma[:, None])
-
-    def _joint_terms(self, qd: Array, qdd: Array, load: Array) -> Array:
-        """Return the columns (rows, 7, N) of ``JOINT_TERMS``.
-
-        Args:
-            qd: (rows, N) speeds of the used joints [rad/s].
-            qdd: (rows, N) accelerations [rad/s^2].
-            load: (rows, N) torques of the model's links [N m].
-        """
+        qd = qd.T[self._joints]
+        qdd = qdd.T[self._joints]
         speed = self._smooth_speed[:, None]
         sign = np.tanh(qd / speed) if np.all(speed > 0.0) else np.sign(qd)
         root = sign * np.sqrt(np.abs(qd))
         # In the order of ``JOINT_TERMS``.
-        columns = (sign, qd, np.ones_like(qd), qdd, load, sign * np.abs(load), root)
-        return np.stack(columns, axis=1)
+        terms = (sign, qd, np.ones_like(qd), qdd, load, sign * np.abs(load), root)
+        return np.concatenate((links, np.stack(terms, axis=1)), axis=1)
 
-    def _information(self, rows: Array) -> Array:
-        """Return H (P, P), the inverse covariance of all unknowns: links, then each joint's."""
-        joints = len(self._sigma)
-        n_links = rows.shape[2] - _N_TERMS
-        size = n_links + joints * _N_TERMS
-        information = np.zeros((size, size))
-        prior = range(self.visible.shape[1], n_links)
-        information[prior, prior] = 1.0
-        for joint in range(joints):
-            at = self._columns_of(joint, n_links)
-            equations = rows[:, joint]
-            normal = equations.T @ equations
-            ridge = _RIDGE * np.trace(normal[n_links:, n_links:])
-            own = range(n_links, n_links + _N_TERMS)
-            normal[own, own] += ridge + self._has_prior[joint]
-            information[np.ix_(at, at)] += normal
+    def _information(self, columns: Array) -> Array:
+        """Return H (P, P) of columns as those of ``_columns``."""
+        information = np.diag(self._prior)
+        for change, column in zip(self._changes, columns):
+            rows = column.T @ change
+            information += rows.T @ rows
+        joints = range(self._n_links, len(information))
+        ridge = np.trace(information[self._n_links :, self._n_links :])
+        information[joints, joints] += _RIDGE * ridge
         return information
 
-    def _solve(self, rows: Array) -> tuple[float, Array]:
+    def _solve(self, columns: Array) -> tuple[float, Array]:
         """Return the value, and G / r (P, P); (infinite, zeros) where equations are singular."""
-        information = self._information(rows)
+        information = self._information(columns)
         singular = np.inf, np.zeros_like(information)
         length = np.sqrt(np.diag(information))
         if not np.all(np.isfinite(length) & (length > 0.0)):
@@ -239,9 +215,7 @@ class Criterion:
         if np.min(pivots) ** 2 <= _SINGULAR:
             return singular
         covariance = np.linalg.inv(scaled) / np.outer(length, length)
-        count = self.visible.shape[1]
-        if self._knowledge.target == "arm":
-            count += len(self._knowledge.link_factor)
+        count = self._n_target
         of_target = covariance[:count, :count]
         value = 0.5 * float(np.linalg.slogdet(of_target)[1]) / count
         weight = covariance[:, :count] @ np.linalg.solve(of_target, covariance[:count])

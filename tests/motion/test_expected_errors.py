@@ -31,7 +31,7 @@ from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from tests.motion.test_prediction import best_plan
 from tests.support import arms
-from tests.support.excitation_arms import make_problem, robot
+from tests.support.excitation_arms import link_covariance, make_problem, robot
 
 RATE = 250.0
 SIGMA = 0.01
@@ -108,7 +108,7 @@ def test_the_search_minimises_the_predicted_errors(options):
     prior = prior_knowledge(PROBLEM, options, "link")
     motion = PLAN.evaluate((np.arange(100) + 0.5) * PLAN.duration / 100)
     criterion = Criterion(PROBLEM, prior, RATE * PLAN.duration / 100, smoothing=0.0)
-    covariance = criterion.covariance((motion.q, motion.qd, motion.qdd))
+    covariance = link_covariance(criterion, (motion.q, motion.qd, motion.qdd))
     ratio = predict_errors(options).errors / np.sqrt(np.diag(covariance))
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
 

@@ -12,7 +12,12 @@ from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
 from tests.support import arms
 from tests.support.arms import random_motion
-from tests.support.excitation_arms import known_arm, make_problem, slope
+from tests.support.excitation_arms import (
+    known_arm,
+    link_covariance,
+    make_problem,
+    slope,
+)
 
 DEVIATIONS = np.array([np.inf, np.inf, np.inf, np.inf, 0.02, 0.03, 0.1])
 TARGETS = ("link", "arm", "payload")
@@ -62,7 +67,7 @@ def test_the_value_is_the_volume_of_a_dense_fits_covariance(xml, target):
     covariance, size = dense_covariance(problem, knowledge, motion)
     assert criterion.visible.shape == (10, 10)
     deviation = np.sqrt(np.diag(covariance)[:10])
-    ours = criterion.covariance(motion) / np.outer(deviation, deviation)
+    ours = link_covariance(criterion, motion) / np.outer(deviation, deviation)
     theirs = covariance[:10, :10] / np.outer(deviation, deviation)
     assert_allclose(ours, theirs, atol=1e-5)
     count = size if target == "arm" else 10

@@ -35,6 +35,7 @@ from tests.support.excitation_arms import (
     TUBES_AND_POST,
     TUBES_ON_FLOOR,
     known_arm,
+    link_covariance,
     make_design,
     make_problem,
     options,
@@ -160,7 +161,7 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
         prior = known_arm(design.problem)
         criterion = Criterion(design.problem, prior, 1.0 / len(time), smoothing)
         motion = plan.evaluate(time)
-        covariance = criterion.covariance((motion.q, motion.qd, motion.qdd))
+        covariance = link_covariance(criterion, (motion.q, motion.qd, motion.qdd))
         return np.sqrt(np.diag(covariance))
 
     for number in range(4):

@@ -81,3 +81,12 @@ def slope(function, x, direction, step=1e-6):
     """Central difference of a function along a direction."""
     difference = function(x + step * direction) - function(x - step * direction)
     return difference / (2.0 * step)
+
+
+def link_covariance(criterion, motion):
+    """Covariance (10, 10) of the terminal link's parameters that a motion (q, qd, qdd) and the
+    priors leave; zero along directions that no motion shows.
+    """
+    count = criterion.visible.shape[1]
+    inverse = np.linalg.inv(criterion.information(motion))
+    return criterion.visible @ inverse[:count, :count] @ criterion.visible.T
