@@ -178,23 +178,26 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ..
     """
     import numpy as np
 
-    if len(sides) != 6:
-        raise InputError("--workspace takes six numbers: XMIN XMAX YMIN YMAX ZMIN ZMAX")
+    lows = sides[0::2]
+    highs = sides[1::2]
+    if len(sides) != 6 or not all(low < high for low, high in zip(lows, highs)):
+        raise InputError(
+            "--workspace takes six numbers, XMIN XMAX YMIN YMAX ZMIN ZMAX, each minimum below its "
+            f"maximum, not {' '.join(f'{side:g}' for side in sides)}"
+        )
     half_spaces = []
-    for axis, low, high in zip(range(3), sides[0::2], sides[1::2]):
-        if not low < high:
-            raise InputError(
-                f"--workspace is empty along {'xyz'[axis]}: {low:g} is not below {high:g}; "
-                "the order is XMIN XMAX YMIN YMAX ZMIN ZMAX"
-            )
-        for sign, bound, side in ((1.0, low, "min"), (-1.0, high, "max")):
-            if np.isfinite(bound):
-                label = f"the workspace's {'xyz'[axis]}{side} = {bound:g} m"
-                inward = sign * np.eye(3)[axis]
-                offset = sign * bound
-                half_spaces.append(
-                    HalfSpace(inward, offset, clearance=0.0, bodies=bodies, label=label)
+    for number, bound in enumerate(sides):
+        axis, is_maximum = divmod(number, 2)
+        if math.isfinite(bound):
+            sign = -1.0 if is_maximum else 1.0
+            side = f"{'xyz'[axis]}{'max' if is_maximum else 'min'}"
+            label = f"the workspace's {side} = {bound:g} m"
+            inward = sign * np.eye(3)[axis]
+            half_spaces.append(
+                HalfSpace(
+                    inward, sign * bound, clearance=0.0, bodies=bodies, label=label
                 )
+            )
     return tuple(half_spaces)
 
 

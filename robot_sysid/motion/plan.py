@@ -12,6 +12,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import WEIGHT, ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.checked import CheckedPlan
+from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import (
@@ -84,17 +85,10 @@ def make_plan(
         InputError: no motion keeps the limits, or it is too long to be checked or sampled.
     """
     options = request.trajectory
-    if request.is_checked and options.file is None:
-        _require_checkable(options.duration / options.speed)
     plan, problem = _new_plan(request, robot, seed, progress)
-    if options.speed != 1.0:
-        from robot_sysid.motion.trajectories import at_speed
-
-        plan = at_speed(plan, options.speed)
-    require_countable(plan.duration, options.sample_rate)
+    plan = at_speed(plan, options.speed)
     if problem is None:
         return CheckedPlan(plan)
-    _require_checkable(plan.duration)
     from robot_sysid.motion.limit_check import check_limits
     from robot_sysid.motion.solids import unguarded_text
 
@@ -106,9 +100,13 @@ def make_plan(
     return CheckedPlan(plan, problem, check_limits(problem, plan, options.sample_rate))
 
 
-def _require_checkable(duration: float) -> None:
-    """Raise InputError where checking a motion of this duration [s] would take hours."""
-    if not duration <= LONGEST_CHECKED:
+def _require_possible(request: MotionRequest, duration: float) -> None:
+    """Raise InputError where a motion of this duration [s] has too many samples, or takes hours to
+    be checked.
+    """
+    duration = duration / request.trajectory.speed
+    require_countable(duration, request.trajectory.sample_rate)
+    if request.is_checked and duration > LONGEST_CHECKED:
         raise InputError(
             f"a motion of {duration:.3g} s takes too long to check against all limits; make it at "
             f"most {LONGEST_CHECKED:g} s long"
@@ -124,11 +122,10 @@ def _new_plan(
     options = request.trajectory
     rng = np.random.default_rng(seed)
     if options.file is not None:
-        from robot_sysid.motion.trajectories import load_trajectory
-
         progress.stage(f"Loading excitation trajectory from {options.file}...")
         saved = load_trajectory(options.file)
         saved.require_fits(robot.joint_names)
+        _require_possible(request, saved.plan.duration)
         if saved.sha256 not in ("", robot.sha256):
             progress.note(
                 f"{options.file} was made for another model file; it is checked against the "
@@ -139,14 +136,12 @@ def _new_plan(
     if poses.sets_its_time:
         from robot_sysid.motion.static import design_poses, design_sweeps
 
-        stage = "Looking for room to sweep each joint in..."
-        if poses.static:
-            stage = f"Choosing {poses.poses} poses to rest in..."
-        progress.stage(stage)
+        progress.stage("Looking for room to move slowly in...")
         problem = _problem(request, robot)
         if poses.static:
             return design_poses(problem, poses, rng), problem
         return design_sweeps(problem), problem
+    _require_possible(request, options.duration)
     verb = "Designing" if request.is_designed else "Generating"
     sampling = f"{options.duration:.1f}s, {options.sample_rate:g} Hz"
     progress.stage(f"{verb} excitation trajectory ({sampling})...")
@@ -155,25 +150,20 @@ def _new_plan(
     # Ends on a sample, so that the last one is at rest.
     rate = options.sample_rate
     duration = (trajectory.sample_count(options.duration, rate) - 1) / rate
-    torque = ArmTorque(robot)
     if not request.is_checked:
+        torque = ArmTorque(robot)
         plan, notes = trajectory.generate_excitation_trajectory(
             robot, rng, duration, torque
         )
         progress.note(*notes)
         return plan, None
-    problem = _problem(request, robot)
-    # The arm with the problem's torque limits (without the margin that the generator takes) and its
-    # start as the pose at rest.
-    qpos = robot.reference_qpos.copy()
-    qpos[robot.qpos_index] = problem.rest
-    largest = problem.limits.torque / trajectory.TORQUE_MARGIN
-    limits = replace(robot.limits, torque=largest)
-    arm = replace(robot, limits=limits, reference_qpos=qpos)
-    plan, notes = trajectory.generate_excitation_trajectory(arm, rng, duration, torque)
-    progress.note(*notes)
     from robot_sysid.motion.limit_check import scale_to_limits
 
+    problem = _problem(request, robot)
+    qpos = robot.reference_qpos.copy()
+    qpos[robot.qpos_index] = problem.rest
+    arm = replace(robot, reference_qpos=qpos)
+    plan, _ = trajectory.generate_excitation_trajectory(arm, rng, duration)
     plan, factor = scale_to_limits(problem, plan, rate)
     if factor < 1.0:
         progress.note(

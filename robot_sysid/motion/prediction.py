@@ -16,7 +16,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimate.identifiability import describe
 from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.limit_check import LimitCheck
-from robot_sysid.motion.problem import LIMIT_NAMES, RESERVE_WORDS, ExcitationProblem
+from robot_sysid.motion.problem import LIMIT_NAMES, ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.static import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
@@ -105,8 +105,11 @@ def limit_lines(
         yield unguarded[0].upper() + unguarded[1:]
     for excess in check.excesses:
         yield f"NOT KEPT: {excess}"
-    if any(excess.limit.endswith(RESERVE_WORDS) for excess in check.excesses):
-        yield "The reserve is for links known to the prior (--priors); better ones need less"
+    if any(excess.limit.startswith("torque") for excess in check.excesses):
+        yield (
+            "Torques hold the reserve for errors of the links, which are known to the prior "
+            "(--priors); better ones need less"
+        )
 
 
 def error_lines(prediction: Prediction) -> Iterator[str]:

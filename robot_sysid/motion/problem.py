@@ -47,8 +47,6 @@ DEFAULT_NOISE_TORQUE = 0.3
 RESERVED_DEVIATIONS = 2.0
 """Reserve of torque for errors of the links' parameters, in standard deviations of the torque that
 these errors cause."""
-RESERVE_WORDS = ", with the reserve for errors of the links"
-"""End of the name of a torque limit of which a reserve is kept."""
 _LEVEL = 0.9
 """Cosine of the slope up to which a keep-out plane counts as the ground."""
 
@@ -158,19 +156,12 @@ class ExcitationProblem:
             torque = np.where(np.abs(loaded) > np.abs(torque), loaded, torque)
         return torque + np.copysign(self.torque_reserve(motion), torque)
 
-    @property
-    def has_torque_reserve(self) -> bool:
-        """Whether torque is reserved for errors of the links: the links have errors, and the torque
-        of some joint is limited.
-        """
-        is_limited = np.any(np.isfinite(self.limits.torque))
-        return bool(np.any(self.link_errors) and is_limited)
-
     def torque_reserve(self, motion: Motion) -> Array:
         """Return the torques (N, n) reserved for errors of the links [N m]: two standard deviations
         of each torque; zero at joints without a torque limit.
         """
-        if not self.has_torque_reserve:
+        is_limited = np.isfinite(self.limits.torque)
+        if not (np.any(self.link_errors) and np.any(is_limited)):
             return np.zeros_like(motion.q)
         deviations = []
         rates = motion.q, motion.qd, motion.qdd
@@ -178,8 +169,7 @@ class ExcitationProblem:
         for chunk in split_motion(2 * self.n_joints * len(self.link_errors), *rates):
             regressor = self.dynamics.motion(*chunk).columns(self.links)
             deviations.append(np.linalg.norm(regressor @ self.link_errors, axis=2))
-        factor = RESERVED_DEVIATIONS * np.isfinite(self.limits.torque)
-        return factor * np.concatenate(deviations)
+        return RESERVED_DEVIATIONS * is_limited * np.concatenate(deviations)
 
     def torque_per_kilogram(self, motion: Motion) -> Array:
         """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg].
@@ -209,11 +199,7 @@ class ExcitationProblem:
         """Names (4 n + 1,) of the limits of the columns of ``signals``."""
         names = []
         for family in LIMIT_NAMES:
-            ending = ""
-            if family == "torque" and self.has_torque_reserve:
-                ending = RESERVE_WORDS
-            for joint in self.joint_names:
-                names.append(f"{family} limit of joint {joint}{ending}")
+            names += [f"{family} limit of joint {joint}" for joint in self.joint_names]
         return (*names, "speed limit of the tool")
 
     def signals(self, motion: Motion) -> Array:

@@ -25,19 +25,14 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.motion import PoseOptions
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
-from robot_sysid.motion.problem import RESERVE_WORDS, ExcitationProblem
+from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import PEAK_OF_RAMP, LineTrajectory, straight_way
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import count_text
 from robot_sysid.trajectory import TORQUE_MARGIN
 
-N_POSES = 1000
-"""Number of random poses tried as a start, and of further ones per entry of ``SPREADS``."""
-N_PARENTS = 50
-"""Number of poses with the least torque near which further poses are drawn."""
-SPREADS = (0.1, 0.05, 0.02, 0.01, 0.005)
-"""Standard deviations of further poses about the poses with the least torque, over the joints'
-ranges; one round of further poses each."""
+N_POSES = 6000
+"""Number of random poses tried as a start."""
 EASY_SHARE = 0.8
 """Share of the torque limits up to which moving off leaves enough torque for a motion."""
 CREEP = 1e-3
@@ -113,9 +108,8 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     free = (pose for pose in poses if contact_on_the_way(problem, pose) is None)
     start = next(free, poses[0] if poses else None)
     if start is None:
-        n_tried = N_POSES * (1 + len(SPREADS))
         raise InputError(
-            f"no trajectory is feasible: {reason}, and none of {n_tried} other poses within the "
+            f"no trajectory is feasible: {reason}, and none of {N_POSES} other poses within the "
             f"limits is held by all joints and touches nothing; {remedy}"
         )
     note = f"{reason}; the motion starts and ends at another pose"
@@ -128,11 +122,10 @@ def _overload(problem: ExcitationProblem, joint: int, share: float) -> str:
     """
     limit = problem.limits.torque[joint]
     unit = "N" if problem.robot.is_slide[joint] else "N·m"
-    reserve = RESERVE_WORDS if problem.has_torque_reserve else ""
     return (
         f"moving off against gravity and dry friction at joint {problem.joint_names[joint]} takes "
-        f"{share * limit:.3g} {unit}{reserve}, more than {100.0 * TORQUE_MARGIN:.0f} % of its "
-        f"torque limit of {limit / TORQUE_MARGIN:g}"
+        f"{share * limit:.3g} {unit} with the reserve for errors of the links, more than "
+        f"{100.0 * TORQUE_MARGIN:.0f} % of its torque limit of {limit / TORQUE_MARGIN:g}"
     )
 
 
@@ -171,20 +164,14 @@ def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
     """Yield poses (n,) that keep torque limits and clearances: those that take at most
     ``EASY_SHARE`` of the torque limits first, in both groups the nearest to ``problem.rest`` first.
     """
-    # Random poses from near the start to anywhere, then more of them where holding is easy; the
-    # random numbers are fixed, so that the start does not depend on any seed.
+    # Random poses from near the start to anywhere; the random numbers are fixed, so that the start
+    # does not depend on any seed.
     lower = problem.limits.lower
     upper = problem.limits.upper
     rng = np.random.default_rng(0)
     anywhere = rng.uniform(lower, upper, (N_POSES, problem.n_joints))
     nearness = np.linspace(1.0 / N_POSES, 1.0, N_POSES)[:, None]
     poses = problem.rest + nearness * (anywhere - problem.rest)
-    for spread in SPREADS:
-        load = np.max(_torque_share(problem, poses), axis=1)
-        parents = poses[np.argsort(load)[:N_PARENTS]]
-        step = rng.normal(size=(N_POSES, problem.n_joints)) * spread * (upper - lower)
-        children = np.repeat(parents, N_POSES // N_PARENTS, axis=0) + step
-        poses = np.vstack((poses, np.clip(children, lower, upper)))
     load = np.max(_torque_share(problem, poses), axis=1)
     distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
     for k in np.lexsort((distance, load > EASY_SHARE)):

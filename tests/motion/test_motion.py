@@ -17,7 +17,7 @@ from robot_sysid.motion import ExcitationOptions, LimitOptions
         ("max_velocity", np.nan, "--max-velocity must be positive (got nan)"),
         ("max_torque", (5.0, -1.0), "--max-torque must be positive (got -1)"),
         ("clearance", -0.01, "--clearance must be a number that is not negative"),
-        ("workspace", (1.0, -1.0, 0.0, 1.0, 0.0, 1.0), "empty along x"),
+        ("workspace", (1.0, -1.0, 0.0, 1.0, 0.0, 1.0), "each minimum below"),
         ("keep_out", ((0.0, 0.0, 0.0, 1.0),), "normal that is not zero"),
         ("keep_out", ((0, 0, 1, np.inf),), "normal that is not zero"),
     ],
