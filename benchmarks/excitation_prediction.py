@@ -36,9 +36,8 @@ from robot_sysid.estimate.links import own_errors
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import DELAY, LINKS
-from robot_sysid.motion import ExcitationOptions, LimitOptions
+from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.expected_errors import (
-    RecordingPlan,
     centre_slopes,
     expected_fit,
     prior_knowledge,
@@ -166,7 +165,7 @@ def lines(path, runs, exact):
     options = ExcitationOptions()
     design = Design(problem, options, motion, prior_knowledge(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1))
-    predicted = expected_fit(problem, plan, RecordingPlan(RATE, OPTIONS))
+    predicted = expected_fit(problem, plan, RATE, OPTIONS, PoseOptions())
     covariance = predicted.covariance[:10, :10]
     if exact:
         moved = predicted.inverse[:10]

@@ -9,7 +9,7 @@ fit of these rows has with the terms and priors of the identification, without a
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from robot_sysid.estimate.questions import (
 from robot_sysid.estimate.rows import Poses, Recording
 from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
 from robot_sysid.model.bodies import usual_bodies
-from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD
+from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, PoseOptions
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
 from robot_sysid.motion.prediction import Prediction, invisible_combinations
 from robot_sysid.motion.problem import ExcitationProblem
@@ -55,29 +55,6 @@ UNMODELLED_TORQUE = 0.002
 """Torque that the model of an arm does not explain, such as friction at reversals, over a joint's
 root mean square torque. Where a payload is weighed, all larger errors cancel and it adds to the
 noise. Simulated arms leave 0.15 to 0.25 % (benchmarks.payload_plan)."""
-
-
-@dataclass(frozen=True)
-class RecordingPlan:
-    """How a motion will be recorded and identified.
-
-    Attributes:
-        sample_rate: of the recording, with independent noise in each sample [Hz].
-        options: of the identification.
-        target: what is to be identified, see ``PriorKnowledge``. A motion for a payload is recorded
-            in the order ``PAYLOAD_ORDER``.
-        resting: whether the motion goes through resting poses, whose mean torques are used.
-    """
-
-    sample_rate: float
-    options: EstimationOptions
-    target: str = "link"
-    resting: bool = False
-
-    @property
-    def is_payload(self) -> bool:
-        """Whether a payload is identified, by the difference of recordings without and with it."""
-        return self.target == "payload"
 
 
 def _arm_terms(
@@ -167,21 +144,27 @@ def typical_load(problem: ExcitationProblem) -> Array:
 
 
 def predict(
-    problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    sample_rate: float,
+    options: EstimationOptions,
+    poses: PoseOptions,
 ) -> Prediction:
     """Return the standard errors to expect of an identification from recordings of a motion.
+
+    The arguments are those of ``expected_fit``.
 
     Raises:
         InputError: the motion cannot be processed like a log.
     """
     robot = problem.robot
-    knowledge = prior_knowledge(problem, recording.options, recording.target)
+    knowledge = prior_knowledge(problem, options, poses.target)
     names: tuple[str, ...] = PARAMETER_NAMES
     recordings = "Recorded once"
     subject = robot.body_name
     theta = robot.prior.theta
     size = problem.scale
-    if recording.is_payload:
+    if poses.target == "payload":
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD
         theta = typical_load(problem)
@@ -193,20 +176,19 @@ def predict(
             )
         subject = f"a load of {load}"
         size = theta[0] / robot.prior.mass * size
-    fitted = expected_fit(problem, plan, recording)
+    fitted = expected_fit(problem, plan, sample_rate, options, poses)
     at = fitted.at(names)
     selection = np.eye(len(fitted.names))[at]
+    mass_errors = fitted.budget(selection[:1])
     by_cause = {}
     for cause, errors in fitted.budget(centre_slopes(theta) @ selection).items():
-        mass_error = fitted.budget(selection[:1])[cause]
-        by_cause[cause] = float(mass_error[0]), float(np.linalg.norm(errors))
-    link_errors = dict[str, float]()
-    if recording.target == "arm":
-        masses = {f"m({link.body_name})": link for link in robot.links}
-        for name, error in zip(fitted.names, fitted.errors):
-            if name in masses:
-                link = masses[name]
-                link_errors[link.body_name] = float(error / link.theta[0])
+        by_cause[cause] = float(mass_errors[cause][0]), float(np.linalg.norm(errors))
+    errors_by_name = dict(zip(fitted.names, fitted.errors))
+    link_errors = {}
+    for link in robot.links if poses.target == "arm" else ():
+        name = f"m({link.body_name})"
+        if name in errors_by_name:
+            link_errors[link.body_name] = float(errors_by_name[name] / link.theta[0])
     return Prediction(
         recordings=recordings,
         subject=subject,
@@ -227,22 +209,32 @@ def centre_slopes(theta: Array) -> Array:
 
 
 def expected_fit(
-    problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    sample_rate: float,
+    options: EstimationOptions,
+    poses: PoseOptions,
 ) -> Fit:
     """Return the fit to expect of recordings of a motion: errors without an estimate.
 
     Args:
         problem: the arm and its torque noise.
         plan: the motion.
-        recording: sample rate, options and target of the identification.
+        sample_rate: of the recording, with independent noise in each sample [Hz].
+        options: of the identification.
+        poses: purpose of the motion, and whether it goes through resting poses, whose mean torques
+            are used. A motion for a payload is recorded in the order ``PAYLOAD_ORDER``.
 
     Raises:
         InputError: the motion cannot be processed as a log.
     """
-    options = recording.options
-    loaded = recording.is_payload
+    loaded = poses.target == "payload"
     arm = _arm_terms(problem, options, loaded)
-    processed = _processed_motion(problem, plan, recording)
+    rate = min(sample_rate, HIGHEST_RATE_HZ)
+    if poses.static:
+        processed = _resting_poses(problem, plan)
+    else:
+        processed = _processed_motion(problem, plan, rate, options)
     recordings = _payload_recordings(processed) if loaded else (processed,)
     point = replace(arm.start(), friction=arm.model)
     values = {}
@@ -255,42 +247,42 @@ def expected_fit(
     if processed.signals is not None:
         # Columns vary slowly along the rows, so that what counts is the density of the noise at low
         # frequencies, which the low-pass does not change: sigma^2 over the samples per row.
-        rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
         step = processed.signals.low_pass.step
-        samples_per_row = recording.sample_rate / rate * step
+        samples_per_row = sample_rate / rate * step
     noise = problem.sigma / np.sqrt(samples_per_row)
     if loaded:
         noise = np.hypot(noise, UNMODELLED_TORQUE * torque)
-    question = _question(arm, options, torque, loaded, recording.resting)
+    question = _question(arm, options, torque, loaded, poses.static)
     terms = arm_question(arm, question, torque)
     return expected(arm, recordings, point, sums, terms, question, values, noise)
 
 
+def _resting_poses(problem: ExcitationProblem, plan: MotionPlan) -> Recording:
+    """Return the mean torques of a motion through resting poses as a recording, without noise."""
+    assert isinstance(plan, LineTrajectory)
+    q = plan.rests
+    still = np.zeros_like(q)
+    motion = Motion(np.arange(float(len(q))), q, still, still)
+    rests = Measurement(motion.time, q, still, problem.arm_torque(motion), still)
+    return Recording("", Poses(rests, np.ones(q.shape, dtype=bool)))
+
+
 def _processed_motion(
-    problem: ExcitationProblem, plan: MotionPlan, recording: RecordingPlan
+    problem: ExcitationProblem,
+    plan: MotionPlan,
+    rate: float,
+    options: EstimationOptions,
 ) -> Recording:
-    """Return a recording of a motion without noise, processed like a log.
+    """Return a recording of a motion at a rate [Hz] without noise, processed like a log.
 
     Raises:
         InputError: the motion cannot be processed as a log.
     """
-    if recording.resting:
-        assert isinstance(plan, LineTrajectory)
-        poses = plan.rests
-        still = np.zeros_like(poses)
-        motion = Motion(np.arange(float(len(poses))), poses, still, still)
-        rests = Measurement(
-            motion.time, poses, still, problem.arm_torque(motion), still
-        )
-        return Recording("", Poses(rests, np.ones(poses.shape, dtype=bool)))
-    rate = min(recording.sample_rate, HIGHEST_RATE_HZ)
     times = sample_times(min(plan.duration, MOST_SAMPLES / rate), rate)
     chunks = simulate_inverse(problem.robot, map(plan.evaluate, times))
     samples = replace(join_measurements(chunks), qd=None, qdd=None)
     pieces = [Piece("", samples)]
-    (processed,), _ = low_pass_recordings(
-        problem.robot, pieces, recording.options.cutoff
-    )
+    (processed,), _ = low_pass_recordings(problem.robot, pieces, options.cutoff)
     return processed
 
 
@@ -314,7 +306,7 @@ def friction_lines(
     identification from one recording at a rate [Hz]; nothing where the motion cannot be processed.
     """
     try:
-        fitted = expected_fit(problem, plan, RecordingPlan(rate, options))
+        fitted = expected_fit(problem, plan, rate, options, PoseOptions())
     except InputError:
         return
     errors = dict(zip(fitted.names, fitted.errors))

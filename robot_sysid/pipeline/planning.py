@@ -98,11 +98,9 @@ def predict_plan(
     else:
         if poses.static:
             lines.append(static.pose_line(plan))
-        recording = expected_errors.RecordingPlan(
-            rate, config.estimation, poses.target, poses.static
-        )
+        options = config.estimation
         try:
-            prediction = expected_errors.predict(problem, plan, recording)
+            prediction = expected_errors.predict(problem, plan, rate, options, poses)
             lines += error_lines(prediction)
         except InputError as error:
             lines.append(f"What errors it will leave cannot be predicted: {error}")

@@ -18,12 +18,7 @@ from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import LINKS, SCALES
 from robot_sysid.motion import PoseOptions
-from robot_sysid.motion.expected_errors import (
-    RecordingPlan,
-    friction_lines,
-    predict,
-    prior_knowledge,
-)
+from robot_sysid.motion.expected_errors import friction_lines, predict, prior_knowledge
 from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.static import design_poses
 from robot_sysid.signals.resampling import join_measurements
@@ -51,7 +46,7 @@ PROBLEM = make_problem(ARM, noise_torque=SIGMA)
 @cache
 def predict_errors(options=USUAL, target="link"):
     """Return the errors predicted for PLAN on ARM."""
-    return predict(PROBLEM, PLAN, RecordingPlan(RATE, options, target))
+    return predict(PROBLEM, PLAN, RATE, options, PoseOptions(target))
 
 
 @cache
@@ -136,8 +131,7 @@ def test_payload_errors_come_from_the_difference_of_recordings():
 def test_resting_poses_determine_mass_and_centre_of_a_payload_alone():
     poses = PoseOptions("payload", True, poses=6, dwell=1.0)
     plan = design_poses(PROBLEM, poses, default_rng(0))
-    recording = RecordingPlan(RATE, USUAL, "payload", resting=True)
-    errors = predict(PROBLEM, plan, recording).errors
+    errors = predict(PROBLEM, plan, RATE, USUAL, poses).errors
     assert np.all(np.isfinite(errors[:4])) and np.all(np.isinf(errors[4:]))
     moving = predict_errors(target="payload").errors
     assert moving[0] < errors[0] < 3.0 * moving[0]
@@ -150,4 +144,4 @@ def test_a_recording_that_cannot_be_processed_has_no_predicted_errors():
         (resting, RATE, "moves faster"),
     ):
         with pytest.raises(InputError, match=message):
-            predict(PROBLEM, plan, RecordingPlan(rate, USUAL))
+            predict(PROBLEM, plan, rate, USUAL, PoseOptions())

@@ -82,19 +82,6 @@ def test_no_point_of_the_tool_exceeds_its_speed(seed):
     assert np.all(stated <= np.max(speeds, axis=1) + 0.05 * np.linalg.norm(w, axis=2).T)
 
 
-def test_the_tip_is_the_farthest_corner():
-    """The last tube ends 0.2 m from its joint, in a ball of 3 cm."""
-    problem = make_problem(TUBES)
-    motion = random_motion(4, 0)
-    motion = replace(motion, qd=0.0 * motion.qd, qdd=0.0 * motion.qdd)
-    tip = np.array([-0.03, -0.03, 0.23])
-    thetas = np.zeros((4, 10))
-    thetas[-1] = spatial.theta_from_com(1.0, tip, np.zeros((3, 3)))
-    links = problem.dynamics.motion(motion.q, motion.qd, motion.qdd)
-    expected = links.torque(thetas)
-    assert_allclose(problem.torque_per_kilogram(motion), expected, atol=1e-12)
-
-
 SEVEN = make_problem(arms.SEVEN)
 
 
@@ -107,6 +94,7 @@ def loaded_torque(motion, mass):
 def test_the_torque_of_a_load_equals_that_of_a_loaded_arm(seed, mass):
     arm = robot(arms.SEVEN)
     motion = random_motion(7, seed)
+    # The farthest corner of the tool's box.
     tip = SEVEN.tool[np.argmax(np.linalg.norm(SEVEN.tool, axis=1))]
     load = spatial.theta_from_com(mass, tip, np.zeros((3, 3)))
     model = copy.copy(arm.mj_model)
