@@ -42,9 +42,7 @@ def recorded_arm(request):
 
 def collect(robot, measurements):
     """Return the information of measurements about the terminal link."""
-    equations = Equations(
-        robot, "chain", friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
-    )
+    equations = Equations(robot, "chain", friction_per_joint(robot, TERMINAL_FRICTION))
     return collect_sysid_data(equations, measurements)
 
 

@@ -20,13 +20,13 @@ BUDGETS = {
     "robot_sysid/commands": 12252,
     "robot_sysid/damiao": 36076,
     "robot_sysid/diagnosis": 17642,
-    "robot_sysid/dynamics": 6427,
-    "robot_sysid/estimate": 29095,
+    "robot_sysid/dynamics": 5939,
+    "robot_sysid/estimate": 29080,
     "robot_sysid/logs": 17792,
     "robot_sysid/mjcf": 8062,
     "robot_sysid/model": 8850,
     "robot_sysid/motion": 21424,
-    "robot_sysid/pipeline": 6332,
+    "robot_sysid/pipeline": 6330,
     "robot_sysid/records": 8523,
     "robot_sysid/report": 8005,
     "robot_sysid/results": 13720,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4038,
     "robot_sysid": 11854,
-    "tests": 225942,
+    "tests": 225609,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

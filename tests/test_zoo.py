@@ -154,7 +154,7 @@ def test_another_link_than_the_models_is_found(model, joint):
     plant = arms.robot_of(heavier, robot.terminal_joint)
     options = EstimationOptions()
     motion = TrajectoryOptions()
-    terms = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
+    terms = friction_per_joint(robot, TERMINAL_FRICTION)
     equations = Equations(robot, options.torques, terms)
     motions = motion_chunks(excitation(robot, motion.duration), motion.sample_rate)
     information = collect_sysid_data(equations, simulate_inverse(plant, motions))

@@ -65,7 +65,7 @@ def identify(
     friction: Sequence[FrictionModel] | None = None,
 ) -> Estimate:
     """Identify ``robot``'s terminal link from torques that ``plant`` produces along a plan."""
-    terms = friction or friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
+    terms = friction or friction_per_joint(robot, TERMINAL_FRICTION)
     equations = Equations(robot, torques, terms)
     measurements = simulate_inverse(plant, motion_chunks(plan, SAMPLE_RATE))
     return identify_parameters(

@@ -27,18 +27,13 @@ NO_FRICTION = FrictionModel(terms=())
 
 
 def friction_per_joint(
-    robot: RobotModel, torques: str, model: FrictionModel
+    robot: RobotModel, model: FrictionModel
 ) -> tuple[FrictionModel, ...]:
     """Return the friction terms that are estimated of each chain joint: n models, base to terminal.
 
-    Args:
-        robot: the arm.
-        torques: "chain" where the torques of all joints are used; "terminal" where only that of the
-            last joint is, so that the other joints get ``NO_FRICTION``.
-        model: friction terms of each joint whose torque is used.
+    Those of ``model`` are estimated of the terminal joint; the others keep the model's friction.
     """
-    others = model if torques == "chain" else NO_FRICTION
-    return (others,) * (robot.n_joints - 1) + (model,)
+    return (NO_FRICTION,) * (robot.n_joints - 1) + (model,)
 
 
 def split_name(name: str) -> tuple[str, str]:

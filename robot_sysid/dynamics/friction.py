@@ -40,33 +40,21 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
 _LARGEST_DECAY = 200.0
-"""Exponent x beyond which exp(-x) is zero or kept constant: arithmetic with numbers near 1e-308 is
+"""Exponent x beyond which exp(-x) is kept constant: arithmetic with numbers near 1e-308 is
 a hundred times slower."""
 
 
-def _fading(qd: Array, qdd: Array, load: Array, fading_speed: float) -> Array:
-    """Return sign(qd) exp(-abs(qd) / fading_speed) (N,), as a column of ``TERMS``.
+def _fading(qd: Array, qdd: Array, load: Array, speed: float, power: int = 1) -> Array:
+    """Return sign(qd) exp(-(abs(qd) / speed)^power) (N,), as a column of ``TERMS``.
 
     Args:
         qd: (N,) velocities [rad/s].
         qdd, load: (N,) accelerations and loads, which have no effect.
-        fading_speed: speed at which 1/e of the friction is left [rad/s].
+        speed: at which 1/e of the friction is left [rad/s].
+        power: of the speed.
     """
-    decay = np.minimum(np.abs(qd) / fading_speed, _LARGEST_DECAY)
+    decay = np.minimum((np.abs(qd) / speed) ** power, _LARGEST_DECAY)
     return np.asarray(np.sign(qd) * np.exp(-decay))
-
-
-STRIBECK_SPEED = 0.1
-"""Speed of the term "stribeck" [rad/s]."""
-SIGMOID_SPEED = 0.05
-"""Speed of the term "sigmoid" [rad/s]."""
-
-
-def _stribeck(qd: Array, qdd: Array, load: Array) -> Array:
-    """Return sign(qd) exp(-(qd / 0.1)^2) (N,), as a column of ``TERMS``."""
-    decay = (qd / STRIBECK_SPEED) ** 2
-    size = np.where(decay < _LARGEST_DECAY, np.exp(-decay), 0.0)
-    return np.asarray(np.sign(qd) * size)
 
 
 FADING_SPEEDS: Mapping[str, float] = {
@@ -83,10 +71,10 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "offset": lambda qd, qdd, load: np.ones_like(qd),
     "armature": lambda qd, qdd, load: qdd,
     "sqrt": lambda qd, qdd, load: np.sign(qd) * np.sqrt(np.abs(qd)),
-    "stribeck": _stribeck,
+    "stribeck": partial(_fading, speed=0.1, power=2),
     "load": lambda qd, qdd, load: np.sign(qd) * np.abs(load),
-    "sigmoid": lambda qd, qdd, load: np.tanh(qd / SIGMOID_SPEED),
-    **{term: partial(_fading, fading_speed=v) for term, v in FADING_SPEEDS.items()},
+    "sigmoid": lambda qd, qdd, load: np.tanh(qd / 0.05),
+    **{term: partial(_fading, speed=v) for term, v in FADING_SPEEDS.items()},
 }
 """Term name to the function that returns its column (N,) from qd, qdd and load (N,), see
 ``FrictionModel.columns``; a new term is one more line here."""

@@ -50,9 +50,6 @@ _ARRAY_SIZE = 1_000_000
 (``split_motion``): it bounds the memory for arms with many joints."""
 TILT_NAMES = ("tilt_1", "tilt_2")
 """Names of the two angles by which a base is tilted."""
-_OPPOSITE = 1e-12
-"""Least 1 + cosine of the turn in ``tilt_axes``, which keeps the division defined where gravity is
-upside down; any axes perpendicular to it will do then."""
 
 
 def analysis_copy(mj_model: Any) -> Any:
@@ -363,20 +360,12 @@ class LinkDynamics:
         """Return the motion of all links for joint motions q, qd, qdd (N, n) each [rad, rad/s,
         rad/s^2].
         """
-        return LinksMotion(*zip(*self.moves(q, qd, qdd)))
-
-    def moves(
-        self, q: Array, qd: Array, qdd: Array
-    ) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Yield velocity (6, N), acceleration (6, N), step (6, 6, N) and screw (6,) of each link,
-        as in ``LinksMotion``, base to terminal, for joint motions q, qd, qdd (N, n) each [rad,
-        rad/s, rad/s^2].
-        """
         velocity, acceleration = np.zeros((2, 6, len(q)))
         acceleration[3:] = -self._gravity
         turns = (q - self._home).T
         sines = np.where(self._slides[:, None], turns, np.sin(turns))
         versines = 1.0 - np.cos(turns)
+        links = []
         for i, screw in enumerate(self._screws):
             coefficients = np.stack((np.ones(len(q)), sines[i], versines[i]))
             step = np.tensordot(self._steps[i], coefficients, 1)
@@ -385,7 +374,8 @@ class LinkDynamics:
             acceleration = np.einsum("abn,bn->an", step, acceleration)
             acceleration = acceleration + np.outer(screw, qdd[:, i])
             acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
-            yield velocity, acceleration, step, screw
+            links.append((velocity, acceleration, step, screw))
+        return LinksMotion(*zip(*links))
 
 
 def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
@@ -442,53 +432,26 @@ def with_gravity(robot: RobotModel, gravity: Array) -> RobotModel:
     return replace(robot, mj_model=mj_model)
 
 
-def tilt_axes(level: Array, gravity: Array | None = None) -> Array:
-    """Return two unit vectors (2, 3) perpendicular to gravity and to each other.
-
-    Args:
-        level: (3,) gravity of the level arm [m/s^2].
-        gravity: (3,) of the tilted arm. The axes of the level arm are then carried along by the
-            shortest turn to it, so that angles about them add to those about the level axes.
+def tilt_axes(gravity: Array) -> Array:
+    """Return two unit vectors (2, 3) perpendicular to gravity (3,) and to each other.
 
     Raises:
         InputError: there is no gravity.
     """
-    size = float(np.linalg.norm(level))
+    size = float(np.linalg.norm(gravity))
     if size == 0.0:
         raise InputError("the model has no gravity against which a tilt could show")
-    down = np.asarray(level) / size
+    down = gravity / size
     # Perpendicular to gravity and to the world's axis that is farthest from gravity's direction.
     axis = int(np.argmin(np.abs(down)))
     first = np.cross(down, np.eye(3)[axis])
     first /= np.linalg.norm(first)
-    axes = np.array([first, np.cross(down, first)])
-    if gravity is None:
-        return axes
-    # Rodrigues' formula for the shortest turn between two unit vectors, whose sine is |turn|.
-    tilted_down = gravity / np.linalg.norm(gravity)
-    turn = np.cross(down, tilted_down)
-    change = np.cross(turn, axes)
-    scale = max(1.0 + down @ tilted_down, _OPPOSITE)
-    return axes + change + np.cross(turn, change) / scale
+    return np.array([first, np.cross(down, first)])
 
 
-def turn_gravity(gravity: Array, angles: Array, axes: Array | None = None) -> Array:
-    """Return gravity (3,) [m/s^2] turned by two angles (2,) [rad] about two unit axes (2, 3) that
-    are perpendicular to gravity; ``axes`` None for ``tilt_axes(gravity)``.
-    """
-    turn = angles @ (tilt_axes(gravity) if axes is None else axes)
+def turn_gravity(gravity: Array, angles: Array) -> Array:
+    """Return gravity (3,) [m/s^2] turned by two angles (2,) [rad] about ``tilt_axes(gravity)``."""
+    turn = angles @ tilt_axes(gravity)
     # Rodrigues' formula for a perpendicular axis; numpy's sinc(x) is that of pi x.
     size = float(np.linalg.norm(turn))
     return np.cos(size) * gravity + np.sinc(size / np.pi) * np.cross(turn, gravity)
-
-
-def tilt_angles(level: Array, gravity: Array) -> Array:
-    """Return the angles (2,) [rad] about ``tilt_axes(level)`` that turn level to gravity (3,)."""
-    turn = np.cross(level, gravity)
-    sine = float(np.linalg.norm(turn))
-    if sine == 0.0:
-        # No turn, or half a turn about the first axis.
-        is_opposite = level @ gravity < 0.0
-        return np.array([np.pi * is_opposite, 0.0])
-    angle = np.arctan2(sine, level @ gravity)
-    return angle / sine * (tilt_axes(level) @ turn)

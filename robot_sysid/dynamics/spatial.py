@@ -7,8 +7,6 @@ about the CENTRE OF MASS in the order xx yy zz xy xz yz. ``(..., 10)`` arrays ma
 
 from __future__ import annotations
 
-from itertools import permutations, product
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -97,15 +95,15 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
     """Return the principal moments (3,) of an inertia (3, 3), and their axes (3, 3) as columns of a
     rotation.
 
-    Of all orders and signs of the axes, those that turn the frame's own axes least: of the products
-    with ``_TURNS`` (48, 3, 3), the one with the largest trace.
+    Of all orders and signs of the axes, those that turn the frame's own axes least, which is never
+    a mirror: the trace of a mirrored rotation is at most 1, that of the nearest one at least 1.9.
     """
+    from scipy.optimize import linear_sum_assignment
+
     moments, axes = np.linalg.eigh(inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    candidates = axes @ _TURNS
-    best = int(np.argmax(np.trace(candidates, axis1=1, axis2=2)))
-    # Without its signs, the turn is the permutation of the axes.
-    return np.abs(_TURNS[best]).T @ moments, candidates[best]
+    _, order = linear_sum_assignment(-np.abs(axes))
+    nearest = axes[:, order]
+    return moments[order], nearest * np.sign(np.diag(nearest))
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:
@@ -131,12 +129,9 @@ def rotation_of_angles(roll_pitch_yaw: Array) -> Array:
     """Return the rotation R (3, 3) of angles roll, pitch and yaw (3,) [rad] about the fixed axes x,
     y and z, as in a URDF: R = Rz(yaw) Ry(pitch) Rx(roll). ValueError if there are not three.
     """
-    sin_roll, sin_pitch, sin_yaw = np.sin(roll_pitch_yaw)
-    cos_roll, cos_pitch, cos_yaw = np.cos(roll_pitch_yaw)
-    rx = np.array([[1, 0, 0], [0, cos_roll, -sin_roll], [0, sin_roll, cos_roll]])
-    ry = np.array([[cos_pitch, 0, sin_pitch], [0, 1, 0], [-sin_pitch, 0, cos_pitch]])
-    rz = np.array([[cos_yaw, -sin_yaw, 0], [sin_yaw, cos_yaw, 0], [0, 0, 1]])
-    return rz @ ry @ rx
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_euler("xyz", roll_pitch_yaw).as_matrix()
 
 
 def quaternion(rotation: Array) -> Array:
@@ -234,19 +229,5 @@ def _build_pseudo_basis() -> Array:
     return basis
 
 
-def _build_axis_turns() -> Array:
-    """Return the signed permutation matrices (48, 3, 3): turns and mirrors that put coordinate axes
-    on coordinate axes.
-    """
-    turns = []
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        turns.append(np.eye(3)[:, order] * signs)
-    return np.array(turns)
-
-
-_TURNS = _build_axis_turns()
-"""All signed permutation matrices (48, 3, 3), from which ``principal_axes`` takes a rotation. It
-never takes a mirror: the product with one has a trace of at most 1, that with the best rotation at
-least 1.9."""
 _PSEUDO_BASIS = _build_pseudo_basis()
 """Pseudo-inertias (10, 4, 4) of the unit parameter vectors."""

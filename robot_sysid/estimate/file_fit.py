@@ -14,12 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robot_sysid.dynamics.equations import link_names
-from robot_sysid.dynamics.inverse_dynamics import (
-    TILT_NAMES,
-    gravity_vector,
-    tilt_axes,
-    turn_gravity,
-)
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Fit, fit
@@ -133,8 +128,7 @@ def _fit_kind(
         if fitted.gain(tilt) > CLEAR:
             fitted = _solved(estimate, [*terms, tilt], held)
             angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
-            axes = tilt_axes(gravity_vector(arm.robot), fitted.point.gravity)
-            gravity = turn_gravity(fitted.point.gravity, angles, axes)
+            gravity = turn_gravity(fitted.point.gravity, angles)
     return FileFit(
         fitted,
         kind,

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.dynamics.equations import link_names, split_name
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector, tilt_angles
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.file_fit import FileFit
 from robot_sysid.estimate.fit import Fit
@@ -474,7 +474,8 @@ def result_notes(fitted: Fit, file: ModelFile | None, missed: str) -> Iterator[s
             )
     if file is not None and file.gravity is not None:
         level = gravity_vector(fitted.arm.robot)
-        angle = math.degrees(math.hypot(*tilt_angles(level, file.gravity)))
+        sine = float(np.linalg.norm(np.cross(level, file.gravity)))
+        angle = math.degrees(math.atan2(sine, level @ file.gravity))
         yield (
             f"the written model's gravity is turned by {angle:.2f} degrees: the base is tilted by "
             "that, or encoder zeros look like it (--keep gravity leaves it alone)"

@@ -408,7 +408,7 @@ class ArmTerms:
         motion = rows.motion
         still = np.zeros_like(motion.q)
         columns = []
-        for axis in tilt_axes(gravity_vector(self.robot), point.gravity):
+        for axis in tilt_axes(point.gravity):
             dynamics = LinkDynamics(self.robot, np.cross(axis, point.gravity))
             moves = dynamics.motion(motion.q, still, still)
             columns.append(moves.torque(point.carried(rows.is_loaded)))

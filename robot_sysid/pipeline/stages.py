@@ -260,9 +260,7 @@ def run_self_test(
     rate = config.trajectory.sample_rate
     progress.stage("Running MuJoCo simulation...")
     model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
-    equations = Equations(
-        robot, options.torques, friction_per_joint(robot, "terminal", model)
-    )
+    equations = Equations(robot, options.torques, friction_per_joint(robot, model))
     simulated = simulate_inverse(robot, motion_chunks(plan, rate))
     count = math.ceil(sample_count(plan.duration, rate) / CHUNK)
     tracked = progress.track(simulated, "Collecting regressor data", count)

@@ -100,9 +100,7 @@ class Fit:
 
 def identify(robot, measurements, torques="chain", friction=TERMINAL_FRICTION):
     """Return a Fit of the terminal link and joint friction to the measurements."""
-    equations = Equations(
-        robot, torques, friction_per_joint(robot, "terminal", friction)
-    )
+    equations = Equations(robot, torques, friction_per_joint(robot, friction))
     information = collect_sysid_data(equations, measurements)
     return solve(information, equations.prior)
 
@@ -162,9 +160,7 @@ def test_identified_parameters_are_exact_and_the_others_keep_the_prior(
 
 @pytest.mark.parametrize("missing", ["qd", "qdd"])
 def test_a_measurement_without_derivatives_is_refused(missing):
-    equations = Equations(
-        SEVEN, "chain", friction_per_joint(SEVEN, "terminal", TERMINAL_FRICTION)
-    )
+    equations = Equations(SEVEN, "chain", friction_per_joint(SEVEN, TERMINAL_FRICTION))
     with pytest.raises(InputError, match="differentiate it first"):
         collect_sysid_data(
             equations, [replace(measure(SEVEN, 5)[0], **{missing: None})]

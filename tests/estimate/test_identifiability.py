@@ -236,7 +236,7 @@ def random_states(robot, rng, joints, samples):
 
 def information_of_states(robot, torques, q, qd, qdd):
     """Return square-root information of the package's own equations for some states."""
-    friction = friction_per_joint(robot, "terminal", TERMINAL_FRICTION)
+    friction = friction_per_joint(robot, TERMINAL_FRICTION)
     equations = Equations(robot, torques, friction)
     measurement = Measurement(np.arange(len(q)) / 100.0, q, qd, np.zeros_like(q), qdd)
     accumulator = InformationAccumulator(

@@ -14,7 +14,6 @@ from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     gravity_vector,
-    tilt_axes,
     turn_gravity,
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
@@ -89,8 +88,7 @@ def torque_of(arm, motion, values, gravity, loaded=True):
     model.dof_armature[:] = 0.0
     value_of = {**dict.fromkeys(arm.names, 0.0), **values}
     angles = np.array([value_of.get("tilt_1", 0.0), value_of.get("tilt_2", 0.0)])
-    axes = tilt_axes(gravity_vector(robot), gravity)
-    model.opt.gravity[:] = turn_gravity(gravity, angles, axes)
+    model.opt.gravity[:] = turn_gravity(gravity, angles)
     zero = np.array([value_of[f"zero[{name}]"] for name in robot.joint_names])
     rigid = ArmDynamics(robot, model).torque(motion.q - zero, motion.qd, motion.qdd)
     torque = np.zeros((len(rigid), len(arm.joints)))

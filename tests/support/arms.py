@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import NO_FRICTION, Equations
-from robot_sysid.model.compilation import CompiledModel
+from robot_sysid.model.compilation import compiled_in_memory
 from robot_sysid.parser import robot_from_compiled
 from robot_sysid.records import Measurement, Motion
 
@@ -226,7 +226,7 @@ def compile_xml(xml):
 def robot_of(xml, joint=None, max_velocity=2.0, keyframe=None):
     """RobotModel of an XML string or a compiled model."""
     mj_model = compile_xml(xml) if isinstance(xml, str) else xml
-    compiled = CompiledModel(mj_model, (), "", "mjcf")
+    compiled = compiled_in_memory(mj_model)
     return robot_from_compiled(
         compiled, Path("inline.xml"), joint, max_velocity, keyframe
     )
