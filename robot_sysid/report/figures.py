@@ -23,8 +23,6 @@ from robot_sysid.report.drawing import (
 )
 from robot_sysid.report.runs import Run, body_in
 
-_LARGE_OFFSET = 0.5
-"""Share of a residual's root mean square from which on its mean is stated."""
 _NEAR = 0.5
 """Largest distance of a limit from the recorded values at which it is drawn, as a share of the
 range of these values."""
@@ -65,12 +63,6 @@ def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:
         f"{_rms(measured - after):.3g} {unit} after (root mean square), of a torque of "
         f"{_rms(measured):.3g} {unit}."
     )
-    offset = float(np.nanmean(measured - before)) if np.isfinite(rms_before) else 0.0
-    if abs(offset) > _LARGE_OFFSET * rms_before:
-        caption += (
-            f" The residual before has a mean of {offset:.3g} {unit}. The torque error of the "
-            "verdict leaves it out, because a torque sensor's offset would look the same."
-        )
     return Figure(caption, svg(canvas, f"{name}-{joint}"))
 
 

@@ -1,4 +1,4 @@
-"""Pictures of the arm: ellipsoids of its links' mass and inertia, and its motion."""
+"""Pictures of the arm: ellipsoids of its links' mass and inertia."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Flange, RobotModel
 from robot_sysid.report.drawing import Figure
 from robot_sysid.report.figures import versions_of
-from robot_sysid.report.motion_strip import motion_strip
 from robot_sysid.report.runs import Run, body_in
 from robot_sysid.report.studio import Colour, Studio, png_bytes
 
@@ -35,7 +34,7 @@ Bodies = Sequence[tuple[int, Mapping[str, Array]]]
 
 
 def pictures(run: Run, mesh_dir: Path | None = None) -> tuple[list[Figure], str]:
-    """Return pictures of the arm with ellipsoids and along its motion, and why there are none.
+    """Return pictures of the arm with ellipsoids, and why there are none.
 
     There are none if the model is not at its path any more or has changed, or if nothing can be
     rendered.
@@ -52,10 +51,7 @@ def pictures(run: Run, mesh_dir: Path | None = None) -> tuple[list[Figure], str]
         robot = load_robot_model(path, mesh_dir, run.content["joint_name"])
         if robot.sha256 != entry["sha256"]:
             raise SysidError(f"{path} has changed since the run")
-        figures = _ellipsoid_pictures(robot, list(_drawn_bodies(robot, run)))
-        if run.traces is not None:
-            figures.append(motion_strip(robot, run.traces.time, run.traces.q))
-        return figures, ""
+        return _ellipsoid_pictures(robot, list(_drawn_bodies(robot, run))), ""
     except SysidError as error:
         return [], f"No pictures of the arm: {error}."
 
@@ -72,19 +68,16 @@ def _ellipsoid_pictures(robot: RobotModel, bodies: Bodies) -> list[Figure]:
     figures = []
     last = [pair for pair in bodies if pair[0] == robot.body_id]
     with Studio(robot, *_SIZE) as studio:
+        target, distance = studio.arm_view()
+        distance *= _FARTHER
         for subject, drawn in (("the whole arm", bodies), ("the last link", last)):
-            studio.look_at_arm(robot.reference[None])
-            distance = _FARTHER * studio.camera.distance
             if drawn is last:
+                target = studio.data.xpos[robot.body_id]
                 distance *= _NEARER
-                studio.camera.lookat = studio.data.xpos[robot.body_id].copy()
             # Of each ellipsoid in the picture: MuJoCo id of its body, version, parameters.
             shown = [(i, key, theta) for i, v in drawn for key, theta in v.items()]
             sizes = [characteristic_length(theta) for _, _, theta in shown]
-            studio.camera.distance = max(distance, _ROOM * max(sizes))
-            studio.pose(robot.reference)
-            # The arm's own surfaces, so that the ellipsoids inside are seen.
-            studio.make_transparent(0.35)
+            studio.start(target, max(distance, _ROOM * max(sizes)))
             for body_id, version, theta in shown:
                 studio.add_ellipsoid(body_id, theta, _COLOURS[version])
             caption = f"Ellipsoids of inertia on {subject}, in its reference posture."

@@ -28,10 +28,8 @@ NO_RENDERER = (
     "no pictures of the arm: MuJoCo finds neither EGL nor OSMesa here (Debian: apt-get install "
     "libegl1 libosmesa6); MUJOCO_GL chooses one"
 )
-_WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
-"""Colour of the background."""
-_BONE: Colour = (0.55, 0.58, 0.62, 1.0)
-"""Colour of the lines between joints of an arm without shapes."""
+_OPACITY = 0.35
+"""Opacity of the arm's own surfaces, through which the ellipsoids inside are seen, from 0 to 1."""
 _PROBE = """
 import importlib, importlib.util, sys, types
 package = types.ModuleType("mujoco")
@@ -68,9 +66,9 @@ def renderer_library() -> str | None:
 
 
 class Studio:
-    """One arm in front of a plain background; a context manager.
+    """One arm in its reference posture, in front of a white background; a context manager.
 
-    A picture is begun by ``pose``, may be added to, and is returned by ``render``.
+    A picture is begun by ``start``, may be added to, and is returned by ``render``.
 
     Args:
         robot: the arm; its compiled model is copied and stays as it is.
@@ -79,9 +77,7 @@ class Studio:
 
     Attributes:
         robot: as given.
-        data: MuJoCo's data of the arm in the pose of the picture.
-        scene: MuJoCo's scene: the geoms of the picture.
-        camera: MuJoCo's camera, used from the next pose on.
+        data: MuJoCo's data of the arm.
 
     Raises:
         InputError: there is neither EGL nor OSMesa.
@@ -99,12 +95,12 @@ class Studio:
         chooser = sys.modules[mujoco.Renderer.__module__].gl_context
         chooser.GLContext = importlib.import_module(f"mujoco.{name}").GLContext
         self.data = mujoco.MjData(self._model)
+        self.data.qpos[:] = robot.reference_qpos
+        mujoco.mj_kinematics(self._model, self.data)
+        mujoco.mj_comPos(self._model, self.data)
+        mujoco.mj_camlight(self._model, self.data)
         self._renderer = mujoco.Renderer(self._model, height, width)
-        self.scene = self._renderer.scene
-        self.camera = mujoco.MjvCamera()
-        self.camera.azimuth = 135.0
-        self.camera.elevation = -15.0
-        self.pose(robot.reference)
+        self._scene = self._renderer.scene
 
     def __enter__(self) -> Studio:
         """Return the studio."""
@@ -115,75 +111,47 @@ class Studio:
         # Early releases of MuJoCo 3 have no close; they release it when it is collected.
         getattr(self._renderer, "close", lambda: None)()
 
-    def pose(self, q: Array) -> None:
-        """Put the arm at chain positions q (n,) [rad or m] and start a new picture with it.
+    def start(self, target: Array, distance: float) -> None:
+        """Start a new picture of the arm, which is half transparent, before a white wall.
 
-        The picture has a white wall behind the arm; what was added to the last one is gone.
+        Args:
+            target: (3,) point in the middle of the picture [m].
+            distance: of the camera from it [m].
         """
-        self._set_positions(q)
-        mujoco.mj_comPos(self._model, self.data)
-        mujoco.mj_camlight(self._model, self.data)
-        self._renderer.update_scene(self.data, self.camera)
+        camera = mujoco.MjvCamera()
+        camera.azimuth = 135.0
+        camera.elevation = -15.0
+        camera.lookat = target
+        camera.distance = distance
+        self._renderer.update_scene(self.data, camera)
         flags = mujoco.mjtRndFlag
         for flag in (flags.mjRND_SKYBOX, flags.mjRND_HAZE, flags.mjRND_SHADOW):
-            self.scene.flags[flag] = False
+            self._scene.flags[flag] = False
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            # The ellipsoids inside are seen through the arm, and not through a floor.
+            if geom.type != mujoco.mjtGeom.mjGEOM_PLANE:
+                geom.rgba[3] *= _OPACITY
         # A white wall closes the view; MuJoCo's own background is black.
-        view_direction = self.scene.camera[0].forward
-        distance = 4.0 * float(self.camera.distance)
-        front = self.camera.lookat + (distance - 0.01) * view_direction
-        back = self.camera.lookat + (distance + 0.01) * view_direction
-        cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
-        self._connect(cylinder, 4.0 * distance, _WHITE, front, back)
-        self.scene.geoms[self.scene.ngeom - 1].emission = 1.0
-        ids = [link.body_id for link in self.robot.links]
-        if not np.any(np.isin(self._model.geom_bodyid, ids)):
-            # A model without shapes to draw, as many URDF files: the links' origins are joined.
-            capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-            for start, end in zip(self.data.xpos[ids[:-1]], self.data.xpos[ids[1:]]):
-                self._connect(capsule, width=0.015, colour=_BONE, start=start, end=end)
+        view_direction = self._scene.camera[0].forward
+        front = target + (4.0 * distance - 0.01) * view_direction
+        back = target + (4.0 * distance + 0.01) * view_direction
+        wall = mujoco.mjtGeom.mjGEOM_CYLINDER
+        geom = self._add_geom(wall, np.ones(3), front, np.eye(3), (1.0, 1.0, 1.0, 1.0))
+        mujoco.mjv_connector(geom, wall, 16.0 * distance, front, back)
+        geom.emission = 1.0
 
-    def _set_positions(self, q: Array) -> None:
-        """Put the chain at positions q (n,), all other joints at the reference configuration."""
-        self.data.qpos[:] = self.robot.reference_qpos
-        self.data.qpos[self.robot.qpos_index] = q
-        mujoco.mj_kinematics(self._model, self.data)
-
-    def look_at_arm(self, postures: Array) -> None:
-        """Point the camera so that the arm stays in the picture in all postures (N, n).
-
-        Postures are chain positions [rad or m]; the arm is put into the first one.
-        """
-        points = np.concatenate([self._corners(q) for q in postures])
-        low = np.min(points, axis=0)
-        high = np.max(points, axis=0)
-        distance = 0.75 * float(np.linalg.norm(high - low)) + 0.1
-        self.camera.lookat = 0.5 * (low + high)
-        self.camera.distance = distance
-        self.pose(postures[0])
-
-    def _corners(self, q: Array) -> Array:
-        """Return points (m, 3) around the arm [m] at chain positions q (n,) [rad or m].
-
-        They are the links' origins, and two opposite corners of a cube around each geom of the
-        arm's tree of bodies. The arm is left at these positions.
-        """
-        self._set_positions(q)
+    def arm_view(self) -> tuple[Array, float]:
+        """Return (middle of the arm (3,), distance from which all of it is in the picture) [m]."""
         ids = [link.body_id for link in self.robot.links]
         is_arm = np.isin(self._model.body_rootid, self._model.body_rootid[ids])
         # A plane has no bounding sphere.
         geoms = is_arm[self._model.geom_bodyid] & (self._model.geom_rbound > 0.0)
         centres = self.data.geom_xpos[geoms]
         radii = self._model.geom_rbound[geoms][:, None]
-        return np.concatenate((self.data.xpos[ids], centres - radii, centres + radii))
-
-    def make_transparent(self, opacity: float) -> None:
-        """Multiply the opacity of all geoms in the picture so far by ``opacity``, from 0 to 1.
-
-        Planes (a floor) and the white wall, which emits light, stay as they are.
-        """
-        for geom in self.scene.geoms[: self.scene.ngeom]:
-            if geom.type != mujoco.mjtGeom.mjGEOM_PLANE and geom.emission < 1.0:
-                geom.rgba[3] *= opacity
+        points = np.concatenate((self.data.xpos[ids], centres - radii, centres + radii))
+        low = np.min(points, axis=0)
+        high = np.max(points, axis=0)
+        return 0.5 * (low + high), 0.75 * float(np.linalg.norm(high - low)) + 0.1
 
     def add_ellipsoid(self, body: int, theta: Array, colour: Colour) -> bool:
         """Add the homogeneous ellipsoid of a body's mass and inertia, its centre as a dot.
@@ -217,8 +185,8 @@ class Studio:
 
     def _add_geom(
         self, shape: Any, size: Array, centre: Array, rotation: Array, colour: Colour
-    ) -> None:
-        """Add a geom to the picture; do nothing if the scene has no room.
+    ) -> Any:
+        """Add a geom to the picture and return it; the renderer's scene has room for thousands.
 
         Args:
             shape: MuJoCo's ``mjtGeom``.
@@ -227,30 +195,12 @@ class Studio:
             rotation: (3, 3) from the geom's axes to those of the world.
             colour: red, green, blue and opacity, 0 to 1.
         """
-        if self.scene.ngeom >= self.scene.maxgeom:
-            return
-        geom = self.scene.geoms[self.scene.ngeom]
+        geom = self._scene.geoms[self._scene.ngeom]
         rgba = np.array(colour, dtype=np.float32)
         matrix = np.ascontiguousarray(rotation).ravel()
         mujoco.mjv_initGeom(geom, shape, size, centre, matrix, rgba)
-        self.scene.ngeom += 1
-
-    def _connect(
-        self, shape: Any, width: float, colour: Colour, start: Array, end: Array
-    ) -> None:
-        """Add a shape that reaches from one point to another one, if they differ and there is room.
-
-        Args:
-            shape: MuJoCo's ``mjtGeom``, a cylinder or a capsule.
-            width: radius of the shape [m].
-            colour: red, green, blue and opacity, 0 to 1.
-            start: (3,) in the world frame [m].
-            end: (3,) in the world frame [m].
-        """
-        if np.any(start != end) and self.scene.ngeom < self.scene.maxgeom:
-            self._add_geom(shape, np.ones(3), start, np.eye(3), colour)
-            geom = self.scene.geoms[self.scene.ngeom - 1]
-            mujoco.mjv_connector(geom, shape, width, start, end)
+        self._scene.ngeom += 1
+        return geom
 
     def render(self) -> Picture:
         """Return the picture (height, width, 3)."""
