@@ -26,10 +26,10 @@ from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.arrays import arrays_table, can_be_column
+from robot_sysid.logs.arrays import arrays_table
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable
-from robot_sysid.logs.titles import QUANTITIES, read_title
+from robot_sysid.logs.titles import read_title
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
@@ -90,32 +90,16 @@ def _log_source(log: Log) -> Any:
                 arrays[str(name)] = np.asarray(values)
         except (ValueError, Warning):
             raise InputError(f"{name} is no array: its rows differ in length") from None
-    _refuse_unusable(arrays)
-    return arrays_table(Path("arrays"), "arrays in memory", arrays)
-
-
-def _refuse_unusable(arrays: Mapping[str, Array]) -> None:
-    """Raise InputError where all arrays of a quantity have a wrong length or no real numbers."""
-    names_by_quantity: dict[str, list[str]] = {}
-    times = []
+    table = arrays_table(Path("arrays"), "arrays in memory", arrays)
+    quantities = {read_title(title).quantity for title in table.titles}
     for name, array in arrays.items():
         quantity = read_title(name).quantity
-        if quantity == "time" and array.ndim:
-            times.append(name)
-        elif quantity in QUANTITIES:
-            names_by_quantity.setdefault(quantity, []).append(name)
-    for names in names_by_quantity.values():
-        faults = []
-        for name in names:
-            array = arrays[name]
-            if not can_be_column(array):
-                kind = f"{array.dtype}, shape {array.shape}"
-                faults.append(f"{name} holds no columns of real numbers ({kind})")
-            elif times and len(arrays[times[0]]) not in array.shape:
-                rows = len(arrays[times[0]])
-                faults.append(f"{name} has {len(array)} rows, {times[0]} {rows}")
-        if len(faults) == len(names):
-            raise InputError("; ".join(faults))
+        if quantity is not None and quantity not in quantities:
+            raise InputError(
+                f"{name} ({array.dtype}, shape {array.shape}) holds no real numbers with a row "
+                "for each time"
+            )
+    return table
 
 
 def _log_sources(logs: Log | Sequence[Log]) -> tuple[Any, ...]:
@@ -293,9 +277,6 @@ class Regressor:
 
     def __iter__(self) -> Iterator[Array]:
         return iter((self.Y, self.tau))
-
-    def __getitem__(self, index: int) -> Array:
-        return (self.Y, self.tau)[index]
 
     def __repr__(self) -> str:
         return f"<Regressor Y {self.Y.shape}, tau {self.tau.shape}, {len(self.names)} parameters>"

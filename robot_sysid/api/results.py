@@ -250,16 +250,6 @@ class PlanResult:
         rate = rate or self.config.trajectory.sample_rate
         return self.motion(np.arange(sample_count(self.duration, rate)) / rate)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return joint names, duration [s], failure, prediction and notes as plain values."""
-        return {
-            "joint_names": list(self.robot.joint_names),
-            "duration": self.duration,
-            "failure": self.failure,
-            "prediction": list(self.prediction),
-            "notes": list(self.notes),
-        }
-
     def save(self, path: str | Path) -> tuple[Path, ...]:
         """Write the trajectory (.json) and its samples (.csv) and return both paths.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,16 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.records import Array, Validation
-from robot_sysid.records.messages import (
-    Detail,
-    number_text,
-    percent,
-    term_unit,
-    with_error,
-)
+from robot_sysid.records.messages import Detail, percent, term_unit, with_error
 from robot_sysid.results.body_errors import load_errors
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.link_table import (
@@ -160,32 +151,14 @@ def _friction_text(value: float) -> str:
 
 
 def _mass_lines(result: Result) -> Iterator[str]:
-    """Yield a line on the bodies that share the mass of the terminal link, where there are several.
-
-    It says how much of the mass is in which body of the written file.
-    """
+    """Yield a line on the bodies that share the terminal link's mass, where there are several."""
     bodies = result.robot.bodies
-    heavy = [body for body in bodies if body.theta[0] > 0.0]
-    if len(heavy) < 2 or not bodies[0].theta[0] > 0.0:
+    names = [body.name for body in bodies if body.theta[0] > 0.0]
+    if len(names) < 2 or not bodies[0].theta[0] > 0.0:
         return
-    names = [body.name for body in heavy]
-    theta = result.estimate.inertial.theta
-    if result.file is not None:
-        theta = result.file.thetas[-1]
-    plan = None
-    if result.verdict.writes_model:
-        with contextlib.suppress(ExportError):
-            plan = plan_write_back(theta, bodies)
-    masses = [] if plan is None else plan.masses(heavy)
     if len(names) > _MAX_BODY_NAMES + 1:
         names[_MAX_BODY_NAMES:] = [f"{len(names) - _MAX_BODY_NAMES} more"]
-        masses[_MAX_BODY_NAMES:] = [sum(masses[_MAX_BODY_NAMES:])]
-    line = f"The mass is that of {' + '.join(names)} together"
-    if plan is not None:
-        error = float(result.body.errors[0])
-        texts = [f"{number_text(m, error)} kg in {n}" for m, n in zip(masses, names)]
-        line = f"{line}; {result.model_name} has {', '.join(texts)}"
-    yield line
+    yield f"The mass is that of {' + '.join(names)} together"
 
 
 def _file_mass_lines(result: Result) -> Iterator[str]:

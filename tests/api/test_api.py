@@ -74,12 +74,15 @@ ZEROS = np.zeros((9, 2))
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"tau": ZEROS[1:]}, "^tau has 8 rows, time 9$"),
+        (
+            {"tau": ZEROS[1:]},
+            "^tau .float64, shape .8, 2.. holds no real numbers with a row",
+        ),
         (
             {"tau": ZEROS.astype(complex)},
-            "^tau holds no columns of real numbers .complex",
+            "^tau .complex128, shape .9, 2.. holds no real numbers",
         ),
-        ({"q": ZEROS.astype(str)}, "^q holds no columns of real numbers .<U"),
+        ({"q": ZEROS.astype(str)}, "^q .<U32, shape .9, 2.. holds no real numbers"),
         ({"q": [[0.0], [0.0, 1.0]]}, "^q is no array: its rows differ in length$"),
         (
             {"q": np.zeros((9, 4)), "tau": np.zeros((9, 4))},
@@ -375,7 +378,7 @@ def test_a_plan_gives_arrays_to_play(workshop, tmp_path, monkeypatch):
     motion = plan.sampled(100.0)
     assert plan.failure is None and motion.q.shape == (401, 4)
     np.testing.assert_allclose(motion.qd[[0, -1]], 0.0, atol=1e-9)
-    assert plan.to_dict()["prediction"] == [str(plan)] == ["standard deviations"]
+    assert str(plan) == "standard deviations"
     files = plan.save(tmp_path / "plan.json")
     assert repr(plan) == "<PlanResult 4 s for 4 joints of arm.xml, keeps all limits>"
     assert pickle.loads(pickle.dumps(plan)).duration == 4.0
