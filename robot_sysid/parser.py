@@ -7,21 +7,19 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import InputError, ModelError, error_text
-from robot_sysid.model.bodies import arm_links, count_moving_joints, subtree_bodies
+from robot_sysid.model.bodies import arm_links, subtree_bodies
 from robot_sysid.model.chain import (
     arm_without_base,
-    body_label,
     chain_to,
     find_terminal_joint,
     jaw_in_line,
@@ -32,7 +30,7 @@ from robot_sysid.model.chain import (
 )
 from robot_sysid.model.compilation import CompiledModel, compile_model
 from robot_sysid.model.units import refuse_cad_units
-from robot_sysid.records import InertialParameters, RobotModel, SubtreeBody
+from robot_sysid.records import RobotModel
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
 
@@ -91,7 +89,14 @@ def robot_from_compiled(
         qpos[:] = mj_model.key_qpos[keyframe_id]
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
-    bodies = subtree_bodies(mj_model, qpos, body)
+    links = arm_links(mj_model, qpos, chain)
+    if links[-1].theta[0] <= 0.0:
+        fault = (
+            f"the terminal body {links[-1].body_name} and all below it weigh nothing"
+        )
+        raise ModelError(
+            f"{fault}; give it an <inertial> or geoms with mass as a starting value"
+        )
     speeds = [compiled.velocity_limits.get(name) for name in names]
     robot = RobotModel(
         path=path,
@@ -99,17 +104,14 @@ def robot_from_compiled(
         sha256=compiled.sha256,
         kind=compiled.kind,
         joint_names=names,
-        body_name=body_label(mj_model, body),
-        body_id=body,
         qpos_index=mj_model.jnt_qposadr[list(chain)].astype(np.int64),
         dof_index=dofs,
         reference_qpos=qpos,
         is_slide=mj_model.jnt_type[list(chain)] == int(mujoco.mjtJoint.mjJNT_SLIDE),
         limits=joint_limits(mj_model, chain, max_velocity, speeds),
-        prior=_prior(bodies),
-        bodies=bodies,
+        bodies=subtree_bodies(mj_model, qpos, body),
         friction=joint_friction(mj_model, dofs),
-        links=arm_links(mj_model, qpos, chain),
+        links=links,
         notes=compiled.notes,
     )
     refuse_cad_units(robot)
@@ -146,20 +148,6 @@ def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
 def _keyframe_names(mj_model: Any) -> list[str]:
     """Return the names of a model's keyframes in their order, "#0" for a nameless one with id 0."""
     return [mj_model.key(index).name or f"#{index}" for index in range(mj_model.nkey)]
-
-
-def _prior(bodies: Sequence[SubtreeBody]) -> InertialParameters:
-    """Return the inertial parameters of all bodies of a link together.
-
-    ModelError where the bodies weigh nothing.
-    """
-    theta = np.sum([body.theta for body in bodies], axis=0)
-    if theta[0] <= 0.0:
-        fault = f"the terminal body {bodies[0].name} and all below it weigh nothing"
-        raise ModelError(
-            f"{fault}; give it an <inertial> or geoms with mass as a starting value"
-        )
-    return InertialParameters(theta)
 
 
 _ROUNDING = 1e-5
@@ -221,9 +209,9 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
     if coupled:
         ignored = f"equality constraints on {', '.join(coupled)} are ignored"
         yield f"{ignored}: every chain joint is taken to be driven by itself"
-    link_of_body = count_moving_joints(robot)
-    if any(one != other for one, other in link_of_body[_tied_bodies(mj_model)]):
-        yield "connect or weld constraints that make the arm a closed loop are ignored"
+    types = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+    if np.any(np.isin(mj_model.eq_type, types)):
+        yield "the model's connect and weld constraints are ignored"
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
     is_nonlinear = np.any(robot.nonlinear_damping, axis=1)
@@ -233,17 +221,6 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
             f"nonlinear damping of {names} is taken to be as the model states it; linear damping "
             "alone is identified"
         )
-
-
-def _tied_bodies(mj_model: Any) -> NDArray[np.int64]:
-    """Return the ids of the two bodies (k, 2) that each connect or weld constraint ties."""
-    types = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
-    tied = np.column_stack((mj_model.eq_obj1id, mj_model.eq_obj2id))
-    # Releases before 3.2 know no other objects than bodies here.
-    if hasattr(mj_model, "eq_objtype"):
-        of_sites = mj_model.eq_objtype == int(mujoco.mjtObj.mjOBJ_SITE)
-        tied[of_sites] = mj_model.site_bodyid[tied[of_sites]]
-    return tied[np.isin(mj_model.eq_type, types)]
 
 
 _PACKAGE = "robot_descriptions"

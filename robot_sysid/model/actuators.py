@@ -80,16 +80,10 @@ def actuators_of_tendon(mj_model: Any, tendon: int) -> list[int]:
 
 
 def driven_joints(mj_model: Any) -> set[int]:
-    """Return the ids of joints that an actuator moves: directly, by a fixed tendon, or by an
-    equality constraint with a joint that is moved so.
-    """
-    dofs = [np.flatnonzero(ratios) for ratios in _transmissions(mj_model)]
-    joints = set[int](mj_model.dof_jntid[np.concatenate([[], *dofs]).astype(int)])
-    is_coupling = mj_model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
-    pairs = np.column_stack((mj_model.eq_obj1id, mj_model.eq_obj2id))
-    for pair in pairs[is_coupling].tolist():
-        if joints.intersection(pair):
-            joints.update(pair)
+    """Return the ids of joints that an actuator moves, directly or by a fixed tendon."""
+    joints = set[int]()
+    for ratios in _transmissions(mj_model):
+        joints.update(mj_model.dof_jntid[np.flatnonzero(ratios)].tolist())
     return joints
 
 

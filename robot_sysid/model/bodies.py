@@ -192,8 +192,6 @@ _PATTERNS = tuple(
     re.compile(rf"(?:.*[/_.:-])?(?:{name})(?:[_-](?:site|frame|link))?", re.IGNORECASE)
     for name in _NAMES
 )
-_DOUBT = "; an end effector's frame may also be the tip of the tool: check"
-"""End of the note on a flange with one of the last, least sure names."""
 REACH = 3.0
 """Distance of a flange from its link beyond which the numbers must be millimetres [m]: no arm is as
 long."""
@@ -219,18 +217,12 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
             return frame
     if "," in name:
         return _parse_flange(robot, name)
-    model = robot.mj_model
-    ids = [mujoco.mj_name2id(model, int(kind), name) for kind in _OBJECTS.values()]
-    fault = "no such site or body"
-    if max(ids) >= 0:
-        fault = f"'{name}' moves against the terminal body, or stands before it"
-    listed = _list_names(frames)
-    remedy = f"fixed to body '{robot.body_name}' are: {listed}; or give x,y,z in metres"
-    raise ModelError(f"flange {name}: {fault}; {remedy}")
+    raise ModelError(
+        f"flange {name}: no site or body of that name is fixed to body '{robot.body_name}', but "
+        f"these are: {_list_names(frames)}; or give x,y,z in metres"
+    )
 
 
-_OBJECTS = {"site": mujoco.mjtObj.mjOBJ_SITE, "body": mujoco.mjtObj.mjOBJ_BODY}
-"""What a flange may be named after, to MuJoCo's type of object."""
 _Frames = Sequence[tuple[str, Flange]]
 """Names of sites and bodies, and their frames."""
 
@@ -269,9 +261,12 @@ def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
 
     A note is a sentence for the user. ModelError where several different frames are called so.
     """
-    own_label = f"body '{robot.body_name}'"
-    terminal = next(frame for _, frame in frames if frame.name == own_label)
-    others = [(name, frame) for name, frame in frames if frame is not terminal]
+    others = []
+    for name, frame in frames:
+        if frame.name == f"body '{robot.body_name}'":
+            terminal = frame
+        else:
+            others.append((name, frame))
     for pattern in _PATTERNS:
         matches = [item for item in others if pattern.fullmatch(item[0])]
         # A site counts more than a body.
@@ -288,7 +283,8 @@ def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
             )
         flange = matches[0][1]
         note = f"{flange.name} was taken for the flange, because of its name"
-        note += _DOUBT if pattern is _PATTERNS[-1] else ""
+        if pattern is _PATTERNS[-1]:
+            note += "; an end effector's frame may also be the tip of the tool: check"
         return replace(flange, note=note)
     listed = _list_names(others) or "none"
     note = (

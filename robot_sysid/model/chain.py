@@ -23,7 +23,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.model.actuators import (
     driven_joints,
@@ -261,24 +260,19 @@ _BASE_JOINTS = 3
 """Joints of a mobile base: two directions and a turn."""
 _LEAST_ARM_JOINTS = 3
 """Joints that must remain for an arm; three can show all ten parameters."""
-_PERPENDICULAR = 1e-6
-"""Cosine that counts as a right angle: axes from CAD are straight to six digits."""
 
 
 def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
     """Return a chain (joint ids, outwards) without the joints of a mobile base at its beginning.
 
-    Those are two slides and a hinge normal to each other, all unlimited.
+    Those are two slides and a hinge, all unlimited.
     """
     base = list(chain[:_BASE_JOINTS])
     is_planar = sorted(mj_model.jnt_type[base]) == sorted((_SLIDE, _SLIDE, _HINGE))
     is_long = len(chain) >= _BASE_JOINTS + _LEAST_ARM_JOINTS
     if not is_long or not is_planar or np.any(mj_model.jnt_limited[base]):
         return chain
-    # Unit vectors (3, 3) of the joints' axes, one per row.
-    axes = data_at_pose(mj_model, mj_model.qpos0).xaxis[base]
-    cosines = np.abs(axes @ axes.T - np.eye(_BASE_JOINTS))
-    return chain[_BASE_JOINTS:] if np.max(cosines) <= _PERPENDICULAR else chain
+    return chain[_BASE_JOINTS:]
 
 
 DEFAULT_SLIDE_VELOCITY = 0.25

@@ -279,16 +279,12 @@ class RobotModel:
         path: of the model file.
         mj_model: the compiled MuJoCo model, exactly as the file describes it.
         joint_names: the n chain joints, base to terminal ("#3" for a nameless joint with id 3).
-        body_name: the terminal body ("#7" for a nameless body with id 7).
-        body_id: MuJoCo id of the terminal body.
         qpos_index, dof_index: (n,) addresses of the chain joints in qpos and qvel.
         reference_qpos: (nq,) configuration at which joints outside the chain are held.
         is_slide: (n,) whether a chain joint is a slide.
         limits, friction: of the chain joints.
-        prior: inertial parameters of the composite terminal link (terminal body and all below it at
-            the reference configuration), in the terminal body's frame.
-        bodies: what that is made of, the terminal body first.
-        links: what each chain joint moves, base to terminal; the last one is ``prior``.
+        links: what each chain joint moves, base to terminal.
+        bodies: what the last link is made of, the terminal body first.
         sha256: hash of the files that make the model.
         kind: "mjcf" or "urdf".
         notes: what the reader of the file had to assume, one sentence each.
@@ -297,14 +293,11 @@ class RobotModel:
     path: Path
     mj_model: Any
     joint_names: tuple[str, ...]
-    body_name: str
-    body_id: int
     qpos_index: NDArray[np.int64]
     dof_index: NDArray[np.int64]
     reference_qpos: Array
     is_slide: NDArray[np.bool_]
     limits: JointLimits
-    prior: InertialParameters
     friction: JointFriction
     links: tuple[ArmLink, ...]
     bodies: tuple[SubtreeBody, ...] = ()
@@ -315,6 +308,21 @@ class RobotModel:
     def __repr__(self) -> str:
         joints = ", ".join(self.joint_names)
         return f"<RobotModel {self.path.name}: {joints} carry {self.body_name}>"
+
+    @property
+    def body_name(self) -> str:
+        """Name of the terminal body."""
+        return self.links[-1].body_name
+
+    @property
+    def body_id(self) -> int:
+        """MuJoCo id of the terminal body."""
+        return self.links[-1].body_id
+
+    @property
+    def prior(self) -> InertialParameters:
+        """The terminal link, the terminal body and all below it, as the model has it."""
+        return InertialParameters(self.links[-1].theta)
 
     @property
     def n_joints(self) -> int:

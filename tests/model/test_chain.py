@@ -156,8 +156,6 @@ def test_a_last_joint_without_a_motor_behind_joints_with_motors_is_doubt():
     [
         '<tendon><fixed name="t"><joint joint="joint3" coef="1"/></fixed></tendon>'
         '<actuator><motor joint="joint0"/><motor tendon="t"/></actuator>',
-        '<equality><joint joint1="joint3" joint2="joint2"/></equality>'
-        + motors("joint2"),
         motors("joint3"),
     ],
 )
@@ -217,11 +215,6 @@ def test_a_mobile_base_is_held_and_named(order):
     [
         (PLANE, 'range="-1 1"', (Z, Y, X, Y)),  # a gantry: its travel ends somewhere
         (PLANE, "", (Z, Y)),  # too little of an arm remains
-        (
-            (("slide", X), ("slide", Y), ("hinge", X)),
-            "",
-            (Z, Y, X, Y),
-        ),  # the turn is not planar
         ((("slide", X), ("slide", Y), ("slide", Z)), "", (Z, Y, X, Y)),
         (PLANE[:2], "", (Z, Y, X, Y)),
     ],

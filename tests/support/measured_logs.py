@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from robot_sysid.records import InertialParameters
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
@@ -34,7 +31,7 @@ def guess_model(robot, scale=0.6):
     arms.write_body(model, robot.body_id, theta)
     model.dof_frictionloss[:] = 0.0
     model.dof_damping[:] = 0.0
-    return replace(arms.robot_of(model), prior=InertialParameters(theta))
+    return arms.robot_of(model)
 
 
 def plan_of(robot, seed=1, duration=DURATION):

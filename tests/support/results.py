@@ -11,6 +11,7 @@ import numpy as np
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, theta_from_com
 from robot_sysid.records import (
     ITSELF,
+    ArmLink,
     DataOrigin,
     Estimate,
     Flange,
@@ -45,16 +46,13 @@ ARM = RobotModel(
     path=Path("arm.xml"),
     mj_model=None,
     joint_names=JOINTS,
-    body_name="link6",
-    body_id=2,
     qpos_index=np.arange(2),
     dof_index=np.arange(2),
     reference_qpos=np.zeros(2),
     is_slide=np.zeros(2, dtype=bool),
     limits=JointLimits(*np.array([[-2.0], [2.0], [2.0], [np.inf]]) * np.ones(2)),
-    prior=InertialParameters(0.5 * THETA),
     friction=JointFriction(np.array([0.3, 0.2]), np.array([0.1, 0.0])),
-    links=(),
+    links=(ArmLink(2, "link6", np.zeros(6), np.eye(3), np.zeros(3), 0.5 * THETA),),
     sha256="ab",
 )
 MODEL_FRICTION = {
