@@ -78,14 +78,6 @@ class ArmOutputOptions(OutputOptions):
     )
 
 
-_ID: dict[str, Any] = {
-    "value": "ID",
-    "parse": option_fields.parse_whole_number,
-    "repeats": True,
-}
-"""Arguments of ``option`` that both options on CAN ids share."""
-
-
 @dataclass(frozen=True)
 class MotorOptions(OptionRecord):
     """Whether the trajectory is written for Damiao motors, and which they are."""
@@ -116,14 +108,16 @@ class NumberedMotorOptions(MotorOptions):
     can_id: tuple[int, ...] = option(
         (),
         "CAN id of a motor; once per joint, base first",
+        "ID",
         default_text="1, 2, 3, ...",
-        **_ID,
+        repeats=True,
     )
     master_id: tuple[int, ...] = option(
         (),
         "id on which a motor answers; once per joint, base first",
+        "ID",
         default_text="CAN id + 0x10",
-        **_ID,
+        repeats=True,
     )
 
 

@@ -6,10 +6,10 @@ the files that options with one number per joint may name: torque scales and tor
 
 A torque scale says how much too large a joint's torque column reads: tau = column / scale. A torque
 constant turns motor current into torque: tau = constant * current, at the joint, so with the gear
-in it. A file lists them by joint, in version 2 each with its standard error::
+in it. A file lists them by joint, without or with their standard errors::
 
-    {"version": 1, "torque_scale": {"joint1": 1.31, "joint2": 1.27}}
-    {"version": 2, "torque_scale": {"joint1": {"value": 1.31, "standard_error": 0.004}, ...}}
+    {"torque_scale": {"joint1": 1.31, "joint2": 1.27}}
+    {"torque_scale": {"joint1": {"value": 1.31, "standard_error": 0.004}, ...}}
 """
 
 from __future__ import annotations
@@ -40,8 +40,6 @@ PerJoint = Union[float, tuple[float, ...]]
 """One number for all joints, or one per joint."""
 Factors = Union[PerJoint, Path]
 """One number for all joints, one per joint, or the file that lists them by name."""
-FACTORS_VERSION = 2
-"""Version of the files of factors that are written, and the newest that is read."""
 SCALE = "torque_scale"
 """Key of the table of torque scales in a file."""
 CONSTANTS = "torque_constants"
@@ -429,15 +427,10 @@ def read_factors(path: Path, table: str = SCALE) -> Mapping[str, tuple[float, fl
 
     ``table``: ``SCALE`` or ``CONSTANTS``, the table's key in the file.
     """
-    form = f'{{"version": 1, "{table}": {{"JOINT": 1.3, ...}}}}'
+    form = f'{{"{table}": {{"JOINT": 1.3, ...}}}}'
     content = read_json(path, f"torque factors have the form {form}")
     if not isinstance(content, dict) or not isinstance(content.get(table), dict):
         raise InputError(f"{path} holds no {table}; its form is {form}")
-    version = content.get("version")
-    if version not in range(1, FACTORS_VERSION + 1):
-        raise InputError(
-            f"{path} has version {version!r}, this program reads up to {FACTORS_VERSION}: {form}"
-        )
     factors = {}
     for joint, entry in content[table].items():
         stated = entry if isinstance(entry, dict) else {"value": entry}
@@ -459,7 +452,7 @@ def write_torque_scale(path: Path, scales: Mapping[str, tuple[float, float]]) ->
             "value": _checked_factor(path, joint, scale),
             "standard_error": _checked_factor(path, joint, error),
         }
-    content = {"version": FACTORS_VERSION, SCALE: entries}
+    content = {"version": 2, SCALE: entries}
     write_atomically(path, json.dumps(content, indent=2) + "\n")
 
 
@@ -493,21 +486,18 @@ def parse_whole_number(text: str) -> int:
 _PARSERS: Mapping[str, Callable[[str], Any]] = {
     "PerJoint": parse_numbers,
     "float": float,
-    "int": int,
+    "int": parse_whole_number,
     "str": str,
     "Path": Path,
 }
 """Name of a type in a field's annotation to what parses its text."""
 _PER_JOINT = "one per joint"
 """End of the description of a value that may be one number per joint."""
-_WHOLE_NUMBER = ((Integral,), "a whole number")
-"""Types of a whole number, and its description."""
 _PATH = ((os.PathLike,), "a path")
 """Types of a path, and its description."""
 _VALUE_TYPES: Mapping[str, tuple[tuple[type, ...], str]] = {
     "float": ((Real,), "a number"),
-    "int": _WHOLE_NUMBER,
-    "parse_whole_number": _WHOLE_NUMBER,
+    "parse_whole_number": ((Integral,), "a whole number"),
     "str": ((str,), "a text"),
     "Path": _PATH,
     "parse_folder": _PATH,
@@ -535,12 +525,6 @@ def value_text(stated: Option) -> str:
     return f"{text}, or a list of them" if takes_many else text
 
 
-def processor_count() -> int:
-    """Return how many processors this process may run on."""
-    has_affinity = hasattr(os, "sched_getaffinity")
-    return len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
-
-
 @dataclass(frozen=True)
 class TrajectoryOptions(OptionRecord):
     """Options on the trajectory that the arm moves along, and on its sampling."""
@@ -555,7 +539,6 @@ class TrajectoryOptions(OptionRecord):
         None,
         "seed of the random trajectory and of simulated noise",
         ">= 0",
-        parse=parse_whole_number,
         default_text="a fresh one",
     )
     speed: float = option(

@@ -21,6 +21,7 @@ Shapes: n joints of the chain, base to terminal; W windows at a time; S steps in
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any
@@ -41,7 +42,6 @@ from robot_sysid.model.actuators import (
 )
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.option_fields import processor_count
 from robot_sysid.simulation.plant import forward_model, set_chain_state
 
 STEP = 0.002
@@ -297,7 +297,7 @@ class ServoRollouts:
         threads = 1
         # Older releases play one rollout at a time.
         if hasattr(rollout, "Rollout"):
-            threads = processor_count()
+            threads = os.cpu_count() or 1
             # Zero stands for the calling thread.
             self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
