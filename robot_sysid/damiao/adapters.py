@@ -113,8 +113,8 @@ def can_message(can: Any, frame: Frame, **stamp: Any) -> Any:
     ``stamp`` are further fields of the Message: timestamp [s], is_rx and channel.
     """
     fd = {"is_fd": frame.fd, "bitrate_switch": frame.fd}
-    flags = {"is_extended_id": False, "is_error_frame": frame.error, **fd}
-    return can.Message(arbitration_id=frame.id, data=frame.data, **flags, **stamp)
+    identifier = {"arbitration_id": frame.id, "is_extended_id": False}
+    return can.Message(data=frame.data, **identifier, **fd, **stamp)
 
 
 class BusLink:
@@ -150,7 +150,7 @@ class BusLink:
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
 
     def receive(self, until: float) -> Frame | None:
-        """Return the next frame with a standard id; None if none came by ``until`` [s].
+        """Return the next data frame with a standard id; None if none came by ``until`` [s].
 
         ``until`` is in the link's clock. A line of a serial adapter that is no frame is a lost
         frame. LinkError where the bus cannot be read.
@@ -166,8 +166,9 @@ class BusLink:
                 raise LinkError(reason) from error
             if message is None and self._clock.now() >= until:
                 return None
-            if message is not None and not message.is_extended_id:
-                return self._frame(message)
+            if message is None or message.is_extended_id or message.is_error_frame:
+                continue
+            return self._frame(message)
 
     def close(self) -> None:
         """Close the bus; a driver's exceptions are dropped: they would hide errors about motors."""
@@ -188,7 +189,6 @@ class BusLink:
             data=bytes(message.data),
             time=self._clock.now() - age,
             fd=message.is_fd,
-            error=message.is_error_frame,
             echo=not message.is_rx,
         )
 
@@ -238,11 +238,8 @@ def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
     """
     if interface == SERIAL_ADAPTER:
         return {}
-    if interface == "socketcan":
+    if interface in ("socketcan", "virtual"):
         return {"receive_own_messages": True, "fd": timing.fd}
-    if interface == "virtual":
-        protocol = can.CanProtocol.CAN_FD if timing.fd else can.CanProtocol.CAN_20
-        return {"receive_own_messages": True, "protocol": protocol}
     if not timing.fd:
         return {"bitrate": int(timing.bitrate)}
     rates = {
@@ -263,21 +260,12 @@ _A_FRAME = b"\x11"
 """Type of a packet from the adapter that holds a received frame."""
 _PACKET = re.compile(rb"\xaa(.).(.{4})(.{8})\x55", re.DOTALL)
 """A packet from the adapter: its type, CAN id and data."""
-_DATA = 8
-"""Most data bytes of a classic CAN frame."""
 
 
 def packet(identifier: int, data: bytes) -> bytes:
-    """Return the 30 bytes with which the maker's adapter sends a classic frame.
-
-    ValueError where ``identifier`` has more than 11 bits or ``data`` more than eight bytes.
-    """
-    if len(data) > _DATA or not 0 <= identifier <= 0x7FF:
-        raise ValueError(
-            "the adapter sends classic frames with 11-bit ids and up to 8 bytes"
-        )
+    """Return the 30 bytes with which the maker's adapter sends a classic frame."""
     body = identifier.to_bytes(4, "little") + bytes([0, len(data), 0, 0])
-    return _HEAD + body + data.ljust(_DATA, b"\0") + b"\0"
+    return _HEAD + body + data.ljust(8, b"\0") + b"\0"
 
 
 class PacketReader:

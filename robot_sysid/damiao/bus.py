@@ -187,14 +187,6 @@ def _real_time_priority() -> Iterator[bool]:
             _schedule(thread_id, os.SCHED_OTHER, priority=0)
 
 
-def lacks_priority() -> bool:
-    """Return whether this system offers real-time priority (Linux) but this thread has none."""
-    if sys.platform != "linux":
-        return False
-    # Thread 0 is the calling one.
-    return os.sched_getscheduler(0) not in (os.SCHED_FIFO, os.SCHED_RR)
-
-
 def _schedule(thread_id: int, policy: int, priority: int) -> bool:
     """Set policy and priority of a thread, 0 for the calling one; return whether this succeeded."""
     try:
@@ -224,16 +216,12 @@ class RegisterClient:
     Args:
         link: link of the motors' bus.
         timeout: time for which an answer is waited for [s].
-
-    Attributes:
-        error_frames: number of error frames received so far.
     """
 
     def __init__(self, link: GuardedLink, timeout: float = 0.02) -> None:
         self._link = link
         self._clock = link.clock
         self._timeout = timeout
-        self.error_frames = 0
 
     def read(self, can_id: int, register: int) -> float | None:
         """Return the value of a motor's register; None if three requests get no answer."""
@@ -301,13 +289,13 @@ class RegisterClient:
         self._link.drain()
         start = self._clock.now()
         for can_id in reply_ids:
-            self._send(protocol.refresh_frame(can_id))
+            self._link.send(protocol.refresh_frame(can_id))
         missing = set(reply_ids.values())
         while missing:
             frame = self._link.receive(start + _LONGEST_CYCLE)
             if frame is None:
                 return None
-            if not frame.echo and not frame.error:
+            if not frame.echo:
                 missing.discard(frame.id)
         return self._clock.now() - start
 
@@ -349,22 +337,14 @@ class RegisterClient:
         """Send a request and yield the 8-byte frames that then come.
 
         It ends at the timeout. Frames that have come earlier are discarded, and so are echoes of
-        this program's own frames; error frames are counted.
+        this program's own frames.
         """
         self._link.drain()
-        self._send(request)
+        self._link.send(request)
         until = self._clock.now() + self._timeout
         while (frame := self._link.receive(until)) is not None:
-            self.error_frames += frame.error
-            if not frame.error and not frame.echo and len(frame.data) == 8:
+            if not frame.echo and len(frame.data) == 8:
                 yield frame
-
-    def _send(self, request: protocol.Frame) -> None:
-        """Send a request, up to three times if a busy link raises LinkError; raise the third."""
-        for _ in range(_TRIES - 1):
-            with contextlib.suppress(LinkError):
-                return self._link.send(request)
-        self._link.send(request)
 
 
 _ALL_IDS = range(1, 16)
@@ -428,7 +408,6 @@ class Inspection:
     Attributes:
         motors: answers of each motor by its CAN id, in ascending order.
         unsolicited: number of frames that came within 0.05 s before anything was requested.
-        error_frames: number of error frames that came during the requests.
         round_trip: 90th percentile of the time in which all motors, requested at once, answer [s];
             None where half of the attempts, or more, ended without some motor's answer, or a
             motor's state is unknown.
@@ -436,7 +415,6 @@ class Inspection:
 
     motors: Mapping[int, InspectedMotor]
     unsolicited: int
-    error_frames: int
     round_trip: float | None = None
 
 
@@ -460,7 +438,7 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         # Measured under the conditions of a run, for which the time matters.
         with undisturbed_processor(live=link.clock.live):
             round_trip = _round_trip(client, motors.values())
-    return Inspection(motors, unsolicited, client.error_frames, round_trip)
+    return Inspection(motors, unsolicited, round_trip)
 
 
 def _round_trip(

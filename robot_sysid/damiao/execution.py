@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -48,7 +49,7 @@ from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.option_fields import given_options, record_from
+from robot_sysid.records.option_fields import options_of, record_from
 
 
 class MotorRun:
@@ -79,10 +80,15 @@ class MotorRun:
         upper limits (n,) of the joints [rad], and the SamplingRipple, which computes the ripple
         that torque steps between control cycles add to the recorded motion.
 
-        InputError where the file does not fit the model or the joint map.
+        InputError where the file does not fit the model or the joint map, or an option needs a
+        model.
         """
-        trajectory = motion.read_damiao_trajectory(self.values["trajectory"])
         robot = self.robot
+        for key in (*options_of(PosedModelOptions), *motion.MODEL_LIMITS):
+            if robot is None and self.values.get(key) is not None:
+                flag = key.replace("_", "-")
+                raise InputError(f"--{flag} is about a model; add --model")
+        trajectory = motion.read_damiao_trajectory(self.values["trajectory"])
         if robot is not None and trajectory.n_joints != robot.n_joints:
             raise InputError(
                 f"{trajectory.path} has {trajectory.n_joints} joints but the chain of "
@@ -112,23 +118,10 @@ class MotorRun:
         )
 
     def _limits(self) -> LimitOptions:
-        """Return the user's limits for all motions of the run; a limit not given forbids nothing.
-
-        InputError for a limit that needs a model where there is none.
-        """
-        limits: dict[str, Any] = {
-            "max_velocity": motion.NO_LIMITS.max_velocity,
-            "clearance": 0.0,
-            "below_base": True,
-        }
-        for key in motion.LIMITS:
-            if key not in self.values:
-                continue
-            if self.robot is None and key in motion.MODEL_LIMITS:
-                flag = key.replace("_", "-")
-                raise InputError(f"--{flag} is about a model; add --model")
-            limits[key] = self.values[key]
-        return record_from(LimitOptions, limits)
+        """Return the user's limits of all motions; a limit that is not given forbids nothing."""
+        limits = vars(motion.NO_LIMITS)
+        given = {key: self.values[key] for key in motion.LIMITS if key in self.values}
+        return record_from(LimitOptions, {**limits, **given})
 
     def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         """Return joints (base to terminal) with the ids and mounting of the joint map.
@@ -146,18 +139,16 @@ class MotorRun:
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
 
     def checks(self, plan: Plan) -> list[Check]:
-        """Return a plan's checks that need no bus; InputError for model options without a model."""
+        """Return a plan's checks that need no bus."""
         checks = [*preflight.plan_checks(plan), *preflight.limit_checks(plan)]
         if self.robot is None:
-            for model_option in given_options(
-                record_from(PosedModelOptions, self.values)
-            ):
-                raise InputError(f"{model_option.flag} is about a model; add --model")
             return checks
         from robot_sysid.damiao import model_check
 
         checks += model_check.model_checks(plan, self._problem)
-        checks += model_check.torque_checks(plan.trajectory, plan.settings, self.robot)
+        checks += model_check.torque_checks(
+            plan.trajectory, plan.settings.speed, self.robot
+        )
         return checks
 
     @cached_property
@@ -251,12 +242,11 @@ class MotorRun:
         stepper = ArmStepper(self.robot, plan.trajectory.q[0], *timestep)
         return SimulatedArm(stepper, motors)
 
-    @contextlib.contextmanager
-    def open_simulated(self, arm: SimulatedArm) -> Iterator[GuardedLink]:
-        """Yield a guarded link to a simulated arm, whose clock only advances when waited for."""
+    def open_simulated(self, arm: SimulatedArm) -> AbstractContextManager[GuardedLink]:
+        """Return a guarded link to a simulated arm, whose clock only advances when waited for."""
         clock = SimulatedClock()
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
-        yield GuardedLink(wire, clock, self.timing.fd)
+        return contextlib.nullcontext(GuardedLink(wire, clock, self.timing.fd))
 
     @contextlib.contextmanager
     def open_guarded(

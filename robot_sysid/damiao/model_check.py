@@ -18,7 +18,7 @@ from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
 from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
-from robot_sysid.damiao.settings import Plan, PlaySettings
+from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import (
     CANNOT_FOLLOW,
     WEIGH_FIRST,
@@ -42,17 +42,16 @@ class PlayedPath:
     """The way of a motor trajectory as a motion plan: straight lines between its rows.
 
     Args:
-        trajectory: the trajectory file's content.
-        speed: factor of the file's velocities; its times are divided by this factor.
+        plan: plan of the run.
 
     Attributes:
         duration: time of the last row [s].
     """
 
-    def __init__(self, trajectory: DamiaoTrajectory, speed: float) -> None:
-        self._trajectory = trajectory
-        self._speed = speed
-        self.duration = float(np.ptp(trajectory.time)) / speed
+    def __init__(self, plan: Plan) -> None:
+        self._trajectory = plan.trajectory
+        self._speed = plan.settings.speed
+        self.duration = plan.duration
 
     def evaluate(self, time: Array) -> Motion:
         """Return position and slope (K, n) at times (K,) [s], with zero acceleration."""
@@ -103,7 +102,7 @@ def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Check]:
         torque=limits.torque,
     )
     found = list(excesses(plan.trajectory, speed, bounds))
-    contact = first_contact(problem, PlayedPath(plan.trajectory, speed))
+    contact = first_contact(problem, PlayedPath(plan))
     if contact is not None:
         found.append(f"the model's {contact.label} touch at {contact.time:.2f} s")
     for excess in found:
@@ -122,16 +121,14 @@ other sign, and 0.5 where a new load doubles the torque of a joint: this is a ju
 
 
 def torque_checks(
-    trajectory: DamiaoTrajectory, settings: PlaySettings, robot: RobotModel
+    trajectory: DamiaoTrajectory, speed: float, robot: RobotModel
 ) -> Iterator[Check]:
     """Yield a stop for each joint whose motion needs more torque than its motor can make.
 
     Further stops are yielded where the file feeds forward another torque than the motion needs. The
-    needed torques are those of ``robot``, the model of the arm; ``settings`` have the speed and the
-    permitted torque errors.
+    needed torques are those of ``robot``, the model of the arm, at ``speed`` times the file's.
     """
     arm = ArmTorque(robot)
-    speed = settings.speed
     q, qd, qdd = trajectory.q, trajectory.qd, trajectory.qdd
     needed = arm(Motion(trajectory.time, q, speed * qd, speed**2 * qdd))
     joints = trajectory.joints
@@ -156,13 +153,6 @@ def torque_checks(
             f"or arm: it is off by {error[j]:.1f} N m where {robot.path.name} needs "
             f"{needed_rms[j]:.1f} (rms), and {CANNOT_FOLLOW}; export the file again for this arm, "
             f"or {WEIGH_FIRST}",
-        )
-    max_error = np.array(settings.max_torque_error)
-    for j, worst in peaks_beyond(needed - trajectory.tau, max_error):
-        yield Check(
-            STOP,
-            f"{joints[j].label}: the motion needs {worst:.1f} N m more or less than the file "
-            f"feeds forward, limit {max_error[j]:g}; {CANNOT_FOLLOW}, {WEIGH_FIRST}",
         )
 
 

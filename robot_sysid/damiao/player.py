@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.damiao import references as paths
-from robot_sysid.damiao.bus import SystemClock, lacks_priority, undisturbed_processor
+from robot_sysid.damiao.bus import SystemClock, undisturbed_processor
 from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import (
@@ -80,12 +80,10 @@ class CycleTimer:
         self.skipped += n_passed
         self._index += n_passed + 1
         if lateness > self.max_lateness and not lenient:
-            remedy = "close other programs or lower --rate"
-            if self._clock.live and lacks_priority():
-                remedy = f"allow real-time priority (see docs/damiao.md), {remedy}"
             raise HardwareAbort(
                 f"the computer was {1e3 * lateness:.1f} ms late for a control cycle, limit "
-                f"{1e3 * self.max_lateness:g} ms; {remedy}"
+                f"{1e3 * self.max_lateness:g} ms; allow real-time priority (see docs/damiao.md), "
+                "close other programs or lower --rate"
             )
         return deadline + n_passed * self.period
 
@@ -325,14 +323,7 @@ class Player:
             time = min(deadline - origin, length)
             target = reference(time)
             self._stop_if_asked()
-            try:
-                replies, acted = self._cycle(target)
-            except BaseException:
-                # Replies that came before the error are recorded.
-                early_replies = self._session.last_replies
-                if record and early_replies is not None and self._command is not None:
-                    self._record(time, origin, early_replies, self._command)
-                raise
+            replies, acted = self._cycle(target)
             if record:
                 self._record(time, origin, replies, acted)
             if self._recorder:
@@ -388,12 +379,10 @@ class Player:
         self._command = replies.command
         q, qd = self._session.believed_motion
         self._motor_torque = acted.motor_torque(q, qd)
-        if isinstance(self._follower, paths.Lowering):
-            self._follower.torque = self._motor_torque
-        elif self._follower is not None:
+        if self._follower is not None:
             is_trusted = self._observer.trusted_joints
-            self._follower.q = np.where(is_trusted, q, np.nan)
-            self._follower.qd = np.where(is_trusted, qd, np.nan)
+            trusted_q, trusted_qd = np.where(is_trusted, [q, qd], np.nan)
+            self._follower.follow(trusted_q, trusted_qd, self._motor_torque)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
         if np.all(np.isfinite(q)):
@@ -453,10 +442,10 @@ class Player:
         settings = self._settings
         is_trusted = observer.trusted_joints
         q, qd = np.where(is_trusted, self._session.believed_motion, np.nan)
+        limit: Array | float = settings.max_tracking_error
         if self._standing:
-            has_left = observer.has_left(q, reference.position, reference.torque)
-        else:
-            has_left = np.abs(q - reference.position) > settings.max_tracking_error
+            limit = observer.standing_limit(q, reference.position, reference.torque)
+        has_left = np.abs(q - reference.position) > limit
         is_pushed = observer.is_pushed(q, reference.position, reference.torque)
         if self._holding.is_model:
             pose = np.where(np.isfinite(q), q, reference.position)

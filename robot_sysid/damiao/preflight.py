@@ -81,17 +81,15 @@ def require_no_stop(checks: Sequence[Check], consequence: str) -> None:
 def plan_checks(plan: Plan) -> list[Check]:
     """Return the checks of a plan that need neither a bus nor a model of the arm.
 
-    They compare ids, speed at the ends, velocities with positions, ratings of the motors, bus load
-    and the limits of frames.
+    They compare ids, speed at the ends, velocities with positions, ratings of the motors and bus
+    load.
     """
     joints = plan.trajectory.joints
-    limits = [joint.spec.limits for joint in joints]
     return [
         *_id_checks(joints),
         *_motion_checks(plan),
         *_motor_checks(plan),
         _load_check(len(joints), plan.settings, plan.timing),
-        *_frame_limit_checks(plan, limits, "its type's"),
     ]
 
 
@@ -158,9 +156,7 @@ def _load_check(
     return _stop(f"{text}, limit {100 * limit:.0f} %; use --rate {suggested_rate:g}")
 
 
-def _frame_limit_checks(
-    plan: Plan, limits: Sequence[tuple[float, ...]], owner: str
-) -> list[Check]:
+def _frame_limit_checks(plan: Plan, limits: Sequence[tuple[float, ...]]) -> list[Check]:
     """Return a stop for each quantity of a joint beyond the range of its motor's frames.
 
     If none is beyond, one check with severity OK is returned.
@@ -168,16 +164,15 @@ def _frame_limit_checks(
     Args:
         plan: plan of the run.
         limits: PMAX, VMAX and TMAX of each joint's motor [rad, rad/s, N m].
-        owner: whose limits these are, in messages: "its type's" or "its registers'".
     """
     trajectory = plan.trajectory
     mounting = Mounting.of(trajectory.joints)
     lower, upper, velocity, torque = mounting.frame_limits(np.array(limits))
-    bounds = motion.Bounds(owner, lower, upper, velocity, torque=torque)
+    bounds = motion.Bounds("its registers'", lower, upper, velocity, torque=torque)
     checks = []
     for excess in motion.excesses(trajectory, plan.settings.speed, bounds):
         checks.append(_stop(f"{excess}; export a smaller trajectory"))
-    return checks or [Check(OK, f"the trajectory stays within {owner} limits")]
+    return checks or [Check(OK, "the trajectory stays within the registers' limits")]
 
 
 # --- answers of the motors ----------------------------------------------------------------------
@@ -214,7 +209,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
         if motor is None:
             checks.append(
                 _stop(
-                    f"{joint.label} does not answer; check power, wiring, its id, bit rate"
+                    f"{joint.label} does not answer; check power, wiring, its id, bit rate, --fd"
                 )
             )
             continue
@@ -222,23 +217,18 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
         if set(protocol.SCALING) <= set(motor.registers):
             limits.append(motor.limits)
     if len(limits) == len(joints):
-        checks += _frame_limit_checks(plan, limits, "its registers'")
+        checks += _frame_limit_checks(plan, limits)
         checks += _answer_time_checks(inspection.round_trip, settings)
         checks += _start_checks(plan, plan.joint_positions(inspection))
     return [*checks, *_other_motor_checks(plan.other_motors(inspection))]
 
 
 def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
-    """Yield a stop or note for each sign of another program, another bit rate, or clashing ids."""
+    """Yield a stop for each sign of another program, or clashing ids."""
     if inspection.unsolicited:
         yield _stop(
             f"{inspection.unsolicited} frames came without being asked for: another program is "
             "talking to these motors; end it first"
-        )
-    if inspection.error_frames:
-        yield _note(
-            f"{inspection.error_frames} error frames: two motors may share an id, or a motor is "
-            "set to CAN-FD (use --fd) or to another bit rate"
         )
     ids = [(can_id, motor.master_id) for can_id, motor in inspection.motors.items()]
     for problem in id_problems(ids):
@@ -296,11 +286,8 @@ def _condition_checks(
 def _id_register_checks(
     motor: InspectedMotor, joint: DamiaoJoint, name: str
 ) -> Iterator[Check]:
-    """Yield a stop for each id of a motor, called ``name``, that differs from its joint's."""
-    can_id = int(motor.registers[protocol.ESC_ID])
+    """Yield a stop where the reply id of a motor, called ``name``, differs from its joint's."""
     master_id = int(motor.registers[protocol.MST_ID])
-    if can_id != joint.can_id:
-        yield _stop(f"{name} says that its CAN id is {can_id}; power-cycle it")
     reply_ids = sorted(set(motor.reply_ids))
     if master_id != joint.master_id or reply_ids != [joint.master_id]:
         answers = ", ".join(f"{reply_id:#x}" for reply_id in reply_ids)

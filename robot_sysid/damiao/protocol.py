@@ -285,10 +285,9 @@ class Frame(NamedTuple):
 
     Attributes:
         id: 11-bit arbitration id.
-        data: up to 8 bytes; none in an error frame.
+        data: up to 8 bytes.
         time: time at which the frame was on the bus, in the link's clock [s].
         fd: whether this is a CAN-FD frame.
-        error: whether this is an error frame.
         echo: whether this program sent the frame and the adapter reports that it was on the bus.
     """
 
@@ -296,7 +295,6 @@ class Frame(NamedTuple):
     data: bytes
     time: float = 0.0
     fd: bool = False
-    error: bool = False
     echo: bool = False
 
 

@@ -135,10 +135,6 @@ class Lowering:
         speed: largest speed of a joint [rad/s].
         peak: peak torque (n,) of the joints [N m].
         command_range: range of the joints' positions.
-
-    Attributes:
-        torque: torque (n,) commanded last [N m], NaN where unknown; the caller sets this in every
-            cycle.
     """
 
     def __init__(
@@ -149,16 +145,20 @@ class Lowering:
         self._speed = speed
         self._full_load = _FULL_LOAD * peak
         self._range = command_range
-        self.torque: Array = np.full(len(peak), np.nan)
+        self._torque = np.zeros(len(peak))
         self._time = 0.0
         self._moved_at = 0.0
+
+    def follow(self, q: Array, qd: Array, torque: Array) -> None:
+        """Take the torque (n,) commanded last [N m], NaN where unknown; q and qd are not used."""
+        self._torque = np.nan_to_num(torque)
 
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s] after the beginning; times never go back.
 
         Each call moves the stored position on.
         """
-        load_share = np.clip(np.nan_to_num(self.torque) / self._full_load, -1.0, 1.0)
+        load_share = np.clip(self._torque / self._full_load, -1.0, 1.0)
         fed_share = max(1.0 - time / _FADE, 0.0)
         velocity = np.zeros_like(load_share)
         if fed_share == 0.0:
@@ -358,8 +358,6 @@ class CarriedStop:
         command_range: range of commanded positions.
 
     Attributes:
-        q: as given; the caller sets them in every cycle.
-        qd: as given; set likewise.
         last: reference returned last.
         duration: time in which the reference brakes [s].
     """
@@ -374,8 +372,8 @@ class CarriedStop:
         stuck: Mask,
         command_range: CommandRange,
     ) -> None:
-        self.q = q
-        self.qd = qd
+        self._q = q
+        self._qd = qd
         self.last = reference
         self._begin = reference
         self._fed = fed
@@ -401,6 +399,14 @@ class CarriedStop:
         self._reached = q
         self._has_moved = np.zeros(len(led), dtype=bool)
         self._time = 0.0
+
+    def follow(self, q: Array, qd: Array, torque: Array) -> None:
+        """Take the believed positions and velocities (n,) [rad, rad/s], NaN where unknown.
+
+        The ``torque`` is not used.
+        """
+        self._q = q
+        self._qd = qd
 
     def __call__(self, time: float) -> Reference:
         """Return the reference at ``time`` [s] of the stop and store it; times never go back."""
@@ -434,13 +440,13 @@ class CarriedStop:
     def _lift(self, goal: Array) -> Array:
         """Return the torque (n,) [N m] that pulls joints back to paths ending at ``goal`` (n,)."""
         displacement = self._displacement(goal)
-        leaving_speed = -np.sign(displacement) * np.nan_to_num(self.qd)
+        leaving_speed = -np.sign(displacement) * np.nan_to_num(self._qd)
         share = _STEADY + _LEAVING * np.tanh(leaving_speed / _SPEED_SCALE)
         return np.asarray(self._stiffening * displacement * share)
 
     def _damping_torque(self, velocity: Array) -> Array:
         """Return the torque (n,) [N m] that damps motion relative to ``velocity`` (n,) [rad/s]."""
-        difference = np.nan_to_num(velocity - self.qd)
+        difference = np.nan_to_num(velocity - self._qd)
         return np.asarray(_ADDED_DAMPING * self._kd * difference)
 
     def _displacement(self, goal: Array) -> Array:
@@ -449,13 +455,13 @@ class CarriedStop:
         A joint's path leads from its farthest position so far, not beyond its ``goal`` (n,) [rad],
         to the goal. The farthest positions are updated. Unknown positions (NaN) are ignored.
         """
-        highest_reached = np.fmax(self._reached, np.fmin(self.q, goal))
-        lowest_reached = np.fmin(self._reached, np.fmax(self.q, goal))
+        highest_reached = np.fmax(self._reached, np.fmin(self._q, goal))
+        lowest_reached = np.fmin(self._reached, np.fmax(self._q, goal))
         moves_down = self._velocity < 0.0
         self._reached = np.where(moves_down, lowest_reached, highest_reached)
         lowest = np.fmin(self._reached, goal)
         highest = np.fmax(self._reached, goal)
-        return np.nan_to_num(np.clip(self.q, lowest, highest) - self.q)
+        return np.nan_to_num(np.clip(self._q, lowest, highest) - self._q)
 
     def _relieve(self, time: float, goal: Array) -> None:
         """Raise ``_relief`` (n,), the share of the offset's torque that is removed, towards 1.
@@ -467,13 +473,13 @@ class CarriedStop:
         self._time = time
         if time <= self.duration:
             return
-        self._has_moved |= np.abs(np.nan_to_num(goal - self.q)) > _RELIEF_MOVED
+        self._has_moved |= np.abs(np.nan_to_num(goal - self._q)) > _RELIEF_MOVED
         less = (1.0 - self._relief) * min(passed / _RELIEF_TIME, 1.0)
         self._relief = np.where(self._has_moved, self._relief, self._relief + less)
 
     def _note_motion(self, time: float) -> None:
         """Store ``time`` [s] as the last time of motion if the reference or a joint moves."""
-        is_moving = np.abs(np.nan_to_num(self.qd)) > _REST_SPEED
+        is_moving = np.abs(np.nan_to_num(self._qd)) > _REST_SPEED
         if time < self.duration or np.any(is_moving):
             self._moved_at = time
 

@@ -131,8 +131,6 @@ class MotorSession:
         n_joints: number n of joints.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
         peak_torque: peak torque (n,) of each joint [N m].
-        last_replies: replies of the last exchange or request, even if an error ended it early; None
-            before the first, and after an exchange that sent nothing.
         sent_position: positions (n,) commanded last, or those of the arm when it was enabled [rad];
             NaN before. Callers must not change them.
         unconfirmed: joints whose motors may be enabled: they have not confirmed to be disabled.
@@ -159,7 +157,6 @@ class MotorSession:
         self.peak_torque: Array = np.minimum(peak_torques(joints), torque)
         self._frame_range = CommandRange(*frame_range)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
-        self.last_replies: Replies | None = None
         # Command in force as the motors read it, in joint space; None before the first.
         self._command: protocol.MitCommand | None = None
         # In a stop commands are limited to the range, which must not exceed what frames can carry.
@@ -293,8 +290,6 @@ class MotorSession:
     ) -> Replies:
         """Command joints and return their replies, each the state before its command acted.
 
-        The replies are stored as ``last_replies`` too.
-
         Args:
             command: command of all n joints, fields (n,), in joint space.
             until: time in the clock at which replies are no longer waited for [s].
@@ -307,14 +302,23 @@ class MotorSession:
             InputError: the command does not fit into a frame; nothing was sent.
             LinkError: the bus does not work.
         """
-        self.last_replies = None
         self._takes_any_answer = braking
         self._outstanding.surplus[:] = 0
         self._foreign[:] = 0
         motors = np.ones(self.n_joints, bool) if joints is None else joints
         self._count_late_answers()
         now = self.clock.now()
-        command = self._bound(command, now, braking)
+        last = np.where(
+            np.isnan(self.sent_position), command.position, self.sent_position
+        )
+        # It includes time that the last command did not use: after a cycle that began late, the
+        # next one follows in less time than there is between two positions of the trajectory.
+        elapsed = np.minimum(now - self._moved_until, _LONGEST_PAUSE)
+        bounds = last, elapsed, self._filter.last.q
+        if braking:
+            command = self._bounds.confine(command, *bounds)
+        else:
+            self._bounds.require(self._labels, command, *bounds)
         packed = protocol.encode_mit(self._mounting.command(command), self.scaling)
         commanded = motors if braking else self._outstanding.may_be_commanded(motors)
         # Replies are sampled before this command acts, while the last one is in force.
@@ -354,24 +358,6 @@ class MotorSession:
         moved_until = np.clip(self._moved_until + used, now - _MOST_CREDIT, now)
         self._moved_until = np.where(commanded, moved_until, self._moved_until)
         self.sent_position = np.where(commanded, new.position, self.sent_position)
-
-    def _bound(
-        self, command: protocol.MitCommand, now: float, braking: bool
-    ) -> protocol.MitCommand:
-        """Return a command, fields (n,) in joint space, that is within the bounds.
-
-        A command beyond the bounds raises HardwareAbort, or is limited to them if ``braking``.
-        ``now`` is the time [s]. A joint without a last command may be sent anywhere in its range.
-        """
-        is_new = np.isnan(self.sent_position)
-        last = np.where(is_new, command.position, self.sent_position)
-        # It includes time that the last command did not use: after a cycle that began late, the
-        # next one follows in less time than there is between two positions of the trajectory.
-        elapsed = np.minimum(now - self._moved_until, _LONGEST_PAUSE)
-        if braking:
-            return self._bounds.confine(command, last, elapsed, self._filter.last.q)
-        self._bounds.require(self._labels, command, last, elapsed, self._filter.last.q)
-        return command
 
     def switch_off(self, joints: Mask) -> None:
         """Command the motors of joints (n,) to disable, once, whatever the bus raises."""
@@ -419,9 +405,7 @@ class MotorSession:
         acted: protocol.MitCommand | None = None,
         believe: bool = False,
     ) -> Replies:
-        """Wait for the replies of motors, return them and store them as ``last_replies``.
-
-        They are stored even if the link raises an error meanwhile.
+        """Wait for the replies of motors and return them.
 
         Args:
             motors: whether an answer of each motor (n,) is waited for.
@@ -434,34 +418,30 @@ class MotorSession:
         received = np.full(self.n_joints, np.nan)
         sent = np.full(self.n_joints, np.nan)
         missing = int(np.count_nonzero(motors))
-        try:
-            while missing and (frame := self._link.receive(until)) is not None:
-                missing -= self._take(frame, motors, raw, received, sent)
-        finally:
-            came = np.isfinite(received)
-            decoded = protocol.decode_feedback(raw, self.scaling, half_step=True)
-            q, qd, tau = self._mounting.inverse.signals(
-                decoded.position, decoded.velocity, decoded.torque
-            )
-            feedback = replace(decoded, position=q, velocity=qd, torque=tau)
-            stamps = np.where(came & np.isfinite(sent), sent, received)
-            believed = came
-            jump = np.zeros(self.n_joints)
-            if believe:
-                believed, jump = self._filter.believe(came, stamps, feedback, acted)
-            replies = Replies(
-                answered=believed,
-                time=stamps,
-                feedback=hide_answers(feedback, believed),
-                requested=motors,
-                command=command,
-                doubted=came & ~believed,
-                jump=jump,
-                surplus=self._outstanding.surplus.copy(),
-                foreign=self._foreign.copy(),
-            )
-            self.last_replies = replies
-        return replies
+        while missing and (frame := self._link.receive(until)) is not None:
+            missing -= self._take(frame, motors, raw, received, sent)
+        came = np.isfinite(received)
+        decoded = protocol.decode_feedback(raw, self.scaling, half_step=True)
+        q, qd, tau = self._mounting.inverse.signals(
+            decoded.position, decoded.velocity, decoded.torque
+        )
+        feedback = replace(decoded, position=q, velocity=qd, torque=tau)
+        stamps = np.where(came & np.isfinite(sent), sent, received)
+        believed = came
+        jump = np.zeros(self.n_joints)
+        if believe:
+            believed, jump = self._filter.believe(came, stamps, feedback, acted)
+        return Replies(
+            answered=believed,
+            time=stamps,
+            feedback=hide_answers(feedback, believed),
+            requested=motors,
+            command=command,
+            doubted=came & ~believed,
+            jump=jump,
+            surplus=self._outstanding.surplus.copy(),
+            foreign=self._foreign.copy(),
+        )
 
     def _take(
         self,
@@ -506,7 +486,7 @@ class MotorSession:
 
         The motor's arbitration id, and the lowest four bits of its CAN id in the data, must match.
         """
-        if frame.error or frame.echo or len(frame.data) != 8:
+        if frame.echo or len(frame.data) != 8:
             return None
         j = self._by_reply.get(frame.id)
         if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF:

@@ -360,7 +360,7 @@ class SimulatedLink:
 
     Frames go over the bus one after the other; waiting for one advances the clock. A burst of
     commands is sent before any reply, because commands have the lower ids. A host without CAN-FD
-    receives an error frame where a motor answers in CAN-FD.
+    does not receive answers in CAN-FD.
 
     Args:
         clock: clock that is advanced.
@@ -407,9 +407,8 @@ class SimulatedLink:
                 break
             heapq.heappop(self._replies)
             self._free_at = arrival
-            garbled = reply.fd and not self._timing.fd
-            data = b"" if garbled else reply.data
-            self._deliver(reply._replace(time=arrival, error=garbled, data=data))
+            if reply.fd <= self._timing.fd:
+                self._deliver(reply._replace(time=arrival))
         if not self._through or self._through[0][0] > until:
             self.clock.sleep_until(until)
             return None

@@ -444,19 +444,17 @@ def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | 
     time = trajectory.time
     step = np.diff(time)[:, None]
     qd = trajectory.qd
-    rows = np.arange(len(time))
-    # Windows lead from each row in ``starts`` to the row at the same index of ``ends``.
-    ends = np.maximum(np.searchsorted(time, time + _WINDOW), rows + _LEAST_ROWS)
-    # A file that is shorter has one window.
-    starts = rows[: max(np.count_nonzero(ends < len(time)), 1)]
-    ends = np.minimum(ends[starts], len(time) - 1)
+    # Number of rows from the begin of a window to its end; a shorter file has one window.
+    rows = max(round(_WINDOW / float(np.median(step))), _LEAST_ROWS)
+    rows = min(rows, len(time) - 1)
     integral, doubt = np.zeros((2, *qd.shape))
     integral[1:] = np.cumsum(0.5 * (qd[1:] + qd[:-1]) * step, axis=0)
     # Half a row, and a fifth more.
     doubt[1:] = 0.6 * np.cumsum(np.abs(np.diff(qd, axis=0)) * step, axis=0)
-    duration = (time[ends] - time[starts])[:, None]
-    difference = (trajectory.q - integral)[ends] - (trajectory.q - integral)[starts]
-    tolerance = doubt[ends] - doubt[starts] + ROUNDING * (4.0 + duration)
+    drift = trajectory.q - integral
+    duration = (time[rows:] - time[:-rows])[:, None]
+    difference = drift[rows:] - drift[:-rows]
+    tolerance = doubt[rows:] - doubt[:-rows] + ROUNDING * (4.0 + duration)
     for k, j in np.argwhere(np.abs(difference) > tolerance)[:1].tolist():
-        return int(starts[k]), j, float(difference[k, j] / duration[k, 0])
+        return k, j, float(difference[k, j] / duration[k, 0])
     return None

@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from robot_sysid.damiao.bus import PRIORITY, lacks_priority, undisturbed_processor
+from robot_sysid.damiao.bus import PRIORITY, undisturbed_processor
 from robot_sysid.damiao.protocol import Frame
 from robot_sysid.errors import SysidError
 from tests.support.motor_bench import Bench
@@ -57,7 +57,6 @@ def test_the_loop_goes_before_the_other_threads_and_these_before_other_programs(
     scheduler = Scheduler(monkeypatch)
     with waiting_thread() as other, undisturbed_processor() as is_granted:
         assert is_granted
-        assert not lacks_priority()
         assert scheduler.schedules[0] == (os.SCHED_FIFO, PRIORITY)
         policy, priority = scheduler.schedules[other]
         assert policy == os.SCHED_FIFO
@@ -85,7 +84,6 @@ def test_a_user_without_the_right_goes_on_without(monkeypatch):
     scheduler = Scheduler(monkeypatch, is_allowed=False)
     with undisturbed_processor() as is_granted:
         assert not is_granted
-        assert lacks_priority()
         assert not gc.isenabled()
     assert gc.isenabled()
     assert scheduler.schedules == {}

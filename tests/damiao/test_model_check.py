@@ -134,7 +134,7 @@ def refusals(folder, arm, motion, **settings):
     settings = PlaySettings(**settings).for_motors(
         [j.spec for j in played.joints], BusTiming()
     )
-    return [check.text for check in torque_checks(played, settings, arm)]
+    return [check.text for check in torque_checks(played, settings.speed, arm)]
 
 
 @given(seed=arms.SEEDS, speed=SPEEDS, factor=st.floats(0.5, 1.5))

@@ -73,7 +73,7 @@ def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
     begin = Reference(np.array([0.4, 0.0]), np.zeros(2), np.array([3.0, 0.0]))
     command_range = CommandRange(np.full(2, -0.1), np.full(2, 1.0), np.full(2, 9.0))
     lowering = Lowering(begin, 0.2, np.full(2, 27.0), command_range)
-    lowering.torque = np.array([9.0, 0.0])
+    lowering.follow(np.zeros(2), np.zeros(2), np.array([9.0, 0.0]))
     moments = np.arange(0.0, 8.0, 0.004)
     references = [lowering(moment) for moment in moments]
     positions = np.array([reference.position for reference in references])
@@ -123,7 +123,7 @@ def test_it_begins_where_the_joints_were_led_and_ends_at_rest(q, v, off):
     np.testing.assert_allclose(begin.torque, [1.0, 2.0], atol=1e-12)
     if path.duration > 0.0:
         np.testing.assert_allclose(begin.velocity, v, atol=1e-12)
-    path.q = q - off + 0.5 * v * path.duration
+    path.follow(q - off + 0.5 * v * path.duration, v, 0.0 * v)
     end = path(path.duration)
     np.testing.assert_allclose(end.velocity, 0.0, atol=1e-12)
     np.testing.assert_allclose(end.position, q + 0.5 * v * path.duration, atol=1e-9)
@@ -132,8 +132,7 @@ def test_it_begins_where_the_joints_were_led_and_ends_at_rest(q, v, off):
 
 def step_by_step(path, q, seconds):
     """Let joints stand at q (2,) while a stop goes on; return its last reference."""
-    path.q = np.array(q)
-    path.qd = np.zeros(2)
+    path.follow(np.array(q), np.zeros(2), np.zeros(2))
     for k in range(round(seconds / PERIOD)):
         reference = path(k * PERIOD)
     return reference
@@ -169,7 +168,7 @@ def test_a_joint_that_stands_against_its_motor_is_pushed_no_more_at_once():
 def test_an_unknown_place_is_held_as_it_was():
     nowhere = (0.0, float("nan"))
     path = stop((0.0, 0.5), (0.0, 1.0), (2.0, 3.0), nowhere, nowhere)
-    path.q = path.qd = np.array(nowhere)
+    path.follow(*np.array([nowhere, nowhere, nowhere]))
     for k in range(200):
         reference = path(k * PERIOD)
     assert np.all(np.isfinite(np.concatenate(reference)))
@@ -211,8 +210,7 @@ def thrown_energy(motor_inertia, link_inertia, spring, cycles_late, step=1e-4):
     for cycle in range(250):
         motion = motor_inertia * qd**2 + link_inertia * link_qd**2
         energy.append(0.5 * (motion + spring * (q - link_q) ** 2))
-        path.q = q
-        path.qd = qd
+        path.follow(q, qd, zero)
         commands.append(path(cycle * PERIOD))
         command = commands.pop(0)
         for _ in range(round(PERIOD / step)):

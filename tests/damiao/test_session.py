@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.bus import LinkError, inspect_bus
+from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, REGISTER_ID, Frame
 from robot_sysid.damiao.session import PAUSE, Outstanding
 from robot_sysid.errors import HardwareAbort
@@ -48,27 +48,6 @@ def test_a_motor_that_is_not_there_does_not_answer():
         HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"
     ):
         bench.client.write(9, protocol.TIMEOUT, 1.0)
-
-
-@pytest.mark.parametrize(("failures", "is_told"), [(2, True), (3, False)])
-def test_a_request_that_is_not_taken_in_time_is_sent_again(failures, is_told):
-    """A busy computer may be a moment late, and nothing moves meanwhile."""
-    bench = Bench()
-    send = bench.bus.send
-    raised = []
-
-    def busy(frame):
-        if len(raised) < failures:
-            raised.append(frame)
-            raise LinkError("the CAN bus does not take frames: write timeout")
-        send(frame)
-
-    bench.bus.send = busy
-    if is_told:
-        assert bench.client.read(1, protocol.PMAX) == 12.5
-    else:
-        with pytest.raises(LinkError):
-            bench.client.read(1, protocol.PMAX)
 
 
 def test_feedback_is_not_taken_for_a_register_reply():

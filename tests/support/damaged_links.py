@@ -164,7 +164,7 @@ class FaultyLink:
                 return self._damaged(frame)
 
     def _is_to_be_damaged(self, frame):
-        if self._damage is None or frame.echo or frame.error or len(frame.data) != 8:
+        if self._damage is None or frame.echo or len(frame.data) != 8:
             return False
         joint = self._joints[self._damage.joint]
         is_answer = frame.id == joint.master_id and frame.bus == joint.bus

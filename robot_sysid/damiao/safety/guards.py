@@ -31,8 +31,6 @@ NO_STATUS = -1
 """Status of a joint that sent no believed answer in a cycle."""
 Mask = NDArray[np.bool_]
 """One truth value for each of n joints."""
-Counts = NDArray[np.int64]
-"""One number for each of n joints."""
 
 # Judgements: a slip of 0.15 rad has to be noticed.
 _LEAST_JUMP = 0.05
@@ -75,8 +73,8 @@ class Replies:
     command: protocol.MitCommand | None
     doubted: Mask
     jump: Array
-    surplus: Counts
-    foreign: Counts
+    surplus: protocol.Codes
+    foreign: protocol.Codes
 
 
 class _Samples(NamedTuple):
@@ -221,6 +219,11 @@ _LEAST_SLIP = 0.02
 """Difference of position change and integrated velocity that is accepted in a window [rad]."""
 _SLIP_SHARE = 0.05
 """Share of the path's length in a window by which this difference may be larger."""
+_VELOCITY_SCALE = (
+    "moves {:.3f} times as far as its velocity says, and sampling does not explain it: one of the "
+    "two has another scale; turn the joint by hand by a known angle and compare with 'motors "
+    "monitor', before anything is changed"
+)
 _COARSE = 1.3
 """Ratio of a cycle's mean velocity to its last one above which slip cannot be judged."""
 
@@ -260,8 +263,9 @@ class VelocityCheck:
     def add(self, time: Array, q: Array, qd: Array) -> tuple[int, str] | None:
         """Add one sample per joint; return a joint that slipped in a window that ends now, or None.
 
-        ``time``, ``q`` and ``qd`` are (n,) [s, rad, rad/s], NaN where a joint did not answer. The
-        result has the joint's index, and what it does: a sentence that begins with its name.
+        It may also be a joint whose velocities have a wrong scale. ``time``, ``q`` and ``qd`` are
+        (n,) [s, rad, rad/s], NaN where a joint did not answer. The result has the joint's index,
+        and what it does: a sentence that begins with its name.
         """
         is_fresh = np.isfinite(time) & np.isfinite(q)
         now = np.where(is_fresh, [time, q, qd], self._last)
@@ -289,7 +293,8 @@ class VelocityCheck:
                 f"moves {abs(mismatch[j]) / _WINDOW:.2f} rad/s beside the velocity that it "
                 "reports: its gear or its encoder slips, or one of the two has another sign"
             )
-        return None
+        worst = self.worst()
+        return worst and (worst[0], _VELOCITY_SCALE.format(worst[1]))
 
     def worst(self) -> tuple[int, float] | None:
         """Return index and ratio of the joint whose velocities have the wrongest scale, or None.

@@ -201,9 +201,6 @@ class Observer:
         effort = commanded - acted.torque
         self._check_limits(replies, acted, commanded, effort, standing, rising)
         self._raise_found(self._slip)
-        worst = self._velocity_check.worst()
-        if worst is not None:
-            self._raise(worst[0], _VELOCITY_SCALE.format(worst[1]))
         if not rising:
             self._check_opposite_load()
         values = np.array([effort, acted.torque])
@@ -334,26 +331,21 @@ class Observer:
             ),
         )
 
-    def has_left(self, q: Array, reference_q: Array, fed: Array) -> Mask:
-        """Return whether each joint (n,) is too far from the position where it should stand still.
+    def standing_limit(self, q: Array, reference_q: Array, fed: Array) -> Array:
+        """Return how far each joint (n,) may be from the position where it should stand still.
 
         Args:
             q: believed positions (n,) [rad].
             reference_q: positions (n,) at which the joints should stand [rad].
             fed: feed-forward torque (n,) [N m].
         """
-        return np.asarray(
-            np.abs(q - reference_q) > self._standing_limit(q, reference_q, fed)
-        )
-
-    def _standing_limit(self, q: Array, reference_q: Array, fed: Array) -> Array:
-        """Return how far each joint (n,) may be from where it stands; arguments of ``has_left``."""
         return np.where(self.is_pushed(q, reference_q, fed), _PUSHED, 1.0) * self._sag
 
     def is_pushed(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Return whether each joint (n,) has moved in the direction of its feed-forward torque.
 
-        The arguments are those of ``has_left``; a torque that friction may explain pushes nothing.
+        The arguments are those of ``standing_limit``; a torque that friction may explain pushes
+        nothing.
         """
         return np.asarray(((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt))
 
@@ -369,8 +361,8 @@ class Observer:
         """Stop for a joint whose position, velocity, torque or effort is too far from the expected.
 
         Expected are the command in force, and for the effort its mean over the last moments. Where
-        joints are to stand still, ``has_left`` says how far they may sag. ``worst_tracking`` is
-        brought up to date.
+        joints are to stand still, ``standing_limit`` says how far they may sag. ``worst_tracking``
+        is brought up to date.
 
         Args:
             replies: replies of all n joints.
@@ -384,7 +376,7 @@ class Observer:
         fed = acted.torque
         limits = self._limits.copy()
         if standing:
-            limits[_PATH] = self._standing_limit(feedback.position, acted.position, fed)
+            limits[_PATH] = self.standing_limit(feedback.position, acted.position, fed)
         # A wrong model gets a change of the feed-forward torque wrong.
         mean_effort, mean_fed = self._means
         limits[_EFFORT] += _MODEL_SHARE * np.nan_to_num(np.abs(fed - mean_fed))
@@ -455,9 +447,4 @@ _BEYOND = (
     "is {0:.3f} rad/s off its speed, limit {1:g}",
     "is {0:.3f} N m off its torque, limit {1:g}",
     "suddenly needs {0:.1f} N m beside what carried it",
-)
-_VELOCITY_SCALE = (
-    "moves {:.3f} times as far as its velocity says, and sampling does not explain it: one of the "
-    "two has another scale; turn the joint by hand by a known angle and compare with 'motors "
-    "monitor', before anything is changed"
 )
