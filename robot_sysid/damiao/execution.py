@@ -140,7 +140,7 @@ class MotorRun:
 
     def checks(self, plan: Plan) -> list[Check]:
         """Return a plan's checks that need no bus."""
-        checks = [*preflight.plan_checks(plan), *preflight.limit_checks(plan)]
+        checks = preflight.plan_checks(plan)
         if self.robot is None:
             return checks
         from robot_sysid.damiao import model_check

@@ -198,7 +198,6 @@ def damiao_joints(
         ("--motor-type", types),
         ("--can-id", can_ids),
         ("--master-id", master_ids),
-        ("a joint's name", names or types),
     ):
         if len(values) != n_joints:
             raise InputError(

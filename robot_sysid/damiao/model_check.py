@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
-from robot_sysid.damiao.preflight import NOTE, OK, STOP, Check
+from robot_sysid.damiao.preflight import NOTE, STOP, Check
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan
@@ -25,7 +25,6 @@ from robot_sysid.damiao.trajectory import (
     Bounds,
     DamiaoTrajectory,
     excesses,
-    peaks_beyond,
 )
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import ExcitationProblem
@@ -86,30 +85,25 @@ def transfer_checks(
 def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Check]:
     """Yield a stop for each limit of the model that a plan exceeds and for each contact.
 
-    If there is none, one check with severity OK is yielded. A note names the links whose contacts
-    cannot be found. ``problem`` has the arm of the model, loaded with an infinite ``max_velocity``,
-    so that only the model's limits of speed count, and its geometry and obstacles.
+    A note names the links whose contacts cannot be found. ``problem`` has the arm of the model,
+    loaded with an infinite ``max_velocity``, so that only the model's limits of speed count, and
+    its geometry and obstacles.
     """
-    robot = problem.robot
     unguarded = unguarded_text(problem.unguarded)
     if unguarded:
         yield Check(NOTE, unguarded)
-    speed = plan.settings.speed
-    limits = robot.limits
+    limits = problem.robot.limits
     bounds = Bounds(
         "the model's",
         *(limits.lower, limits.upper, limits.velocity),
         torque=limits.torque,
     )
-    found = list(excesses(plan.trajectory, speed, bounds))
+    for excess in excesses(plan.trajectory, plan.settings.speed, bounds):
+        yield Check(STOP, f"{excess}; {_SMALLER}")
     contact = first_contact(problem, PlayedPath(plan))
     if contact is not None:
-        found.append(f"the model's {contact.label} touch at {contact.time:.2f} s")
-    for excess in found:
-        yield Check(STOP, f"{excess}; {_SMALLER}")
-    if not found:
-        name = robot.path.name
-        yield Check(OK, f"the trajectory stays within the limits of {name}")
+        text = f"the model's {contact.label} touch at {contact.time:.2f} s"
+        yield Check(STOP, f"{text}; {_SMALLER}")
 
 
 _OTHER_TORQUE = 0.8
@@ -133,10 +127,11 @@ def torque_checks(
     needed = arm(Motion(trajectory.time, q, speed * qd, speed**2 * qdd))
     joints = trajectory.joints
     available = peak_torques(joints)
-    for j, peak in peaks_beyond(needed, available):
+    peaks = np.abs(needed).max(axis=0)
+    for j in np.flatnonzero(peaks > available).tolist():
         yield Check(
             STOP,
-            f"{joints[j].label}: the motion needs {peak:.1f} N m and its motor makes "
+            f"{joints[j].label}: the motion needs {peaks[j]:.1f} N m and its motor makes "
             f"{available[j]:g} at most; {CANNOT_FOLLOW}, {WEIGH_FIRST}",
         )
     # The torque in the file is that of the file's own speed.

@@ -163,7 +163,6 @@ class Player:
         self._recorder = recorder
         self._announce = on_phase
         self._on_progress = on_progress
-        self._park = settings.park
         self._holding = holding
         self._observer = Observer(
             session.joints, settings, session.steps, session.peak_torque, holding
@@ -264,9 +263,9 @@ class Player:
 
         ``last`` is the present reference, ``at_start`` that of the arm before it first moved.
         """
-        if self._park is None:
+        if self._settings.park is None:
             return
-        if self._park == "rest":
+        if self._settings.park == "rest":
             self._announce("lowering the arm")
             self._phase(self._lower_from(last), paths.LONGEST_LOWERING)
             return
@@ -428,7 +427,7 @@ class Player:
             self._observer.failed |= self._observer.to_switch_off
             carried = self._carry_from(self._reference)
             self._stop_phase(carried, _LONGEST_CARRIED)
-            if self._park is not None and not self._stop.insisted:
+            if self._settings.park is not None and not self._stop.insisted:
                 self._stop_phase(self._lower_from(carried.last), paths.LONGEST_LOWERING)
 
     def _carry_from(self, reference: Reference) -> CarriedStop:

@@ -18,8 +18,6 @@ from robot_sysid.damiao.settings import Permissions, Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
-OK = "ok"
-"""Severity of a check that was passed."""
 NOTE = "note"
 """Severity of a finding that the user should know."""
 STOP = "stop"
@@ -42,11 +40,11 @@ _ANSWER_SHARE = 0.9
 
 @dataclass(frozen=True)
 class Check:
-    """Result of one check before a run.
+    """Finding of a check before a run; a check that is passed has none.
 
     Attributes:
-        severity: OK, NOTE (worth knowing) or STOP (forbids to play).
-        text: the finding and, unless OK, its remedy.
+        severity: NOTE (worth knowing) or STOP (forbids to play).
+        text: the finding and its remedy.
     """
 
     severity: str
@@ -55,13 +53,6 @@ class Check:
 
 _note = partial(Check, NOTE)
 _stop = partial(Check, STOP)
-
-
-def limit_checks(plan: Plan) -> list[Check]:
-    """Return a stop for each limit of the user that the trajectory of a plan exceeds."""
-    trajectory = plan.trajectory
-    bounds = motion.user_bounds(plan.limits, trajectory.n_joints)
-    return list(map(_stop, motion.excesses(trajectory, plan.settings.speed, bounds)))
 
 
 def stops(checks: Sequence[Check]) -> list[str]:
@@ -81,30 +72,24 @@ def require_no_stop(checks: Sequence[Check], consequence: str) -> None:
 def plan_checks(plan: Plan) -> list[Check]:
     """Return the checks of a plan that need neither a bus nor a model of the arm.
 
-    They compare ids, speed at the ends, velocities with positions, ratings of the motors and bus
-    load.
+    They compare ids, speed at the ends, velocities with positions, ratings of the motors, bus load
+    and the user's limits.
     """
     joints = plan.trajectory.joints
+    ids = [(joint.can_id, joint.master_id) for joint in joints]
+    bounds = motion.user_bounds(plan.limits, len(joints))
+    excesses = motion.excesses(plan.trajectory, plan.settings.speed, bounds)
     return [
-        *_id_checks(joints),
+        *map(_stop, id_problems(ids)),
         *_motion_checks(plan),
         *_motor_checks(plan),
-        _load_check(len(joints), plan.settings, plan.timing),
+        *_load_checks(len(joints), plan.settings, plan.timing),
+        *map(_stop, excesses),
     ]
 
 
-def _id_checks(joints: Sequence[DamiaoJoint]) -> Iterator[Check]:
-    """Yield whether the ids of the joints' motors are valid and unique."""
-    ids = [(joint.can_id, joint.master_id) for joint in joints]
-    problems = list(id_problems(ids))
-    yield from map(_stop, problems)
-    if not problems:
-        can_ids = ", ".join(str(can_id) for can_id, _ in ids)
-        yield Check(OK, f"ids are unique: {can_ids}")
-
-
 def _motion_checks(plan: Plan) -> Iterator[Check]:
-    """Yield whether a trajectory starts and ends at rest, and its velocities fit its positions."""
+    """Yield a stop where a trajectory has a speed at an end, or velocities do not fit positions."""
     trajectory = plan.trajectory
     end_speed = float(np.max(np.abs(trajectory.qd[[0, -1]]))) * plan.settings.speed
     if end_speed > _REST_SPEED:
@@ -112,18 +97,14 @@ def _motion_checks(plan: Plan) -> Iterator[Check]:
             f"the trajectory starts or ends at {end_speed:.2f} rad/s; it has to start and end at "
             "rest"
         )
-    else:
-        yield Check(OK, f"starts and ends at rest, {plan.duration:.1f} s")
     mismatch = motion.velocity_mismatch(trajectory)
-    if mismatch is None:
-        yield Check(OK, "velocities and positions agree")
-        return
-    row, joint, error = mismatch
-    yield _stop(
-        f"from {trajectory.time[row]:g} s on, positions of {trajectory.joints[joint].label} change "
-        f"by {error:.4g} rad/s more than its velocities say; export the file again, with at least "
-        "four decimals"
-    )
+    if mismatch is not None:
+        row, joint, error = mismatch
+        yield _stop(
+            f"from {trajectory.time[row]:g} s on, positions of {trajectory.joints[joint].label} "
+            f"change by {error:.4g} rad/s more than its velocities say; export the file again, "
+            "with at least four decimals"
+        )
 
 
 def _motor_checks(plan: Plan) -> Iterator[Check]:
@@ -142,37 +123,34 @@ def _motor_checks(plan: Plan) -> Iterator[Check]:
             yield Check(STOP if motion.CANNOT_FOLLOW in warning else NOTE, warning)
 
 
-def _load_check(
+def _load_checks(
     n_motors: int, settings: PlaySettings, timing: protocol.BusTiming
-) -> Check:
-    """Return whether the bus can carry the frames of ``n_motors``."""
+) -> Iterator[Check]:
+    """Yield a stop where the bus cannot carry the frames of ``n_motors``."""
     limit = protocol.PLANNING_LIMIT
     load = protocol.bus_load(n_motors, 1.0 / settings.period, timing)
     bus_type = "CAN-FD" if timing.fd else "classic CAN"
-    text = f"frames at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %"
-    if load <= limit:
-        return Check(OK, text)
-    suggested_rate = protocol.suggested_rate(n_motors, timing)
-    return _stop(f"{text}, limit {100 * limit:.0f} %; use --rate {suggested_rate:g}")
+    if load > limit:
+        rate = protocol.default_rate(n_motors, timing)
+        yield _stop(
+            f"frames at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %, limit "
+            f"{100 * limit:.0f} %; use --rate {rate:g}"
+        )
 
 
-def _frame_limit_checks(plan: Plan, limits: Sequence[tuple[float, ...]]) -> list[Check]:
-    """Return a stop for each quantity of a joint beyond the range of its motor's frames.
+def _frame_limit_checks(
+    plan: Plan, limits: Sequence[tuple[float, ...]]
+) -> Iterator[Check]:
+    """Yield a stop for each quantity of a joint beyond the range of its motor's frames.
 
-    If none is beyond, one check with severity OK is returned.
-
-    Args:
-        plan: plan of the run.
-        limits: PMAX, VMAX and TMAX of each joint's motor [rad, rad/s, N m].
+    ``limits`` are PMAX, VMAX and TMAX of each joint's motor [rad, rad/s, N m].
     """
     trajectory = plan.trajectory
     mounting = Mounting.of(trajectory.joints)
     lower, upper, velocity, torque = mounting.frame_limits(np.array(limits))
     bounds = motion.Bounds("its registers'", lower, upper, velocity, torque=torque)
-    checks = []
     for excess in motion.excesses(trajectory, plan.settings.speed, bounds):
-        checks.append(_stop(f"{excess}; export a smaller trajectory"))
-    return checks or [Check(OK, "the trajectory stays within the registers' limits")]
+        yield _stop(f"{excess}; export a smaller trajectory")
 
 
 # --- answers of the motors ----------------------------------------------------------------------
@@ -186,7 +164,7 @@ def general_checks(
     At least one motor must have answered. No deviation is permitted.
     """
     checks = [
-        _load_check(len(inspection.motors), settings, timing),
+        *_load_checks(len(inspection.motors), settings, timing),
         *_traffic_checks(inspection),
     ]
     for motor in inspection.motors.values():
@@ -273,13 +251,13 @@ def _condition_checks(
         return
     if joint:
         yield from _id_register_checks(motor, joint, name)
-        yield _scaling_check(motor, joint, permissions)
+        yield from _scaling_checks(motor, joint, permissions)
     mode = int(registers[protocol.CTRL_MODE])
     if mode != protocol.MIT_MODE:
         mode_name = protocol.MODES.get(mode, "unknown")
         yield _stop(f"{name} is in mode {mode} ({mode_name}); set CTRL_MODE to 1 (MIT)")
     watchdog = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
-    yield _watchdog_check(name, watchdog, settings)
+    yield from _watchdog_checks(name, watchdog, settings)
     yield from _state_checks(motor, settings, name)
 
 
@@ -298,29 +276,34 @@ def _id_register_checks(
         )
 
 
-def _scaling_check(
+def _scaling_checks(
     motor: InspectedMotor, joint: DamiaoJoint, permissions: Permissions
-) -> Check:
-    """Return whether a motor's PMAX, VMAX, TMAX are those of its joint's motor type.
+) -> Iterator[Check]:
+    """Yield a stop where a motor's PMAX, VMAX, TMAX are not those of its joint's motor type.
 
-    Other limits stop the run, unless the user permits those in the registers.
+    It is a note where the user permits the limits in the registers.
     """
     limits = motor.limits
     stored = ", ".join(f"{limit:g}" for limit in limits)
     nominal = ", ".join(f"{limit:g}" for limit in joint.spec.limits)
-    text = f"{joint.label} has PMAX, VMAX, TMAX {stored}"
-    if min(limits) <= 0.0:
-        return _stop(f"{text}: not usable")
     if limits_agree(joint.spec.limits, limits):
-        return Check(OK, f"{joint.label} is scaled as a {joint.motor_type}: {stored}")
-    difference = f"{text} but a {joint.motor_type} has {nominal}"
-    if permissions.register_limits:
-        return _note(f"{difference}: the motor's own values are used")
-    return _stop(f"{difference}; if the motor is right, give --accept-register-limits")
+        return
+    name = joint.label
+    difference = (
+        f"{name} has PMAX, VMAX, TMAX {stored} but a {joint.motor_type} has {nominal}"
+    )
+    if permissions.register_limits and min(limits) > 0.0:
+        yield _note(f"{difference}: the motor's own values are used")
+    else:
+        yield _stop(
+            f"{difference}; if the motor is right, give --accept-register-limits"
+        )
 
 
-def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
-    """Return whether a watchdog's timeout [s] stops a motor soon, and not between two cycles.
+def _watchdog_checks(
+    name: str, timeout: float, settings: PlaySettings
+) -> Iterator[Check]:
+    """Yield a finding where a watchdog's timeout [s] is too long, or ends between two cycles.
 
     ``name`` is the motor's name in the message.
     """
@@ -330,15 +313,14 @@ def _watchdog_check(name: str, timeout: float, settings: PlaySettings) -> Check:
     remedy = f"set it with motors setup --watchdog {proposed:g} --store"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
     if not 0.0 < timeout <= _NO_WATCHDOG:
-        return _stop(
+        yield _stop(
             f"{name} has no watchdog ({timeout:g} s): the arm would go on if this program died; "
             f"{remedy}"
         )
-    if timeout < least:
-        return _stop(f"{watchdog} is too short for {settings.rate:g} Hz; {remedy}")
-    if timeout > _LONG_WATCHDOG:
-        return _note(f"{watchdog} is long; {remedy}")
-    return Check(OK, f"{name}'s watchdog stops it after {1e3 * timeout:g} ms")
+    elif timeout < least:
+        yield _stop(f"{watchdog} is too short for {settings.rate:g} Hz; {remedy}")
+    elif timeout > _LONG_WATCHDOG:
+        yield _note(f"{watchdog} is long; {remedy}")
 
 
 def _state_checks(
@@ -371,26 +353,21 @@ def _state_checks(
 def _answer_time_checks(
     round_trip: float | None, settings: PlaySettings
 ) -> Iterator[Check]:
-    """Yield whether all motors' answers come within 0.9 of a control cycle.
+    """Yield a stop where not all motors' answers come within 0.9 of a control cycle.
 
-    ``round_trip`` is the time from the commands to the last answer [s]; nothing is yielded where it
-    is None.
+    ``round_trip`` is the time from the commands to the last answer [s]; None where it is unknown.
     """
-    if round_trip is None:
-        return
-    text = f"all motors have answered after {1e3 * round_trip:.1f} ms"
-    if round_trip <= _ANSWER_SHARE * settings.period:
-        yield Check(OK, f"{text}, in time for {settings.rate:g} Hz")
-        return
-    rate = protocol.handy_rate(_ANSWER_SHARE / round_trip)
-    yield _stop(
-        f"{text}, too late for {settings.rate:g} Hz: commands and samples would be mixed up; use "
-        f"--rate {rate:g} or a faster adapter"
-    )
+    if round_trip is not None and round_trip > _ANSWER_SHARE * settings.period:
+        rate = protocol.handy_rate(_ANSWER_SHARE / round_trip)
+        yield _stop(
+            f"all motors have answered after {1e3 * round_trip:.1f} ms, too late for "
+            f"{settings.rate:g} Hz: commands and samples would be mixed up; use --rate {rate:g} or "
+            "a faster adapter"
+        )
 
 
 def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
-    """Yield whether the direction of every joint is known, by its load or a verification.
+    """Yield a finding where a joint's direction is not known, by its load or a verification.
 
     Args:
         plan: plan with the joints and the first point.
@@ -402,9 +379,6 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
     joints = holding.unverified_joints(plan.trajectory.q[0])
     labels = ", ".join(joint.label for joint in joints)
     if not joints:
-        yield Check(
-            OK, "gravity shows which way each joint turns, or somebody has verified it"
-        )
         return
     finding = (
         f"nobody has verified which way {labels} turn, and where the trajectory begins gravity "

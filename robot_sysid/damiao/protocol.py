@@ -13,7 +13,6 @@ arbitration part at the nominal bit rate and the rest of the frame at the data b
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -177,7 +176,6 @@ class Feedback:
     """Feedback of n motors; each field is (..., n), quantities are at the output shaft.
 
     Attributes:
-        can_id: low four bits of the motor's CAN id.
         status: 0 disabled, 1 enabled, else a fault; see ``status_text``.
         position: measured position [rad].
         velocity: measured velocity [rad/s].
@@ -186,7 +184,6 @@ class Feedback:
         temperature_rotor: temperature of the winding [deg C].
     """
 
-    can_id: Codes
     status: Codes
     position: Array
     velocity: Array
@@ -241,10 +238,10 @@ def decode_feedback(
             when it packs a value, so that received values are half a step too low on average.
     """
     fields = _FEEDBACK.unpack(frames)
-    status, can_id, *_, mos, rotor = np.moveaxis(fields, -1, 0)
+    status, *_, mos, rotor = np.moveaxis(fields, -1, 0)
     measured = fields[..., 2:5] + (0.5 if half_step else 0.0)
     position, velocity, torque = scaling._values(measured, fields=_MEASURED)
-    return Feedback(can_id, status, position, velocity, torque, mos, rotor)
+    return Feedback(status, position, velocity, torque, mos, rotor)
 
 
 def _stack_last(*fields: Any) -> Any:
@@ -350,10 +347,10 @@ def refuse_harmful(frame: Frame) -> None:
     """Raise SysidError for a frame that must never be sent while an arm is played or checked.
 
     Harmful frames store a new zero position, clear an error (an operator has to find its cause
-    first), store registers in flash, or have an unknown special command or register operation.
+    first), write or store registers, or have an unknown special command or register operation.
     """
     if frame.id == REGISTER_ID:
-        harmful = len(frame.data) < 4 or frame.data[2] not in (READ, WRITE, REFRESH)
+        harmful = len(frame.data) < 4 or frame.data[2] not in (READ, REFRESH)
     else:
         harmful = is_special(frame.data) and frame.data[7] not in (ENABLE, DISABLE)
     if harmful:
@@ -395,8 +392,6 @@ MIT_MODE = 1
 """Value of CTRL_MODE in which a motor follows MIT commands."""
 MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
 """Name of each control mode, by the value of register CTRL_MODE."""
-FD_BITRATE_CODES_ABOVE = 4
-"""Codes of register CAN_BR above this one make the motor use CAN-FD."""
 _KBIT = (125, 200, 250, 500, 1000, 2000, 2500, 3200, 4000, 5000)
 """Bit rates [kbit/s] of the codes 0, 1, 2, ... of register CAN_BR."""
 BIT_RATES = {1000 * rate: code for code, rate in enumerate(_KBIT)}
@@ -413,8 +408,6 @@ SCALING = (PMAX, VMAX, TMAX)
 """Registers of the scaling limits, in the order of ``Scaling.limits``."""
 REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
 """Registers whose values have to be known before anything is played."""
-WRITABLE = (*REQUIRED, CAN_BR)
-"""Registers that a simulated motor allows to be written."""
 LOGGED = (*REQUIRED, GR)
 """Registers that are read before playing and written into the recording's header."""
 
@@ -542,17 +535,6 @@ def default_rate(n_motors: int, timing: BusTiming) -> float:
     It is 250 (classic) or 500 (FD), or less where that would load the bus to more than 70 %.
     """
     max_rate = _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ
-    return suggested_rate(n_motors, timing, max_rate)
-
-
-def suggested_rate(
-    n_motors: int, timing: BusTiming, max_rate: float = math.inf
-) -> float:
-    """Return the highest cycle rate [Hz] of ``HANDY_RATES`` that loads the bus to 70 % or less.
-
-    It is at most ``max_rate`` [Hz]. Where no handy rate is low enough, it is the rate that loads
-    the bus to exactly 70 %.
-    """
     full_rate = PLANNING_LIMIT / bus_load(n_motors, rate=1.0, timing=timing)
     return handy_rate(min(full_rate, max_rate))
 

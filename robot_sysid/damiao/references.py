@@ -69,7 +69,7 @@ def transfer_reference(
     target: Reference,
     speed: float,
     shortest: float,
-    carries: Callable[[Array], Array] = np.zeros_like,
+    carries: Callable[[Array], Array],
 ) -> tuple[ReferenceFunction, float]:
     """Return a straight motion from rest at ``start`` to rest at ``target``, and its duration [s].
 

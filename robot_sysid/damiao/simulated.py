@@ -14,7 +14,7 @@ import heapq
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,8 +55,6 @@ class SimulatedMotor:
         temperature_rotor: temperature of the winding [deg C].
         command: position, velocity, kp, kd and torque in force, in the units of ``MitCommand``.
         fed_at: time of the last command to this motor, by which its watchdog is fed [s].
-        shift: angle added to the reported position since a zero was set [rad].
-        stored: registers in flash, by number; empty until they are stored.
     """
 
     joint: DamiaoJoint
@@ -71,8 +69,6 @@ class SimulatedMotor:
     temperature_rotor: int = 29
     command: Sequence[float] = _NOTHING
     fed_at: float = 0.0
-    shift: float = 0.0
-    stored: dict[int, float] = field(default_factory=dict)
 
     @property
     def can_id(self) -> int:
@@ -93,7 +89,7 @@ class SimulatedMotor:
         return False
 
     def fail(self, code: int) -> None:
-        """Leave the enabled state with the status code of a fault."""
+        """Leave the enabled state with a status code, of a fault or DISABLED."""
         self.status = code
         self.command = _NOTHING
 
@@ -108,8 +104,7 @@ class SimulatedMotor:
             data = self._command_answer(frame.data, time)
         if data is None:
             return None
-        fd = self.registers[protocol.CAN_BR] > protocol.FD_BITRATE_CODES_ABOVE
-        return protocol.Frame(int(self.registers[protocol.MST_ID]), data, fd=fd)
+        return protocol.Frame(int(self.registers[protocol.MST_ID]), data)
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         """Feed the watchdog at ``time`` [s], obey a command's 8 bytes, return the answer's data."""
@@ -124,25 +119,18 @@ class SimulatedMotor:
         return answer
 
     def _special(self, code: int) -> None:
-        """Obey the special command with a code: enable, disable, set the zero, or clear an error.
-
-        A motor with a fault only obeys CLEAR_ERROR, an enabled one does not obey SET_ZERO.
-        """
-        if protocol.is_fault(self.status) and code != protocol.CLEAR_ERROR:
+        """Obey the special command with a code: enable or disable; with a fault, neither."""
+        if protocol.is_fault(self.status):
             return
         if code == protocol.ENABLE:
             self.status = protocol.ENABLED
-        elif code == protocol.SET_ZERO and not self.driving:
-            self.shift = -self.position
-        elif code in (protocol.DISABLE, protocol.CLEAR_ERROR):
-            self.status = protocol.DISABLED
-            self.command = _NOTHING
+        elif code == protocol.DISABLE:
+            self.fail(protocol.DISABLED)
 
     def _register_answer(self, data: bytes) -> bytes | None:
-        """Obey the data of a register frame; return the answer's data, or None if there is none.
+        """Return the data of the answer to a register frame's data, or None if there is none.
 
-        Bytes 0 and 1 hold the CAN id, byte 2 the operation, byte 3 the register's number, and bytes
-        4 to 7 its value.
+        Bytes 0 and 1 hold the CAN id, byte 2 the operation, and byte 3 the register's number.
         """
         if data[0] | data[1] << 8 != self.can_id:
             return None
@@ -150,16 +138,8 @@ class SimulatedMotor:
         number = data[3]
         if operation == protocol.REFRESH:
             return self._feedback()
-        if operation == protocol.STORE and not self.driving:
-            self.stored = dict(self.registers)
-            return data
-        if (
-            operation not in (protocol.READ, protocol.WRITE)
-            or number not in self.registers
-        ):
+        if operation != protocol.READ or number not in self.registers:
             return None
-        if operation == protocol.WRITE and number in protocol.WRITABLE:
-            self.registers[number] = protocol.value_from_bytes(number, data[4:8])
         return data[:4] + protocol.bytes_from_value(number, self.registers[number])
 
     def _feedback(self) -> bytes:
@@ -176,7 +156,7 @@ class SimulatedMotor:
         tenths of a millisecond for an answer.
         """
         position, velocity, torque = measured
-        values = position + self.shift, velocity, torque
+        values = position, velocity, torque
         packed = int(self.status) << 4 | (self.can_id & 0xF)
         for value, register, bits in zip(values, protocol.SCALING, _MEASURED_BITS):
             limit = self.registers[register]
@@ -218,7 +198,6 @@ def simulated_motor(
     """
     peak = joint.spec.peak_torque
     registers = {
-        protocol.CAN_BR: 4.0,
         protocol.GR: joint.spec.gear_ratio,
         protocol.MST_ID: float(joint.master_id),
         protocol.ESC_ID: float(joint.can_id),

@@ -344,17 +344,6 @@ LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
 """Names of the limits of a motion that hold for all that a run moves."""
 
 
-def peaks_beyond(values: Array, limits: Array) -> list[tuple[int, float]]:
-    """Return index and largest magnitude of each joint that exceeds its limit.
-
-    Args:
-        values: a quantity of n joints at N moments (N, n).
-        limits: largest magnitudes (n,) that are allowed, in the same unit.
-    """
-    peaks = np.abs(values).max(axis=0)
-    return [(j, peaks[j]) for j in np.flatnonzero(peaks > limits).tolist()]
-
-
 class Bounds(NamedTuple):
     """Limits of n joints in one unit each: (n,), or one number for all.
 

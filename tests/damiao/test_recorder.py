@@ -105,7 +105,7 @@ def replies_of(q, qd, time, command=None, torque=0.0):
     """The answers of a cycle, in which the motors took a new command."""
     codes = np.zeros(len(q), int)
     answered = np.isfinite(q)
-    feedback = Feedback(codes, codes, q, qd, torque + 0.0 * qd, codes, codes)
+    feedback = Feedback(codes, q, qd, torque + 0.0 * qd, codes, codes)
     return undoubted(answered, time, feedback, answered, command)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.bus import inspect_bus
+from robot_sysid.damiao.bus import GuardedLink, RegisterClient, inspect_bus
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, REGISTER_ID, Frame
 from robot_sysid.damiao.session import PAUSE, Outstanding
 from robot_sysid.errors import HardwareAbort
@@ -20,6 +20,12 @@ from tests.support.motor_bench import Bench
 def statuses(bench):
     """The status code of each motor."""
     return [motor.status for motor in bench.motors]
+
+
+def setup_client(bench):
+    """What setting up a motor writes with: a run may not."""
+    link = GuardedLink(bench.bus, bench.clock, refuse=protocol.refuse_motion)
+    return RegisterClient(link)
 
 
 def test_inspection_reads_everything_and_changes_nothing():
@@ -38,7 +44,7 @@ def test_inspection_reads_everything_and_changes_nothing():
 def test_a_refused_write_is_noticed():
     bench = Bench()
     with pytest.raises(HardwareAbort, match="motor 1 refused Gr = 0.5 and keeps 40"):
-        bench.client.write(1, protocol.GR, 0.5)
+        setup_client(bench).write(1, protocol.GR, 0.5)
 
 
 def test_a_motor_that_is_not_there_does_not_answer():
@@ -47,7 +53,7 @@ def test_a_motor_that_is_not_there_does_not_answer():
     with pytest.raises(
         HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"
     ):
-        bench.client.write(9, protocol.TIMEOUT, 1.0)
+        setup_client(bench).write(9, protocol.TIMEOUT, 1.0)
 
 
 def test_feedback_is_not_taken_for_a_register_reply():

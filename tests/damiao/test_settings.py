@@ -112,7 +112,7 @@ def test_transfers_keep_the_limits_of_a_user(tmp_path):
     for way in (0.01, 0.2, 0.5):
         target = begin._replace(position=np.full(2, way))
         speed = settings.approach_speed, settings.approach_time
-        path, duration = transfer_reference(begin, target, *speed)
+        path, duration = transfer_reference(begin, target, *speed, np.zeros_like)
         moments = np.linspace(0.0, duration, 501)
         velocity = np.array([path(moment).velocity[0] for moment in moments])
         assert np.max(velocity) <= 0.1 + 1e-9

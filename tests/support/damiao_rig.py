@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -66,29 +66,55 @@ class FaultyMotor(SimulatedMotor):
         silent: it hears nothing and says nothing.
         lost_replies: it obeys but its answers do not arrive.
         velocity_factor, torque_factor: factors on the velocity and the torque it reports.
+        shift: angle added to the position it reports, as since a zero was set [rad].
+        stored: registers in flash.
     """
 
     silent: bool = False
     lost_replies: bool = False
     velocity_factor: float = 1.0
     torque_factor: float = 1.0
+    shift: float = 0.0
+    stored: dict = field(default_factory=dict)
 
     def handle(self, frame, time):
         answer = None if self.silent else super().handle(frame, time)
-        return None if self.lost_replies else answer
+        if answer is None or self.lost_replies:
+            return None
+        return answer._replace(fd=self.registers.get(protocol.CAN_BR, 0.0) > 4.0)
 
     def _feedback(self):
-        true = self.velocity, self.torque
-        self.velocity = true[0] * self.velocity_factor
-        self.torque = true[1] * self.torque_factor
-        reply = super()._feedback()
-        self.velocity, self.torque = true
-        return reply
+        velocity = self.velocity * self.velocity_factor
+        torque = self.torque * self.torque_factor
+        return self._pack(self.position + self.shift, velocity, torque)
+
+    def _special(self, code):
+        if code == protocol.CLEAR_ERROR:
+            self.fail(protocol.DISABLED)
+        if code == protocol.SET_ZERO and not self.driving:
+            self.shift = -self.position
+        super()._special(code)
+
+    def _register_answer(self, data):
+        number = data[3]
+        if data[0] != self.can_id or data[2] not in (protocol.WRITE, protocol.STORE):
+            return super()._register_answer(data)
+        if data[2] == protocol.STORE:
+            self.stored = dict(self.registers)
+            return data
+        if number in WRITABLE:
+            self.registers[number] = protocol.value_from_bytes(number, data[4:8])
+        return data[:4] + protocol.bytes_from_value(number, self.registers[number])
+
+
+WRITABLE = (*protocol.REQUIRED, protocol.CAN_BR)
 
 
 def motor(joint, watchdog=0.1):
     """A joint's motor, in which nothing is wrong yet."""
-    return FaultyMotor(**vars(simulated_motor(joint, watchdog)))
+    sound = simulated_motor(joint, watchdog)
+    sound.registers[protocol.CAN_BR] = 4.0
+    return FaultyMotor(**vars(sound))
 
 
 REGISTERS = {"tmax": protocol.TMAX, "vmax": protocol.VMAX, "mode": protocol.CTRL_MODE}

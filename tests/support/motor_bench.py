@@ -8,13 +8,7 @@ import numpy as np
 
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
-from robot_sysid.damiao.protocol import (
-    REGISTER_ID,
-    WRITE,
-    BusTiming,
-    MitCommand,
-    Scaling,
-)
+from robot_sysid.damiao.protocol import BusTiming, MitCommand, Scaling
 from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink
@@ -66,16 +60,3 @@ def undoubted(answered, time, feedback, requested, command=None):
     no_count = np.zeros(len(answered), int)
     counts = no_count != 0, 0.0 * no_count, no_count, no_count
     return Replies(answered, time, feedback, requested, command, *counts)
-
-
-def answering_writes_with(opcode, motor):
-    """Let a motor answer a write with this operation: firmware differs."""
-    answer = motor.handle
-
-    def handle(frame, time):
-        reply = answer(frame, time)
-        if reply is None or frame.id != REGISTER_ID or frame.data[2] != WRITE:
-            return reply
-        return reply._replace(data=reply.data[:2] + bytes([opcode]) + reply.data[3:])
-
-    motor.handle = handle

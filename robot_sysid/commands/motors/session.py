@@ -16,14 +16,14 @@ from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.execution import MotorRun
 from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
 from robot_sysid.damiao.player import PlayReport
-from robot_sysid.damiao.preflight import OK, Check
+from robot_sysid.damiao.preflight import Check
 from robot_sysid.damiao.protocol import Feedback
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.messages import Detail, NextStep, aligned_lines
+from robot_sysid.records.messages import NextStep, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
 
 # Classes whose options ``Session.command`` repeats: before the model's file, and after it.
@@ -102,7 +102,7 @@ _HEADINGS = (
     *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear"),
     *("degC", "state"),
 )
-_MARKS = {"ok": "ok  ", "note": "note", "stop": "STOP"}
+_MARKS = {"note": "note", "stop": "STOP"}
 """Mark of a check's line by the severity of the check; all have four characters."""
 
 
@@ -140,17 +140,12 @@ def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> lis
 
 
 def check_lines(checks: Sequence[Check]) -> Iterator[str]:
-    """Yield one line per check and the command in its text, then the number of passed ones.
-
-    Lines of passed checks are a ``Detail``, which is only printed with --verbose.
-    """
+    """Yield one line per finding, and the command in its text."""
     for check in checks:
         # A command stands on a line of its own, below the text that it remedies.
         text, *commands = check.text.split("\n")
-        line = f"[{_MARKS[check.severity]}] {text}"
-        yield Detail(line) if check.severity == OK else line
+        yield f"[{_MARKS[check.severity]}] {text}"
         yield from commands
-    yield f"[ok  ] {sum(check.severity == OK for check in checks)} points (--verbose lists them)"
 
 
 def run_lines(report: PlayReport) -> Iterator[str]:

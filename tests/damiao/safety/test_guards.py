@@ -49,7 +49,7 @@ def answer(k, q=None, qd=None, tau=None, status=1, heat=30):
     commanded = command.motor_torque(np.array([q]), np.array([qd]))[0]
     fields = (np.array([float(x)]) for x in (q, qd, commanded if tau is None else tau))
     codes = (np.array([x]) for x in (heat, 30))
-    feedback = Feedback(np.array([1]), np.array([status]), *fields, *codes)
+    feedback = Feedback(np.array([status]), *fields, *codes)
     return np.ones(1, bool), np.array([k * CYCLE]), feedback, command
 
 

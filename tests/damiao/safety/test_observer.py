@@ -53,7 +53,7 @@ def sample(time=0.0, q=0.0, qd=0.0, tau=0.0, status=1, mos=30, rotor=30, answere
             values[1] = np.nan
         codes[0][1] = NO_STATUS
     stamps = np.where([True, answered], time, np.nan)
-    feedback = Feedback(np.array([1, 2]), codes[0], *two, *codes[1:])
+    feedback = Feedback(codes[0], *two, *codes[1:])
     return undoubted(np.array([True, answered]), stamps, feedback, np.ones(2, bool))
 
 
