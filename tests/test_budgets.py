@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 17642,
     "robot_sysid/dynamics": 5939,
     "robot_sysid/estimate": 29080,
-    "robot_sysid/logs": 17792,
+    "robot_sysid/logs": 17593,
     "robot_sysid/mjcf": 8062,
     "robot_sysid/model": 8641,
     "robot_sysid/motion": 21424,

@@ -11,7 +11,7 @@ from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damage_bytes, damaged_json, damaged_table, odd
 from robot_sysid.damiao.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.arrays import recordings_table
+from robot_sysid.logs.arrays import array_blocks
 from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.table import LogTable
 from robot_sysid.records.option_fields import CONSTANTS, SCALE, joint_factors
@@ -46,7 +46,9 @@ def _log() -> LogTable:
     """Return a log whose titles cannot be recognised."""
     titles = ("Zeit", "A1", "A2", "A3", "M1", "M2", "M3")
     cells = log_files.table(log_files.motion(30, 40.0))
-    return recordings_table(Path("log"), "arrays", titles, (cells,))
+    return LogTable(
+        Path("log"), "arrays", tuple(titles), functools.partial(array_blocks, (cells,))
+    )
 
 
 def case(random: Random) -> Case:

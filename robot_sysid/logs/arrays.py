@@ -13,13 +13,13 @@ import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.table import (
@@ -34,44 +34,18 @@ from robot_sysid.logs.table import (
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import read_json
+from robot_sysid.signals.resampling import RECORDING_SEPARATION
 
 
-def recordings_table(
-    path: Path,
-    layout: str,
-    titles: Sequence[str],
-    recordings: Sequence[Sequence[Array]],
-) -> LogTable:
-    """Return recordings in memory as one table, the rows of one after those of the other.
-
-    Args:
-        path: of the file or folder, for messages.
-        layout: the form in a few words, for the user.
-        titles: (C,) of all columns of a recording, from left to right.
-        recordings: a list per recording of its arrays, (N,) or (N, k), whose columns stand side by
-            side; N may differ between recordings.
-    """
-    return LogTable(path, layout, tuple(titles), partial(_blocks, recordings))
-
-
-def _blocks(
-    recordings: Sequence[Sequence[Array]], columns: Sequence[int]
-) -> Iterator[Block]:
-    """Yield the rows of recordings in blocks, with the columns of these indices.
-
-    A recording is its arrays, (N,) or (N, k), whose columns stand side by side.
-    """
-    total = max(1, sum(len(arrays[0]) for arrays in recordings))
-    end = 0
-    for number, arrays in enumerate(recordings):
-        for first in range(0, len(arrays[0]), BLOCK):
-            rows = slice(first, first + BLOCK)
-            cells = [np.asarray(array[rows], dtype=float) for array in arrays]
-            table = np.column_stack(cells)[:, list(columns)]
-            start = end
-            end += len(table)
-            lines = np.arange(start, end) + 1
-            yield Block(lines, table, recording=number, share_read=end / total)
+def array_blocks(arrays: Sequence[Array], columns: Sequence[int]) -> Iterator[Block]:
+    """Yield the rows of arrays, (N,) or (N, k), side by side, with the columns of these indices."""
+    n_rows = len(arrays[0])
+    for first in range(0, n_rows, BLOCK):
+        rows = slice(first, first + BLOCK)
+        cells = [np.asarray(array[rows], dtype=float) for array in arrays]
+        table = np.column_stack(cells)[:, list(columns)]
+        lines = np.arange(first, first + len(table)) + 1
+        yield Block(lines, table, share_read=lines[-1] / n_rows)
 
 
 def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
@@ -93,7 +67,8 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     times = [n for n in columns if read_title(n).quantity == "time"]
     lengths = [max(columns[name].shape) for name in times or columns]
     if not lengths:
-        listed = list_shapes(arrays) or "nothing"
+        shapes = [f"{name} {np.shape(array)}" for name, array in arrays.items()]
+        listed = ", ".join(shapes) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
     n_rows = statistics.mode(lengths)
     samples = {}
@@ -105,12 +80,8 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     for name, rows in samples.items():
         width = rows.shape[1]
         titles += [f"{name}[{k}]" for k in range(width)] if width > 1 else [name]
-    return recordings_table(path, layout, titles, [list(samples.values())])
-
-
-def list_shapes(arrays: Mapping[str, Any]) -> str:
-    """Return the name and shape of each array, separated by commas."""
-    return ", ".join(f"{name} {np.shape(array)}" for name, array in arrays.items())
+    blocks = partial(array_blocks, list(samples.values()))
+    return LogTable(path, layout, tuple(titles), blocks)
 
 
 def can_be_column(array: Any) -> bool:
@@ -263,7 +234,7 @@ _DOWNLOAD = "download the data set whole"
 
 
 def lerobot_table(source: LogSource) -> LogTable:
-    """Return the selected episodes of a LeRobot data set, or all, each as one recording.
+    """Return the selected episodes of a LeRobot data set, or all, one after the other.
 
     InputError where it holds no frames, or not the selected episodes.
     """
@@ -291,10 +262,15 @@ def lerobot_table(source: LogSource) -> LogTable:
             f"{path} has no episode {', '.join(map(str, missing))}; it has {len(available)}, the "
             f"last of which is {max(available, default='none')}; {_DOWNLOAD}"
         )
-    recordings = []
+    time = frames["timestamp"]
+    recordings: list[NDArray[np.int64]] = []
     for episode in episodes:
-        mask = episode_index == episode
-        recordings.append([values[mask] for values in frames.values()])
+        rows = np.flatnonzero(episode_index == episode)
+        if recordings:
+            # An episode has a clock of its own.
+            end = time[recordings[-1][-1]]
+            time[rows] += end + RECORDING_SEPARATION - time[rows[0]]
+        recordings.append(rows)
     # The numbers of a frame, its time included.
     width = sum(values[0].size for values in frames.values())
     if width != len(columns):
@@ -304,9 +280,12 @@ def lerobot_table(source: LogSource) -> LogTable:
         f"LeRobot data set {info.get('codebase_version', '?')} at {info.get('fps', 'unknown')} Hz, "
         f"{len(recordings)} episodes"
     )
-    table = recordings_table(path, layout, columns, recordings)
+    rows = np.concatenate(recordings)
+    arrays = [values[rows] for values in frames.values()]
+    blocks = partial(array_blocks, arrays)
     is_per_cent = _PER_CENT_ARMS.search(str(info.get("robot_type")))
-    return replace(table, notes=(_DEGREES_NOTE,) if is_per_cent else ())
+    notes = (_DEGREES_NOTE,) if is_per_cent else ()
+    return LogTable(path, layout, tuple(columns), blocks, notes=notes)
 
 
 def _as_mapping(value: Any) -> Mapping[str, Any]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.logs.arrays import arrays_table, can_be_column, recordings_table
+from robot_sysid.logs.arrays import array_blocks, arrays_table, can_be_column
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import LogSource, LogTable, import_optional, refuse_bomb
 
@@ -68,5 +68,6 @@ def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
         joints = list(map("/".join, product(("left", "right"), _ALOHA_JOINTS)))
     titles = [f"{joint} {quantity}" for quantity, joint in product(arrays, joints)]
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
-    table = recordings_table(path, layout, titles, [list(arrays.values())])
-    return replace(table, choices=ColumnChoices(rate=ALOHA_RATE))
+    blocks = partial(array_blocks, list(arrays.values()))
+    choices = ColumnChoices(rate=ALOHA_RATE)
+    return LogTable(path, layout, tuple(titles), blocks, choices)

@@ -36,8 +36,8 @@ from robot_sysid.records.file_access import refuse_special_file
 _FIRST_MESSAGES = 200
 """Messages of a topic from which its joints are listed: a second or more, in which each publisher
 of the topic has sent one."""
-Message = tuple[tuple[int, int], Sample]
-"""((time of the header, time of recording) [ns since 1970], sample)."""
+Message = tuple[int, Sample]
+"""(time of the header, or else of recording [ns since 1970], sample)."""
 
 
 def bag_table(source: LogSource) -> LogTable:
@@ -105,17 +105,13 @@ def _read_topic(
     efforts: set[float | None] = set()
     for _, sample in messages:
         efforts.update(map(sample.get, product(arm_joints, TORQUE)))
-    # Where no header has a time stamp, the time of recording stands in.
-    stamp_index = 0 if any(stamps[0] for stamps, _ in messages) else 1
-    start = min(stamps[stamp_index] for stamps, _ in messages)
+    start = min(stamp for stamp, _ in messages)
     keys = tuple(sent)
     titles = ("time", *map(" ".join, keys))
     connections = _connections(bag, name)
     message_type = connections[0].msgtype
     layout = f"ROS bag, topic {name} ({message_type}), joints by name"
-    if stamp_index:
-        layout += ", headers without time: when it was recorded"
-    blocks = partial(_blocks, path, name, keys, stamp_index, start)
+    blocks = partial(_blocks, path, name, keys, start)
     has_positions = _has_all(sent, arm_joints, ["position"])
     has_torques = _has_all(sent, arm_joints, TORQUE)
     has_nonzero_torques = has_torques and bool(efforts - {None, 0.0})
@@ -139,12 +135,7 @@ def _has_all(
 
 
 def _blocks(
-    path: Path,
-    topic: str,
-    keys: Sequence[Key],
-    stamp_index: int,
-    start: int,
-    columns: Sequence[int],
+    path: Path, topic: str, keys: Sequence[Key], start: int, columns: Sequence[int]
 ) -> Iterator[Block]:
     """Yield the samples of a topic, with the columns of these indices.
 
@@ -154,7 +145,6 @@ def _blocks(
         path: of the bag.
         topic: its name.
         keys: of the numbers of a sample.
-        stamp_index: of the stamp of a ``Message`` in use.
         start: stamp at which time is zero [ns since 1970].
         columns: indices.
     """
@@ -164,8 +154,8 @@ def _blocks(
         count = 0
         while batch := list(islice(messages, BLOCK)):
             cells = np.empty((len(batch), 1 + len(keys)))
-            for row, (stamps, sample) in zip(cells, batch):
-                row[0] = 1e-9 * (stamps[stamp_index] - start)
+            for row, (stamp, sample) in zip(cells, batch):
+                row[0] = 1e-9 * (stamp - start)
                 row[1:] = [sample.get(key, np.nan) for key in keys]
             lines = np.arange(count, count + len(batch)) + 1
             count += len(batch)
@@ -177,8 +167,8 @@ def _read_messages(bag: Any, topic: str) -> Iterator[Message]:
     connections = _connections(bag, topic)
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
-        stamps = (read_stamp(message), int(received))
-        yield stamps, READERS[connection.msgtype](message)
+        stamp = read_stamp(message) or int(received)
+        yield stamp, READERS[connection.msgtype](message)
 
 
 @contextlib.contextmanager

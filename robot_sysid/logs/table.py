@@ -29,7 +29,7 @@ from robot_sysid.records import Array, Measurement
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
-from robot_sysid.signals.resampling import RECORDING_SEPARATION, Thinning
+from robot_sysid.signals.resampling import Thinning
 
 Lines = NDArray[np.int64]
 """Numbers of lines, messages or rows, counted from 1."""
@@ -47,15 +47,12 @@ class Block:
         lines: (R,) numbers of the rows in the file, from 1.
         cells: (R, C) the requested columns; NaN where empty, infinite in a row that is not numbers.
         complaint: the fault of the first row that is not numbers, for the user; "" for none.
-        recording: index of the recording, such as an episode, that the rows belong to; each
-            recording of a file has a clock of its own.
         share_read: share of the file that has been read, 0 to 1.
     """
 
     lines: Lines
     cells: Array
     complaint: str = ""
-    recording: int = 0
     share_read: float = 1.0
 
 
@@ -297,8 +294,6 @@ class _RowCleaner:
         self._can_turn = ~np.array(is_slide)
         self._factors = np.array([column.factor for column in columns.columns()])
         self._n = len(columns.position)
-        self._recording = 0
-        self._time_offset = 0.0
         # Time and positions (1 + n,) of the last usable row.
         self._last_row: Array | None = None
         self._turns = np.zeros(self._n)
@@ -310,8 +305,8 @@ class _RowCleaner:
     def clean(self, block: Block) -> Array:
         """Return the usable rows (R, 2 + C) of a block: line, time, then the C other columns.
 
-        Numbers are in SI units, times are those of one clock for all recordings. Rows left out are
-        counted, and the last usable row is remembered for the next block.
+        Numbers are in SI units. Rows left out are counted, and the last usable row is remembered
+        for the next block.
         """
         lines = block.lines
         cells = block.cells.copy()
@@ -323,23 +318,12 @@ class _RowCleaner:
         lines = lines[usable]
         cells = cells[usable]
         if len(cells):
-            if block.recording != self._recording:
-                self._begin_recording(block.recording, cells[0, 0])
-            cells[:, 0] += self._time_offset
             later = self._find_later(lines, cells[:, 0])
             lines = lines[later]
             cells = cells[later]
         if len(cells):
             self._unwrap(lines, cells)
         return np.column_stack((lines, cells))
-
-    def _begin_recording(self, recording: int, start: float) -> None:
-        """Put a recording, which starts at a time of its own clock [s], behind the last one."""
-        self._recording = recording
-        self._turns = np.zeros(self._n)
-        if self._last_row is not None and self._columns.time is not None:
-            self._time_offset = float(self._last_row[0] + RECORDING_SEPARATION - start)
-        self._last_row = None
 
     def _count(self, anomaly: str, lines: Lines, first: str = "") -> None:
         """Count lines (K,) with an anomaly; ``first`` describes the first one, or is ""."""
