@@ -158,16 +158,18 @@ def draw_arm(
     rms_acceleration = np.sqrt(np.mean(exact.qdd**2, axis=0))
     rotor = 0.02 * np.max(peak) / rms_acceleration * rng.uniform(0.3, 1.5, len(peak))
     rotor = np.zeros_like(peak) if has_sensors else rotor
+    # A rotor sits before the gear: its torque is no load of it.
+    load = np.abs(rigid - robot.armature * exact.qdd)
     rigid = rigid + (rotor - robot.armature) * exact.qdd
 
     speed = np.abs(exact.qd)
     dry = coulomb * np.ones_like(speed)
     if deviation == "real":
         dry += STRIBECK * coulomb * np.exp(-speed / (0.1 * fastest))
-        dry += visible_share * rng.uniform(0.02, 0.06, len(peak)) * np.abs(rigid)
+        dry += visible_share * rng.uniform(0.02, 0.06, len(peak)) * load
     elif deviation == "priors":
         dry += 0.1 * coulomb * rng.standard_normal(len(peak)) * np.sqrt(speed / fastest)
-        dry += 0.02 * rng.standard_normal(len(peak)) * np.abs(rigid)
+        dry += 0.02 * rng.standard_normal(len(peak)) * load
     scales = 1.0 + 0.02 * is_off * rng.standard_normal(len(peak))
     tau = scales * rigid + dry * np.sign(exact.qd) + viscous * exact.qd
     tau = tau + NOISE * nominal * _noise(rng, tau.shape, white)

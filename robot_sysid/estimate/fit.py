@@ -426,17 +426,19 @@ class Fit:
     def next_point(self) -> Point:
         """Return the point for the next linearisation, at this estimate."""
         robot = self.arm.robot
-        thetas = self.point.thetas.copy()
         values = self.by_name
-        thetas[-1] = [values[name] for name in spatial.PARAMETER_NAMES]
+        links = robot.thetas
+        for link in self.arm.others:
+            links[link] = [values[name] for name in link_names(robot, link)]
+        links[-1] = [values[name] for name in spatial.PARAMETER_NAMES]
+        thetas = robot.thetas
+        thetas[-1] = links[-1]
         payload = self.point.payload
-        thetas[:-1] = robot.thetas[:-1]
         if self.question.loaded:
             payload = self.free[self.at(PAYLOAD_NAMES)]
-            for link in self.arm.others:
-                thetas[link] = [values[name] for name in link_names(robot, link)]
+            thetas = links
         friction = {name: values[name] for name in values if "[" in name}
-        return replace(self.point, thetas=thetas, payload=payload, friction=friction)
+        return Point(thetas, links, payload, self.point.gravity, friction)
 
     def residuals(self) -> Array:
         """Return the residual torque (K of all recordings, J) [N m]; NaN where not used."""

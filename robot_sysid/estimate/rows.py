@@ -101,21 +101,19 @@ class Recording:
         """
         if key not in self._kept:
             signals = self.signals
-            if signals is None:
-                self._kept[key] = make(self.motion)
-            else:
-                self._kept[key] = signals.filter_columns(make)
+            self._kept[key] = (
+                make(self.motion) if signals is None else signals.filter_columns(make)
+            )
         return np.asarray(self._kept[key])
 
     def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
         """Return the torque (K, n) of links with parameters ``thetas`` (n, 10) [N m]."""
         key = "links", gravity.tobytes(), thetas.tobytes()
-        if self._kept.get("links of") != key:
+        if key not in self._kept:
             chunks = self.chunks(36 * robot.n_joints)
             torques = [rows.moves(robot, gravity).torque(thetas) for rows in chunks]
-            self._kept["links of"] = key
-            self._kept["links"] = np.concatenate(torques)
-        return np.asarray(self._kept["links"])
+            self._kept[key] = np.concatenate(torques)
+        return np.asarray(self._kept[key])
 
     def chunks(self, width: int) -> Iterator[Rows]:
         """Yield the rows in chunks, of which columns ``width`` numbers wide fit in memory."""

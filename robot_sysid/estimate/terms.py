@@ -108,13 +108,15 @@ class Point:
     """The estimate around which terms are linearised.
 
     Attributes:
-        thetas: (n, 10) links that scales, zeros, tilt, delay and load multiply.
+        thetas: (n, 10) links that scales, zeros, tilt and delay multiply.
+        links: (n, 10) links whose torque loads the gears: all as they were estimated last.
         payload: (10,) what the last link carries in loaded recordings.
         gravity: (3,) in the world frame [m/s^2].
         friction: name of a friction parameter to its value; a missing one is zero.
     """
 
     thetas: Array
+    links: Array
     payload: Array
     gravity: Array
     friction: Mapping[str, float] = field(default_factory=dict)
@@ -235,9 +237,9 @@ class ArmTerms:
 
     def start(self) -> Point:
         """Return the point at the model's own values."""
-        return Point(
-            self.robot.thetas, np.zeros(N_INERTIAL), gravity_vector(self.robot)
-        )
+        thetas = self.robot.thetas
+        gravity = gravity_vector(self.robot)
+        return Point(thetas, thetas, np.zeros(N_INERTIAL), gravity)
 
     def _terms(self, loaded: bool, drifts: bool) -> Iterator[Term]:
         """Yield all terms, those of bodies first."""
@@ -365,7 +367,8 @@ class ArmTerms:
             dry = rows.low_passed(
                 "coulomb", lambda m: TERMS["coulomb"](m.qd, m.qdd, m.q)
             )
-            dry = dry * np.abs(self._links_torque(rows, point))
+            at_gear = replace(point, thetas=point.links)
+            dry = dry * np.abs(self._links_torque(rows, at_gear))
         else:
             motion = rows.motion
             dry = TERMS[name](motion.qd, motion.qdd, motion.q)

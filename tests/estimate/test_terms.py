@@ -74,7 +74,7 @@ def point_of(arm, values, gravity):
     for link in (*arm.others, arm.robot.n_joints - 1):
         thetas[link] = [values[name] for name in names_of_link(arm, link)]
     payload = np.array([values[name] for name in PAYLOAD_NAMES])
-    return Point(thetas, payload, gravity, values)
+    return Point(thetas, thetas, payload, gravity, values)
 
 
 def torque_of(arm, motion, values, gravity, loaded=True):
@@ -183,7 +183,7 @@ def test_friction_passes_the_filter_that_the_torque_has_passed(seed):
     }
     motion = wide_motion(seed, 4, 1.0, 100.0)
     start = arm.start()
-    nothing = dict.fromkeys((*dict.fromkeys(values), *PAYLOAD_NAMES), 0.0)
+    nothing = dict.fromkeys((*values, *PAYLOAD_NAMES), 0.0)
     tau = torque_of(arm, motion, {**nothing, **dry}, start.gravity)
     rows = record(motion, tau, arm, low_pass=MEAN_OF_SEVEN)
     known = arm.known(rows)
