@@ -245,8 +245,6 @@ class PoseOptions(OptionRecord):
     Attributes:
         purpose: "link", "payload", "friction", "arm" or "weight".
         static: whether a payload is identified in resting poses.
-        poses: number of resting poses.
-        dwell: duration of each rest [s].
     """
 
     purpose: str = option(
@@ -262,8 +260,6 @@ class PoseOptions(OptionRecord):
         "with --for payload: resting poses, each approached from both sides, for an arm that may "
         "not move fast",
     )
-    poses: int = 12
-    dwell: float = 1.5
 
     def __post_init__(self) -> None:
         super().__post_init__()

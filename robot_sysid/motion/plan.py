@@ -139,7 +139,7 @@ def _new_plan(
         progress.stage("Looking for room to move slowly in...")
         problem = _problem(request, robot)
         if poses.static:
-            return design_poses(problem, poses, rng), problem
+            return design_poses(problem, rng), problem
         return design_sweeps(problem), problem
     _require_possible(request, options.duration)
     verb = "Designing" if request.is_designed else "Generating"

@@ -16,12 +16,7 @@ from robot_sysid.estimate.links import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.clearance import Clearance
-from robot_sysid.motion.solids import (
-    has_floor,
-    mounting_height,
-    tool_corners,
-    unguarded_links,
-)
+from robot_sysid.motion.solids import mounting_height, tool_corners, unguarded_links
 from robot_sysid.records import Array, JointLimits, Motion, RobotModel
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
@@ -257,8 +252,7 @@ def build_problem(
             "the reference configuration is at or beyond a position limit; the motion starts and "
             f"ends with {', '.join(moved)}"
         )
-    base = _space_above_base(robot, limits, start_pose)
-    obstacles = _obstacles(robot, limits, start_pose, base)
+    spaces = _half_spaces(robot, limits, start_pose)
     links = (robot.n_joints - 1, *reversed(other_links(robot)))
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
@@ -271,7 +265,7 @@ def build_problem(
         arm_torque=ArmTorque(robot),
         reserve=limits.payload_reserve,
         link_errors=model_link_factor(robot, links, 0.01 * link_uncertainty),
-        obstacles=obstacles,
+        obstacles=Clearance(robot, start_pose, limits.clearance, spaces),
         rows=rows,
         sigma=joint_values(noise_torque, robot.n_joints, "the prior noise")[list(rows)],
         assumed=assumed,
@@ -331,45 +325,25 @@ def _limits(
     return limits, assumed
 
 
-def _space_above_base(
+def _half_spaces(
     robot: RobotModel, options: LimitOptions, start_pose: Array
 ) -> tuple[HalfSpace, ...]:
-    """Return, in a tuple, the half-space above the body that carries the arm.
+    """Return the half-spaces of the options, and the one above the body that carries the arm.
 
-    () where an option allows to go below it, the model has a floor, or a keep-out plane is one. The
-    base's height is taken with the joints at ``start_pose`` (n,).
-    """
-    mounting = mounting_height(robot, start_pose)
-    if options.below_base or has_floor(robot) or mounting is None:
-        return ()
-    up, height, bodies = mounting
-    if any(space.normal @ up > _LEVEL for space in options.half_spaces(bodies)):
-        return ()
-    # Adding zero turns -0.0 into 0.0.
-    label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m (--below-base lifts it)"
-    space = HalfSpace(up, height, clearance=0.0, bodies=tuple(bodies), label=label)
-    return (space,)
-
-
-def _obstacles(
-    robot: RobotModel,
-    options: LimitOptions,
-    start_pose: Array,
-    base: tuple[HalfSpace, ...],
-) -> Clearance:
-    """Return the distances that have to be kept, those from half-spaces included.
-
-    Args:
-        robot: the arm.
-        options: clearance, keep-out planes and workspace.
-        start_pose: (n,) joint positions at rest [rad or m].
-        base: half-spaces in addition to those of the options.
-
-    Raises:
-        InputError: a body is outside a half-space at rest.
+    There is none above it where an option allows to go below it, the model has a floor, or a
+    keep-out plane is one. The base's height is taken with the joints at ``start_pose`` (n,).
     """
     model = robot.mj_model
     first_joint = model.dof_jntid[robot.dof_index[0]]
     moving = subtree(model, int(model.jnt_bodyid[first_joint]))
-    spaces = (*options.half_spaces(moving, subtree(model, robot.body_id)), *base)
-    return Clearance(robot, start_pose, options.clearance, spaces)
+    spaces = options.half_spaces(moving, subtree(model, robot.body_id))
+    mounting = mounting_height(robot, start_pose)
+    if options.below_base or mounting is None:
+        return spaces
+    up, height, bodies = mounting
+    if any(space.normal @ up > _LEVEL for space in spaces):
+        return spaces
+    # Adding zero turns -0.0 into 0.0.
+    label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m (--below-base lifts it)"
+    base = HalfSpace(up, height, clearance=0.0, bodies=tuple(bodies), label=label)
+    return (*spaces, base)

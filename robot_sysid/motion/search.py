@@ -25,7 +25,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -89,9 +88,6 @@ _WORST = 1e6
 SHRINK_FACTORS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
 """Factors by which a random motion is scaled, tried in turn until it keeps torque limits and
 touches nothing."""
-DRAW_SHARE = 0.99 * np.cos(np.pi / GRID_PER_CYCLE)
-"""Share of the limits of position, speed and acceleration that a random motion uses at grid points;
-the remainder is for peaks between them."""
 clock = time.monotonic
 """Returns the machine's time [s]."""
 
@@ -218,46 +214,26 @@ class Candidate:
         return FIRST_WEIGHT * growth
 
 
-class Constraints(NamedTuple):
-    """Constraint values of a motion at N samples, and the slack's gradient.
-
-    The columns are, n each, the distances of the positions from the middle of their ranges, the
-    velocities, accelerations and torques, then the speed of the tool, all of them absolute values
-    over their limits minus one; the last column is the missing distance from obstacles over
-    ``OBSTACLE_LENGTH``.
-
-    Attributes:
-        value: (N, 4 n + 2) g; fulfilled where <= 0.
-        by_signal: (N, 4 n + 1) derivative of g by the problem's signals.
-        by_position: (N, n) derivative of the last column by q.
-    """
-
-    value: Array
-    by_signal: Array
-    by_position: Array
-
-
 def constraints_of(
-    problem: ExcitationProblem,
-    motion: Series,
-    share: float = 1.0,
-    extra_slack: float = 0.0,
-) -> Constraints:
-    """Return all constraints at the samples of a motion.
+    problem: ExcitationProblem, motion: Series, extra_slack: float = 0.0
+) -> tuple[Array, Array]:
+    """Return all constraints g at the samples of a motion, and the derivative of the last one.
+
+    The columns of g (N, 4 n + 2), which are fulfilled where <= 0, are ``problem.signals``: absolute
+    values over ``LIMIT_SHARE`` of their limits, minus one; the last column is the missing distance
+    from obstacles over ``OBSTACLE_LENGTH``, the derivative (N, n) of which is by q.
 
     Args:
         problem: the arm and its limits.
         motion: q, qd and qdd, (N, n) each.
-        share: of the limits to use; less than 1 leaves room for peaks between grid points.
         extra_slack: distance to keep in addition to the required one [m].
     """
-    signals = problem.signals(_samples(*motion))
+    signals = np.abs(problem.signals(_samples(*motion)))
     slack, slack_gradient = problem.obstacles.slack(motion[0])
-    limits = share * problem.limits.columns
+    limits = LIMIT_SHARE * problem.limits.columns
     missing = (extra_slack - slack) / OBSTACLE_LENGTH
-    value = np.column_stack((np.abs(signals) / limits - 1.0, missing))
-    by_signal = np.sign(signals) / limits
-    return Constraints(value, by_signal, -slack_gradient / OBSTACLE_LENGTH)
+    value = np.column_stack((signals / limits - 1.0, missing))
+    return value, -slack_gradient / OBSTACLE_LENGTH
 
 
 def _samples(q: Array, qd: Array, qdd: Array) -> Motion:
@@ -266,30 +242,31 @@ def _samples(q: Array, qd: Array, qdd: Array) -> Motion:
 
 
 def constraint_gradient(
-    problem: ExcitationProblem, motion: Series, constraints: Constraints, weight: Array
+    problem: ExcitationProblem, motion: Series, by_position: Array, weight: Array
 ) -> Series:
-    """Return the gradient (N, n) of sum(weight * g), g the constraints (N, 4 n + 2) of a motion, by
-    each of q, qd and qdd.
+    """Return the gradient (N, n) of sum(weight * g) by each of q, qd and qdd.
+
+    Args:
+        problem: the arm and its limits.
+        motion: q, qd and qdd, (N, n) each.
+        by_position: (N, n) derivative of the last constraint by q.
+        weight: (N, 4 n + 2) of the constraints g.
     """
-    n = problem.n_joints
-    adjoint = weight[:, :-1] * constraints.by_signal
-    q, qd, qdd = np.split(adjoint[:, : 3 * n], 3, axis=1)
-    q += weight[:, -1:] * constraints.by_position
-    # Torques and the tool's speed are functions of the motion.
-    functions = adjoint[:, 3 * n :]
-    active = np.flatnonzero(np.any(functions != 0.0, axis=1))
+    gradients = np.zeros((3, *by_position.shape))
+    factor = weight[:, :-1] / (LIMIT_SHARE * problem.limits.columns)
+    active = np.flatnonzero(np.any(factor != 0.0, axis=1))
     if len(active):
 
         def total(*at: Array) -> Array:
-            """Return the weighted sums (m, N) of torques and the tool's speed."""
-            signals = problem.signals(_samples(*at))[:, 3 * n :]
-            weighted = signals.reshape(-1, len(active), n + 1) * functions[active]
+            """Return the weighted sums (m, N) of the limited quantities."""
+            signals = np.abs(problem.signals(_samples(*at)))
+            weighted = signals.reshape(-1, *factor[active].shape) * factor[active]
             return np.asarray(np.sum(weighted, axis=2))
 
-        at = (motion[0][active], motion[1][active], motion[2][active])
-        for own, gradient in zip((q, qd, qdd), gradient_of(total, at)):
-            own[active] += gradient
-    return q, qd, qdd
+        q, qd, qdd = motion
+        gradients[:, active] = gradient_of(total, (q[active], qd[active], qdd[active]))
+    gradients[0] += weight[:, -1:] * by_position
+    return tuple(gradients)
 
 
 def penalised_objective(
@@ -306,11 +283,11 @@ def penalised_objective(
     motion = design.motion(x)
     q, qd, qdd = (signal[INFORMATION_POINTS] for signal in motion)
     value, gradients = design.criterion.with_gradient((q, qd, qdd))
-    constraints = constraints_of(design.problem, motion, LIMIT_SHARE, EXTRA_SLACK)
-    active = np.maximum(0.0, multipliers + weight * constraints.value)
+    constraints, by_position = constraints_of(design.problem, motion, EXTRA_SLACK)
+    active = np.maximum(0.0, multipliers + weight * constraints)
     penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
     # Gradients (N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
-    adjoints = constraint_gradient(design.problem, motion, constraints, active)
+    adjoints = constraint_gradient(design.problem, motion, by_position, active)
     for adjoint, gradient in zip(adjoints, gradients):
         adjoint[INFORMATION_POINTS] += gradient
     # q, qd and qdd are linear in x, by the basis functions and their derivatives.
@@ -494,7 +471,7 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
 
 
 def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
-    """Return random coefficients (n, M) [rad] of a motion in which each joint uses ``DRAW_SHARE``
+    """Return random coefficients (n, M) [rad] of a motion in which each joint uses ``LIMIT_SHARE``
     of its limit of position, speed or acceleration, whichever it reaches first.
 
     Each joint oscillates about a random position in the middle 60 % of its range. The random
@@ -513,13 +490,13 @@ def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Arra
     decay = design.unit ** rng.uniform(0.0, 1.0)
     shape = rng.normal(size=size) * rng.uniform(0.2, 1.0, size=size) * decay
     shape[:, 0] = 0.0
-    factor = DRAW_SHARE * _largest_factor(design, offset, shape)
+    factor = _largest_factor(design, offset, shape)
     return offset + shape * factor[:, None]
 
 
 def _largest_factor(design: Design, base: Array, x: Array) -> Array:
-    """Return per joint the largest factor (n,) for which the coefficients base + factor x keep the
-    limits of position, speed and acceleration on the grid; 0 where no factor does.
+    """Return per joint the largest factor (n,) for which the coefficients base + factor x use
+    ``LIMIT_SHARE`` of a limit of position, speed or acceleration on the grid; 0 where none does.
 
     Args:
         design: the arm, its limits and the basis.
@@ -527,21 +504,13 @@ def _largest_factor(design: Design, base: Array, x: Array) -> Array:
         x: (n, M) coefficients that are scaled.
     """
     limits = design.problem.limits
-    start_pose = design.problem.rest
-    ranges = (
-        (limits.lower - start_pose, limits.upper - start_pose),
-        (-limits.velocity, limits.velocity),
-        (-limits.acceleration, limits.acceleration),
-    )
-    factor = np.full(len(start_pose), np.inf)
-    for function, (low, high) in zip(design.on_grid, ranges):
-        start = function @ base.T
-        step = function @ x.T
-        distance = np.where(step > 0.0, high - start, low - start)
-        is_moving = np.abs(step) > 1e-12
-        ratio = np.where(is_moving, distance / np.where(is_moving, step, 1.0), np.inf)
-        factor = np.minimum(factor, np.min(ratio, axis=0))
-    return np.where(np.isfinite(factor), np.maximum(factor, 0.0), 0.0)
+    start = np.stack(design.motion(base))
+    start[0] -= limits.center
+    step = np.stack([function @ x.T for function in design.on_grid])
+    largest = LIMIT_SHARE * limits.columns[:-1].reshape(4, 1, -1)[:3]
+    room = largest - np.sign(step) * start
+    factor = np.min(room / np.maximum(np.abs(step), 1e-12), axis=(0, 1))
+    return np.maximum(factor, 0.0)
 
 
 def _shrink_to_limits(design: Design, full: Array) -> Draw:
@@ -551,7 +520,7 @@ def _shrink_to_limits(design: Design, full: Array) -> Draw:
     for factor in SHRINK_FACTORS:
         x = factor * full
         motion = design.motion(x)
-        value = constraints_of(design.problem, motion).value
+        value, _ = constraints_of(design.problem, motion)
         if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
     # The constraint that the smallest multiple exceeds most.

@@ -23,6 +23,8 @@ from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom
 """MuJoCo's types of geoms."""
+_GROUND_TYPES = (int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_HFIELD))
+"""Types of geoms that are ground where they do not move."""
 _CORNERS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0
 """Corners (8, 3) of a cube with half sides of one."""
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
@@ -37,14 +39,9 @@ MARKER_SIZE = 0.02
 """Radius up to which a light part is small [m]: larger ones are the shell of a link."""
 
 
-def _circle(count: int) -> Array:
-    """Return the corners (count, 2) of a regular polygon about the unit circle."""
-    angle = 2.0 * np.pi * np.arange(count) / count
-    return np.column_stack((np.cos(angle), np.sin(angle))) / np.cos(np.pi / count)
-
-
-_RING = _circle(_SIDES)
-"""Corners (P, 2) of the polygon that stands for a circle."""
+_ANGLES = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+_RING = np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES))) / np.cos(np.pi / _SIDES)
+"""Corners (P, 2) of the regular polygon about the unit circle that stands for it."""
 _GLOBE = np.vstack(
     [np.column_stack((across * _RING, np.full(_SIDES, up))) for up, across in _RING]
 )
@@ -143,8 +140,9 @@ def mounting_height(
 
     The height is the lowest of the origin of the body that carries the arm and of everything that
     is fixed to that body (its meshes where it has any, as collision geometry may be rough): the
-    foot of a pedestal is on the ground. None without gravity, or where more of the arm than its
-    first link is below that height: such an arm hangs, or stands at an edge.
+    foot of a pedestal is on the ground. None without gravity, where the model has a level plane, or
+    ground of any form, that the arm can touch, or where more of the arm than its first link is
+    below that height: such an arm hangs, or stands at an edge.
 
     Args:
         robot: the arm.
@@ -153,7 +151,10 @@ def mounting_height(
     model = robot.mj_model
     link_of_body = count_moving_joints(robot)
     down = np.array(model.opt.gravity, dtype=float)
-    if not np.any(down):
+    is_static = model.body_weldid[model.geom_bodyid] == 0
+    is_solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    is_ground = np.isin(model.geom_type, _GROUND_TYPES)
+    if np.any(is_static & is_solid & is_ground) or not np.any(down):
         return None
     up = -down / np.linalg.norm(down)
     qpos = robot.reference_qpos.copy()
@@ -252,16 +253,6 @@ def unguarded_text(links: Sequence[str]) -> str:
         f"nothing keeps {', '.join(links)} from touching anything: the model has no collision "
         "geometry of them that can meet any other"
     )
-
-
-def has_floor(robot: RobotModel) -> bool:
-    """Return whether the model has a level plane, or ground of any form, that the arm can touch."""
-    model = robot.mj_model
-    fixed = model.body_weldid[model.geom_bodyid] == 0
-    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    ground_types = (int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_HFIELD))
-    is_ground = np.isin(model.geom_type, ground_types)
-    return bool(np.any(fixed & solid & is_ground))
 
 
 def tool_corners(robot: RobotModel) -> Array:

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import PoseOptions
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import PEAK_OF_RAMP, LineTrajectory, straight_way
@@ -40,6 +39,10 @@ CREEP = 1e-3
 MOST_STARTS = 50
 """Largest number of poses to which the straight line is checked, until one is free."""
 
+MOST_POSES = 12
+"""Number of resting poses of a motion."""
+DWELL = 1.5
+"""Duration of each rest [s]."""
 FEWEST_POSES = 5
 """Poses that identify a payload's mass and centre of mass, with something left to check them by."""
 APPROACH = 0.05
@@ -190,7 +193,7 @@ def _is_feasible(problem: ExcitationProblem, poses: Array) -> NDArray[np.bool_]:
 
 
 def design_poses(
-    problem: ExcitationProblem, options: PoseOptions, rng: np.random.Generator
+    problem: ExcitationProblem, rng: np.random.Generator
 ) -> LineTrajectory:
     """Return a motion through informative poses, so slow that it keeps all limits.
 
@@ -198,7 +201,6 @@ def design_poses(
 
     Args:
         problem: the arm and its limits.
-        options: number of poses, and duration of each rest.
         rng: draws the poses among which the informative ones are selected.
 
     Raises:
@@ -215,7 +217,7 @@ def design_poses(
     selected = []
     if len(poses):
         rows = _gravity_rows(problem, poses)
-        selected = _select_poses(problem, poses, rows, options.poses)
+        selected = _select_poses(problem, poses, rows)
     if len(selected) < FEWEST_POSES:
         raise InputError(
             f"only {len(selected)} of {len(poses)} poses within the limits can be reached in "
@@ -226,7 +228,7 @@ def design_poses(
     dwells = [0.0]
     for pose in selected:
         points += [pose - APPROACH, pose, pose + APPROACH, pose]
-        dwells += [0.0, options.dwell, 0.0, options.dwell]
+        dwells += [0.0, DWELL, 0.0, DWELL]
     points.append(problem.rest)
     dwells.append(0.0)
     share = SHARE
@@ -254,10 +256,8 @@ def _gravity_rows(problem: ExcitationProblem, poses: Array) -> Array:
     return columns[:, :, :4] / sigma[:, None] * np.array([1.0, length, length, length])
 
 
-def _select_poses(
-    problem: ExcitationProblem, poses: Array, rows: Array, count: int
-) -> list[Array]:
-    """Return up to ``count`` informative poses (n,) in the order of visiting; the straight lines
+def _select_poses(problem: ExcitationProblem, poses: Array, rows: Array) -> list[Array]:
+    """Return up to ``MOST_POSES`` informative poses (n,) in the order of visiting; straight lines
     between them, and back to the start, are free.
 
     Each next pose makes the determinant of the information largest; one that no free line leads to
@@ -267,14 +267,13 @@ def _select_poses(
         problem: the arm and its obstacles.
         poses: (K, n) to select from [rad or m].
         rows: (K, n, 4) of these poses, as ``_gravity_rows`` returns them.
-        count: largest number of selected poses.
     """
     information = _TINY * np.eye(4)
     is_left = np.ones(len(poses), dtype=bool)
     selected: list[Array] = []
     position = problem.rest
     normal = np.einsum("kja,kjb->kab", rows, rows)
-    while len(selected) < count and np.any(is_left):
+    while len(selected) < MOST_POSES and np.any(is_left):
         determinants = np.linalg.slogdet(information + normal)[1]
         best = int(np.argmax(np.where(is_left, determinants, -np.inf)))
         is_left[best] = False

@@ -129,8 +129,8 @@ def test_payload_errors_come_from_the_difference_of_recordings():
 
 
 def test_resting_poses_determine_mass_and_centre_of_a_payload_alone():
-    poses = PoseOptions("payload", True, poses=6, dwell=1.0)
-    plan = design_poses(PROBLEM, poses, default_rng(0))
+    poses = PoseOptions("payload", True)
+    plan = design_poses(PROBLEM, default_rng(0))
     errors = predict(PROBLEM, plan, RATE, USUAL, poses).errors
     assert np.all(np.isfinite(errors[:4])) and np.all(np.isinf(errors[4:]))
     moving = predict_errors(target="payload").errors

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
-from robot_sysid.motion.problem import _space_above_base, build_problem
+from robot_sysid.motion.problem import _half_spaces, build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
@@ -137,7 +137,7 @@ def test_bodies_stay_above_the_support_of_an_arm_that_does_not_hang(
     model, limits, lowest
 ):
     arm = robot(model)
-    half_spaces = _space_above_base(arm, LimitOptions(**limits), arm.reference)
+    half_spaces = _half_spaces(arm, LimitOptions(**limits), arm.reference)
     assert len(half_spaces) == (lowest is not None)
     for half_space in half_spaces:
         assert half_space.offset == pytest.approx(lowest)

@@ -134,15 +134,15 @@ LIMITED = ({}, {"max_tool_speed": 0.7}, {"payload_reserve": 2.0})
 @given(st.sampled_from(LIMITED), SEEDS)
 def test_the_gradient_of_constraints_equals_differences(limits, seed):
     problem = make_problem(STRONG_MOTORS, **limits)
-    constraints = partial(constraints_of, problem, share=0.99)
     rng = default_rng(seed)
     motion, direction = rng.normal(size=(2, 3, 3, 3))
-    at = constraints(motion)
-    weight = rng.uniform(size=at.value.shape)
-    gradient = constraint_gradient(problem, motion, at, weight)
+    value, by_position = constraints_of(problem, motion)
+    weight = rng.uniform(size=value.shape)
+    gradient = constraint_gradient(problem, motion, by_position, weight)
     products = np.stack(gradient) * direction
     steps = 1e-6 * np.array([-1.0, 0.0, 1.0])
-    values = [np.sum(weight * constraints(motion + s * direction).value) for s in steps]
+    moved = [constraints_of(problem, motion + s * direction)[0] for s in steps]
+    values = [np.sum(weight * constraints) for constraints in moved]
     # A coordinate that passes zero within the step has a kink there: two slopes.
     slopes = np.diff(values) / 1e-6
     size = np.sum(np.abs(products))
@@ -286,7 +286,7 @@ def test_every_feasible_draw_keeps_all_limits_on_the_grid(design, seed):
     assert np.array_equal(again.x, second.x)
     assert not np.any(first.x) or not np.array_equal(first.x, second.x)
     if np.isfinite(first.score):
-        value = constraints_of(design.problem, design.motion(first.x)).value
+        value, _ = constraints_of(design.problem, design.motion(first.x))
         assert np.max(value) <= ROUNDING
         assert (first.score, first.obstacle) == (design.criterion_of(first.x), "")
     else:

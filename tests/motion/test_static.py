@@ -13,7 +13,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import LimitOptions, PoseOptions, static
+from robot_sysid.motion import LimitOptions, static
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.records import Motion
@@ -122,9 +122,8 @@ def posing():
 
 @pytest.fixture(scope="module")
 def poses(posing):
-    """Six poses for a payload."""
-    options = PoseOptions("payload", True, poses=6, dwell=1.0)
-    return static.design_poses(posing, options, default_rng(0))
+    """Twelve poses for a payload."""
+    return static.design_poses(posing, default_rng(0))
 
 
 @pytest.mark.slow
@@ -137,7 +136,7 @@ def test_all_limits_are_kept_and_the_motion_is_gentle(posing, poses):
 
 def test_each_pose_is_approached_from_both_sides(poses):
     rests = np.flatnonzero(poses.dwells > 0.0)
-    assert len(rests) == 12
+    assert len(rests) == 2 * static.MOST_POSES
     for first, second in rests.reshape(-1, 2):
         assert_array_equal(poses.points[first], poses.points[second])
         steps = np.diff(poses.points, axis=0)
