@@ -94,7 +94,7 @@ def use(case: Case, folder: Path) -> None:
         return
     path = input_folder / "motion.json"
     saved = load_trajectory(path)
-    saved.require_fits(_robot().joint_names)
+    assert saved.joint_names == _robot().joint_names
     require_countable(saved.plan.duration, RATE)
     for _ in zip(range(ENOUGH_CHUNKS), motion_chunks(saved.plan, RATE)):
         pass

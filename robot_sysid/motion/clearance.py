@@ -334,11 +334,11 @@ class Clearance:
             q[:, joint] = np.linspace(low, high, _NEIGHBOUR_POSTURES)
             near = self._near(q)
             links = np.sort(self._link_of_body[near.bodies], axis=1)
-            is_neighbour = (links[:, 0] == joint) & (links[:, 1] == joint + 1)
-            first, second = np.sort(near.bodies[is_neighbour], axis=1).T
-            least = np.full(self._required.shape, np.inf)
-            np.minimum.at(least, (first, second), near.slack[is_neighbour])
-            is_harmless |= np.isfinite(least) & (least >= 0.0)
+            is_neighbour = np.all(links == (joint, joint + 1), axis=1)
+            is_missed = is_neighbour & (near.slack < 0.0)
+            first, second = np.sort(near.bodies, axis=1).T
+            is_harmless[first[is_neighbour], second[is_neighbour]] = True
+            is_harmless[first[is_missed], second[is_missed]] = False
         self._required[is_harmless | is_harmless.T] = -np.inf
 
 
@@ -394,16 +394,16 @@ def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
     travel[~np.isfinite(travel)] = _UNLIMITED_TRAVEL
     # From each joint's anchor to the next one, which a slide there moves away by its travel.
     lengths = np.linalg.norm(np.diff(anchors, axis=0), axis=1) + travel[1:]
+    # The ball about each body's origin that holds all its geoms.
+    radius = np.zeros(mj_model.nbody)
+    far = np.linalg.norm(mj_model.geom_pos, axis=1) + mj_model.geom_rbound
+    np.maximum.at(radius, mj_model.geom_bodyid, far)
     reach = np.zeros((n, n + 1))
     for outer in range(1, n + 1):
         # How far from its joint the geoms and origins of this link reach.
         bodies = link_of_body == outer
-        anchor = anchors[outer - 1]
-        geoms = np.flatnonzero(bodies[mj_model.geom_bodyid])
-        centers = np.linalg.norm(data.geom_xpos[geoms] - anchor, axis=1)
-        origins = np.linalg.norm(data.xpos[bodies] - anchor, axis=1)
-        solid = np.max(centers + mj_model.geom_rbound[geoms], initial=0.0)
-        extent = max(solid, np.max(origins, initial=0.0))
+        origins = np.linalg.norm(data.xpos[bodies] - anchors[outer - 1], axis=1)
+        extent = np.max(origins + radius[bodies], initial=0.0)
         for j in range(outer):
             reach[j, outer] = extent + np.sum(lengths[j : outer - 1])
     reach[robot.is_slide] = 1.0

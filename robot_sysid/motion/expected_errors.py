@@ -118,10 +118,7 @@ def prior_knowledge(
     question = _question(arm, options, torque)
     for term in arm_question(arm, question, torque):
         if term.cause == LINKS and term.prior is not None:
-            # Ten rows per link: from the order base to tool to the order tool to base.
-            size = len(term.names)
-            factor_by_link = term.prior.factor.reshape(-1, N_INERTIAL, size)
-            link_factor = factor_by_link[::-1].reshape(-1, size)
+            link_factor = term.prior.factor
         kind, owner = split_name(term.names[0])
         if kind in JOINT_TERMS and owner in arm.joints:
             row = JOINT_TERMS.index(kind)

@@ -61,7 +61,7 @@ class PriorKnowledge:
 
     Attributes:
         link_factor: (10 L, 10 L) F; the parameters of the L links with mass other than the terminal
-            one, from the tool to the base, have the prior covariance F F^T. (0, 0) where they are
+            one, from the base to the tool, have the prior covariance F F^T. (0, 0) where they are
             taken as known.
         joint_deviations: (7, rows) prior standard deviations of ``JOINT_TERMS`` in each joint's
             equations; infinite where nothing is known, zero where the term is no unknown.

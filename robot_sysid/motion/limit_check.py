@@ -13,12 +13,14 @@ The check is for one serial chain.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from robot_sysid.motion.clearance import Clearance, Closest
 from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
 from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records.messages import percent
 from robot_sysid.trajectory import SineTrajectory, motion_chunks, sample_times
 
 LEAST_RATE_HZ = 1000.0
@@ -42,8 +44,7 @@ FIRST_STEP = 64
 """Samples of the highest rate between the first tests of a motion."""
 
 
-@dataclass(frozen=True)
-class Excess:
+class Excess(NamedTuple):
     """One limit that is not kept.
 
     Attributes:
@@ -58,10 +59,8 @@ class Excess:
     time: float
 
     def __str__(self) -> str:
-        over = 100.0 * (self.share - 1.0)
-        # Never "0.0 %": a limit that is exceeded by next to nothing is not kept either.
-        digits = ".1f" if over >= 0.1 else ".1g"
-        return f"{self.limit} ({over:{digits}} % over at {self.time:.2f} s)"
+        over = percent(self.share - 1.0)
+        return f"{self.limit} ({over} over at {self.time:.2f} s)"
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,12 @@ def _new_plan(
     if options.file is not None:
         progress.stage(f"Loading excitation trajectory from {options.file}...")
         saved = load_trajectory(options.file)
-        saved.require_fits(robot.joint_names)
+        if saved.joint_names != robot.joint_names:
+            raise InputError(
+                f"--trajectory: made for the {len(saved.joint_names)} joints "
+                f"{', '.join(saved.joint_names)}, but this arm has the {robot.n_joints} joints "
+                f"{', '.join(robot.joint_names)}; design one for this arm with robot-sysid plan"
+            )
         _require_possible(request, saved.plan.duration)
         if saved.sha256 not in ("", robot.sha256):
             progress.note(

@@ -16,7 +16,7 @@ from robot_sysid.estimate.links import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.clearance import Clearance
-from robot_sysid.motion.solids import mounting_height, tool_corners, unguarded_links
+from robot_sysid.motion.solids import mounting_plane, tool_corners, unguarded_links
 from robot_sysid.records import Array, JointLimits, Motion, RobotModel
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
@@ -94,8 +94,8 @@ class ExcitationProblem:
         robot: the arm.
         rest: (n,) configuration in which the motion starts and ends [rad].
         limits: of joints and of the tool.
-        links: L indices in ``robot.links`` of the links with mass, descending from the terminal
-            one, so that those that a joint moves come first.
+        links: L indices in ``robot.links`` of the links with mass: the terminal one, then the
+            others from the base on.
         dynamics: motion of all links.
         tool: (8, 3) corners of a box about the terminal link and all it carries, in the terminal
             body's frame [m]. Speed is a convex function of the point, so that the fastest one is a
@@ -253,7 +253,7 @@ def build_problem(
             f"ends with {', '.join(moved)}"
         )
     spaces = _half_spaces(robot, limits, start_pose)
-    links = (robot.n_joints - 1, *reversed(other_links(robot)))
+    links = (robot.n_joints - 1, *other_links(robot))
     rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
     return ExcitationProblem(
         robot=robot,
@@ -337,13 +337,8 @@ def _half_spaces(
     first_joint = model.dof_jntid[robot.dof_index[0]]
     moving = subtree(model, int(model.jnt_bodyid[first_joint]))
     spaces = options.half_spaces(moving, subtree(model, robot.body_id))
-    mounting = mounting_height(robot, start_pose)
-    if options.below_base or mounting is None:
+    base = mounting_plane(robot, start_pose)
+    if options.below_base or base is None:
         return spaces
-    up, height, bodies = mounting
-    if any(space.normal @ up > _LEVEL for space in spaces):
-        return spaces
-    # Adding zero turns -0.0 into 0.0.
-    label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m (--below-base lifts it)"
-    base = HalfSpace(up, height, clearance=0.0, bodies=tuple(bodies), label=label)
-    return (*spaces, base)
+    is_ground = [space.normal @ base.normal > _LEVEL for space in spaces]
+    return spaces if any(is_ground) else (*spaces, base)

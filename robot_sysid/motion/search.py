@@ -112,9 +112,6 @@ class Design:
         on_grid: the M basis functions and their first two derivatives there, (N, M) each. They take
             most of the memory of a design.
         criterion: the number that is minimised.
-
-    Raises:
-        InputError: the sample rate is too low.
     """
 
     def __init__(
@@ -140,11 +137,6 @@ class Design:
         self._waves = frequency, phase
         self._fade = min(LONGEST_FADE, 0.25 * self.duration)
         top = self.top_frequency_hz = count * base
-        if top > 0.5 * motion.sample_rate:
-            raise InputError(
-                f"--sample-rate {motion.sample_rate:g} cannot show the motion's highest frequency, "
-                f"{top:.4g} Hz; give at least {2.0 * top:.4g}"
-            )
         points = math.ceil(GRID_PER_CYCLE * top * self.duration)
         # In these units a step changes the speed equally in all harmonics: L-BFGS needs fewer.
         self.unit = 1.0 / np.maximum(1.0, self._waves[0] / base)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.model.chain import body_label
+from robot_sysid.motion import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
 _TYPES = mujoco.mjtGeom
@@ -133,14 +134,12 @@ def _shape(mj_model: Any, geom: int) -> tuple[Array, float]:
     return size[1] * _ENDS if is_long else np.zeros((1, 3)), float(size[0])
 
 
-def mounting_height(
-    robot: RobotModel, start_pose: Array
-) -> tuple[Array, float, list[int]] | None:
-    """Return (up (3,), height of the ground along it [m], ids of the moving bodies above it).
+def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
+    """Return the space above the ground that the arm is mounted on, for the moving bodies above it.
 
-    The height is the lowest of the origin of the body that carries the arm and of everything that
-    is fixed to that body (its meshes where it has any, as collision geometry may be rough): the
-    foot of a pedestal is on the ground. None without gravity, where the model has a level plane, or
+    The ground's height is the lowest of the origin of the body that carries the arm and of
+    everything that is fixed to that body (its meshes where it has any, as collision geometry may be
+    rough): the foot of a pedestal is on the ground. None without gravity, where the model has a level plane, or
     ground of any form, that the arm can touch, or where more of the arm than its first link is
     below that height: such an arm hangs, or stands at an edge.
 
@@ -178,7 +177,9 @@ def mounting_height(
             above.append(solid.body)
         elif link_of_body[solid.body] > 1:
             return None
-    return up, height, above
+    # Adding zero turns -0.0 into 0.0.
+    label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m (--below-base lifts it)"
+    return HalfSpace(up, height, clearance=0.0, bodies=tuple(above), label=label)
 
 
 def unguarded_links(robot: RobotModel) -> tuple[str, ...]:

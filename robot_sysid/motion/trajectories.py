@@ -12,7 +12,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TextIO, TypeVar
+from typing import Any, NamedTuple, TextIO, TypeVar
 
 import numpy as np
 
@@ -57,12 +57,12 @@ class LineTrajectory:
         count = len(self.points)
         way = (count - 1,)
         check_arrays(self, points=(None, None), moves=way, dwells=(count,), ramps=way)
-        if count < 2 or np.any(self.ramps <= 0.0) or np.any(self.dwells < 0.0):
+        has_times = np.all(self.ramps > 0.0) and np.all(self.dwells >= 0.0)
+        if count < 2 or not has_times or np.any(2.0 * self.ramps > self.moves):
             raise InputError(
-                "moves between poses take time, and rests are not negative"
+                "moves between poses take time, their ramps fit into them twice, and rests are not "
+                "negative"
             )
-        if np.any(2.0 * self.ramps > self.moves):
-            raise InputError("the ramps of a move fit into it twice")
 
     @property
     def duration(self) -> float:
@@ -167,49 +167,18 @@ def at_speed(plan: _Plan, speed: float) -> _Plan:
     return slowed
 
 
-@dataclass(frozen=True)
-class SavedTrajectory:
+class SavedTrajectory(NamedTuple):
     """A trajectory from a file.
 
     Attributes:
         plan: the trajectory.
         joint_names: names of the joints that it was made for, in the order of its columns.
         sha256: checksum of the model file that it was made for; "" if unknown.
-
-    Raises:
-        InputError: its duration is not finite and positive, its joints are not as many as the
-            names, or it does not start and end at rest.
     """
 
     plan: MotionPlan
     joint_names: tuple[str, ...]
-    sha256: str = ""
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.plan.duration < np.inf:
-            raise InputError(
-                f"a trajectory needs a finite duration above 0, not {self.plan.duration:g} s"
-            )
-        ends = self.plan.evaluate(np.array([0.0, self.plan.duration]))
-        moved = ends.q.shape[1]
-        if moved != len(self.joint_names):
-            raise InputError(
-                f"a trajectory of {moved} joints names {len(self.joint_names)}: "
-                f"{', '.join(self.joint_names)}"
-            )
-        if not max(np.max(np.abs(ends.qd)), np.max(np.abs(ends.qdd))) <= REST_TOLERANCE:
-            raise InputError(
-                "the trajectory does not start and end at rest; design it again"
-            )
-
-    def require_fits(self, joint_names: Sequence[str]) -> None:
-        """Raise InputError unless the trajectory was made for joints of these names, in order."""
-        if self.joint_names != tuple(joint_names):
-            raise InputError(
-                f"--trajectory: made for the {len(self.joint_names)} joints "
-                f"{', '.join(self.joint_names)}, but this arm has the {len(joint_names)} joints "
-                f"{', '.join(joint_names)}; design one for this arm with robot-sysid plan"
-            )
+    sha256: str
 
 
 def save_trajectory(
@@ -273,11 +242,25 @@ def load_trajectory(path: Path) -> SavedTrajectory:
             numbers[entry.name] = float(value) if is_number else np.array(value, float)
         plan = _KINDS[kind](**numbers)
         names = tuple(str(name) for name in content["joints"])
-        return SavedTrajectory(plan, names, str(content.get("model_sha256", "")))
     except KeyError as error:
         raise InputError(f"{path}: the trajectory lacks the entry {error}") from None
     except (TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{path}: not a usable trajectory ({error})") from None
+    if not 0.0 < plan.duration < np.inf:
+        raise InputError(
+            f"a trajectory needs a finite duration above 0, not {plan.duration:g} s"
+        )
+    ends = plan.evaluate(np.array([0.0, plan.duration]))
+    n_joints = ends.q.shape[1]
+    if n_joints != len(names):
+        raise InputError(
+            f"a trajectory of {n_joints} joints names {len(names)}: {', '.join(names)}"
+        )
+    if not np.max(np.abs((ends.qd, ends.qdd))) <= REST_TOLERANCE:
+        raise InputError(
+            "the trajectory does not start and end at rest; design it again"
+        )
+    return SavedTrajectory(plan, names, str(content.get("model_sha256", "")))
 
 
 def save_samples(

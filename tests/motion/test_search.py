@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import ExcitationOptions, search
+from robot_sysid.motion import search
 from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import ROUNDING
@@ -168,14 +168,6 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
         plan = design.trajectory(draw_trajectory(design, 2, number).x)
         ratio = deviations(plan, coarse, 0.03) / deviations(plan, 500.0, 0.0)
         assert np.max(np.abs(ratio - 1.0)) < 0.03
-
-
-def test_a_sample_rate_that_cannot_show_the_motion_is_refused():
-    motion = TrajectoryOptions(duration=15.0, sample_rate=1.0)
-    message = "rate 1 cannot show the motion's highest fr.*, 0.6 Hz"
-    with pytest.raises(InputError, match=message):
-        problem = make_problem(arms.THREE)
-        Design(problem, ExcitationOptions(), motion, known_arm(problem))
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0])

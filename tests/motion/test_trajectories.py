@@ -103,7 +103,7 @@ def test_each_pose_is_held_and_each_speed_between_ramps(seed):
     [
         (lambda: replace(sines(0), amplitude=np.ones((3, 6))), "has shape"),
         (lambda: replace(lines(0), ramps=0.0 * lines(0).moves), "take time"),
-        (lambda: replace(lines(0), ramps=0.6 * lines(0).moves), "ramps of a move f"),
+        (lambda: replace(lines(0), ramps=0.6 * lines(0).moves), "ramps fit into them"),
         (lambda: at_speed(sines(0), 1.2), "--speed must be above 0 and at most 1"),
         (lambda: at_speed(sines(0), np.nan), "--speed must be above 0 and at most 1"),
     ],
