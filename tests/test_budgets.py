@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 17593,
     "robot_sysid/mjcf": 8062,
     "robot_sysid/model": 8641,
-    "robot_sysid/motion": 21424,
+    "robot_sysid/motion": 20813,
     "robot_sysid/pipeline": 6330,
     "robot_sysid/records": 8500,
     "robot_sysid/report": 7362,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4036,
     "robot_sysid": 11678,
-    "tests": 225059,
+    "tests": 224978,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

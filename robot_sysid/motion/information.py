@@ -35,9 +35,6 @@ _INVISIBLE = 1e-9
 identifiable."""
 _SINGULAR = 1e-14
 """Smallest squared pivot, of an inverse covariance with a unit diagonal, that is no rounding."""
-_RANDOM_SIZE = 400_000
-"""Largest number of samples of random motion times the square of the number of joints: bounds the
-memory for arms with many joints (50 MB for 60 joints)."""
 JOINT_TERMS = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
 """Unknowns of one joint's equations alone: friction terms, rotor inertia, torque scale."""
 _N_TERMS = len(JOINT_TERMS)
@@ -227,8 +224,7 @@ def random_motion(problem: ExcitationProblem) -> Series:
     each, which are the same in every call.
     """
     rng = np.random.default_rng(0)
-    count = min(400, _RANDOM_SIZE // problem.n_joints**2)
-    q, qd, qdd = rng.normal(size=(3, count, problem.n_joints))
+    q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
     q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
     return q, qd, qdd
 

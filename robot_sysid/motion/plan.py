@@ -85,7 +85,9 @@ def make_plan(
         InputError: no motion keeps the limits, or it is too long to be checked or sampled.
     """
     options = request.trajectory
-    plan, problem = _new_plan(request, robot, seed, progress)
+    problem = _problem(request, robot) if request.is_checked else None
+    rng = np.random.default_rng(seed)
+    plan = _plan_at_full_speed(request, robot, problem, rng, progress)
     plan = at_speed(plan, options.speed)
     if problem is None:
         return CheckedPlan(plan)
@@ -113,14 +115,23 @@ def _require_possible(request: MotionRequest, duration: float) -> None:
         )
 
 
-def _new_plan(
-    request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
-) -> tuple[MotionPlan, ExcitationProblem | None]:
-    """Return the trajectory at full speed, and the limits that it has to keep, if it has to keep
-    any; arguments as in ``make_plan``.
+def _plan_at_full_speed(
+    request: MotionRequest,
+    robot: RobotModel,
+    problem: ExcitationProblem | None,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> MotionPlan:
+    """Return the trajectory at full speed.
+
+    Args:
+        request: options and purpose of the motion.
+        robot: the arm.
+        problem: the arm with the limits that the motion has to keep; None where there are none.
+        rng: draws random and designed motions.
+        progress: receives the stages, their progress and notes for the user.
     """
     options = request.trajectory
-    rng = np.random.default_rng(seed)
     if options.file is not None:
         progress.stage(f"Loading excitation trajectory from {options.file}...")
         saved = load_trajectory(options.file)
@@ -136,35 +147,36 @@ def _new_plan(
                 f"{options.file} was made for another model file; it is checked against the "
                 f"limits of {robot.path}"
             )
-        return saved.plan, _problem(request, robot)
-    poses = request.poses
-    if poses.sets_its_time:
+        return saved.plan
+    if problem is not None and request.poses.sets_its_time:
         from robot_sysid.motion.static import design_poses, design_sweeps
 
         progress.stage("Looking for room to move slowly in...")
-        problem = _problem(request, robot)
-        if poses.static:
-            return design_poses(problem, rng), problem
-        return design_sweeps(problem), problem
+        is_static = request.poses.static
+        return design_poses(problem, rng) if is_static else design_sweeps(problem)
     _require_possible(request, options.duration)
     verb = "Designing" if request.is_designed else "Generating"
     sampling = f"{options.duration:.1f}s, {options.sample_rate:g} Hz"
     progress.stage(f"{verb} excitation trajectory ({sampling})...")
-    if request.is_designed:
-        return _designed_plan(request, _problem(request, robot), rng, progress)
     # Ends on a sample, so that the last one is at rest.
     rate = options.sample_rate
     duration = (trajectory.sample_count(options.duration, rate) - 1) / rate
-    if not request.is_checked:
+    if problem is None:
         torque = ArmTorque(robot)
         plan, notes = trajectory.generate_excitation_trajectory(
             robot, rng, duration, torque
         )
         progress.note(*notes)
-        return plan, None
+        return plan
+    if request.is_designed:
+        from robot_sysid.motion.expected_errors import prior_knowledge
+        from robot_sysid.motion.search import Design, design_excitation
+
+        knowledge = prior_knowledge(problem, request.estimation, request.poses.target)
+        design = Design(problem, request.excitation, options, knowledge)
+        return design_excitation(design, rng, progress)
     from robot_sysid.motion.limit_check import scale_to_limits
 
-    problem = _problem(request, robot)
     qpos = robot.reference_qpos.copy()
     qpos[robot.qpos_index] = problem.rest
     arm = replace(robot, reference_qpos=qpos)
@@ -174,24 +186,7 @@ def _new_plan(
         progress.note(
             f"motion scaled to {100.0 * factor:.3g} % to keep all limits and clearances"
         )
-    return plan, problem
-
-
-def _designed_plan(
-    request: MotionRequest,
-    problem: ExcitationProblem,
-    rng: np.random.Generator,
-    progress: Progress,
-) -> tuple[MotionPlan, ExcitationProblem]:
-    """Return the motion that a search finds to identify the arm best, and its limits; ``rng`` draws
-    the motions with which the search begins.
-    """
-    from robot_sysid.motion.expected_errors import prior_knowledge
-    from robot_sysid.motion.search import Design, design_excitation
-
-    knowledge = prior_knowledge(problem, request.estimation, request.poses.target)
-    design = Design(problem, request.excitation, request.trajectory, knowledge)
-    return design_excitation(design, rng, progress), problem
+    return plan
 
 
 def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:

@@ -139,9 +139,9 @@ def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
 
     The ground's height is the lowest of the origin of the body that carries the arm and of
     everything that is fixed to that body (its meshes where it has any, as collision geometry may be
-    rough): the foot of a pedestal is on the ground. None without gravity, where the model has a level plane, or
-    ground of any form, that the arm can touch, or where more of the arm than its first link is
-    below that height: such an arm hangs, or stands at an edge.
+    rough): the foot of a pedestal is on the ground. None without gravity, where the model has a
+    level plane, or ground of any form, that the arm can touch, or where more of the arm than its
+    first link is below that height: such an arm hangs, or stands at an edge.
 
     Args:
         robot: the arm.

@@ -27,7 +27,7 @@ from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import PEAK_OF_RAMP, LineTrajectory, straight_way
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.messages import count_text
+from robot_sysid.records.messages import count_text, torque_unit
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 N_POSES = 6000
@@ -101,10 +101,16 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
             "body2=> under its <contact> if these parts cannot meet"
         )
     else:
-        reason = _overload(problem, worst, float(share[worst]))
+        joint = problem.joint_names[worst]
+        limit = problem.limits.torque[worst]
+        unit = torque_unit(problem.robot.is_slide[worst])
+        reason = (
+            f"moving off against gravity and dry friction at joint {joint} takes "
+            f"{share[worst] * limit:.3g} {unit} with the reserve for errors of the links, more "
+            f"than {100.0 * TORQUE_MARGIN:.0f} % of its torque limit of {limit / TORQUE_MARGIN:g}"
+        )
         remedy = (
-            f"raise the torque limit of {problem.joint_names[worst]} in the model if the joint can "
-            "carry it"
+            f"raise the torque limit of {joint} in the model if the joint can carry it"
         )
     # A pose that is held and touches nothing, if possible with a free straight line there.
     poses = list(islice(_held_poses(problem), MOST_STARTS))
@@ -117,19 +123,6 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
         )
     note = f"{reason}; the motion starts and ends at another pose"
     return replace(problem, rest=start, notes=(*problem.notes, note))
-
-
-def _overload(problem: ExcitationProblem, joint: int, share: float) -> str:
-    """Return a sentence that a joint needs more than its torque limit at the start: ``share`` times
-    as much.
-    """
-    limit = problem.limits.torque[joint]
-    unit = "N" if problem.robot.is_slide[joint] else "N·m"
-    return (
-        f"moving off against gravity and dry friction at joint {problem.joint_names[joint]} takes "
-        f"{share * limit:.3g} {unit} with the reserve for errors of the links, more than "
-        f"{100.0 * TORQUE_MARGIN:.0f} % of its torque limit of {limit / TORQUE_MARGIN:g}"
-    )
 
 
 def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
