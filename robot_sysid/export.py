@@ -33,11 +33,9 @@ from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.next_steps import last_lines
 from robot_sysid.results.record import (
     BodyEstimate,
-    JointEstimate,
     ModelFile,
     ModelTarget,
     Payload,
-    Quantity,
     Result,
     json_text,
 )
@@ -280,7 +278,13 @@ def params_json_text(
     written = {} if result.file is None else result.file.joints
     joints = {}
     for name, joint in result.joints.items():
-        joints[name] = _joint_entry(joint, written.get(name, {}))
+        joints[name] = {
+            "friction_model": joint.friction_model,
+            "terms": joint.terms,
+            "model": joint.model_terms,
+            "in_the_file": written.get(name, {}),
+            "torque_noise": joint.noise,
+        }
     couplings = {}
     for name, motor in result.couplings.items():
         couplings[name] = {"terms": motor.terms, "in_the_file": written.get(name, {})}
@@ -415,19 +419,6 @@ def _link_entry(result: Result, body: BodyEstimate) -> dict[str, Any]:
         written = InertialParameters(theta) if np.any(theta) else None
     entry = {"joint": body.joint, **_body_entry(body)}
     return {**entry, "in_the_file": inertial_entries(written)}
-
-
-def _joint_entry(
-    joint: JointEstimate, written_terms: Mapping[str, Quantity]
-) -> dict[str, Any]:
-    """Return friction and rotor inertia of a joint: identified, in the model, written."""
-    return {
-        "friction_model": joint.friction_model,
-        "terms": joint.terms,
-        "model": joint.model_terms,
-        "in_the_file": written_terms,
-        "torque_noise": joint.noise,
-    }
 
 
 def _fit_entries(result: Result) -> dict[str, Any]:

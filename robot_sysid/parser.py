@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib
 import os
-import re
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +12,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import subtree
-from robot_sysid.errors import InputError, ModelError, error_text
+from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.bodies import arm_links, subtree_bodies
 from robot_sysid.model.chain import (
     arm_without_base,
@@ -31,7 +27,6 @@ from robot_sysid.model.chain import (
 from robot_sysid.model.compilation import CompiledModel, compile_model
 from robot_sysid.model.units import refuse_cad_units
 from robot_sysid.records import RobotModel
-from robot_sysid.records.installation import install_hint
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
 
 
@@ -45,8 +40,7 @@ def load_robot_model(
     """Load an MJCF or URDF file and find the arm in it.
 
     Args:
-        model: the file; or, where there is none of that name, a name of robot_descriptions, such as
-            "ur5e_mj_description".
+        model: the file.
         mesh_dir: folder of its meshes; default as the file says.
         joint: name of the terminal joint; default found automatically.
         max_velocity: speed limit of hinge joints, one number or one per joint [rad/s]; a lower
@@ -58,7 +52,7 @@ def load_robot_model(
         AmbiguousJointError: several joints could be the terminal one.
         InputError: there is no such keyframe; lists those there are.
     """
-    path = _model_file(Path(model))
+    path = Path(model)
     compiled = compile_model(path, None if mesh_dir is None else Path(mesh_dir))
     return robot_from_compiled(compiled, path, joint, max_velocity, keyframe)
 
@@ -221,42 +215,3 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
             f"nonlinear damping of {names} is taken to be as the model states it; linear damping "
             "alone is identified"
         )
-
-
-_PACKAGE = "robot_descriptions"
-"""Python package that fetches models of many robots by name."""
-_NAME = re.compile(r"\w+_description", re.ASCII)
-"""``ur5e_mj_description``, an MJCF, and ``panda_description``, a URDF."""
-
-
-def _model_file(path: Path) -> Path:
-    """Return a path as it is, or, where no file is there, the file of the model of that name.
-
-    InputError if robot_descriptions is missing, has no such model, or cannot fetch it, and if it is
-    XML text and no path.
-    """
-    name = str(path)
-    if name.lstrip().startswith("<"):
-        raise InputError(
-            "the model is XML text, not the path of a file; write it to a file, or give a "
-            "mujoco.MjSpec (mujoco.MjSpec.from_string) from Python"
-        )
-    if not _NAME.fullmatch(name) or os.path.lexists(path):
-        return path
-    try:
-        with contextlib.redirect_stdout(sys.stderr):  # it reports its downloads
-            description = importlib.import_module(f"{_PACKAGE}.{name}")
-    except Exception as error:
-        # Without a network or git, the package raises git's errors, of many types.
-        fault = (
-            f"there is no file {name}, and no model by that name: {error_text(error)}"
-        )
-        remedy = install_hint(_PACKAGE, "descriptions")
-        raise InputError(f"{fault}; a name {remedy}") from None
-    for attribute in ("MJCF_PATH", "URDF_PATH"):
-        model_path = getattr(description, attribute, None)
-        if model_path:
-            return Path(model_path)
-    raise InputError(
-        f"{_PACKAGE} has {name} as Xacro only; make a URDF of it and give that"
-    )

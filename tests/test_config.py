@@ -210,7 +210,7 @@ def test_priors_are_read_from_toml_and_json_and_are_else_the_usual_ones(tmp_path
         ("link = -1", "link must be a number that is not negative (got -1); priors"),
         ("noise = 0", "noise must be positive (got 0); priors are"),
         ("link = nan", "link must be a number that is not negative"),
-        ("link", "is no TOML file"),
+        ("link", "cannot read "),
     ],
 )
 def test_a_file_of_priors_that_cannot_be_used_is_refused(tmp_path, text, complaint):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 
 import mujoco
 import numpy as np
@@ -115,63 +114,6 @@ def notes_of(xml):
 def test_a_tie_between_bodies_is_told():
     tie = '<equality><weld body1="link0" body2="link2"/></equality>'
     assert "weld constraints are ignored" in notes_of(serial_arm((Z, Y, X), extra=tie))
-
-
-PACKAGE = "robot_descriptions"
-TEXT = serial_arm((Z, Y), joint='range="-2 2"')
-MODULES = {
-    "__init__": "",
-    "two_mj_description": "MJCF_PATH = r'{}'",
-    "two_description": "URDF_PATH = r'{}'",
-    "far_description": "raise OSError('no route\\nto host')",
-    "raw_description": "XACRO_PATH = 'two.xacro'",
-}
-
-
-@pytest.fixture
-def package(tmp_path, monkeypatch):
-    """The folder of a package that stands in for it; the working folder holds nothing else."""
-    model = tmp_path / "cache" / "two.xml"
-    folder = tmp_path / "site" / PACKAGE
-    for path in (model, folder / "any"):
-        path.parent.mkdir(parents=True)
-    model.write_text(TEXT)
-    for name, text in MODULES.items():
-        (folder / f"{name}.py").write_text(text.format(model))
-    monkeypatch.syspath_prepend(folder.parent)
-    monkeypatch.chdir(tmp_path)
-    for name in [PACKAGE, *(f"{PACKAGE}.{module}" for module in MODULES)]:
-        monkeypatch.delitem(sys.modules, name, raising=False)
-    return folder
-
-
-def test_a_model_is_found_by_its_name_where_no_file_has_it(package, tmp_path):
-    for name in ("two_mj_description", "two_description"):
-        robot = load_robot_model(name)
-        assert robot.path == tmp_path / "cache" / "two.xml" and robot.n_joints == 2
-    (tmp_path / "two_mj_description").write_text(TEXT)
-    assert load_robot_model("two_mj_description").path.name == "two_mj_description"
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("tvo_mj_description", "no model by that name: No module named"),
-        ("far_description", "no model by that name: no route to host"),
-        ("raw_description", "as Xacro only"),
-        ("arm.xml", "arm.xml not found"),
-    ],
-)
-def test_a_name_that_leads_nowhere_is_one_line(package, name, words):
-    with pytest.raises(InputError, match=words):
-        load_robot_model(name)
-
-
-def test_without_the_package_it_is_said_how_to_get_it(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, PACKAGE, None)
-    with pytest.raises(InputError, match=r'\n  pip install -e ".*\[descriptions\]"$'):
-        load_robot_model("ur5e_mj_description")
 
 
 def test_a_jaw_that_is_held_is_named_with_the_option_that_adds_it():

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections import defaultdict
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
@@ -120,19 +119,14 @@ def _use_absolute_meshes(
 
 def _moving_links(document: ModelDocument) -> set[str | None]:
     """Return the names of the links that a joint moves, or that are fixed to one that moves."""
-    links_on_fixed = defaultdict(list)
-    waiting = []
-    for joint in document.root.findall("joint"):
-        link = get(joint.find("child"), "link")
-        if joint.get("type") == "fixed":
-            links_on_fixed[get(joint.find("parent"), "link")].append(link)
-        else:
-            waiting.append(link)
+    joints = document.root.findall("joint")
     moving = set()
-    while waiting:
-        link = waiting.pop()
-        moving.add(link)
-        waiting += links_on_fixed.pop(link, ())
+    # Each pass goes at least one joint further along fixed ones.
+    for _ in joints:
+        for joint in joints:
+            is_carried = get(joint.find("parent"), "link") in moving
+            if joint.get("type") != "fixed" or is_carried:
+                moving.add(get(joint.find("child"), "link"))
     return moving
 
 

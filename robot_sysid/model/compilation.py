@@ -116,8 +116,7 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     """
     document = read_document(path)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
-        fault = "is not a folder" if os.path.exists(mesh_dir) else "does not exist"
-        raise ModelError(f"mesh folder {mesh_dir} {fault}; check --mesh-dir")
+        raise ModelError(f"mesh folder {mesh_dir} is no folder; check --mesh-dir")
     point = locale.localeconv()["decimal_point"]
     if point != ".":  # MuJoCo would end the numbers of an OBJ mesh at their points
         remedy = "call locale.setlocale(locale.LC_NUMERIC, 'C') first"

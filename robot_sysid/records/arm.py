@@ -178,11 +178,6 @@ class Flange:
 
     def __post_init__(self) -> None:
         check_arrays(self, rotation=(3, 3), translation=(3,))
-        is_orthonormal = np.allclose(self.rotation @ self.rotation.T, np.eye(3))
-        if not is_orthonormal or np.linalg.det(self.rotation) < 0.0:
-            raise InputError(
-                f"the axes of flange {self.name} are not a right-handed frame"
-            )
 
     def to_flange(self, theta: Array) -> Array:
         """Return theta (10,) in this frame from theta in the terminal body's frame."""

@@ -114,10 +114,8 @@ def read_toml(path: Path) -> Mapping[str, Any]:
     refuse_special_file(path, "give a TOML file")
     try:
         return dict(tomllib.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from None
-    except ValueError as error:
-        raise InputError(f"{path} is no TOML file: {error}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {path}: {error_text(error)}") from None
 
 
 def plan_settings(folder: Path) -> tuple[Path, Mapping[str, Any]] | None:

@@ -62,10 +62,6 @@ def test_help_says_type_unit_and_default():
             "a model is the path of an MJCF or URDF file, or a",
         ),
         (
-            lambda: rs.identify("<mujoco>\n</mujoco>", "l"),
-            "the model is XML text, not the path of a file; write it to a file, or",
-        ),
-        (
             lambda: rs.identify("m", "l", validation_measurements=["a", "b"]),
             "validation_measurements is one log, not a list",
         ),

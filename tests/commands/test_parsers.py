@@ -77,7 +77,7 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
     [
         ("unit = 8", "robot-sysid identify has no option unit"),
         ("help = true", "robot-sysid identify has no option help"),
-        ("units = ", "mine.toml is no TOML file: "),
+        ("units = ", "mine.toml: "),
         ("units = 'deg'", "the following arguments are required: MODEL, LOG"),
         (
             "path = 'a'\nmeasurements = ['b']\nlinks = 'x'",

@@ -95,7 +95,7 @@ def test_the_mesh_folder_can_be_given(tmp_path):
     path = write_files(tmp_path, {"m.xml": MESH_MODEL, "mine/m.obj": TETRAHEDRON})
     assert compile_model(path, tmp_path / "mine").mj_model.nmesh == 1
     assert_model_refused(
-        "mesh folder .*gone does not exist; check --mesh-dir", path, tmp_path / "gone"
+        "mesh folder .*gone is no folder; check --mesh-dir", path, tmp_path / "gone"
     )
 
 

@@ -210,7 +210,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(InputError, match="cannot read"):
         read_toml(path)
     path.write_text("path = ")
-    with pytest.raises(InputError, match="is no TOML file"):
+    with pytest.raises(InputError, match="cannot read .*trajectory.toml: "):
         read_toml(path)
     # A next step is made of it after a run, whose own words are to be read.
     assert plan_settings(tmp_path) is None
