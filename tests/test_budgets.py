@@ -30,11 +30,11 @@ BUDGETS = {
     "robot_sysid/records": 8447,
     "robot_sysid/report": 7362,
     "robot_sysid/results": 13564,
-    "robot_sysid/servo": 5245,
+    "robot_sysid/servo": 5208,
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4036,
     "robot_sysid": 11474,
-    "tests": 224625,
+    "tests": 224612,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

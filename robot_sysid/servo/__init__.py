@@ -39,11 +39,11 @@ from robot_sysid.servo.fit import (
     LINK_ERROR,
     OWN_GAIN,
     ServoFit,
-    distances,
     fit_servos,
+    goal_error,
     refine_played,
 )
-from robot_sysid.servo.windows import MAX_DELAY_PERIODS, WINDOW, ServoProblem, rms
+from robot_sysid.servo.windows import WINDOW, ServoProblem, rms
 from robot_sysid.signals.resampling import slice_samples
 from robot_sysid.simulation.playback import (
     ServoRollouts,
@@ -67,8 +67,6 @@ UNITS = {
 """The identified numbers of a joint, in the order of ``ServoParameters``, and their units."""
 HELD_OUT_SHARE = 0.2
 """Share of each log, its end, that is not fitted where there is no validation log."""
-OFTEN_LIMITED = 0.2
-"""Share of time at its limit from which on a servo is mentioned."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,6 @@ class ServoIdentification:
         fit: the numbers that are written; joints that do not move or that are predicted worse by
             what was found keep all of the model's.
         is_new: (n,) whether the numbers of a joint are not the model's.
-        limit_share: (n,) share of time in which a servo needs more than its torque limit.
         data: the logs.
         before, after: (n,) root mean square position errors of the models before and after, played
             on held-out windows [rad or m].
@@ -92,7 +89,6 @@ class ServoIdentification:
     robot: RobotModel
     fit: ServoFit
     is_new: NDArray[np.bool_]
-    limit_share: Array
     data: DataOrigin
     before: Array
     after: Array
@@ -155,7 +151,6 @@ class ServoIdentification:
             "delay": Quantity(self.fit.delay, self.fit.delay_error),
             "joints": self.joint_numbers,
             "joint_names": self.robot.joint_names,
-            "at_limit": self.limit_share,
             "rollout": {
                 "before": self.before,
                 "after": self.after,
@@ -179,9 +174,10 @@ def servo_lines(result: ServoIdentification) -> Iterator[str]:
     for joint, numbers in result.joint_numbers.items():
         texts = []
         for name, number in numbers.items():
+            is_new = number["source"] != "from_model" and np.isfinite(number["before"])
+            old = f"{number['before']:.3g} -> " if is_new else ""
             new = with_error(number["value"], number["standard_error"], number["unit"])
-            source = number["source"].replace("_", " ")
-            texts.append(f"{name} {number['before']:.3g} -> {new} ({source})")
+            texts.append(f"{name} {old}{new} ({number['source'].replace('_', ' ')})")
         yield f"  {joint}: {'; '.join(texts)}"
     yield (
         f"Played on held-out windows of {WINDOW:g} s: root mean square position error "
@@ -240,12 +236,6 @@ def servo_notes(result: ServoIdentification) -> Iterator[str]:
                 f"the model has no position actuator on {joint}: the gain of {gain:.3g} N·m/rad is "
                 "printed, but not written"
             )
-        if result.limit_share[k] > OFTEN_LIMITED:
-            yield (
-                f"the servo of {joint} asks for more than its limit of {actuators.limit[k]:.3g} "
-                f"N·m (the model's) in {100.0 * result.limit_share[k]:.0f} % of the time: what is "
-                "found rests on that limit"
-            )
 
 
 def run_servo(
@@ -281,16 +271,14 @@ def run_servo(
         failure = None
         faults = "; ".join(servo_faults(result))
         if faults:
-            verdict = (
-                "Not usable, but written because of --accept rollout: on held-out pieces the new "
-                f"model predicts positions no better than what is there without it ({faults})"
+            fault = (
+                "on held-out pieces the new model does not predict positions better than what is "
+                f"there without it ({faults})"
             )
-        if faults and "rollout" not in logs.accept:
-            failure = (
-                "no model was written: on held-out pieces the new one predicts positions no better "
-                f"than what is there without it ({faults}); to write it all the same: --accept "
-                "rollout"
-            )
+            verdict = f"Not usable, but written because of --accept rollout: {fault}"
+            if "rollout" not in logs.accept:
+                remedy = "to write it all the same: --accept rollout"
+                failure = f"no model was written: {fault}; {remedy}"
         written: list[Path] = []
         notes: list[str] = []
         try:
@@ -372,19 +360,15 @@ def identify_servos(
         if "rollout" in logs.accept or not np.any(is_worse):
             break
         is_new = is_new & ~is_worse
-    origin = origin_of(fitted_logs)
-    delays = np.linspace(0.0, MAX_DELAY_PERIODS / origin.sample_rate, 41)
-    torque = np.abs(fit.numbers[0] * distances(fitted, fit.delay))
     result = ServoIdentification(
         robot=robot,
         fit=fit,
         is_new=is_new,
-        limit_share=np.mean(torque > chain_actuators(robot).limit, axis=0),
-        data=origin,
+        data=origin_of(fitted_logs),
         before=before,
         after=after,
         is_worse=is_worse,
-        goal=min(rms(distances(held_out, delay)) for delay in delays),
+        goal=goal_error(held_out),
     )
     notes = [note for log in fitted_logs for note in log.notes]
     notes += servo_notes(result)

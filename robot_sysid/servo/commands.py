@@ -12,7 +12,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array
-from robot_sysid.servo.windows import MAX_DELAY_PERIODS
+from robot_sysid.servo.windows import MAX_DELAY_PERIODS, commands
 
 MOVING_RANGE = 0.02
 """Range of positions from which on a joint moves [rad or m]."""
@@ -25,13 +25,10 @@ _LARGEST_OFFSET = 0.3
 
 
 def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -> None:
-    """Raise InputError where the commands of a moving joint are implausible: which joint, and why.
-
-    Logs are of commanded positions, so that ``tau`` is the distance from position to command.
-    """
+    """Raise InputError where the commands of a moving joint are implausible."""
     for log in logs:
         q = log.samples.q
-        command = q + log.samples.tau
+        command = commands(log.samples)
         for joint, name in enumerate(joint_names):
             if np.ptp(q[:, joint]) < MOVING_RANGE:
                 continue
@@ -70,16 +67,11 @@ def _command_fault(q: Array, command: Array) -> str | None:
             "--units, or scale the columns with --columns FILE, such as "
             f"'command.JOINT = {1.0 / slope:.4g} * TITLE'"
         )
-    lag = lags[best]
-    if lag < 0:
+    if not 0 <= lags[best] <= MAX_DELAY_PERIODS:
         return (
-            f"come {-lag} samples after its positions; check the time stamps, and whether the "
-            "columns of commands and positions were exchanged"
-        )
-    if lag > MAX_DELAY_PERIODS:
-        return (
-            f"come {lag} samples before its positions, more than the {MAX_DELAY_PERIODS} that are "
-            "sought; check the time stamps, or record faster"
+            f"come {lags[best]} samples before its positions, not 0 to {MAX_DELAY_PERIODS}; check "
+            "the time stamps, and whether the columns of commands and positions were exchanged, or "
+            "record faster"
         )
     late_q, early_command = overlaps[best]
     if np.mean(np.abs(late_q - early_command) < 1e-9) > _COPIED_SHARE:

@@ -32,8 +32,11 @@ from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.servo.windows import (
     MAX_DELAY_PERIODS,
     ServoProblem,
+    commands,
+    longest_period,
     low_pass,
     low_pass_motion,
+    rms,
 )
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
@@ -54,9 +57,7 @@ FREE_GAIN = 1e3
 """The same of a gain that the data alone determines."""
 LARGEST_ERROR = 1.0 / 3.0
 """Relative standard error up to which a number is identified, and up to which a joint's resistance
-at ``USUAL_SPEED`` is known well enough for its numbers to be written."""
-USUAL_SPEED = 1.0
-"""Speed of joints in the motions that a model is used for [rad/s]."""
+at 1 rad/s is known well enough for its numbers to be written."""
 CREEP = 0.1
 """Speed below which dry friction creeps, in MuJoCo as on arms, and looks like damping [rad/s]."""
 FAST_PRIOR = 1.0
@@ -90,13 +91,21 @@ def distances(pieces: Sequence[Measurement], delay: float) -> Array:
     """
     distances = []
     for piece in pieces:
-        assert piece.command is not None
         # The mean command from the middle of one sampling period to that of the next.
         period = sampling_period(piece.time)
         edges = np.append(piece.time, piece.time[-1] + period) - 0.5 * period - delay
-        command = mean_commands(piece.time, piece.command, edges)
+        command = mean_commands(piece.time, commands(piece), edges)
         distances.append(low_pass(piece.time, command - piece.q))
     return np.concatenate(distances)
+
+
+def goal_error(pieces: Sequence[Measurement]) -> float:
+    """Return the error of the commands of some time before, where that time fits best [rad or m].
+
+    It is the root mean square of all joints.
+    """
+    delays = longest_period(pieces) * np.arange(0.0, MAX_DELAY_PERIODS, 0.25)
+    return min(rms(distances(pieces, delay)) for delay in delays)
 
 
 def loop_columns(
@@ -143,18 +152,18 @@ def fit_joint(
     residual = np.abs(error)
     is_used = residual <= np.quantile(residual, _SURE_SHARE)
     for _ in range(4):
-        noise = np.sqrt(np.mean(residual[is_used] ** 2)) + 1e-9
+        noise = rms(residual[is_used]) + 1e-9
+        limit = _OUTLIER * noise
         weight = 1.0 / (noise * np.sqrt(_CORRELATED_SAMPLES))
         data = weight * columns[is_used]
         rows = np.vstack((data, np.diag(1.0 / deviation)))
         values, _ = nnls(rows, np.append(weight * error[is_used], mean / deviation))
         residual = np.abs(error - columns @ values)
         by_links = weight * values[0] * links[is_used]
-        is_used = residual <= _OUTLIER * noise
-    left = np.minimum(residual, _OUTLIER * noise)
+        is_used = residual <= limit
     covariance = np.linalg.inv(rows.T @ rows)
     spread = covariance @ data.T @ by_links
-    return values, covariance + spread @ spread.T, float(np.sqrt(np.mean(left**2)))
+    return values, covariance + spread @ spread.T, rms(np.minimum(residual, limit))
 
 
 @dataclass(frozen=True)
@@ -226,7 +235,7 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
             misfit += np.sum(at) * np.log(residual)
         return misfit
 
-    period = float(np.median([sampling_period(piece.time) for piece in pieces]))
+    period = longest_period(pieces)
     gain_error = np.full(len(moves), FREE_GAIN)
     delay = minimize_scalar(
         fit_joints,
@@ -243,7 +252,7 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
         gain_error[has_gain] = OWN_GAIN
     fit_joints(delay, gain_error)
 
-    found = 1.0 / np.maximum(values[:, 0], 1e-9)
+    found = np.where(moves, 1.0 / np.maximum(values[:, 0], 1e-9), gain)
     numbers = found * values.T
     numbers[0] = found
     # The derivative of each number by the joint's values.
@@ -253,10 +262,10 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
     turn = period * np.sqrt(found / (numbers[3] + inertia))
     is_fast = moves & (turn > LARGEST_TURN)
     # Over the gain, by which all numbers of the joint are off alike.
-    at_speed = np.array([0.0, USUAL_SPEED, 1.0, 0.0])
+    at_speed = np.array([0.0, 1.0, 1.0, 0.0])
     doubt = np.sqrt(at_speed @ covariances @ at_speed)
     return ServoFit(
-        numbers=np.where(moves, numbers, in_model),
+        numbers=np.where(moves | np.isnan(in_model), numbers, in_model),
         errors=np.sqrt(variance),
         delay=delay,
         delay_error=0.0,

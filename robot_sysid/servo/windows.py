@@ -54,7 +54,7 @@ class ServoProblem:
     Attributes:
         rollouts: as given.
         windows: start and commands of each window.
-        times: (W, m) of the samples after the start of their window [s].
+        times: (W, m) of the samples since the start of their window [s].
         measured: (W, m, n) positions measured then [rad or m].
 
     Raises InputError where no piece is long enough for one window after its beginning.
@@ -62,33 +62,26 @@ class ServoProblem:
 
     def __init__(self, rollouts: ServoRollouts, pieces: Sequence[Measurement]) -> None:
         self.rollouts = rollouts
-        count = int(WINDOW / max(sampling_period(piece.time) for piece in pieces))
-        windows = []
+        count = int(WINDOW / longest_period(pieces))
+        starts = []
         for piece in pieces:
-            assert piece.command is not None
-            _, qd, _ = low_pass_motion(piece)
-            for k in range(MAX_DELAY_PERIODS, len(piece) - count, count):
-                start = float(piece.time[k])
-                states = piece.q[k], qd[k]
-                window = ServoWindow(start, *states, piece.time, piece.command)
-                rows = slice(k + 1, k + 1 + count)
-                times = piece.time[rows] - start
-                # Longer where samples are lost.
-                if times[-1] < WINDOW + STEP:
-                    windows.append((window, times, piece.q[rows]))
-        if not windows:
+            firsts = range(MAX_DELAY_PERIODS, len(piece) - count, count)
+            starts += [(piece, first) for first in firsts]
+        if not starts:
             raise InputError(
                 "a log, or its last fifth, by which the result is judged, has no piece of "
                 f"{WINDOW:g} s after its beginning; record longer"
             )
-        kept = windows[:: math.ceil(len(windows) / MAX_WINDOWS)]
-        self.windows = [window for window, _, _ in kept]
-        self.times = np.array([times for _, times, _ in kept])
-        self.measured = np.array([q for _, _, q in kept])
+        starts = starts[:: math.ceil(len(starts) / MAX_WINDOWS)]
+        self.windows = [_window(piece, first) for piece, first in starts]
+        rows = [(piece, slice(first, first + count)) for piece, first in starts]
+        self.times = np.array([p.time[at] - p.time[at.start] for p, at in rows])
+        self.measured = np.array([piece.q[at] for piece, at in rows])
 
     def errors(self, servos: ServoParameters) -> Array:
         """Return played minus measured positions (W, m, n), pi where a rollout has diverged."""
-        edges = np.linspace(0.0, WINDOW, round(WINDOW / STEP) + 1)
+        # Windows over lost samples are longer than others.
+        edges = np.arange(0.0, np.max(self.times) + STEP, STEP)
         (q,) = self.rollouts.positions([servos], self.windows, edges)
         played = [interpolate(times, edges, own) for times, own in zip(self.times, q)]
         return np.nan_to_num(np.array(played) - self.measured, nan=np.pi)
@@ -105,6 +98,24 @@ class ServoProblem:
         pairs = zip(old.T + FLOOR**2, new.T + FLOOR**2)
         is_worse = np.array([is_clearly_lower(*pair) for pair in pairs])
         return np.sqrt(np.mean(old, axis=0)), np.sqrt(np.mean(new, axis=0)), is_worse
+
+
+def _window(piece: Measurement, first: int) -> ServoWindow:
+    """Return the window that begins with a sample of a piece."""
+    _, qd, _ = low_pass_motion(piece)
+    start = float(piece.time[first])
+    return ServoWindow(start, piece.q[first], qd[first], piece.time, commands(piece))
+
+
+def commands(piece: Measurement) -> Array:
+    """Return the commanded positions (N, n) of a piece of a log of servos [rad or m]."""
+    assert piece.command is not None
+    return piece.command
+
+
+def longest_period(pieces: Sequence[Measurement]) -> float:
+    """Return the longest sampling period of pieces [s]."""
+    return max(sampling_period(piece.time) for piece in pieces)
 
 
 def rms(values: Array) -> float:
