@@ -1,8 +1,7 @@
 """Logs in the form of named arrays: NumPy's .npz, MATLAB's .mat, Parquet, and LeRobot data sets,
 which are folders with meta/info.json and Parquet files; ``hdf5`` reads HDF5 files.
 
-The reader of each form refuses files that unpack to more than ``table.unpacked_limit``, by the size
-that the file states.
+The reader of each form refuses files that unpack to more than ``table.refuse_bomb`` allows.
 """
 
 from __future__ import annotations

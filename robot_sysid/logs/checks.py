@@ -12,7 +12,6 @@ their numbers in the file. Of all rows of the file, ``n_read`` hold something of
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 
 import numpy as np
 
@@ -109,19 +108,22 @@ def check_log(
     Raises:
         InputError: the first fault.
     """
-    checks: list[Check] = [partial(require_few, anomaly) for anomaly in _TOLERANCES]
-    checks += [require_rows, mending_notes, clock_notes]
-    if not in_radians:
-        checks.append(require_radians)
-    checks += [
+    checks: list[Check] = [
+        require_rows,
+        mending_notes,
+        clock_notes,
         require_no_jumps,
         rest_notes,
         limit_notes,
         require_torque,
         require_one_clock,
     ]
+    if not in_radians:
+        checks.insert(checks.index(require_no_jumps), require_radians)
     notes: list[str] = []
     with prefix_input_errors(name):
+        for anomaly in _TOLERANCES:
+            notes += require_few(anomaly, rows)
         for check in checks:
             notes += check(rows, robot) or ()
     return tuple(notes)
@@ -137,7 +139,7 @@ def require_rows(rows: LogRows, robot: RobotModel) -> None:
         raise InputError(f"the log has only {usable_rows}; record longer")
 
 
-def require_few(anomaly: str, rows: LogRows, robot: RobotModel) -> Iterator[str]:
+def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
     """Yield a note on the rows left out for an anomaly; refuse a log where they are too many.
 
     ``anomaly`` is a key of ``_TOLERANCES``.

@@ -57,8 +57,6 @@ _SCALED = re.compile(
 )
 _ANGLE_UNITS = ("rad", "deg")
 """Units of angles that a user may declare."""
-_MOST_UNUSED = 12
-"""Largest number of columns that are named as not used."""
 _LONGEST = 1_000_000
 """Largest number of characters of a columns file that are read: 10 000 long lines."""
 
@@ -86,9 +84,6 @@ class ColumnChoices:
         """Return these choices, with those of the fallback where these are undeclared."""
         stated = {name: value for name, value in vars(self).items() if value}
         stated["columns"] = {**fallback.columns, **self.columns}
-        if self.time:
-            # A time column that is declared here stands in place of a rate.
-            stated.setdefault("rate", None)
         return replace(fallback, **stated)
 
 
@@ -129,22 +124,17 @@ def blank_columns(
         driven: the quantity that is needed beside positions, "torque" or "command".
     """
     numbered = [f"#   #{k} {' '.join(t.split())}" for k, t in enumerate(titles, 1)]
-    if titles[:1] == ("#1",):
-        numbered = [f"#   #1 to #{len(titles)}, without titles"]
     blanks = ", ".join("?" * len(joint_names))
     lines = [
         "# Which column is what: put titles or numbers of the log's columns in the place of ?,",
         "# and leave out the lines that the titles say. The columns are",
         *numbered,
         f"# One for each of the joints {', '.join(joint_names)}:",
-        "time = ?",
-        f"position = {blanks}",
-        f"{driven} = {blanks}",
-        "velocity = none",
+        f"time = ?\nposition = {blanks}\n{driven} = {blanks}\nvelocity = none",
         "# units = deg, ms: where they are not rad and s, and no title says so",
-        "# rate = 200: samples per second, in place of time, of evenly spaced rows",
+        "# rate = 200: samples per second, in place of time, of evenly spaced rows\n",
     ]
-    return "\n".join([*lines, ""])
+    return "\n".join(lines)
 
 
 def parse_columns(text: str, path: Path, joint_names: Sequence[str]) -> ColumnChoices:
@@ -297,8 +287,6 @@ class ColumnMap:
             used += f"; own time from {_quote(self.joint_time)}"
         indices = {column.index for column in self.columns()}
         unused = [t for index, t in enumerate(self.titles) if index not in indices]
-        if len(unused) > _MOST_UNUSED:
-            unused[_MOST_UNUSED:] = [f"{len(unused) - _MOST_UNUSED} more"]
         return used, f"log columns not used: {', '.join(unused) or 'none'}"
 
 

@@ -6,8 +6,8 @@ by 1 to 7. The recording's names match where these are found once each between w
 same in all of the names: panda, joint in front and nothing behind. Fingers and other joints of the
 recording are left over, and the order of the names does not matter.
 
-Two sets of names that fit, such as those of a left and a right arm, a set that has further
-numbers, as an arm with more joints has, and one of the other side than the model's are refused.
+Two sets of names that fit, such as those of a left and a right arm, and one of the other side than
+the model's are refused.
 """
 
 from __future__ import annotations
@@ -65,28 +65,24 @@ def join_names(names: Sequence[str]) -> str:
 
 
 def match_joint_names(
-    names: Sequence[str],
-    joint_names: Sequence[str],
-    other_joints: Sequence[str] | None = (),
+    names: Sequence[str], joint_names: Sequence[str]
 ) -> JointMatch | None:
     """Return which of a recording's joints are those of a model's arm; None where no set fits.
 
     Args:
         names: of the recording's joints, also repeated.
         joint_names: (n,) of the arm, base to terminal.
-        other_joints: the model's joints that are not the arm's; None not to ask whether the
-            recording's arm has further joints.
 
     Raises:
-        InputError: several sets of names fit, two names fit one joint, or the set is that of an arm
-            with more joints.
+        InputError: several sets of names fit, two names fit one joint, or the set is that of the
+            other arm of two.
     """
     names = list(dict.fromkeys(names))
     if not names or not joint_names:
         return None
     arm = _NameSet.of(joint_names)
-    frames = arm.frames_in(names)
-    complete = {f: cores for f, cores in frames.items() if {*arm.cores} <= {*cores}}
+    frames = arm.frames_in(names).items()
+    complete = {f: by_core for f, by_core in frames if len(by_core) == len(arm.cores)}
     if not complete:
         return None
     frame = _choose_frame(complete, arm)
@@ -95,25 +91,16 @@ def match_joint_names(
     if not {*joint_names} <= {*names}:
         arm_joints = _single_names(complete[frame], arm)
     _refuse_other_side(arm_joints, frame, arm)
-    if other_joints is not None:
-        _refuse_further_joints(arm_joints, frames[frame], arm, other_joints)
     unused = tuple(name for name in names if name not in arm_joints)
     return JointMatch(dict(zip(arm_joints, joint_names)), unused)
 
 
-def find_joint_match(
-    names: Sequence[str], joint_names: Sequence[str]
-) -> JointMatch | None:
-    """Return ``match_joint_names``, and None also where it refuses the names."""
-    try:
-        return match_joint_names(names, joint_names, other_joints=None)
-    except InputError:
-        return None
-
-
 def name_numbers(joint_names: Sequence[str]) -> list[int]:
     """Return the numbers that tell joints apart, such as 1 to 7; [] where words do."""
-    return _NameSet.of(joint_names).numbers
+    cores = _NameSet.of(joint_names).cores
+    if not all(len(core) == 1 and core[0].isdecimal() for core in cores):
+        return []
+    return [int(core[0]) for core in cores]
 
 
 @dataclass(frozen=True)
@@ -143,22 +130,14 @@ class _NameSet:
             return cls(tuple(names), ((), ()), tuple(cores))
         return cls(tuple(names), (front, back), tuple(short_cores))
 
-    @property
-    def numbers(self) -> list[int]:
-        """The numbers that tell the joints apart; [] where words do."""
-        if not all(map(_is_number, self.cores)):
-            return []
-        return [int(core[0]) for core in self.cores]
-
     def frames_in(self, names: Sequence[str]) -> dict[Frame, NamesByCore]:
-        """Return the frame of each core in names; where cores are numbers, of each number."""
-        is_numbered = bool(self.numbers)
+        """Return the frame of each core in names."""
         frames: dict[Frame, NamesByCore] = defaultdict(lambda: defaultdict(list))
         for name in names:
             pieces = split_name(name)
             for start, end in combinations(range(len(pieces) + 1), 2):
                 core = pieces[start:end]
-                if core in self.cores or (is_numbered and _is_number(core)):
+                if core in self.cores:
                     frames[pieces[:start], pieces[end:]][core].append(name)
         return frames
 
@@ -172,11 +151,6 @@ def split_name(name: str) -> NamePieces:
     """Return the words and numbers of a name; camelCase is two words."""
     pieces = re.findall(r"[^\W\d_]+|\d+", split_camel_case(name).lower())
     return tuple(str(int(piece)) if piece.isdecimal() else piece for piece in pieces)
-
-
-def _is_number(core: NamePieces) -> bool:
-    """Return whether a core is a number alone."""
-    return len(core) == 1 and core[0].isdecimal()
 
 
 def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame:
@@ -231,29 +205,4 @@ def _refuse_other_side(names: Sequence[str], frame: Frame, arm: _NameSet) -> Non
         raise InputError(
             f"the log's joints {join_names(names)} are those of another arm than the model's "
             f"{join_names(arm.names)}: give the model of the arm that was recorded"
-        )
-
-
-def _refuse_further_joints(
-    arm_joints: Sequence[str],
-    by_core: NamesByCore,
-    arm: _NameSet,
-    other_joints: Sequence[str],
-) -> None:
-    """Raise InputError where names beside the arm's go on counting: another arm's.
-
-    Args:
-        arm_joints: (n,) the log's names of the arm's joints.
-        by_core: the log's names in the frame of these.
-        arm: the model's names.
-        other_joints: the model's joints that are not the arm's; the log may have them.
-    """
-    model_cores = {*arm.cores, *arm.frames_in(other_joints).get(arm.frame, {})}
-    further = [by_core[core][0] for core in by_core if core not in model_cores]
-    if further:
-        names = [*arm_joints, *further]
-        raise InputError(
-            f"the log's joints {join_names(names)} are {len(names)}, the model's "
-            f"{join_names(arm.names)} are {len(arm.names)}: give the model of the arm that was "
-            "recorded"
         )

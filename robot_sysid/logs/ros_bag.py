@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.joint_names import find_joint_match
+from robot_sysid.logs.joint_names import match_joint_names
 from robot_sysid.logs.ros_messages import (
     DEFINITIONS,
     READERS,
@@ -97,11 +97,11 @@ def _read_topic(
     if not sent:
         return None
     recorded_joints = [joint for joint, _ in sent]
-    joint_match = find_joint_match(recorded_joints, joint_names)
     # Without a model, all joints count.
     arm_joints = [] if joint_names else sorted(set(recorded_joints))
-    if joint_match is not None:
-        arm_joints = list(joint_match.model_names)
+    with contextlib.suppress(InputError):
+        joint_match = match_joint_names(recorded_joints, joint_names)
+        arm_joints = list(joint_match.model_names) if joint_match else arm_joints
     efforts: set[float | None] = set()
     for _, sample in messages:
         efforts.update(map(sample.get, product(arm_joints, TORQUE)))

@@ -112,17 +112,12 @@ ALWAYS_ALLOWED = 10**8
 """Unpacked size that is always allowed, however small the file is [bytes]."""
 
 
-def unpacked_limit(packed_bytes: float) -> float:
-    """Return how many bytes a recording may unpack to, by the size of its file [bytes]."""
-    return min(LARGEST, max(ALWAYS_ALLOWED, MAX_RATIO * packed_bytes))
-
-
 def refuse_bomb(path: Path, unpacked_bytes: float, packed_bytes: float) -> None:
-    """Raise InputError where a file would unpack to more than ``unpacked_limit`` allows.
+    """Raise InputError where a file would unpack to too much, by the size of the file.
 
     Every caller passes the sum over all arrays of a file, before any of them takes memory.
     """
-    limit = unpacked_limit(packed_bytes)
+    limit = min(LARGEST, max(ALWAYS_ALLOWED, MAX_RATIO * packed_bytes))
     if unpacked_bytes > limit:
         raise InputError(
             f"{path} unpacks to {unpacked_bytes / 1e9:.3g} GB, more than the {limit / 1e9:.3g} GB "
@@ -372,11 +367,7 @@ class _RowCleaner:
         step = np.diff(time, prepend=previous)
         # The latest time before each row.
         latest = np.maximum.accumulate(np.concatenate(([previous], time)))[:-1]
-        backwards = step < 0.0
-        if np.any(backwards):
-            first = int(np.argmax(backwards))
-            text = f"{self._row_noun} {lines[first]}, by {-step[first]:.6g} s"
-            self._count(BACKWARDS, lines[backwards], text)
+        self._count(BACKWARDS, lines[step < 0.0])
         self._count(REPEATED, lines[step == 0.0])
         return np.asarray(time > latest)
 

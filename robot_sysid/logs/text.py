@@ -137,14 +137,6 @@ def split_line(line: str, separator: str) -> list[str]:
         return []
 
 
-def is_number(cell: str) -> bool:
-    """Return whether a cell holds a number or a date, or is marked empty."""
-    with contextlib.suppress(ValueError):
-        _parse_cell(cell)
-        return True
-    return False
-
-
 # Day, time of the day, and zone, which is left out: time counts from the first row.
 _DATE = re.compile(
     r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d:\d\d:\d\d(?:[.,]\d{1,9})?)(?:Z|[+-]\d\d:?\d\d)?",
@@ -243,7 +235,12 @@ def _drop_last_empty(cells: Sequence[str]) -> tuple[str, ...]:
 def _is_mostly_numbers(cells: Sequence[str]) -> bool:
     """Return whether more than half of the cells are numbers: a row of data, not a header."""
     # A row of data may carry a joint's name or a frame, a header may have a title like "1".
-    return 2 * sum(map(is_number, cells)) > len(cells)
+    count = 0
+    for cell in cells:
+        with contextlib.suppress(ValueError):
+            _parse_cell(cell)
+            count += 1
+    return 2 * count > len(cells)
 
 
 def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:

@@ -258,16 +258,13 @@ def match_joints(
 
     Raises:
         InputError: two columns could be one quantity, or the joints' names are those of two arms,
-            or of an arm with another number of joints.
+            or of another arm.
     """
     joint_names = robot.joint_names
     listed_names = _listed_names(titles, first_row, robot.n_joints)
     by_name = _columns_by_joint_name(titles, listed_names)
     names = [*by_name["position"]] if "position" in quantities else []
-    # Of equal names, further ones may be those of a gripper that counts on.
-    is_equal = {*joint_names} <= {*names}
-    others = None if is_equal else robot.other_joint_names
-    joint_match = match_joint_names(names, joint_names, others)
+    joint_match = match_joint_names(names, joint_names)
     log_names = joint_match.model_names if joint_match else joint_names
     # Names decide for all joints of a quantity or for none.
     candidates = {}

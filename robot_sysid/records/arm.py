@@ -363,12 +363,6 @@ class RobotModel:
         return any(isinstance(note, MeshesLeftOut) for note in self.notes)
 
     @property
-    def other_joint_names(self) -> tuple[str, ...]:
-        """Names of the model's joints that are not in the chain, such as fingers."""
-        names = [self.mj_model.joint(k).name for k in range(self.mj_model.njnt)]
-        return tuple(name for name in names if name not in self.joint_names)
-
-    @property
     def terminal_joint(self) -> str:
         """Name of the last chain joint."""
         return self.joint_names[-1]

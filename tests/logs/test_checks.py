@@ -69,7 +69,7 @@ ERRORS: dict[str, tuple[Callable, list[str]]] = {
     ),
     "backwards": (
         changing(([20, 21], 0), lambda time: time[::-1].copy()),
-        ["log.csv: ", "backwards in time", "line 23, by 0.005 s"],
+        ["log.csv: ", "backwards in time", "first: line 23)"],
     ),
     "many holes": (
         changing(np.s_[::10, 2], lambda q: np.nan * q),
