@@ -60,13 +60,6 @@ class WriteBack:
         """Return theta (10,) of the whole link as written, from the identified ``composite``."""
         return composite + self.inflation * _UNIT_SPHERE
 
-    def masses(self, bodies: Sequence[SubtreeBody]) -> list[float]:
-        """Return the masses of bodies of the link as written, the terminal body first [kg]."""
-        masses = [float(self.theta[0])]
-        for body in bodies[1:]:
-            masses.append(self.shares.get(body.body_id, 1.0) * float(body.theta[0]))
-        return masses
-
 
 def plan_write_back(
     composite: Array,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -30,7 +30,7 @@ from robot_sysid.motion import LOADED
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
-from robot_sysid.results.record import Payload, Quantity, Result
+from robot_sysid.results.record import Quantity, Result
 from robot_sysid.signals.rests import resting_poses
 
 LEAST_WITHIN = 0.15
@@ -99,30 +99,18 @@ def identify_payload(
     )
     result = payload_result(fitted, weighed, file, flange, origin_of(logs))
     if config.log.torque_scale is not None and result.payload is not None:
+        # Those of the log before its torques were divided by scales.
         factors = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)[0]
-        applied_scales = dict(zip(robot.joint_names, factors.tolist()))
-        payload = _with_applied_scales(result.payload, applied_scales)
+        scales = {}
+        for joint, scale in result.payload.torque_scale.items():
+            factor = float(factors[robot.joint_names.index(joint)])
+            scales[joint] = Quantity(factor * scale.value, factor * scale.error)
+        payload = replace(result.payload, torque_scale=scales)
         result = replace(result, payload=payload)
     progress.note(*result.notes[len(robot.notes) :])
     checkpoints = fitted.recordings[-1].motion
     traces = partial(traces_of, fitted, None)
     return replace(result, checkpoints=checkpoints, traces=traces)
-
-
-def _with_applied_scales(
-    payload: Payload, applied_scales: Mapping[str, float]
-) -> Payload:
-    """Return a payload whose torque scales are those of the log before scales were applied.
-
-    Args:
-        payload: as estimated from torques that were divided by the applied scales.
-        applied_scales: joint to the scale that the log's torques were divided by.
-    """
-    scales = {}
-    for joint, figure in payload.torque_scale.items():
-        applied = applied_scales[joint]
-        scales[joint] = Quantity(applied * figure.value, applied * figure.error)
-    return replace(payload, torque_scale=scales)
 
 
 def _moving_datasets(
@@ -230,13 +218,16 @@ def order_positions(logs: Sequence[MeasurementLog], order: str | None) -> Array 
     if order is not None:
         # The k-th A is the k-th empty log, and so for B: a stable sort keeps their order.
         is_loaded = np.array([letter == LOADED for letter in order])
-        return _scaled_to_unit(np.argsort(is_loaded, kind="stable").astype(float))
-    ends = np.array([log.samples.time[[0, -1]] for log in logs])
-    spans = ends[np.lexsort(ends.T[::-1])]
-    # Logs that overlap in time do not share a clock.
-    if np.any(spans[1:, 0] <= spans[:-1, 1]):
-        return None
-    return _scaled_to_unit(np.mean(ends, axis=1))
+        positions = np.argsort(is_loaded, kind="stable").astype(float)
+    else:
+        ends = np.array([log.samples.time[[0, -1]] for log in logs])
+        spans = ends[np.lexsort(ends.T[::-1])]
+        # Logs that overlap in time do not share a clock.
+        if np.any(spans[1:, 0] <= spans[:-1, 1]):
+            return None
+        positions = np.mean(ends, axis=1)
+    first = np.min(positions)
+    return 2.0 * (positions - first) / np.ptp(positions) - 1.0
 
 
 def is_drift_identifiable(is_loaded: NDArray[np.bool_], positions: Array) -> bool:
@@ -247,12 +238,3 @@ def is_drift_identifiable(is_loaded: NDArray[np.bool_], positions: Array) -> boo
         within += np.sum((side_positions - np.mean(side_positions)) ** 2)
     total = np.sum((positions - np.mean(positions)) ** 2)
     return bool(within >= LEAST_WITHIN * total > 0.0)
-
-
-def _scaled_to_unit(positions: Array) -> Array:
-    """Return numbers (k,) scaled to the range from -1 to 1; zeros where all are equal."""
-    low = float(np.min(positions))
-    high = float(np.max(positions))
-    if high <= low:
-        return 0.0 * positions
-    return 2.0 * (positions - low) / (high - low) - 1.0

@@ -40,8 +40,7 @@ def beside_actuators(robot: RobotModel, change: ModelChange) -> ModelChange:
             rounding = 1e-12 * own_damping
             own_damping -= stated_at_actuators(model, on_joint, "dampingpoly")
             own_damping[own_damping <= rounding] = 0.0
-            has_own = bool(np.any(own_damping))
-            own = tuple(own_damping) if has_own else ()
+            own = tuple(own_damping) if np.any(own_damping) else ()
             joint = replace(joint, nonlinear_damping=own)
         joints.append(joint)
         actuators += smaller

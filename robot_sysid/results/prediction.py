@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.model.chain import joint_friction
-from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import Array, Motion, RobotModel, Validation
 from robot_sysid.records.data import validation_of
 from robot_sysid.signals.process import ProcessedSignals
@@ -19,7 +17,7 @@ BLOCKS = 10
 
 
 def torque_error(
-    model: Path | Any, robot: RobotModel, signals: ProcessedSignals, source: str
+    mj_model: Any, robot: RobotModel, signals: ProcessedSignals, source: str
 ) -> Validation:
     """Return the torque error of a model file on a log, up to one sensor offset per joint.
 
@@ -28,18 +26,13 @@ def torque_error(
     residual of each joint is subtracted.
 
     Args:
-        model: path of the file, or a compiled model whose chain joints have the addresses of the
-            robot's model.
+        mj_model: compiled model, whose chain joints have the addresses of the robot's model.
         robot: the arm.
         signals: the processed log.
         source: description of the log.
-
-    Raises:
-        InputError: the file cannot be loaded.
     """
-    compiled = compile_model(model).mj_model if isinstance(model, Path) else model
-    dynamics = ArmDynamics(robot, compiled)
-    friction = joint_friction(compiled, robot.dof_index)
+    dynamics = ArmDynamics(robot, mj_model)
+    friction = joint_friction(mj_model, robot.dof_index)
 
     def torque(motion: Motion) -> Array:
         """Return the torque (K, n) along a motion [N m]."""

@@ -122,8 +122,7 @@ def more_lines(result: Result, links: bool = False) -> list[str]:
     if result.payload is not None:
         lines += _payload_lines(result.payload)
     lines += _validation_lines(result)
-    # A limitation that is a Detail stays one.
-    lines += [type(text)(f"  Limit: {text}") for text in limitations(result)]
+    lines += [f"  Limit: {text}" for text in limitations(result)]
     if result.file is not None and result.file.unchanged:
         unchanged = ", ".join(result.file.unchanged)
         lines.append(Detail(f"Left in the file as it was: {unchanged}"))

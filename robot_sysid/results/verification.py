@@ -135,7 +135,10 @@ def verify_written_model(
         ExportError: the file does not load, or a field has changed that should not have, or does
             not have the wanted value; the message names the field.
     """
-    compiled = compiled_again(written)
+    try:
+        compiled = compile_model(written)
+    except InputError as error:
+        raise ExportError(f"the written model cannot be loaded: {error}") from None
     try:
         require_change(original, compiled.mj_model, change)
     except ExportError as error:
@@ -201,14 +204,6 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
     if welded is not None and new_body is not None:
         _require_pose(changed, new_body, welded)
         require_theta(changed, new_body, welded.theta, welded.theta)
-
-
-def compiled_again(written: Path) -> CompiledModel:
-    """Return a written model, compiled, or raise ExportError where it cannot be loaded."""
-    try:
-        return compile_model(written)
-    except InputError as error:
-        raise ExportError(f"the written model cannot be loaded: {error}") from None
 
 
 def require_same_model(

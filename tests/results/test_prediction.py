@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
@@ -10,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from pytest import approx
 
+from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.prediction import torque_error
 from robot_sysid.simulator import ArmTorque
@@ -30,6 +32,7 @@ def error_on(model, robot, motion, tau, usable=None):
         filter_columns=lambda make: make(motion),
         usable=lambda: usable,
     )
+    model = compile_model(model).mj_model if isinstance(model, Path) else model
     return torque_error(model, robot, signals, "a log")
 
 
