@@ -20,7 +20,7 @@ from robot_sysid.estimate.identify import (
     low_pass_recordings,
     shared_notes,
 )
-from robot_sysid.estimate.options import FILE_FRICTION, FILE_ROTORS, EstimationOptions
+from robot_sysid.estimate.options import FILE_FRICTION, FILE_ROTORS
 from robot_sysid.estimate.result import link_result, traces_of
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.trust import judge_file
@@ -73,9 +73,12 @@ def identify_logs(
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
     refuse_repeated_logs([*logs, *tests])
-    checked = diagnose_logs(
-        robot, [*logs, *tests], options.accept, config.estimation, progress
-    )
+    checked: list[MeasurementLog] = []
+    for log in (*logs, *tests):
+        label = "Looking for what is wrong with the logs"
+        progress.advance(label, len(checked), len(logs) + len(tests), "")
+        log = check_log(robot, log, options.accept, progress, config.estimation)
+        checked.append(log)
     logs, tests = checked[: len(logs)], checked[len(logs) :]
     origin = origin_of(logs)
     notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
@@ -127,30 +130,6 @@ def identify_plant(
     return _identify_pieces(
         config, robot, pieces, origin, notes, progress, truth=plant.prior
     )
-
-
-def diagnose_logs(
-    robot: RobotModel,
-    logs: Sequence[MeasurementLog],
-    accepted: tuple[str, ...],
-    options: EstimationOptions,
-    progress: Progress,
-) -> list[MeasurementLog]:
-    """Return the logs without what is left out of each; InputError where one must not be used.
-
-    Args:
-        robot: the arm as in the model.
-        logs: the logs, checked one after the other.
-        accepted: names of faults that are reported but do not stop the run, from ``--accept``.
-        options: how the parameters will be estimated.
-        progress: receives the findings.
-    """
-    label = "Looking for what is wrong with the logs"
-    checked = []
-    for n_done, log in enumerate(logs):
-        progress.advance(label, n_done, len(logs), "")
-        checked.append(check_log(robot, log, accepted, progress, options))
-    return checked
 
 
 def _identify_pieces(

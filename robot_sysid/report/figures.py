@@ -23,9 +23,6 @@ from robot_sysid.report.drawing import (
 )
 from robot_sysid.report.runs import Run, body_in
 
-_NEAR = 0.5
-"""Largest distance of a limit from the recorded values at which it is drawn, as a share of the
-range of these values."""
 _MAX_DOTS = 300
 """Number of dots to which a scatter plot is thinned; more would overlap."""
 _VERSIONS = {
@@ -68,18 +65,16 @@ def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:
 
 def most_changed(traces: Traces) -> int:
     """Return the index of the joint whose root mean square residual has changed most."""
-    changes = []
-    for joint in range(len(traces.joints)):
-        measured = traces.measured[:, joint]
-        before = _rms(measured - traces.prior_prediction[:, joint])
-        changes.append(abs(before - _rms(measured - traces.predicted[:, joint])))
-    return int(np.argmax(np.nan_to_num(changes)))
+    before = _rms(traces.measured - traces.prior_prediction)
+    return int(np.argmax(np.nan_to_num(np.abs(before - _rms(traces.residual)))))
 
 
-def _rms(values: Array) -> float:
-    """Return the root mean square of all finite numbers in values (K,); NaN if none is finite."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+def _rms(values: Array) -> Array:
+    """Return the root mean square of the finite numbers of each column; NaN where none is."""
+    is_finite = np.isfinite(values)
+    count = np.sum(is_finite, axis=0)
+    squares = np.sum(np.where(is_finite, values, 0.0) ** 2, axis=0)
+    return np.sqrt(squares / np.where(count > 0, count, np.nan))
 
 
 def friction_figure(traces: Traces, joint: int) -> Figure:
@@ -107,7 +102,7 @@ def friction_figure(traces: Traces, joint: int) -> Figure:
 
 
 def motion_figure(traces: Traces, joint: int) -> Figure:
-    """Return the figure of a joint's speed against its position, with limits that are near."""
+    """Return the figure of a joint's speed against its position, with its limits."""
     unit = position_unit(traces.is_slide[joint])
     q = traces.q[:, joint]
     qd = traces.qd[:, joint]
@@ -117,14 +112,11 @@ def motion_figure(traces: Traces, joint: int) -> Figure:
     fastest = float(limits.velocity[joint])
     canvas, ((axes,),) = new_figure(210.0)
     axes.plot(q, qd, color=COLOURS["after"], lw=1.0)
-    for values, ends, draw in (
-        (q, (low, high), axes.axvline),
-        (qd, (-fastest, fastest), axes.axhline),
-    ):
-        for limit in ends:
-            nearest = min(abs(limit - np.min(values)), abs(limit - np.max(values)))
-            if nearest <= _NEAR * np.ptp(values):
-                draw(limit, color=COLOURS["other"], ls="--")
+    for limit in (low, high):
+        if np.isfinite(limit):
+            axes.axvline(limit, color=COLOURS["other"], ls="--")
+    for limit in (-fastest, fastest):
+        axes.axhline(limit, color=COLOURS["other"], ls="--")
     axes.set(xlabel=f"position [{unit}]", ylabel=f"speed [{unit}/s]")
     position_limits = "no limit of position"
     if np.isfinite(high - low):
@@ -216,12 +208,10 @@ def budget_figure(name: str, entry: Mapping[str, Any]) -> Figure:
     total = np.maximum(np.sum(list(squares.values()), axis=0), 1e-300)
     colours = [COLOURS[c] for c in ("after", "before", "truth", "other", "measured")]
     largest = sorted(squares, key=lambda cause: -np.sum(squares[cause] / total))
-    drawn = {cause: squares.pop(cause) for cause in largest[: len(colours) - 1]}
-    drawn["all others"] = np.sum([np.zeros(10), *squares.values()], axis=0)
     canvas, ((axes,),) = new_figure(360.0)
     left = np.zeros(10)
-    for (cause, square), colour in zip(drawn.items(), colours):
-        share = 100.0 * square / total
+    for cause, colour in zip(largest, colours):
+        share = 100.0 * squares[cause] / total
         # Gaps between the boxes separate them without colours, too.
         axes.barh(
             range(10), share - 0.3, 0.76, left, color=colour, label=cause, alpha=0.8
@@ -232,7 +222,7 @@ def budget_figure(name: str, entry: Mapping[str, Any]) -> Figure:
     add_legend(canvas)
     caption = (
         f"{name}: what each parameter's error comes from. Where noise is small, a longer recording "
-        "does not help."
+        "does not help. What is left to 100 % has other causes."
     )
     return Figure(caption, svg(canvas, f"errors {name}"))
 

@@ -48,9 +48,9 @@ from robot_sysid.results.record import Quantity, Verdict
 _ODD = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
 """Errors that a page may raise if somebody has edited the run's params.json by hand."""
 REPORT_NAME = "report.html"
-"""File name of the page about one run."""
+"""File name of the page about one run, and of its template."""
 COMPARISON_NAME = "comparison.html"
-"""File name of the page that compares several runs."""
+"""File name of the page that compares several runs, and of its template."""
 
 
 def write_report(
@@ -89,9 +89,7 @@ def write_report(
     )
     environment.globals.update(version=__version__, term_unit=term_unit)
     name = REPORT_NAME if len(runs) == 1 else COMPARISON_NAME
-    template = environment.get_template("page.html")
-    if len(runs) > 1:
-        template = environment.get_template("comparison.html")
+    template = environment.get_template(name)
     try:
         values: Mapping[str, Any] = {"runs": list(map(_summary_of, runs))}
         if len(runs) == 1:
