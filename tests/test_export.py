@@ -22,7 +22,6 @@ from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.errors import InputError
 from robot_sysid.export import FORMULAS, RESULT_NAMES, params_json_text, save
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records.messages import Progress
 from robot_sysid.results.cards import load_errors, number_groups
 from robot_sysid.results.record import Quantity, Verdict
 from tests.results.test_written_model import checkpoints, payload_of, result_of
@@ -30,6 +29,7 @@ from tests.support import results as made
 from tests.support import urdf
 from tests.support.command_line import files_in
 from tests.support.model_files import ARM, random_theta, write_files
+from tests.support.notes import NoteRecorder
 from tests.support.schemas import schema
 
 THETA = random_theta(np.random.default_rng(1), 2.0)
@@ -51,16 +51,6 @@ def robot(tmp_path):
 def out(tmp_path):
     """An output folder, which does not exist yet."""
     return tmp_path / "out"
-
-
-class NoteRecorder(Progress):
-    """Keeps all notes."""
-
-    def __init__(self):
-        self.notes = []
-
-    def note(self, *messages):
-        self.notes += messages
 
 
 def save_result(robot, result, out, progress=None, **options):

@@ -13,23 +13,13 @@ from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import save_trajectory
-from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, witness
 from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
+from tests.support.notes import NoteRecorder
 
 DURATION = 4.0
 EXACT_LINKS = EstimationOptions(priors=Priors(link=0.0))
-
-
-class Listener(Progress):
-    """A progress listener that keeps the notes."""
-
-    def __init__(self):
-        self.notes = []
-
-    def note(self, *messages):
-        self.notes += messages
 
 
 def make_request(trajectory=None, limits=None, excitation=None, played=False):
@@ -48,7 +38,7 @@ def plan_motion(xml, seed=1, listener=None, **request):
     """Return the plan of an arm with the seed; further arguments are those of make_request."""
     speed = request.get("limits", {}).get("max_velocity", 2.0)
     arm = arms.robot_of(xml, max_velocity=speed)
-    return make_plan(make_request(**request), arm, seed, listener or Listener())
+    return make_plan(make_request(**request), arm, seed, listener or NoteRecorder())
 
 
 CHECKED = {
@@ -91,7 +81,7 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
     poses = PoseOptions(purpose=purpose)
     uncertain = EstimationOptions(priors=Priors(link=10.0))
     request = replace(request, poses=poses, estimation=uncertain)
-    checked = make_plan(request, robot(arms.THREE), 1, Listener())
+    checked = make_plan(request, robot(arms.THREE), 1, NoteRecorder())
     assert checked.check.holds
     problem = checked.problem
     motion = checked.plan.evaluate(np.linspace(0.0, checked.plan.duration, 100))
@@ -192,7 +182,7 @@ def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted
     small_motion = unlimited_plan().scale_amplitudes(0.1)
     notes = []
     for sha256 in (arm.sha256, "0" * 64):
-        listener = Listener()
+        listener = NoteRecorder()
         save_trajectory(path, small_motion, arm.joint_names, sha256)
         plan_motion(TUBES, listener=listener, trajectory={"file": path})
         notes.append(" ".join(listener.notes))

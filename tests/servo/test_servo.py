@@ -15,7 +15,6 @@ from robot_sysid.logs import FittedLogOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.records.data import DataOrigin
-from robot_sysid.records.messages import Progress
 from robot_sysid.servo.commands import check_commands
 from robot_sysid.servo.fit import ServoFit
 from robot_sysid.servo.windows import ServoProblem, low_pass_motion
@@ -26,6 +25,7 @@ from robot_sysid.simulation.playback import (
 )
 from tests.support import schemas, urdf
 from tests.support.model_files import write_files
+from tests.support.notes import NoteRecorder
 from tests.support.servo_logs import XML, commanded, positions, write
 
 URDF = urdf.robot(urdf.serial(dict.fromkeys(("l1", "l2"), urdf.inertial())))
@@ -47,16 +47,6 @@ def identification(robot, error=0.1):
     after = np.full(2, error)
     errors = np.ones(2), after, after > 1.0, 0.5
     return servo.ServoIdentification(robot, fit, true, origin, *errors)
-
-
-class NoteRecorder(Progress):
-    """Keeps all notes."""
-
-    def __init__(self):
-        self.notes = []
-
-    def note(self, *messages):
-        self.notes += messages
 
 
 def run(robot, folder, monkeypatch, error=0.1, accept=(), **options):
