@@ -33,6 +33,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -144,15 +145,13 @@ def friction_model(name: str) -> FrictionModel:
     return FrictionModel(terms)
 
 
-_COUPLED = FrictionModel(("coulomb", "viscous", "armature"))
-"""Friction terms of every motor that turns with several joints."""
-
-
 @dataclass(frozen=True)
 class Coupling:
     """One motor that turns with several joints.
 
     Attributes:
+        terms: names of the friction terms, which depend on the motor's speed; offset and load are
+            terms of the joints alone.
         ratios: (n,) motor speed per joint speed, zero for joints it does not turn with.
         name: such as ``joint_5+joint_6``.
         model: (len(terms),) the robot model's value of each parameter, in the order of ``terms``;
@@ -162,17 +161,11 @@ class Coupling:
 
     ratios: Array
     name: str
-    model: Array = field(default_factory=lambda: np.zeros(len(_COUPLED.terms)))
+    model: Array = field(default_factory=lambda: np.zeros(3))
     tendon: int | None = None
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """Names of the friction terms, which depend on the motor's speed; offset and load are terms
-        of the joints alone.
-        """
-        return _COUPLED.terms
+    terms: ClassVar[tuple[str, ...]] = ("coulomb", "viscous", "armature")
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the motor's parameters, such as ``coulomb[joint_5+joint_6]``."""
-        return _COUPLED.parameter_names(self.name)
+        return FrictionModel(self.terms).parameter_names(self.name)

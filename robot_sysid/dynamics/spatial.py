@@ -2,7 +2,7 @@
 
 Legend. theta = [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz]: mass [kg], first moment of mass
 h = m c [kg m], rotational inertia about the body-frame ORIGIN [kg m^2]. MuJoCo's ``fullinertia`` is
-about the CENTRE OF MASS in the order xx yy zz xy xz yz. ``(..., 10)`` arrays may be batched.
+about the CENTRE OF MASS in the order xx yy zz xy xz yz.
 """
 
 from __future__ import annotations
@@ -155,14 +155,17 @@ def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:
 
 
 def pseudo_inertia(theta: Array) -> Array:
-    """Return the (..., 4, 4) pseudo-inertia J = [[S, h], [h^T, m]] of theta (..., 10), that is
-    mass m, first moment h and inertia I, with S = tr(I)/2 1 - I.
+    """Return the (4, 4) pseudo-inertia J = [[S, h], [h^T, m]] of theta (10,), that is mass m, first
+    moment h and inertia I, with S = tr(I)/2 1 - I.
 
     theta is physically consistent exactly when J is positive definite (Wensing, Kim, Slotine,
     "Linear matrix inequalities for physically consistent inertial parameter identification",
     2018, eq. 17).
     """
-    return np.einsum("...k,kij->...ij", np.asarray(theta, dtype=float), _PSEUDO_BASIS)
+    inertia = symmetric_from_six(theta[4:])
+    h = np.reshape(theta[1:4], (3, 1))
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    return np.block([[second, h], [h.T, np.reshape(theta[0], (1, 1))]])
 
 
 def theta_from_pseudo_inertia(matrix: Array) -> Array:
@@ -216,18 +219,3 @@ def nearest_consistent_body(theta: Array, reference: Array, floor: float) -> Arr
     return theta_from_pseudo_inertia(
         (vectors * lifted) @ vectors.T * np.outer(units, units)
     )
-
-
-def _build_pseudo_basis() -> Array:
-    """Return B_k (10, 4, 4); the pseudo-inertia of a body is the sum of theta_k B_k."""
-    basis = np.zeros((10, 4, 4))
-    for matrix, unit in zip(basis, np.eye(10)):
-        inertia = symmetric_from_six(unit[4:])
-        matrix[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-        matrix[:3, 3] = matrix[3, :3] = unit[1:4]
-        matrix[3, 3] = unit[0]
-    return basis
-
-
-_PSEUDO_BASIS = _build_pseudo_basis()
-"""Pseudo-inertias (10, 4, 4) of the unit parameter vectors."""

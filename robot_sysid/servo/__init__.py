@@ -370,8 +370,7 @@ def identify_servos(
         is_worse=is_worse,
         goal=goal_error(held_out),
     )
-    notes = [note for log in fitted_logs for note in log.notes]
-    notes += servo_notes(result)
+    notes = chain(*(log.notes for log in fitted_logs), servo_notes(result))
     q = problem.measured[:, 0]
     poses = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
     return replace(result, notes=tuple(dict.fromkeys(notes))), poses
