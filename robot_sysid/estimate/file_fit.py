@@ -13,9 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import link_names
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Fit, fit
 from robot_sysid.estimate.held_out import validation
@@ -67,17 +65,6 @@ class FileFit:
     rotors: Mapping[str, float]
     gravity: Array | None = None
     urdf: FileFit | None = None
-
-    @property
-    def thetas(self) -> Array:
-        """The links (n, 10) of the file; zero for one without mass."""
-        robot = self.fit.arm.robot
-        values = self.fit.by_name
-        thetas = robot.thetas
-        for link in self.fit.arm.others:
-            thetas[link] = [values[name] for name in link_names(robot, link)]
-        thetas[-1] = [values[name] for name in PARAMETER_NAMES]
-        return thetas
 
 
 def fit_file(

@@ -423,15 +423,22 @@ class Fit:
         gain = 0.5 * (factor.T @ pull) @ moved - 0.5 * np.linalg.slogdet(inner)[1]
         return float(gain), factor @ moved
 
-    def next_point(self) -> Point:
-        """Return the point for the next linearisation, at this estimate."""
+    @property
+    def thetas(self) -> Array:
+        """All links (n, 10), those that are held included; zero for one without mass."""
         robot = self.arm.robot
         values = self.by_name
-        links = robot.thetas
-        for link in self.arm.others:
-            links[link] = [values[name] for name in link_names(robot, link)]
-        links[-1] = [values[name] for name in spatial.PARAMETER_NAMES]
         thetas = robot.thetas
+        for link in self.arm.others:
+            thetas[link] = [values[name] for name in link_names(robot, link)]
+        thetas[-1] = [values[name] for name in spatial.PARAMETER_NAMES]
+        return thetas
+
+    def next_point(self) -> Point:
+        """Return the point for the next linearisation, at this estimate."""
+        values = self.by_name
+        links = self.thetas
+        thetas = self.arm.robot.thetas
         thetas[-1] = links[-1]
         payload = self.point.payload
         if self.question.loaded:

@@ -39,7 +39,6 @@ from robot_sysid.estimate.trust import (
     first,
     implausible_joints,
     implausible_link,
-    implausible_links,
     judge_file,
     missed_friction,
     unexplained_share,
@@ -112,7 +111,6 @@ def link_result(
     findings += implausible_joints(robot, common.joints, fitted.torque)
     written, file_notes = model_file(fitted, file)
     all_notes += file_notes
-    findings += implausible_links(robot, file.thetas)
     judgement = file_verdict(file)
     verdict, _ = judgement
     if not verdict.is_trustworthy:
@@ -353,7 +351,7 @@ def _rows(fitted: Fit, names: Sequence[str]) -> Array:
 def model_file(fitted: Fit, file: FileFit) -> tuple[ModelFile, list[str]]:
     """Return (contents of the model file, sentences for the user on what the file leaves out)."""
     robot = fitted.arm.robot
-    thetas = file.thetas
+    thetas = file.fit.thetas
     theta_errors = np.zeros_like(thetas)
     for body in link_estimates(file.fit):
         theta_errors[robot.joint_names.index(str(body.joint))] = body.errors

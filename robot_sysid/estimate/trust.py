@@ -13,17 +13,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.estimate.fit import Fit, fit
 from robot_sysid.estimate.held_out import NOISE_EXPLAINS, is_clearly_lower, validation
-from robot_sysid.model.bodies import PLACEHOLDER, link_reach, usual_bodies
-from robot_sysid.records import (
-    Array,
-    InertialParameters,
-    RobotModel,
-    Validation,
-    WrongLink,
-)
+from robot_sysid.model.bodies import link_reach
+from robot_sysid.records import InertialParameters, RobotModel, Validation, WrongLink
 from robot_sysid.records.messages import percent, with_error
 from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
 
@@ -58,11 +51,6 @@ COARSE = 0.2
 """Expected relative error of the acceleration above which a log is refused."""
 LEAST_WRONG = 0.1
 """Relative error of a link's first moment above which the link is named as wrong."""
-LARGEST_RATIO = 20.0
-"""Largest factor, up or down, between the mass of any link but the last one and the model's."""
-FARTHEST_LINK = 1.5
-"""Largest distance between estimated and modelled centre of mass, and largest radius of gyration,
-of any link but the last one, in sizes of the link."""
 WORST = 0.5
 """Held-out error of a file, as a share of the torque, above which no file is written."""
 WORST_OF_PAYLOAD = 0.25
@@ -80,8 +68,6 @@ of the torque at most."""
 # Standard errors from which a distance of a mass from zero, or of a size from its bound, is
 # significant (95 %).
 _SURE = 2.0
-# Size that smaller links are given in the bounds by ``FARTHEST_LINK`` [m].
-_LEAST_SIZE = 0.02
 Judgement = tuple[Verdict, str]
 """A verdict and the reason for it, one sentence without a full stop."""
 
@@ -321,53 +307,6 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
         least = max(_SURE * error, LEAST_WRONG * expected)
         if np.all(link.is_determined[1:4]) and deviation > least:
             yield WrongLink(link.name, expected, moment, error)
-
-
-def implausible_links(robot: RobotModel, thetas: Array) -> Iterator[Judgement]:
-    """Yield reasons why this arm cannot have one of its estimated links other than the last.
-
-    Links without mass, and links whose mass in the model is a placeholder, are not judged.
-
-    Args:
-        robot: the arm with its model.
-        thetas: (n, 10) estimated parameters of all links; the last one is not judged here.
-    """
-    bodies = np.array(list(usual_bodies(robot).values()))
-    typical_mass = float(np.median(bodies[:, 0]))
-    for index, (link, theta) in enumerate(zip(robot.links[:-1], thetas)):
-        # A much lighter link of the model is a placeholder, which says nothing of the arm.
-        if link.has_mass and link.theta[0] >= PLACEHOLDER * typical_mass:
-            # Length of the uniform rod from the link's origin that has its inertia.
-            model_size = np.sqrt(3.0) * spatial.characteristic_length(link.theta)
-            reach = float(np.linalg.norm(robot.links[index + 1].translation))
-            size = max(float(model_size), reach, _LEAST_SIZE)
-            reason = _strangeness(link.body_name, link.theta, theta, size)
-            if reason:
-                yield Verdict.IMPLAUSIBLE, reason
-
-
-def _strangeness(name: str, model_theta: Array, theta: Array, size: float) -> str:
-    """Return why an estimated link is implausible, as a sentence; "" where it is plausible.
-
-    Args:
-        name: name of the link in the sentence.
-        model_theta: (10,) the link's inertial parameters in the model.
-        theta: (10,) the estimated inertial parameters.
-        size: size of the link [m].
-    """
-    if not spatial.is_consistent(theta):
-        return f"{name} is no possible rigid body"
-    mass, com, inertia = spatial.com_from_theta(theta)
-    model_mass, centre, _ = spatial.com_from_theta(model_theta)
-    moved = float(np.linalg.norm(com - centre))
-    radius = float(np.sqrt(0.5 * np.trace(inertia) / mass))
-    if not 1.0 / LARGEST_RATIO <= mass / model_mass <= LARGEST_RATIO:
-        return f"{name} would weigh {mass:.3g} kg (model: {model_mass:.3g})"
-    if moved > FARTHEST_LINK * size:
-        return f"the centre of mass of {name} would be {moved:.2g} m from the model's"
-    if radius > FARTHEST_LINK * size:
-        return f"{name} would have a radius of gyration of {radius:.2g} m"
-    return ""
 
 
 def judge_file(

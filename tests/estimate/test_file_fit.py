@@ -60,7 +60,7 @@ def joint_values(file, term):
 def compiled(robot, file):
     """Return the MuJoCo model as it would be written."""
     model = copy.copy(robot.mj_model)
-    for link, theta in zip(robot.links, file.thetas):
+    for link, theta in zip(robot.links, file.fit.thetas):
         arms.write_body(model, link.body_id, theta)
     for term, field in (
         ("coulomb", model.dof_frictionloss),
@@ -84,7 +84,7 @@ def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
     other = record(plant, robot, 11)
     before = file.before.relative_error
     after = file.after.relative_error
-    assert all(map(spatial.is_consistent, file.thetas))
+    assert all(map(spatial.is_consistent, file.fit.thetas))
     signals = recording[0].signals
     error = torque_error(robot.mj_model, robot, signals, "log").relative_error
     assert before == pytest.approx(error, rel=0.05)
@@ -109,7 +109,7 @@ def test_links_and_sensor_offsets_are_not_confounded(plant, offset):
     q = log.q[::50]
     moves = LinkDynamics(plant).motion(q, 0.0 * q, 0.0 * q)
     weight = moves.torque(plant.thetas)
-    error = moves.torque(file.thetas) - weight
+    error = moves.torque(file.fit.thetas) - weight
     assert np.linalg.norm(error) < 0.02 * np.linalg.norm(weight)
 
 
