@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 35113,
     "robot_sysid/diagnosis": 17642,
     "robot_sysid/dynamics": 5878,
-    "robot_sysid/estimate": 29080,
+    "robot_sysid/estimate": 28678,
     "robot_sysid/logs": 17245,
     "robot_sysid/mjcf": 7953,
     "robot_sysid/model": 8627,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4036,
     "robot_sysid": 11474,
-    "tests": 224548,
+    "tests": 224482,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
