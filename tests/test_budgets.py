@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 4777,
     "robot_sysid/commands": 12228,
-    "robot_sysid/damiao": 35113,
+    "robot_sysid/damiao": 34996,
     "robot_sysid/diagnosis": 17642,
     "robot_sysid/dynamics": 5878,
     "robot_sysid/estimate": 28678,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4036,
     "robot_sysid": 11474,
-    "tests": 224482,
+    "tests": 224458,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -107,14 +107,14 @@ def _driver_text(error: BaseException) -> str:
     return repr(error) if isinstance(error, SystemExit) else error_text(error)
 
 
-def can_message(can: Any, frame: Frame, **stamp: Any) -> Any:
-    """Return a frame as a Message of the python-can module ``can``.
+def can_message(frame: Frame, **stamp: Any) -> Any:
+    """Return a frame as a Message of python-can.
 
     ``stamp`` are further fields of the Message: timestamp [s], is_rx and channel.
     """
     fd = {"is_fd": frame.fd, "bitrate_switch": frame.fd}
     identifier = {"arbitration_id": frame.id, "is_extended_id": False}
-    return can.Message(data=frame.data, **identifier, **fd, **stamp)
+    return import_can().Message(data=frame.data, **identifier, **fd, **stamp)
 
 
 class BusLink:
@@ -126,13 +126,12 @@ class BusLink:
     """
 
     def __init__(self, bus: Any, clock: SystemClock) -> None:
-        self._can = import_can()
         self._bus = bus
         self._clock = clock
 
     def send(self, frame: Frame) -> None:
         """Send a frame, tried for 1.5 ms while the queue is full; else LinkError."""
-        message = can_message(self._can, frame)
+        message = can_message(frame)
         patience = self._clock.now() + _FULL_PATIENCE
         while True:
             try:
@@ -292,10 +291,6 @@ class PacketReader:
         return frames
 
 
-BAUD = 921_600
-"""Speed of the maker's serial adapter [bit/s]."""
-_WRITE_TIMEOUT = 0.02
-"""Longest time for the serial line to take a packet [s]: well below the motors' watchdogs."""
 _PATIENCE = 1e-3
 """Time for which a serial port waits for a byte before it is asked again [s]."""
 
@@ -312,11 +307,10 @@ class SerialAdapter:
     """
 
     def __init__(
-        self, device: str, baudrate: int = BAUD, write_timeout: float = _WRITE_TIMEOUT
+        self, device: str, baudrate: int = 921_600, write_timeout: float = _SEND_TIMEOUT
     ) -> None:
         import serial
 
-        self._can = import_can()
         self._port = serial.Serial(
             device, baudrate, timeout=0, write_timeout=write_timeout
         )
@@ -338,7 +332,7 @@ class SerialAdapter:
             if time.monotonic() >= until and not self._waiting:
                 return None
         frame = self._waiting.popleft()
-        return can_message(self._can, frame, timestamp=time.time())
+        return can_message(frame, timestamp=time.time())
 
     def shutdown(self) -> None:
         """Close the serial line."""

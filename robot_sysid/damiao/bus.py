@@ -13,7 +13,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Protocol
@@ -215,13 +215,11 @@ class RegisterClient:
 
     Args:
         link: link of the motors' bus.
-        timeout: time for which an answer is waited for [s].
     """
 
-    def __init__(self, link: GuardedLink, timeout: float = 0.02) -> None:
+    def __init__(self, link: GuardedLink) -> None:
         self._link = link
         self._clock = link.clock
-        self._timeout = timeout
 
     def read(self, can_id: int, register: int) -> float | None:
         """Return the value of a motor's register; None if three requests get no answer."""
@@ -341,7 +339,7 @@ class RegisterClient:
         """
         self._link.drain()
         self._link.send(request)
-        until = self._clock.now() + self._timeout
+        until = self._clock.now() + _ASK_TIMEOUT
         while (frame := self._link.receive(until)) is not None:
             if not frame.echo and len(frame.data) == 8:
                 yield frame
@@ -427,7 +425,7 @@ def inspect_bus(link: GuardedLink) -> Inspection:
     unsolicited = 0
     while (frame := link.receive(until)) is not None:
         unsolicited += not frame.echo
-    client = RegisterClient(link, timeout=_ASK_TIMEOUT)
+    client = RegisterClient(link)
     motors = {}
     for can_id in _ALL_IDS:
         motor = _inspect_motor(client, can_id)
@@ -436,25 +434,13 @@ def inspect_bus(link: GuardedLink) -> Inspection:
     round_trip = None
     if all(motor.feedback for motor in motors.values()):
         # Measured under the conditions of a run, for which the time matters.
+        reply_ids = {can_id: motor.reply_ids[0] for can_id, motor in motors.items()}
         with undisturbed_processor(live=link.clock.live):
-            round_trip = _round_trip(client, motors.values())
+            attempts = [client.seconds_to_refresh(reply_ids) for _ in range(_ROUNDS)]
+        times = [seconds for seconds in attempts if seconds is not None]
+        if len(times) > _ROUNDS // 2:
+            round_trip = float(np.percentile(times, 90.0))
     return Inspection(motors, unsolicited, round_trip)
-
-
-def _round_trip(
-    client: RegisterClient, motors: Iterable[InspectedMotor]
-) -> float | None:
-    """Return the 90th percentile of the time in which motors, requested at once, answer [s].
-
-    None unless all motors have answered in more than half of 20 rounds.
-    """
-    reply_ids = {motor.can_id: motor.reply_ids[0] for motor in motors}
-    times = []
-    for _ in range(_ROUNDS):
-        seconds = client.seconds_to_refresh(reply_ids)
-        if seconds is not None:
-            times.append(seconds)
-    return float(np.percentile(times, 90.0)) if len(times) > _ROUNDS // 2 else None
 
 
 def _inspect_motor(client: RegisterClient, can_id: int) -> InspectedMotor | None:

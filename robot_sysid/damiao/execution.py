@@ -95,26 +95,23 @@ class MotorRun:
                 f"{robot.path} has {robot.n_joints}: {', '.join(robot.joint_names)}"
             )
         trajectory = replace(trajectory, joints=self._with_joint_map(trajectory.joints))
-        inertia = None
-        ripple = None
-        model_range = None
+        from_model: dict[str, Any] = {}
         if robot is not None:
             from robot_sysid.simulation.plant import ArmStepper
 
             arm = ArmStepper(robot, trajectory.q[0])
-            inertia = arm.moved_inertia()
+            from_model["inertia"] = arm.moved_inertia()
             ripple = SamplingRipple(arm.mobility, robot.friction.viscous)
-            model_range = robot.limits.lower, robot.limits.upper
+            from_model["ripple"] = ripple
+            from_model["model_range"] = robot.limits.lower, robot.limits.upper
         return Plan(
             trajectory,
             settings=record_from(PlaySettings, self.values),
             timing=self.timing,
             permissions=record_from(Permissions, self.values),
             recording=record_from(RecordingOptions, self.values),
-            inertia=inertia,
             limits=self._limits(),
-            model_range=model_range,
-            ripple=ripple,
+            **from_model,
         )
 
     def _limits(self) -> LimitOptions:
@@ -299,11 +296,8 @@ def run(
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     try:
-        with contextlib.ExitStack() as stack:
-            recorder = _open_recorder(plan, motors, writer)
-            if recorder is not None:
-                stack.enter_context(recorder)
-            stack.enter_context(session)
+        recorder = _open_recorder(plan, motors, writer)
+        with recorder or contextlib.nullcontext(), session:
             holding = holding or FileHolding(plan.trajectory)
             player = Player(
                 session,
@@ -318,19 +312,12 @@ def run(
             report = player.play(reference, plan.duration)
     finally:
         console.finish()
-    _require_complete(console, writer)
+    for failure in filter(None, (writer.failure, console.failure)):
+        raise SysidError(
+            "the trajectory was played and all motors are disabled, but recording or printing it "
+            f"failed: {error_text(failure)}"
+        )
     return report
-
-
-def _require_complete(console: Aside, writer: Aside) -> None:
-    """Raise SysidError where recording (``writer``) or printing (``console``) has failed."""
-    problems = (writer, "the recording is not complete"), (console, "cannot print")
-    for aside, problem in problems:
-        if aside.failure is not None:
-            raise SysidError(
-                "the trajectory was played and all motors are disabled, but "
-                f"{problem}: {error_text(aside.failure)}"
-            )
 
 
 def _open_recorder(

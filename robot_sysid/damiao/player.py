@@ -100,8 +100,6 @@ _REPLY_SHARE = 0.9
 
 Motors get this time even if the computer began the cycle late; then the next cycle is skipped.
 """
-_STILL_SAMPLES = 100
-"""Largest number of last cycles over which holding torques are averaged (a judgement)."""
 _DEAF = 0.15
 """Time without any answer after which a stop ends [s].
 
@@ -183,8 +181,8 @@ class Player:
         # Time of the last answer in the clock [s].
         self._heard_at = 0.0
         self._n_recorded = 0
-        # Positions and commanded torques (2, n) of the last cycles, up to 100.
-        self._recent_states: list[Array] = []
+        # Positions and commanded torques (2, n) of the cycles in which the joints stand still.
+        self._standing_states: list[Array] = []
         # Torque (n,) that was commanded at the moment of the last samples [N m].
         self._motor_torque: Array
 
@@ -248,13 +246,13 @@ class Player:
     def _hold_and_compare(self, reference: Reference) -> None:
         """Hold the arm still for ``rest_time``, and compare its torques with the expected ones.
 
-        Means of the second half of the recent states count, which are those of this phase only.
+        Means over the second half of this phase count.
         HardwareAbort where the torques disagree.
         """
-        self._recent_states.clear()
+        self._standing_states.clear()
         self._phase(hold_reference(reference), self._settings.rest_time, standing=True)
-        if self._recent_states:
-            second_half = self._recent_states[len(self._recent_states) // 2 :]
+        if self._standing_states:
+            second_half = self._standing_states[len(self._standing_states) // 2 :]
             q, commanded_torque = np.mean(second_half, axis=0)
             self._holding(q, commanded_torque)
 
@@ -384,9 +382,8 @@ class Player:
             self._follower.follow(trusted_q, trusted_qd, self._motor_torque)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
-        if np.all(np.isfinite(q)):
-            self._recent_states.append(np.stack([q, self._motor_torque]))
-            del self._recent_states[:-_STILL_SAMPLES]
+        if self._standing and np.all(np.isfinite(q)):
+            self._standing_states.append(np.stack([q, self._motor_torque]))
         return replies
 
     def _record(

@@ -198,7 +198,9 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
         checks += _frame_limit_checks(plan, limits)
         checks += _answer_time_checks(inspection.round_trip, settings)
         checks += _start_checks(plan, plan.joint_positions(inspection))
-    return [*checks, *_other_motor_checks(plan.other_motors(inspection))]
+    driven = {joint.can_id for joint in joints}
+    others = [m for m in inspection.motors.values() if m.can_id not in driven]
+    return [*checks, *_other_motor_checks(others)]
 
 
 def _traffic_checks(inspection: Inspection) -> Iterator[Check]:

@@ -398,17 +398,19 @@ BIT_RATES = {1000 * rate: code for code, rate in enumerate(_KBIT)}
 """Code of register CAN_BR by bit rate [bit/s]."""
 
 NAMES = {
-    MST_ID: "MST_ID", ESC_ID: "ESC_ID", TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", GR: "Gr",
-    PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX", CAN_BR: "can_br",
+    0: "UV_Value", 1: "KT_Value", 2: "OT_Value", 3: "OC_Value", MST_ID: "MST_ID", ESC_ID: "ESC_ID",
+    TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", 11: "Damp", 12: "Inertia", 14: "sw_ver", 16: "NPP",
+    17: "Rs", 19: "Flux", GR: "Gr", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX", 29: "OV_Value",
+    30: "GREF", CAN_BR: "can_br",
 }  # fmt: skip
 """The maker's name of each register, by its number."""
-INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, CAN_BR)
+INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16, CAN_BR)
 """Registers that hold an unsigned integer; all other registers hold a float."""
 SCALING = (PMAX, VMAX, TMAX)
 """Registers of the scaling limits, in the order of ``Scaling.limits``."""
 REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
 """Registers whose values have to be known before anything is played."""
-LOGGED = (*REQUIRED, GR)
+LOGGED = (*REQUIRED, GR, 2, 3, 0, 29, 1, 30, 11, 12, 14, 16, 17, 19)
 """Registers that are read before playing and written into the recording's header."""
 
 

@@ -122,7 +122,7 @@ class MotorSession:
         joints: joints with their motors, n in all.
         scaling: range of position, velocity and torque in each motor's frames, from its registers
             PMAX, VMAX and TMAX.
-        command_range: positions and speeds that commands may have; None for all that frames carry.
+        command_range: positions and speeds that commands may have, as far as frames carry them.
 
     Attributes:
         clock: clock of the link.
@@ -141,7 +141,7 @@ class MotorSession:
         link: GuardedLink,
         joints: Sequence[DamiaoJoint],
         scaling: protocol.Scaling,
-        command_range: CommandRange | None = None,
+        command_range: CommandRange,
     ) -> None:
         self._link = link
         self.clock = link.clock
@@ -160,9 +160,7 @@ class MotorSession:
         # Command in force as the motors read it, in joint space; None before the first.
         self._command: protocol.MitCommand | None = None
         # In a stop commands are limited to the range, which must not exceed what frames can carry.
-        sendable = self._frame_range
-        if command_range is not None:
-            sendable = command_range.within(sendable)
+        sendable = command_range.within(self._frame_range)
         self._bounds = CommandBounds(sendable, self.peak_torque, *self.steps)
         self.sent_position = np.full(self.n_joints, np.nan)
         # Time up to which each joint's commands have moved it: that of the last command, minus

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao.bus import InspectedMotor, Inspection
+from robot_sysid.damiao.bus import Inspection
 from robot_sysid.damiao.joints import DamiaoJoint, MotorSpec, Mounting
 from robot_sysid.damiao.protocol import (
     KD_MAX,
@@ -325,12 +325,6 @@ class Plan:
                 positions[j] = inspection.motors[joint.can_id].position
         zero = np.zeros_like(positions)
         return Mounting.of(joints).inverse.signals(positions, zero, zero)[0]
-
-    def other_motors(self, inspection: Inspection) -> tuple[InspectedMotor, ...]:
-        """Return the inspected motors that drive no joint of the trajectory, by CAN id."""
-        driven = {joint.can_id for joint in self.trajectory.joints}
-        motors = inspection.motors.values()
-        return tuple(motor for motor in motors if motor.can_id not in driven)
 
 
 def recording_header(

@@ -197,7 +197,9 @@ def simulated_motor(
     ``watchdog`` is the time without a command after which the motor stops [s].
     """
     peak = joint.spec.peak_torque
+    # Registers that are only read are zero.
     registers = {
+        **dict.fromkeys(protocol.LOGGED, 0.0),
         protocol.GR: joint.spec.gear_ratio,
         protocol.MST_ID: float(joint.master_id),
         protocol.ESC_ID: float(joint.can_id),

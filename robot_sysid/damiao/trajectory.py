@@ -269,15 +269,14 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     for line_number, line in enumerate(comments, start=1):
         if "motor_type" in line:
             joints.append(_parse_joint(line, path, line_number))
-    if len(comments) == len(lines):
-        raise InputError(f"{path} has no column line; it is not a Damiao trajectory")
+    n = len(joints)
+    if n == 0 or len(comments) == len(lines):
+        raise InputError(
+            f"{path} has no '# motor_type=...' lines, or no column line below them; it is not a "
+            "Damiao trajectory"
+        )
     title_number = len(comments) + 1
     titles = [title.strip() for title in lines[len(comments)].split(",")]
-    n = len(joints)
-    if n == 0:
-        raise InputError(
-            f"{path} has no '# motor_type=...' lines; it is not a Damiao trajectory"
-        )
     if titles != ["time", *trajectory_columns(n)]:
         expected = f"expected the columns time,j0_pos,j0_vel,j0_tau,... for {n} joints"
         raise InputError(f"{path}, line {title_number}: {expected}")
@@ -320,18 +319,15 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
         can_id = int(pairs["can_id"], 0)
         master_id = int(pairs.get("master_id", str(can_id + MASTER_ID_OFFSET)), 0)
         motor_type = motor_spec(pairs["motor_type"]).name
-        mode = pairs["mode"]
+        if pairs["mode"] == "MIT":
+            return DamiaoJoint(motor_type, can_id, master_id)
     except InputError as error:
         raise InputError(f"{path}, line {number}: {error}") from None
     except (KeyError, ValueError):
-        raise InputError(
-            f"{path}, line {number}: expected '# motor_type=TYPE,can_id=NUMBER,mode=MIT'"
-        ) from None
-    if mode != "MIT":
-        raise InputError(
-            f"{path}, line {number}: mode {mode!r} cannot be played, only MIT"
-        )
-    return DamiaoJoint(motor_type, can_id, master_id)
+        pass
+    raise InputError(
+        f"{path}, line {number}: expected '# motor_type=TYPE,can_id=NUMBER,mode=MIT'"
+    )
 
 
 NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)

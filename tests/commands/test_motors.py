@@ -130,8 +130,7 @@ def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
 
 
 def test_dry_run_without_a_bus_checks_the_file(capsys, bus, trajectory):
-    out = succeed(capsys, "play", trajectory, "--dry-run")
-    assert "nothing speaks against playing" in out
+    succeed(capsys, "play", trajectory, "--dry-run")
     err = fail(capsys, 3, "play", trajectory, "--dry-run", "--rate", "2000")
     assert "limit 70 %; use --rate 250" in err
     assert bus.wire is None

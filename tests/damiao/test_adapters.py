@@ -131,7 +131,6 @@ def test_a_garbled_line_is_a_lost_frame(clock):
 
 
 def test_a_bus_may_have_the_name_that_a_joint_map_gives_it():
-    assert BusAddress(channel="can0").named_channel == ("can0", "can0")
     assert BusAddress(channel="left=/dev/x").named_channel == ("left", "/dev/x")
     spy = "spy://COM3?file=log"
     assert BusAddress(channel=spy).named_channel == (spy, spy)

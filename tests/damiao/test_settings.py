@@ -117,4 +117,3 @@ def test_transfers_keep_the_limits_of_a_user(tmp_path):
         velocity = np.array([path(moment).velocity[0] for moment in moments])
         assert np.max(velocity) <= 0.1 + 1e-9
         assert np.max(np.gradient(velocity, moments)) <= 0.05
-    assert Plan(file).settings.approach_speed == 0.2

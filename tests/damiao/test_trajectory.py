@@ -124,7 +124,7 @@ GOOD = "# motor_type=DM4340,can_id=1,mode=MIT\ntime,j0_pos,j0_vel,j0_tau\n"
         ),
         ("# motor_type=DM4340,can_id=x,mode=MIT\n", "line 1: expected"),
         ("# motor_type=DM4340,mode=MIT\n", "line 1: expected"),
-        ("# motor_type=DM4340,can_id=1,mode=VEL\n", "mode 'VEL' cannot be played"),
+        ("# motor_type=DM4340,can_id=1,mode=VEL\n", "line 1: expected"),
         (GOOD.replace("j0_tau", "j0_torque"), "line 2: expected the columns"),
         (GOOD + "0,0,0,0\n1,2,x,4\n", "line 4: expected 4 finite numbers"),
         (GOOD + "0,0,0,0\n1,2,3\n", "line 4: expected 4 finite numbers"),

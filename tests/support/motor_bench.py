@@ -9,7 +9,7 @@ import numpy as np
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import BusTiming, MitCommand, Scaling
-from robot_sysid.damiao.safety.guards import Replies
+from robot_sysid.damiao.safety.guards import CommandRange, Replies
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink
 from tests.support.clocks import ScriptedClock
@@ -31,7 +31,10 @@ class Bench:
         self.bus = RememberingLink(bus, self.clock)
         self.link = GuardedLink(self.bus, self.clock)
         self.client = RegisterClient(self.link)
-        self.session = MotorSession(self.link, joints, Scaling([SPEC.limits] * n))
+        far = np.full(n, 99.0)
+        anywhere = CommandRange(-far, far, far)
+        scaling = Scaling([SPEC.limits] * n)
+        self.session = MotorSession(self.link, joints, scaling, anywhere)
 
     @contextlib.contextmanager
     def enabled(self):

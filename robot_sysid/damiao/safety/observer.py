@@ -194,7 +194,6 @@ class Observer:
         commanded = acted.motor_torque(feedback.position, feedback.velocity)
         self._check_bus()
         self._check_states(replies)
-        self._check_jump(replies)
         self._check_frozen(replies, acted, commanded)
         self._moments = np.roll(self._moments, 1, axis=0)
         self._moments[0] = acted.position, feedback.position
@@ -224,7 +223,7 @@ class Observer:
         return self._means[1]
 
     def _check_states(self, replies: Replies) -> None:
-        """Stop for a motor that is not enabled, does not answer, or is too hot."""
+        """Stop for a motor that is not enabled, does not answer, is too hot, or jumped."""
         feedback = replies.feedback
         settings = self._settings
         self._raise_first(
@@ -248,6 +247,15 @@ class Observer:
             replies.answered & (hot > settings.max_temperature),
             lambda j: f"is at {hot[j]} deg C, limit {settings.max_temperature:g}",
         )
+        # Two samples confirm a jump.
+        self.stuck |= replies.jump != 0.0
+        self._raise_first(
+            replies.jump != 0.0,
+            lambda j: (
+                f"jumped by {abs(replies.jump[j]):.3f} rad between two samples: its encoder or its "
+                "mounting is not sound"
+            ),
+        )
 
     def _check_bus(self) -> None:
         """Stop for a motor that gets commands of another program, or answers too often."""
@@ -258,17 +266,6 @@ class Observer:
             lambda j: (
                 "answers more often than it is asked: a second motor has its id, or another "
                 "program commands it"
-            ),
-        )
-
-    def _check_jump(self, replies: Replies) -> None:
-        """Stop for a joint whose position jumped, as two samples confirm; mark it as ``stuck``."""
-        self.stuck |= replies.jump != 0.0
-        self._raise_first(
-            replies.jump != 0.0,
-            lambda j: (
-                f"jumped by {abs(replies.jump[j]):.3f} rad between two samples: its encoder or its "
-                "mounting is not sound"
             ),
         )
 
