@@ -53,8 +53,8 @@ def build_parser(full: bool = True) -> Parser:
     parser.add_argument(
         "name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES)
     )
-    only = ("output_dir",)
-    parser.add("output", FolderOptions, only=only, defaults={"output_dir": "NAME"})
+    defaults = {"output_dir": "the example's name"}
+    parser.add("output", FolderOptions, only=("output_dir",), defaults=defaults)
     return parser.add_console_options()
 
 

@@ -28,8 +28,8 @@ def build_parser(full: bool = True) -> Parser:
         type=Path,
         help="folder that a run wrote to",
     )
-    only = ("output_dir",)
-    parser.add("page", FolderOptions, only=only, defaults={"output_dir": "DIR"})
+    defaults = {"output_dir": "the first run's own"}
+    parser.add("page", FolderOptions, only=("output_dir",), defaults=defaults)
     parser.add("model", ModelOptions, only=("mesh_dir",))
     return parser.add_console_options()
 
