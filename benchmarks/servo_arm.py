@@ -40,7 +40,8 @@ class ServoArm:
 
     def play(self, time, command):
         """Return positions (N, n) at times (N,) at which commands (N, n) are given, from rest."""
-        friction = JointFriction(self.coulomb, np.zeros(len(self.coulomb)))
+        n = len(self.coulomb)
+        friction = JointFriction(self.coulomb, np.zeros(n), np.zeros((0, n)))
         model = self.robot.mj_model.__copy__()
         model.dof_armature[self.robot.dof_index] = self.armature
         arm = ArmStepper(

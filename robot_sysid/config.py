@@ -123,11 +123,8 @@ class NumberedMotorOptions(MotorOptions):
 
 _FOLDERS = ("output_dir", "mesh_dir")
 """Keys of options that name a folder."""
-
-
-def _is_written(flag: str) -> bool:
-    """Return whether the file that an option names is written, and not read."""
-    return flag.lstrip("-").startswith("save-")
+_WRITTEN = "--save-"
+"""Begin of the flags of options that name a file to write."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +177,7 @@ class Config:
 
     def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over; None stands for no file."""
-        files = [path for flag, path in self._files() if not _is_written(flag)]
+        files = [path for flag, path in self._files() if not flag.startswith(_WRITTEN)]
         return (self.model.path, self.output.config, *files)
 
     def _files(self) -> Iterator[tuple[str, Path]]:
@@ -199,7 +196,7 @@ class Config:
         for name in self.written:
             yield "--output-dir", self.output.output_dir / name
         for flag, path in self._files():
-            if _is_written(flag):
+            if flag.startswith(_WRITTEN):
                 yield flag, path
 
 
@@ -303,7 +300,7 @@ class SelfTestConfig(MotionConfig):
 
     def _is_random(self) -> bool:
         """Return whether the run draws a motion or noise, so that it needs a seed."""
-        return self.arm.is_noisy or super()._is_random()
+        return self.arm.noise_torque != 0.0 or super()._is_random()
 
 
 @dataclass(frozen=True)

@@ -107,13 +107,10 @@ def test_a_weightless_link_is_refused():
         robot_of(model)
 
 
-def notes_of(xml):
-    return " ".join(robot_of(xml).notes)
-
-
 def test_a_tie_between_bodies_is_told():
     tie = '<equality><weld body1="link0" body2="link2"/></equality>'
-    assert "weld constraints are ignored" in notes_of(serial_arm((Z, Y, X), extra=tie))
+    (note,) = robot_of(serial_arm((Z, Y, X), extra=tie)).notes
+    assert "weld constraints are ignored" in note
 
 
 def test_a_jaw_that_is_held_is_named_with_the_option_that_adds_it():

@@ -257,9 +257,7 @@ def resolve_joint(mj_model: Any, name: str) -> int:
 
 
 _BASE_JOINTS = 3
-"""Joints of a mobile base: two directions and a turn."""
-_LEAST_ARM_JOINTS = 3
-"""Joints that must remain for an arm; three can show all ten parameters."""
+"""Joints of a mobile base, two directions and a turn; as many must remain for an arm."""
 
 
 def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
@@ -269,7 +267,7 @@ def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
     """
     base = list(chain[:_BASE_JOINTS])
     is_planar = sorted(mj_model.jnt_type[base]) == sorted((_SLIDE, _SLIDE, _HINGE))
-    is_long = len(chain) >= _BASE_JOINTS + _LEAST_ARM_JOINTS
+    is_long = len(chain) >= 2 * _BASE_JOINTS
     if not is_long or not is_planar or np.any(mj_model.jnt_limited[base]):
         return chain
     return chain[_BASE_JOINTS:]

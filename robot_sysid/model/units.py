@@ -65,10 +65,15 @@ def refuse_cad_units(robot: RobotModel) -> None:
     offsets = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
     length = sum(offsets)
     com_distance = np.median(np.linalg.norm(mj_model.body_ipos[bodies], axis=1))
-    _refuse_millimetres(robot, "the distances between its joints add up to", length)
-    _refuse_millimetres(
-        robot, "centres of mass lie away from their links' frames by", com_distance
-    )
+    for fault, distance in (
+        ("the distances between its joints add up to", length),
+        ("centres of mass lie away from their links' frames by", com_distance),
+    ):
+        if distance > _LONGEST:
+            raise ModelError(
+                f"{robot.path}: {fault} {distance:.3g} m: these lengths fit mm, not m; divide them "
+                "by 1000"
+            )
     masses = mj_model.body_mass[bodies]
     moments = mj_model.body_inertia[bodies]
     radii = np.sqrt(np.sum(moments, axis=1) / (2.0 * masses))
@@ -126,15 +131,6 @@ def _refuse_units(
         f"{robot.path}: {'; '.join(faults)} (link {names[middle]} has {masses[middle]:.3g} kg and "
         f"a radius of gyration of {radii[middle]:.3g} m)"
     )
-
-
-def _refuse_millimetres(robot: RobotModel, fault: str, length: float) -> None:
-    """Raise ModelError where a length of an arm [m] is none; ``fault`` says which it is."""
-    if length > _LONGEST:
-        raise ModelError(
-            f"{robot.path}: {fault} {length:.3g} m: these lengths fit mm, not m; divide them by "
-            "1000"
-        )
 
 
 def _likely_units(share: float, compactness: float) -> tuple[str, str] | None:

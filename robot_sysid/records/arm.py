@@ -226,18 +226,16 @@ class JointFriction:
         viscous: (n,) friction per speed of each joint [N m s/rad; N s/m for a slide].
         shared: (m, n) dry friction of m motors that turn several joints: entry [k, j] is the torque
             at joint j while motor k turns forward [N m or N], proportional to the motor's speed per
-            speed of joint j. None, for no such motors, is replaced by an empty (0, n) array. (The
-            viscous friction of these motors belongs to MuJoCo's inverse dynamics.)
+            speed of joint j. (The viscous friction of these motors belongs to MuJoCo's inverse
+            dynamics.)
     """
 
     coulomb: Array
     viscous: Array
-    shared: Array | None = None
+    shared: Array
 
     def __post_init__(self) -> None:
         n = np.size(self.coulomb)
-        if self.shared is None:
-            object.__setattr__(self, "shared", np.zeros((0, n)))
         check_arrays(self, coulomb=(None,), viscous=(n,), shared=(None, n))
 
     def torque(self, qd: Array) -> Array:
@@ -252,7 +250,6 @@ class JointFriction:
             direction: returns the direction, -1 to 1, of each element of an array of velocities:
                 their sign, or a smooth function in place of it.
         """
-        assert self.shared is not None
         # Speeds (N, m) of the shared motors, each as seen at the joint that it moves most.
         largest = np.max(np.abs(self.shared), axis=1, keepdims=True)
         motor_speed = qd @ (self.shared / largest).T
@@ -262,7 +259,6 @@ class JointFriction:
     @property
     def largest_dry(self) -> Array:
         """Largest dry friction (n,) of each joint, whichever way shared motors turn [N m or N]."""
-        assert self.shared is not None
         return np.asarray(self.coulomb + np.sum(np.abs(self.shared), axis=0))
 
 

@@ -6,7 +6,7 @@ Samples become square-root information, that becomes an ``Estimate``, which is j
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -268,26 +268,22 @@ def validation_of(
 
     squared_errors = np.sum(blocks, axis=0)
     total = float(np.sum(squared_errors))
-    of_all = _relative_errors([total], [float(np.sum(squared_torques))])
+    # Those of the joints, then of all joints together.
+    errors = [*squared_errors, total]
+    torques = [*squared_torques, np.sum(squared_torques)]
+    *relative, overall = [
+        float(np.sqrt(e / t)) if t > 0.0 else None for e, t in zip(errors, torques)
+    ]
     per_joint = np.sqrt(squared_errors / np.maximum(counts, 1.0)).tolist()
-    relative = _relative_errors(squared_errors, squared_torques)
     return Validation(
         source=source,
         n_samples=int(np.max(counts, initial=0)),
         rmse=float(np.sqrt(total / max(np.sum(counts), 1.0))),
-        relative_error=of_all[0],
+        relative_error=overall,
         rmse_per_joint=dict(zip(joint_names, per_joint)),
         relative_error_per_joint=dict(zip(joint_names, relative)),
         blocks=blocks,
     )
-
-
-def _relative_errors(
-    squared_errors: Iterable[float], squared_torques: Iterable[float]
-) -> list[float | None]:
-    """Return relative errors from sums of squares; None where the torque is zero."""
-    pairs = zip(squared_errors, squared_torques)
-    return [float(np.sqrt(e / t)) if t > 0.0 else None for e, t in pairs]
 
 
 @dataclass(frozen=True)

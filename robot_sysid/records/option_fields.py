@@ -212,11 +212,12 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
 
 def given_arguments(record: Any, keys: Collection[str] | None = None) -> list[str]:
     """Return the arguments of a command line that state a record's given options, of some keys."""
-    given = {option.key for option in given_options(record)}
     values = {}
     for name, stated in options_of(record).items():
-        if stated.key in (given if keys is None else given & {*keys}):
-            values[stated.key] = getattr(record, name)
+        value = getattr(record, name)
+        is_wanted = keys is None or stated.key in keys
+        if is_wanted and value != default_of(record, name):
+            values[stated.key] = value
     return command_arguments(values, record)
 
 

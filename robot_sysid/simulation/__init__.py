@@ -31,9 +31,3 @@ class SimulatedArmOptions(OptionRecord):
     save_measurements: Path | None = option(
         None, "write the simulated measurements as a log", "FILE"
     )
-
-    @property
-    def is_noisy(self) -> bool:
-        """Whether the sensors' torques hold random noise."""
-        noise = self.noise_torque
-        return any(noise) if isinstance(noise, tuple) else noise != 0.0

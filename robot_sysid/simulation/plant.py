@@ -209,7 +209,6 @@ class ArmStepper:
         self._viscous = robot.friction.viscous
         # Friction torque (motors, n) of motors that turn several joints; no rows where none does.
         shared = robot.friction.shared
-        assert shared is not None
         levels = np.max(np.abs(shared), axis=1)
         # Coulomb friction levels (k,): those of the n joints, then those of motors that turn
         # several joints. Each acts along one direction in joint velocities, a row of (k, n).

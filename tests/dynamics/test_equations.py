@@ -67,7 +67,11 @@ def plant_with(robot, theta, friction):
     coulomb = robot.friction.coulomb.copy()
     viscous = robot.friction.viscous.copy()
     coulomb[-1], viscous[-1] = friction
-    plant = replace(robot, mj_model=model, friction=JointFriction(coulomb, viscous))
+    plant = replace(
+        robot,
+        mj_model=model,
+        friction=JointFriction(coulomb, viscous, robot.friction.shared),
+    )
     truth = composite_theta(model, robot.reference_qpos, robot.body_id)
     return plant, np.append(truth, friction)
 

@@ -51,7 +51,9 @@ ARM = RobotModel(
     reference_qpos=np.zeros(2),
     is_slide=np.zeros(2, dtype=bool),
     limits=JointLimits(*np.array([[-2.0], [2.0], [2.0], [np.inf]]) * np.ones(2)),
-    friction=JointFriction(np.array([0.3, 0.2]), np.array([0.1, 0.0])),
+    friction=JointFriction(
+        np.array([0.3, 0.2]), np.array([0.1, 0.0]), np.zeros((0, 2))
+    ),
     links=(ArmLink(2, "link6", np.zeros(6), np.eye(3), np.zeros(3), 0.5 * THETA),),
     sha256="ab",
 )
