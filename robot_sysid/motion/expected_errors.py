@@ -37,7 +37,6 @@ from robot_sysid.motion.prediction import Prediction, invisible_combinations
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan
-from robot_sysid.records.messages import percent
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import sample_times
@@ -165,13 +164,7 @@ def predict(
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD
         theta = typical_load(problem)
-        load = f"{problem.reserve:.12g} kg (of --payload-reserve)"
-        if not problem.reserve:
-            load = (
-                f"{theta[0]:.2g} kg ({percent(TYPICAL_LOAD)} of the arm's moving mass; "
-                "--payload-reserve states another one)"
-            )
-        subject = f"a load of {load}"
+        subject = f"a load of {theta[0]:.3g} kg (--payload-reserve states another one)"
         size = theta[0] / robot.prior.mass * size
     fitted = expected_fit(problem, plan, sample_rate, options, poses)
     at = fitted.at(names)

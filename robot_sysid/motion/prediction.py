@@ -171,9 +171,9 @@ def motion_lines(
     limits_text = "; ".join(_assumed_limits(problem))
     if limits_text:
         yield f"Limits of this program (check them against the arm's): {limits_text}"
-    start, is_at_rest = _start_pose(problem, plan)
+    start = plan.evaluate(np.zeros(1)).q[0]
     pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
-    if is_at_rest:
+    if np.allclose(start, problem.robot.reference, atol=_SAME_POSE):
         yield Detail(f"Start: the model's pose at rest, {pose}")
     else:
         contact = contact_before(problem, plan)
@@ -205,13 +205,4 @@ def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:
     """Return the names of two bodies that come too near each other on the straight line in joint
     space from the model's pose at rest to the start of a motion; None where none do.
     """
-    start, is_at_rest = _start_pose(problem, plan)
-    return None if is_at_rest else contact_on_the_way(problem, start)
-
-
-def _start_pose(problem: ExcitationProblem, plan: MotionPlan) -> tuple[Array, bool]:
-    """Return the joint positions (n,) at which a motion starts [rad or m], and whether they are the
-    model's pose at rest.
-    """
-    start = plan.evaluate(np.zeros(1)).q[0]
-    return start, np.allclose(start, problem.robot.reference, atol=_SAME_POSE)
+    return contact_on_the_way(problem, plan.evaluate(np.zeros(1)).q[0])

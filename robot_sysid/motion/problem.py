@@ -11,13 +11,12 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, split_motion, subtree
 from robot_sysid.dynamics.spatial import N_INERTIAL
-from robot_sysid.errors import InputError
 from robot_sysid.estimate.links import model_link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.solids import mounting_plane, tool_corners, unguarded_links
-from robot_sysid.records import Array, JointLimits, Motion, RobotModel
+from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
     PerJoint,
@@ -47,31 +46,24 @@ _LEVEL = 0.9
 
 
 @dataclass(frozen=True)
-class MotionLimits(JointLimits):
+class MotionLimits:
     """Limits of a motion, (n,) each; infinite where there is none, but for positions.
 
-    Position limits are finite, with the margin already subtracted.
-
     Attributes:
+        lower: (n,) smallest positions, with the margin already added [rad or m].
+        upper: (n,) largest positions, with the margin already subtracted [rad or m].
+        velocity: largest absolute speed of each joint [rad/s or m/s].
         acceleration: largest absolute acceleration of each joint [rad/s^2 or m/s^2].
+        torque: largest absolute torque of each joint [N m or N].
         tool_speed: largest speed of the tool's fastest point, one number [m/s].
-
-    Raises:
-        InputError: position limits are not finite with lower < upper, or another limit of a joint
-            is not positive.
     """
 
+    lower: Array
+    upper: Array
+    velocity: Array
     acceleration: Array
-    tool_speed: float = np.inf
-
-    def __post_init__(self) -> None:
-        if not np.all((self.lower < self.upper) & np.isfinite(self.upper - self.lower)):
-            raise InputError(
-                "position limits must be finite, with lower < upper for every joint"
-            )
-        for name in ("velocity", "acceleration", "torque"):
-            if not np.all(getattr(self, name) > 0.0):
-                raise InputError(f"{name} limits must be positive")
+    torque: Array
+    tool_speed: float
 
     @property
     def center(self) -> Array:

@@ -12,9 +12,9 @@ fast and on a slow machine. Only a time budget that ends the search makes the re
 clock.
 
 The objective is the criterion (``information``) plus an augmented Lagrangian of constraints. For
-constraints g <= 0 with multipliers l and weight m the penalty is sum (max(0, l + m g)^2 - l^2) / 2
-m; between rounds l becomes max(0, l + m g) (Nocedal, Wright, "Numerical Optimization", 2006,
-section 17.4). It leads to a feasible optimum without an infinite weight, so the problem stays well
+constraints g <= 0 with multipliers l the penalty is sum (max(0, l + g)^2 - l^2) / 2; between rounds
+l becomes max(0, l + g) (Nocedal, Wright, "Numerical Optimization", 2006, section 17.4, with a
+weight of one). It leads to a feasible optimum without an infinite weight, so the problem stays well
 conditioned. Constraints have to hold at all times, the optimiser sees finitely many: after each
 round a motion that breaks a limit is shrunk towards rest until it keeps all, from begin to end.
 """
@@ -61,13 +61,6 @@ arms another minute of search would then gain at most 5 %."""
 LARGEST_LEAD = 0.05
 """How much better (relative, in the mean standard deviation) the motion that breaks limits may be
 than the best one that keeps them when a search ends; it goes on while the lead is larger."""
-FIRST_WEIGHT = 1.0
-"""Weight of the penalty in the first rounds. It is small, so that the multipliers, and not the
-weight, make the motion keep the limits."""
-WEIGHT_GROWTH = 1.5
-"""Growth of the weight per later round, where multipliers converge slowly."""
-PLAIN_ROUNDS = 2
-"""Rounds before the weight begins to grow."""
 MEMORY = 20
 """Gradient pairs L-BFGS keeps: the upper end of what Nocedal, Wright, section 7.2, recommend."""
 REPAIRS = (1.0, *(1.0 - 1e-3 * 2.0 ** np.arange(10)), 0.2, 0.1)
@@ -186,7 +179,6 @@ class Candidate:
     Attributes:
         x: (n, M) free coefficients of each joint [rad or m]; the motion may break a limit.
         multipliers: (N, 4 n + 2) Lagrange multipliers of the constraints at the N grid points.
-        rounds: number of rounds of improvement that have been completed.
         score: the criterion at ``x``, smaller is better; infinite if singular.
         feasible_x: (n, M) the best coefficients so far that keep all limits.
         feasible_score: the criterion at ``feasible_x``; infinite where none are known.
@@ -195,15 +187,8 @@ class Candidate:
     x: Array
     multipliers: Array
     feasible_x: Array
-    rounds: int = 0
     score: float = np.inf
     feasible_score: float = np.inf
-
-    @property
-    def weight(self) -> float:
-        """Weight of the penalty."""
-        growth: float = WEIGHT_GROWTH ** max(0, self.rounds - PLAIN_ROUNDS)
-        return FIRST_WEIGHT * growth
 
 
 def constraints_of(
@@ -244,20 +229,24 @@ def constraint_gradient(
         by_position: (N, n) derivative of the last constraint by q.
         weight: (N, 4 n + 2) of the constraints g.
     """
-    gradients = np.zeros((3, *by_position.shape))
+    n_linear = 3 * problem.n_joints
     factor = weight[:, :-1] / (LIMIT_SHARE * problem.limits.columns)
-    active = np.flatnonzero(np.any(factor != 0.0, axis=1))
+    linear, functions = np.split(factor, [n_linear], axis=1)
+    q, qd, qdd = motion
+    directions = np.sign((q - problem.limits.center, qd, qdd))
+    gradients = directions * np.split(linear, 3, axis=1)
+    gradients[0] += weight[:, -1:] * by_position
+    # Torques and the tool's speed are functions of the motion.
+    active = np.flatnonzero(np.any(functions != 0.0, axis=1))
     if len(active):
 
         def total(*at: Array) -> Array:
-            """Return the weighted sums (m, N) of the limited quantities."""
-            signals = np.abs(problem.signals(_samples(*at)))
-            weighted = signals.reshape(-1, *factor[active].shape) * factor[active]
+            """Return the weighted sums (m, N) of torques and the tool's speed."""
+            signals = np.abs(problem.signals(_samples(*at))[:, n_linear:])
+            weighted = signals.reshape(-1, *functions[active].shape) * functions[active]
             return np.asarray(np.sum(weighted, axis=2))
 
-        q, qd, qdd = motion
-        gradients[:, active] = gradient_of(total, (q[active], qd[active], qdd[active]))
-    gradients[0] += weight[:, -1:] * by_position
+        gradients[:, active] += gradient_of(total, (q[active], qd[active], qdd[active]))
     return tuple(gradients)
 
 
@@ -271,13 +260,12 @@ def penalised_objective(
     minimisation ends at x.
     """
     multipliers = candidate.multipliers
-    weight = candidate.weight
     motion = design.motion(x)
     q, qd, qdd = (signal[INFORMATION_POINTS] for signal in motion)
     value, gradients = design.criterion.with_gradient((q, qd, qdd))
     constraints, by_position = constraints_of(design.problem, motion, EXTRA_SLACK)
-    active = np.maximum(0.0, multipliers + weight * constraints)
-    penalty = float(np.sum(active**2 - multipliers**2)) / (2.0 * weight)
+    active = np.maximum(0.0, multipliers + constraints)
+    penalty = 0.5 * float(np.sum(active**2 - multipliers**2))
     # Gradients (N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
     adjoints = constraint_gradient(design.problem, motion, by_position, active)
     for adjoint, gradient in zip(adjoints, gradients):
@@ -324,10 +312,7 @@ def improve(
     )
     x = unit * found.x.reshape(shape)
     _, _, multipliers = penalised_objective(design, candidate, x)
-    rounds = candidate.rounds + 1
-    return _update_feasible(
-        design, replace(candidate, x=x, multipliers=multipliers, rounds=rounds)
-    )
+    return _update_feasible(design, replace(candidate, x=x, multipliers=multipliers))
 
 
 def _update_feasible(design: Design, candidate: Candidate) -> Candidate:
