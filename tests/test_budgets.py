@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 17245,
     "robot_sysid/mjcf": 7953,
     "robot_sysid/model": 8609,
-    "robot_sysid/motion": 20813,
+    "robot_sysid/motion": 20490,
     "robot_sysid/pipeline": 6216,
     "robot_sysid/records": 8303,
     "robot_sysid/report": 7231,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5330,
     "robot_sysid/simulation": 4000,
     "robot_sysid": 11462,
-    "tests": 224442,
+    "tests": 224437,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

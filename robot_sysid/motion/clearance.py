@@ -351,9 +351,8 @@ def _with_margin(mj_model: Any, margin: float) -> Any:
     model.geom_gap[:] = 0.0
     # The largest margin among a body's geoms: without it the search for close bodies misses pairs.
     model.body_margin[:] = margin
-    if model.npair:
-        model.pair_margin[:] = margin
-        model.pair_gap[:] = 0.0
+    model.pair_margin[:] = margin
+    model.pair_gap[:] = 0.0
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return model
 

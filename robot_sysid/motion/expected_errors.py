@@ -34,9 +34,9 @@ from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, PoseOptions
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
 from robot_sysid.motion.prediction import Prediction, invisible_combinations
-from robot_sysid.motion.problem import ExcitationProblem
+from robot_sysid.motion.problem import ExcitationProblem, motion_of_samples
 from robot_sysid.motion.trajectories import LineTrajectory
-from robot_sysid.records import Array, Measurement, Motion, MotionPlan
+from robot_sysid.records import Array, Measurement, MotionPlan
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import sample_times
@@ -252,7 +252,7 @@ def _resting_poses(problem: ExcitationProblem, plan: MotionPlan) -> Recording:
     assert isinstance(plan, LineTrajectory)
     q = plan.rests
     still = np.zeros_like(q)
-    motion = Motion(np.arange(float(len(q))), q, still, still)
+    motion = motion_of_samples(q, still, still)
     rests = Measurement(motion.time, q, still, problem.arm_torque(motion), still)
     return Recording("", Poses(rests, np.ones(q.shape, dtype=bool)))
 

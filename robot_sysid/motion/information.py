@@ -179,8 +179,7 @@ class Criterion:
         load = self._theta @ links
         qd = qd.T[self._joints]
         qdd = qdd.T[self._joints]
-        speed = self._smooth_speed[:, None]
-        sign = np.tanh(qd / speed) if np.all(speed > 0.0) else np.sign(qd)
+        sign = np.tanh(qd / self._smooth_speed[:, None])
         root = sign * np.sqrt(np.abs(qd))
         # In the order of ``JOINT_TERMS``.
         terms = (sign, qd, np.ones_like(qd), qdd, load, sign * np.abs(load), root)

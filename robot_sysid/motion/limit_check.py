@@ -80,14 +80,9 @@ class LimitCheck:
     excesses: tuple[Excess, ...]
 
     @property
-    def holds(self) -> bool:
-        """Whether every limit is kept."""
-        return not self.excesses
-
-    @property
     def failure(self) -> str | None:
         """Why the trajectory must not be run, or None."""
-        if self.holds:
+        if not self.excesses:
             return None
         count = len(self.excesses)
         limits = "" if count == 1 else f"{count} limits, first "

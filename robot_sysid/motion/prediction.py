@@ -92,7 +92,7 @@ def limit_lines(
     A further line names the links that no distance is known of.
     """
     unguarded = unguarded_text(problem.unguarded)
-    if check.holds:
+    if not check.excesses:
         closest = check.closest
         nearness = "nothing comes near"
         if np.isfinite(closest.distance):

@@ -177,9 +177,7 @@ class ExcitationProblem:
         number for all joints and samples, zero by default, or (N, n) each.
         """
         zero = np.zeros_like(q)
-        # Torques do not depend on the time of a sample, so any times will do.
-        time = np.arange(float(len(q)))
-        return self.torque(Motion(time, q, zero + qd, zero + qdd))
+        return self.torque(motion_of_samples(q, zero + qd, zero + qdd))
 
     @property
     def signal_names(self) -> tuple[str, ...]:
@@ -208,6 +206,11 @@ class ExcitationProblem:
         return spatial.parameter_scale(
             float(theta[0]), spatial.characteristic_length(theta)
         )
+
+
+def motion_of_samples(q: Array, qd: Array, qdd: Array) -> Motion:
+    """Return samples (N, n) as a motion; neither torques nor limits depend on their times."""
+    return Motion(np.arange(float(len(q))), q, qd, qdd)
 
 
 def build_problem(
@@ -326,8 +329,7 @@ def _half_spaces(
     keep-out plane is one. The base's height is taken with the joints at ``start_pose`` (n,).
     """
     model = robot.mj_model
-    first_joint = model.dof_jntid[robot.dof_index[0]]
-    moving = subtree(model, int(model.jnt_bodyid[first_joint]))
+    moving = subtree(model, int(model.dof_bodyid[robot.dof_index[0]]))
     spaces = options.half_spaces(moving, subtree(model, robot.body_id))
     base = mounting_plane(robot, start_pose)
     if options.below_base or base is None:

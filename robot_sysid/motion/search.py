@@ -32,8 +32,13 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions
 from robot_sysid.motion.information import Criterion, PriorKnowledge, gradient_of
 from robot_sysid.motion.limit_check import keeps_limits
-from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
-from robot_sysid.records import Array, Motion
+from robot_sysid.motion.problem import (
+    OBSTACLE_LENGTH,
+    ROUNDING,
+    ExcitationProblem,
+    motion_of_samples,
+)
+from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import Series, SineTrajectory, TrajectoryOptions
 
@@ -124,9 +129,8 @@ class Design:
         self.size = 2 * count + 1
         # A constant, sines and cosines.
         number = np.arange(1.0, count + 1.0)
-        quarter = np.full(count, 0.5 * np.pi)
         frequency = base * np.concatenate(([0.0], number, number))
-        phase = np.concatenate(([0.5 * np.pi], 0.0 * quarter, quarter))
+        phase = 0.5 * np.pi * np.repeat((1.0, 0.0, 1.0), (1, count, count))
         self._waves = frequency, phase
         self._fade = min(LONGEST_FADE, 0.25 * self.duration)
         top = self.top_frequency_hz = count * base
@@ -205,17 +209,12 @@ def constraints_of(
         motion: q, qd and qdd, (N, n) each.
         extra_slack: distance to keep in addition to the required one [m].
     """
-    signals = np.abs(problem.signals(_samples(*motion)))
+    signals = np.abs(problem.signals(motion_of_samples(*motion)))
     slack, slack_gradient = problem.obstacles.slack(motion[0])
     limits = LIMIT_SHARE * problem.limits.columns
     missing = (extra_slack - slack) / OBSTACLE_LENGTH
     value = np.column_stack((signals / limits - 1.0, missing))
     return value, -slack_gradient / OBSTACLE_LENGTH
-
-
-def _samples(q: Array, qd: Array, qdd: Array) -> Motion:
-    """Return samples (N, n) as a motion: limits do not depend on the time of a sample."""
-    return Motion(np.arange(float(len(q))), q, qd, qdd)
 
 
 def constraint_gradient(
@@ -242,7 +241,7 @@ def constraint_gradient(
 
         def total(*at: Array) -> Array:
             """Return the weighted sums (m, N) of torques and the tool's speed."""
-            signals = np.abs(problem.signals(_samples(*at))[:, n_linear:])
+            signals = np.abs(problem.signals(motion_of_samples(*at))[:, n_linear:])
             weighted = signals.reshape(-1, *functions[active].shape) * functions[active]
             return np.asarray(np.sum(weighted, axis=2))
 

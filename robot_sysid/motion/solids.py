@@ -206,22 +206,6 @@ def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
     return tuple(body_label(model, link_bodies[k - 1]) for k in sorted(unguarded))
 
 
-def pass_filters(
-    links: NDArray[np.int64], contype: NDArray[np.int64], conaffinity: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """Return whether two geoms (m, m) move against each other and pass MuJoCo's collision filter.
-
-    They pass if a bit of one's ``contype`` is set in the other's ``conaffinity``.
-
-    Args:
-        links: (m,) number of the link of each geom; geoms with equal numbers do not move against
-            each other.
-        contype, conaffinity: (m,) bits of each geom.
-    """
-    passes = (contype[:, None] & conaffinity) != 0
-    return (passes | passes.T) & (links[:, None] != links)
-
-
 def _can_meet(mj_model: Any, links: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return whether each geom (ngeom,) can meet a geom that moves against it.
 
@@ -232,7 +216,9 @@ def _can_meet(mj_model: Any, links: NDArray[np.int64]) -> NDArray[np.bool_]:
         mj_model: compiled model.
         links: (ngeom,) number of each geom's link.
     """
-    is_tested = pass_filters(links, mj_model.geom_contype, mj_model.geom_conaffinity)
+    # Geoms pass the filter if a bit of one's contype is set in the other's conaffinity.
+    passes = (mj_model.geom_contype[:, None] & mj_model.geom_conaffinity) != 0
+    is_tested = (passes | passes.T) & (links[:, None] != links)
     # The upper half of a signature is the first body's id.
     first_body = mj_model.exclude_signature >> 16
     second_body = mj_model.exclude_signature & 0xFFFF
@@ -261,16 +247,17 @@ def tool_corners(robot: RobotModel) -> Array:
     of the terminal body's frame, in that frame [m]; the frame's origin is in the box.
     """
     data = data_at_pose(robot.mj_model, robot.reference_qpos)
-    turns = data.xmat.reshape(-1, 3, 3)
     body = robot.body_id
-    lowest, highest = np.zeros((2, 3))
+    axes = data.xmat[body].reshape(3, 3).T
+    directions = np.vstack((axes, -axes))
+    lowest = np.zeros(6)
     for solid in solids_of(robot.mj_model, subtree(robot.mj_model, body)):
-        points = data.xpos[solid.body] + solid.points @ turns[solid.body].T
-        points = (points - data.xpos[body]) @ turns[body]
-        radius = solid.radius[:, None]
-        lowest = np.minimum(lowest, np.min(points - radius, axis=0))
-        highest = np.maximum(highest, np.max(points + radius, axis=0))
-    return 0.5 * (lowest + highest + (highest - lowest) * _CORNERS)
+        for k, up in enumerate(directions):
+            (point,) = solid.lowest(data.xpos[None], data.xmat[None], up)
+            lowest[k] = min(lowest[k], (point - data.xpos[body]) @ up)
+    lower = lowest[:3]
+    upper = -lowest[3:]
+    return 0.5 * (lower + upper + (upper - lower) * _CORNERS)
 
 
 def _on_the_hull(points: Array, radius: Array) -> tuple[Array, Array]:

@@ -270,18 +270,13 @@ def _select_poses(problem: ExcitationProblem, poses: Array, rows: Array) -> list
         determinants = np.linalg.slogdet(information + normal)[1]
         best = int(np.argmax(np.where(is_left, determinants, -np.inf)))
         is_left[best] = False
-        if _is_free(problem, position, poses[best]):
+        if first_contact(problem, straight_way(position, poses[best])) is None:
             selected.append(poses[best])
             information = information + normal[best]
             position = poses[best]
-    while selected and not _is_free(problem, selected[-1], problem.rest):
+    while selected and first_contact(problem, straight_way(selected[-1], problem.rest)):
         selected.pop()
     return selected
-
-
-def _is_free(problem: ExcitationProblem, start: Array, end: Array) -> bool:
-    """Return whether the straight line from a pose (n,) to another one (n,) is free."""
-    return first_contact(problem, straight_way(start, end)) is None
 
 
 def pose_line(plan: MotionPlan) -> str:

@@ -12,7 +12,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO, TypeVar
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
@@ -135,7 +135,6 @@ def _cruise(elapsed: Array, length: Array, ramp: Array) -> Series:
 
 _KINDS = {"sines": SineTrajectory, "lines": LineTrajectory}
 """Type of a trajectory in files to its class."""
-_Plan = TypeVar("_Plan", bound=MotionPlan)
 
 
 def _numbers(plan: MotionPlan) -> dict[str, Any]:
@@ -144,7 +143,7 @@ def _numbers(plan: MotionPlan) -> dict[str, Any]:
     return {entry.name: getattr(plan, entry.name) for entry in fields(trajectory)}
 
 
-def at_speed(plan: _Plan, speed: float) -> _Plan:
+def at_speed(plan: MotionPlan, speed: float) -> MotionPlan:
     """Return the trajectory scaled in time by s = ``speed``: q(s t), s q'(s t), s^2 q''(s t).
 
     Raises:
@@ -156,14 +155,13 @@ def at_speed(plan: _Plan, speed: float) -> _Plan:
             f"--speed must be above 0 and at most 1 (got {speed:g}): the trajectory was made for "
             "full speed and can only be slowed down"
         )
-    if speed == 1.0:
-        return plan
     numbers = _numbers(plan)
     for name in {"duration", "fade", "moves", "dwells", "ramps"} & set(numbers):
         numbers[name] = numbers[name] / speed
     if "frequency_hz" in numbers:
         numbers["frequency_hz"] = speed * numbers["frequency_hz"]
-    slowed: _Plan = type(plan)(**numbers)
+    kind: Any = type(plan)
+    slowed: MotionPlan = kind(**numbers)
     return slowed
 
 

@@ -102,7 +102,7 @@ def test_the_search_minimises_the_predicted_errors(options):
     """The search uses all samples, the prediction a recording of them without its ends."""
     prior = prior_knowledge(PROBLEM, options, "link")
     motion = PLAN.evaluate((np.arange(100) + 0.5) * PLAN.duration / 100)
-    criterion = Criterion(PROBLEM, prior, RATE * PLAN.duration / 100, smoothing=0.0)
+    criterion = Criterion(PROBLEM, prior, RATE * PLAN.duration / 100, smoothing=1e-9)
     covariance = link_covariance(criterion, (motion.q, motion.qd, motion.qdd))
     ratio = predict_errors(options).errors / np.sqrt(np.diag(covariance))
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25

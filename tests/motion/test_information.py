@@ -63,7 +63,7 @@ def test_the_value_is_the_volume_of_a_dense_fits_covariance(xml, target):
     problem = make_problem(xml)
     knowledge = knowledge_of(problem, target)
     motion = random_motion(default_rng(1), problem.n_joints, 200)
-    criterion = Criterion(problem, knowledge, smoothing=0.0)
+    criterion = Criterion(problem, knowledge, smoothing=1e-9)
     covariance, size = dense_covariance(problem, knowledge, motion)
     assert criterion.visible.shape == (10, 10)
     deviation = np.sqrt(np.diag(covariance)[:10])
