@@ -8,6 +8,8 @@ acceleration as a part of its own root mean square, away from the ends.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
@@ -33,7 +35,7 @@ def motion(
 def estimates(q: np.ndarray, rate: float, cutoff: float) -> dict[str, np.ndarray]:
     """Return acceleration by each method, NaN where it has none."""
     low_pass = design_low_pass(cutoff, rate)
-    smooth = low_pass.filter(q)
+    smooth = replace(low_pass, step=1).decimate(q)
     pair = sosfiltfilt(butter(4, cutoff, fs=rate, output="sos"), q)
     window = max(7, int(1.2 * rate / cutoff) | 1)
     frequency = 2.0 * np.pi * np.fft.rfftfreq(len(smooth), 1.0 / rate)

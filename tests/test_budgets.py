@@ -31,10 +31,10 @@ BUDGETS = {
     "robot_sysid/report": 7231,
     "robot_sysid/results": 13506,
     "robot_sysid/servo": 5207,
-    "robot_sysid/signals": 5330,
+    "robot_sysid/signals": 5253,
     "robot_sysid/simulation": 4000,
     "robot_sysid": 11462,
-    "tests": 224437,
+    "tests": 224412,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -55,20 +55,9 @@ class LowPass:
         """Samples M lost at each end."""
         return len(self.kernel) // 2
 
-    def filter(self, values: Array) -> Array:
-        """Return (N - 2 M, ...) filtered samples of values (N, ...): all but M at each end."""
-        return _weighted_sums(values, self.kernel)
-
     def decimate(self, values: Array) -> Array:
         """Return (K, ...) filtered samples of values (N, ...), one per ``step`` samples."""
-        if len(values) < len(self.kernel):
-            return np.zeros((0, *np.shape(values)[1:]))
-        # Successive samples side by side in memory: up to eight times as fast as otherwise.
-        samples = np.ascontiguousarray(np.moveaxis(values, 0, -1), dtype=float)
-        windows = sliding_window_view(samples, len(self.kernel), axis=-1)
-        # Not by BLAS, so that a column's digits depend neither on the columns beside it nor on
-        # the number of threads.
-        return np.einsum("...kt,t->k...", windows[..., :: self.step, :], self.kernel)
+        return _weighted_sums(values, self.kernel, self.step)
 
     def weight_shares(self, is_marked: NDArray[np.bool_]) -> Array:
         """Return (K, ...) the share of each decimated sample's weight that lies on marked samples
@@ -111,15 +100,18 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
     return LowPass(cutoff, rate, kernel / np.sum(kernel), step)
 
 
-def _weighted_sums(values: Array, weights: Array) -> Array:
-    """Return (N - 2 M, ...) sums of values (N, ...) with weights (2 M + 1,) around each sample that
-    has M neighbours on both sides.
+def _weighted_sums(values: Array, weights: Array, step: int = 1) -> Array:
+    """Return (K, ...) sums of values (N, ...) with weights (2 M + 1,) around each sample that has
+    M neighbours on both sides, or around every ``step``-th of these.
     """
-    from scipy.ndimage import correlate1d
-
-    half = len(weights) // 2
-    last = max(half, len(values) - half)
-    return np.asarray(correlate1d(values, weights, axis=0)[half:last])
+    if len(values) < len(weights):
+        return np.zeros((0, *np.shape(values)[1:]))
+    # Successive samples side by side in memory: up to eight times as fast as otherwise.
+    samples = np.ascontiguousarray(np.moveaxis(values, 0, -1), dtype=float)
+    windows = sliding_window_view(samples, len(weights), axis=-1)
+    # Not by BLAS, so that a column's digits depend neither on the columns beside it nor on the
+    # number of threads.
+    return np.einsum("...kt,t->k...", windows[..., ::step, :], weights)
 
 
 REACH = 8

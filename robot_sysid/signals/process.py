@@ -194,7 +194,7 @@ def process(
             f"{choice.cutoff:.3g} Hz, which needs {shortest / uniform.rate:.3g} s; record longer"
         )
     inner = slice(lost, len(uniform.q) - lost)
-    q = position_filter.filter(uniform.q)
+    q = position_filter.decimate(uniform.q)
     qd, qdd = derivatives(q, uniform.rate)
     longest_hole = min(_LONGEST_HOLE_STEPS / uniform.rate, 1.0 / choice.cutoff)
     hole_share = position_filter.weight_shares(uniform.gap > longest_hole)

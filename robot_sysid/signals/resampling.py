@@ -213,28 +213,23 @@ def _select_pieces(pieces: list[Measurement]) -> list[Measurement]:
     return [moving[number] for number in numbers]
 
 
-def _columns(samples: Measurement) -> dict[str, Any]:
-    """Return the name and the values of each column that a log has."""
-    columns = {
-        field.name: getattr(samples, field.name) for field in fields(Measurement)
-    }
-    return {name: values for name, values in columns.items() if values is not None}
-
-
 def slice_samples(samples: Measurement, start: int, stop: int) -> Measurement:
     """Return the consecutive samples from index ``start`` to before ``stop`` of a log, as views."""
-    columns = _columns(samples).items()
-    return replace(samples, **{name: values[start:stop] for name, values in columns})
+    changes: dict[str, Any] = {}
+    for field in fields(Measurement):
+        values = getattr(samples, field.name)
+        changes[field.name] = None if values is None else values[start:stop]
+    return replace(samples, **changes)
 
 
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     """Return consecutive chunks of a log as one measurement; all have the same columns."""
-    columns = list(map(_columns, chunks))
-    # ``qd`` has no default: it is None unless the chunks have velocities.
-    joined: dict[str, Any] = {"qd": None}
-    for name in columns[0]:
-        joined[name] = np.concatenate([chunk[name] for chunk in columns])
-    return Measurement(**joined)
+    first, *others = chunks
+    changes: dict[str, Any] = {}
+    for field in fields(Measurement):
+        values = [getattr(chunk, field.name) for chunk in (first, *others)]
+        changes[field.name] = None if values[0] is None else np.concatenate(values)
+    return replace(first, **changes)
 
 
 MOST_ROWS_KEPT = 300_000

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,21 +20,20 @@ from tests.support.swing import seconds
 def test_decimated_samples_are_every_so_many_filtered_ones(cutoff, count, seed):
     low_pass = design_low_pass(cutoff, 200.0)
     values = default_rng(seed).normal(size=(count, 2, 3))
-    every = low_pass.filter(values)[:: low_pass.step]
+    every = replace(low_pass, step=1).decimate(values)[:: low_pass.step]
     assert_allclose(low_pass.decimate(values), every, rtol=0.0, atol=1e-12)
-    assert len(low_pass.centres(len(values))) == len(every)
 
 
 @given(st.floats(2.0, 50.0), st.floats(0.0, 1.0), st.floats(0.0, 6.0))
 def test_pass_band_and_stop_band_keep_the_attenuation(cutoff, position, phase):
-    low_pass = design_low_pass(cutoff, 200.0)
+    low_pass = replace(design_low_pass(cutoff, 200.0), step=1)
     time = seconds(12.0, 200.0)
     half = low_pass.half_width
     slow = np.sin(2.0 * np.pi * 0.4 * cutoff * position * time + phase)
-    distortion = np.max(np.abs(low_pass.filter(slow) - slow[half : len(slow) - half]))
+    distortion = np.max(np.abs(low_pass.decimate(slow) - slow[half : len(slow) - half]))
     stop = 1.6 * cutoff + position * max(0.0, 98.0 - 1.6 * cutoff)
     fast = np.sin(2.0 * np.pi * stop * time + phase)
-    leakage = np.max(np.abs(low_pass.filter(fast)))
+    leakage = np.max(np.abs(low_pass.decimate(fast)))
     assert distortion < 1e-4 and leakage < 1e-4
     with pytest.raises(InputError, match="between 0.001 and 60 Hz"):
         design_low_pass(60.0 + cutoff, 200.0)
