@@ -142,8 +142,9 @@ class BusLink:
                 attributes = "error_code", "errno"
                 codes = [getattr(error, name, None) for name in attributes]
                 if errno.ENOBUFS not in codes:
-                    reason = f"the CAN bus does not take frames: {_driver_text(error)}"
-                    raise LinkError(reason) from error
+                    raise LinkError(
+                        f"the CAN bus does not take frames: {_driver_text(error)}"
+                    ) from error
                 if self._clock.now() >= patience:
                     raise LinkError(_FULL) from error
             self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
@@ -161,8 +162,9 @@ class BusLink:
             except (ValueError, IndexError):
                 pass
             except (Exception, SystemExit) as error:
-                reason = f"the CAN bus cannot be read: {_driver_text(error)}"
-                raise LinkError(reason) from error
+                raise LinkError(
+                    f"the CAN bus cannot be read: {_driver_text(error)}"
+                ) from error
             if message is None and self._clock.now() >= until:
                 return None
             if message is None or message.is_extended_id or message.is_error_frame:
@@ -223,8 +225,9 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> Link
         )
     except (Exception, SystemExit) as error:
         # Each adapter's driver raises what it likes.
-        problem = f"cannot open {interface} channel {channel}: {_driver_text(error)}"
-        raise InputError(problem) from error
+        raise InputError(
+            f"cannot open {interface} channel {channel}: {_driver_text(error)}"
+        ) from error
     if interface == "slcan":
         read_in_pieces(bus)
     return BusLink(bus, clock)

@@ -144,20 +144,17 @@ def undisturbed_processor(live: bool = True) -> Iterator[bool]:
     Args:
         live: ask for real-time priority; False for a block that runs in simulated time.
     """
-    collects_garbage = gc.isenabled()
     switch_interval = sys.getswitchinterval()
     gc.collect()
     gc.disable()
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    no_priority = contextlib.nullcontext(enter_result=False)
-    priority = _real_time_priority() if live else no_priority
+    priority = _real_time_priority if live else contextlib.nullcontext
     try:
-        with priority as is_granted:
-            yield is_granted
+        with priority() as is_granted:
+            yield bool(is_granted)
     finally:
         sys.setswitchinterval(switch_interval)
-        if collects_garbage:
-            gc.enable()
+        gc.enable()
 
 
 @contextlib.contextmanager

@@ -255,8 +255,9 @@ class MotorRun:
             refuse: called with each frame to be sent; raises for one that must not be sent.
         """
         if not self.address.channel:
-            problem = "this command needs --channel, for instance --channel can0"
-            raise InputError(problem)
+            raise InputError(
+                "this command needs --channel, for instance --channel can0"
+            )
         link = open_bus(self.address, self.timing, self.clock)
         with contextlib.closing(link):
             yield GuardedLink(link, self.clock, self.timing.fd, refuse)

@@ -78,8 +78,8 @@ def transfer_checks(
         return
     contact = first_contact(problem, straight_way(begin, end))
     if contact is not None:
-        remedy = "bring the arm nearer by hand"
-        yield Check(STOP, f"{name} the model's {contact.label} touch; {remedy}")
+        text = f"{name} the model's {contact.label} touch; bring the arm nearer by hand"
+        yield Check(STOP, text)
 
 
 def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Check]:

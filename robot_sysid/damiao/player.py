@@ -178,6 +178,8 @@ class Player:
         self._command: MitCommand | None = None
         # A reference that depends on the arm's state, which it gets in every cycle.
         self._follower: paths.Lowering | CarriedStop | None = None
+        # Time in the clock at which the last phase before a stop began [s].
+        self._origin: float
         # Time of the last answer in the clock [s].
         self._heard_at = 0.0
         self._n_recorded = 0
@@ -201,12 +203,13 @@ class Player:
                     raise
                 reason = f"{type(error).__name__}: {error_text(error)}"
                 raise HardwareAbort(reason) from error
-        lateness_p50, lateness_p99 = np.percentile(self._timer.lateness, [50.0, 99.0])
+        percentiles = np.percentile(self._timer.lateness, [50.0, 99.0])
+        lateness_p50, lateness_p99 = percentiles.tolist()
         return PlayReport(
             cycles=self._n_recorded,
             skipped=self._timer.skipped,
-            lateness_p50=float(lateness_p50),
-            lateness_p99=float(lateness_p99),
+            lateness_p50=lateness_p50,
+            lateness_p99=lateness_p99,
             missed=self._observer.total_missed,
             worst_tracking=self._observer.worst_tracking,
         )
@@ -312,6 +315,7 @@ class Player:
             record: whether cycles are recorded.
         """
         origin = self._timer.next_deadline
+        self._origin = origin
         self._standing = standing
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + length + 0.5 * self._settings.period
@@ -322,7 +326,10 @@ class Player:
             self._stop_if_asked()
             replies, acted = self._cycle(target)
             if record:
-                self._record(time, origin, replies, acted)
+                self._n_recorded += 1
+                self._on_progress(time)
+                if self._recorder:
+                    self._recorder.write(time, origin, replies, acted)
             if self._recorder:
                 self._recorder.end_cycle()
             is_lowered = self._follower is not None
@@ -385,18 +392,6 @@ class Player:
         if self._standing and np.all(np.isfinite(q)):
             self._standing_states.append(np.stack([q, self._motor_torque]))
         return replies
-
-    def _record(
-        self, time: float, origin: float, replies: Replies, acted: MitCommand
-    ) -> None:
-        """Record a cycle and report progress.
-
-        ``time`` [s] counts since the trajectory began, at ``origin`` in the clock [s].
-        """
-        self._n_recorded += 1
-        if self._recorder:
-            self._recorder.write(time, origin, replies, acted)
-        self._on_progress(time)
 
     def _command_for(self, reference: Reference) -> MitCommand:
         """Return the command for a reference; stiffness and torque are scaled while gains rise."""
@@ -487,8 +482,11 @@ class Player:
         # A motor that does not answer may still obey, so only failed ones are left out.
         is_driven = ~self._observer.failed
         command = self._command_for(target)
-        self._exchange(command, self._command or command, is_driven, braking=True)
+        acted = self._command or command
+        replies = self._exchange(command, acted, is_driven, braking=True)
         if self._recorder:
+            time = self._clock.now() - self._origin
+            self._recorder.write(time, self._origin, replies, acted, mark="# stop: ")
             self._recorder.end_cycle()
 
 

@@ -246,10 +246,10 @@ def _condition_checks(
     registers = motor.registers
     if len(motor.reply_ids) > 1:
         yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
-    required = protocol.REQUIRED
-    missing = [protocol.NAMES[number] for number in required if number not in registers]
+    missing = set(protocol.REQUIRED) - set(registers)
     if missing:
-        yield _stop(f"{name} does not answer for {', '.join(missing)}; try again")
+        names = ", ".join(protocol.NAMES[number] for number in sorted(missing))
+        yield _stop(f"{name} does not answer for {names}; try again")
         return
     if joint:
         yield from _id_register_checks(motor, joint, name)

@@ -191,7 +191,12 @@ class MeasurementRecorder:
                 self._file.close()
 
     def write(
-        self, time: float, origin: float, replies: Replies, acted: MitCommand
+        self,
+        time: float,
+        origin: float,
+        replies: Replies,
+        acted: MitCommand,
+        mark: str = "",
     ) -> None:
         """Write a cycle as a row of the file.
 
@@ -200,8 +205,11 @@ class MeasurementRecorder:
             origin: time in the link's clock at which the trajectory began [s].
             replies: replies of the joints in this cycle.
             acted: command in force when the replies were sampled, in joint space.
+            mark: begin of the line; "# ..." makes it a comment.
         """
-        self._aside(lambda: self._file.write(self._row(time, origin, replies, acted)))
+        self._aside(
+            lambda: self._file.write(mark + self._row(time, origin, replies, acted))
+        )
 
     def end_cycle(self) -> None:
         """Flush all rows to the operating system, which writes them even if this program dies."""

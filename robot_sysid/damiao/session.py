@@ -349,8 +349,9 @@ class MotorSession:
         read = protocol.decode_mit(packed, self.scaling)
         new = self._mounting.inverse.command(read)
         old = self._command or new
-        fields = [np.where(commanded, *pair) for pair in zip(new, old)]
-        self._command = protocol.MitCommand(*fields)
+        self._command = protocol.MitCommand(
+            *(np.where(commanded, *pair) for pair in zip(new, old))
+        )
         moved = np.abs(new.position - self.sent_position)
         used = np.nan_to_num(moved / self._bounds.command_range.speed)
         moved_until = np.clip(self._moved_until + used, now - _MOST_CREDIT, now)

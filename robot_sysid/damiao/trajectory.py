@@ -278,8 +278,10 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     title_number = len(comments) + 1
     titles = [title.strip() for title in lines[len(comments)].split(",")]
     if titles != ["time", *trajectory_columns(n)]:
-        expected = f"expected the columns time,j0_pos,j0_vel,j0_tau,... for {n} joints"
-        raise InputError(f"{path}, line {title_number}: {expected}")
+        raise InputError(
+            f"{path}, line {title_number}: expected the columns time,j0_pos,j0_vel,j0_tau,... for "
+            f"{n} joints"
+        )
     width = 1 + 3 * n
     rows = []
     for line_number, line in enumerate(lines[title_number:], start=title_number + 1):

@@ -484,6 +484,8 @@ def test_while_it_moves(rig, line, monkeypatch, heard):
     if line.phase != "enabling":
         assert " ".join(registers) == line.states
         assert "stopping" in run.phases
+    if line.states == SLOWLY:
+        assert "# stop: " in run.record_path.read_text()
     enabled = [
         frame.data[7] for frame in run.wire.sent if is_special(frame.data)
     ].count(0xFC)
