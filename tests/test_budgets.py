@@ -17,7 +17,7 @@ from tests.support.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 4777,
-    "robot_sysid/commands": 12228,
+    "robot_sysid/commands": 12227,
     "robot_sysid/damiao": 34995,
     "robot_sysid/diagnosis": 17642,
     "robot_sysid/dynamics": 5878,

@@ -75,8 +75,8 @@ BAD_OPTIONS = [
     ("--output-dir arm.xml/results", "arm.xml is not a folder"),
     ("--output-di a", "--output-di: did you mean --output-dir?"),
     ("--export-damiao --motor-type DM1 --motor-type DM4340", "DM4340_48V"),
-    ("--export-damiao --motor-type DM4340", "2 joints"),
-    ("--mesh-dir arm.xml", "arm.xml is not a folder"),
+    ("--export-damiao --motor-type DM4340", "2, got 1"),
+    ("--mesh-dir arm.xml", "arm.xml is no folder"),
 ]
 """Options and a phrase of the error message that each of them gets."""
 

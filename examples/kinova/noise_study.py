@@ -112,9 +112,11 @@ class NoiseStudy:
 
     def __init__(self, plan: MotionPlan | None = None, seed: int = 1) -> None:
         self.plant = load_robot_model(MODELS / "kinova_fullinertia.xml")
-        guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml").prior
+        guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml").links[-1]
         self.robot = replace(
-            self.plant, mj_model=with_link(self.plant, guess.theta), prior=guess
+            self.plant,
+            mj_model=with_link(self.plant, guess.theta),
+            links=(*self.plant.links[:-1], guess),
         )
         self.plan = plan or random_plan(self.robot, seed)
         self.signals = self.record()

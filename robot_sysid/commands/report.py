@@ -38,15 +38,15 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parse_command(build_parser, arguments)
     mesh_dir = record_from(ModelOptions, values).mesh_dir
+    folder = record_from(FolderOptions, values).output_dir
     require_report(True)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.report.page import write_report
     from robot_sysid.report.runs import load_run
 
     runs = [load_run(folder) for folder in values["folders"]]
-    folder = runs[0].folder
-    if "output_dir" in values:
-        folder = record_from(FolderOptions, values).output_dir
+    if "output_dir" not in values:
+        folder = runs[0].folder
     path = write_report(runs, folder, mesh_dir, console)
     console.stage(f"Written: {path}")
     verdicts = [run.content["verdict"] for run in runs]
@@ -79,8 +79,8 @@ def draw_report(
 
     console.stage("Drawing the report...")
     try:
-        run = load_run(output.output_dir)
-        path = write_report([run], run.folder, mesh_dir, console)
+        folder = output.output_dir
+        path = write_report([load_run(folder)], folder, mesh_dir, console)
     except Exception as error:  # The run is done, and its results must stand.
         cause = f"{type(error).__name__}: {error}"
         if isinstance(error, SysidError):
