@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 4777,
     "robot_sysid/commands": 12227,
-    "robot_sysid/damiao": 34995,
+    "robot_sysid/damiao": 35318,
     "robot_sysid/diagnosis": 17642,
     "robot_sysid/dynamics": 5878,
     "robot_sysid/estimate": 28678,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5253,
     "robot_sysid/simulation": 4000,
     "robot_sysid": 11462,
-    "tests": 224409,
+    "tests": 224483,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -247,8 +247,22 @@ def feed_near_peak(q, qd, tau):
     tau[:, 0] = 26.9
 
 
+def lift_motion(q, qd, tau):
+    """Shift the motion by 0.8 rad, with the torque of gravity there."""
+    tau += GRAVITY * (np.sin(q + 0.8) - np.sin(q))
+    q += 0.8
+
+
 @pytest.mark.parametrize(
-    ("change", "options", "message"), [(feed_near_peak, {}, "motor 1 is")]
+    ("change", "options", "message"),
+    [
+        (feed_near_peak, {}, "motor 1 is"),
+        (
+            lift_motion,
+            {"faults": [fault("torque_factor", 1, 5 / 3)], "start": [0.8, 0.8]},
+            "motor 2 reports 1.6",
+        ),
+    ],
 )
 def test_what_cannot_be_known_before_is_stopped_before_it_plays(
     tmp_path, change, options, message

@@ -7,7 +7,7 @@ velocity changed no faster than a motor can change it, and the reported torque c
 command did. An implausible sample is not used, unless the next sample confirms it.
 
 Positions, velocities and torques are scaled by numbers stored in the motor. If one of these is
-wrong, every value is wrong by a constant factor, which ``VelocityCheck`` detects.
+wrong, every value is wrong by a constant factor, which ``ScaleCheck`` detects.
 
 Every command to a motor has to keep to ``CommandBounds``.
 """
@@ -219,13 +219,51 @@ _LEAST_SLIP = 0.02
 """Difference of position change and integrated velocity that is accepted in a window [rad]."""
 _SLIP_SHARE = 0.05
 """Share of the path's length in a window by which this difference may be larger."""
-_VELOCITY_SCALE = (
-    "moves {:.3f} times as far as its velocity says, and sampling does not explain it: one of the "
-    "two has another scale; turn the joint by hand by a known angle and compare with 'motors "
-    "monitor', before anything is changed"
-)
 _COARSE = 1.3
 """Ratio of a cycle's mean velocity to its last one above which slip cannot be judged."""
+
+
+class ScaleCheck:
+    """Checks whether two signals of n joints that should be equal have one scale.
+
+    The uncertainty of a ratio is the rounding error divided by the rms of the first signal, plus
+    three standard errors.
+
+    Args:
+        rounding: (n,) largest constant error of a pair.
+        least: least number of pairs from which a ratio is judged.
+        tolerance: error of a ratio that is accepted besides.
+        explained: (n,) largest ratio above 1 that has another cause.
+    """
+
+    def __init__(
+        self, rounding: Array, least: int, tolerance: float, explained: Array
+    ) -> None:
+        self._rounding = rounding
+        self._least = least
+        self._tolerance = tolerance
+        self._explained = explained
+        # Number of pairs (x, y) and sums of xx, xy, yy, for each joint.
+        self._sums = np.zeros((4, len(rounding)))
+
+    def add(self, x: Array, y: Array, usable: Mask) -> None:
+        """Add a pair x, y (n,) of each joint that is ``usable`` (n,)."""
+        x, y = np.where(usable, [x, y], 0.0)
+        self._sums += np.stack([usable, x * x, x * y, y * y])
+
+    def worst(self) -> tuple[int, float] | None:
+        """Return index and ratio y / x of the joint that is farthest beyond its doubt, or None."""
+        count, xx, xy, yy = self._sums
+        number = np.maximum(count, 1.0)
+        size = np.sqrt(xx / number)
+        is_judged = (count >= self._least) & (size > 2.0 * self._rounding)
+        ratio = np.where(is_judged, xy / np.where(is_judged, xx, 1.0), 1.0)
+        scatter = np.sqrt(np.maximum(yy - ratio * xy, 0.0)) / number
+        doubt = (self._rounding + 3.0 * scatter) / np.where(is_judged, size, np.inf)
+        unexplained = ratio / np.clip(ratio, 1.0, self._explained)
+        excess = np.abs(unexplained - 1.0) - doubt
+        j = int(np.argmax(excess))
+        return (j, float(ratio[j])) if excess[j] > self._tolerance else None
 
 
 class VelocityCheck:
@@ -245,14 +283,16 @@ class VelocityCheck:
 
     Attributes:
         explained: (n,) largest possible ratio of a cycle's mean velocity to its last one.
+        scale: compares the changes of position with the integrals.
     """
 
     def __init__(self, velocity_step: Array, fades: Array) -> None:
         n_joints = len(velocity_step)
         self.explained: Array = np.expm1(fades) / fades
         self._rounding = 0.5 * velocity_step * _WINDOW
-        # Number of windows, and sums of xx, xy, yy of integrals x and changes y, for each joint.
-        self._sums = np.zeros((4, n_joints))
+        self.scale = ScaleCheck(
+            self._rounding, _LEAST_WINDOWS, _VELOCITY_TOLERANCE, self.explained
+        )
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
         # Time and position (2, n) at which each joint's window begins.
@@ -263,9 +303,8 @@ class VelocityCheck:
     def add(self, time: Array, q: Array, qd: Array) -> tuple[int, str] | None:
         """Add one sample per joint; return a joint that slipped in a window that ends now, or None.
 
-        It may also be a joint whose velocities have a wrong scale. ``time``, ``q`` and ``qd`` are
-        (n,) [s, rad, rad/s], NaN where a joint did not answer. The result has the joint's index,
-        and what it does: a sentence that begins with its name.
+        ``time``, ``q`` and ``qd`` are (n,) [s, rad, rad/s], NaN where a joint did not answer. The
+        result has the joint's index, and what it does: a sentence that begins with its name.
         """
         is_fresh = np.isfinite(time) & np.isfinite(q)
         now = np.where(is_fresh, [time, q, qd], self._last)
@@ -276,7 +315,7 @@ class VelocityCheck:
         is_full = is_fresh & (now[0] - self._begin[0] >= _WINDOW)
         integral, path = np.where(is_full, self._integrals, 0.0)
         change = np.where(is_full, now[1] - self._begin[1], 0.0)
-        self._sums += [is_full, integral**2, integral * change, change**2]
+        self.scale.add(integral, change, is_full)
         self._integrals = np.where(is_full, 0.0, self._integrals)
         self._begin = np.where(is_full, now[:2], self._begin)
         # Sampling late in each cycle explains any change from the integral to ``fastest``.
@@ -293,26 +332,7 @@ class VelocityCheck:
                 f"moves {abs(mismatch[j]) / _WINDOW:.2f} rad/s beside the velocity that it "
                 "reports: its gear or its encoder slips, or one of the two has another sign"
             )
-        worst = self.worst()
-        return worst and (worst[0], _VELOCITY_SCALE.format(worst[1]))
-
-    def worst(self) -> tuple[int, float] | None:
-        """Return index and ratio of the joint whose velocities have the wrongest scale, or None.
-
-        It is the ratio of changes of position to integrals. Its uncertainty is the rounding error
-        divided by the rms of the integrals, plus three standard errors.
-        """
-        count, xx, xy, yy = self._sums
-        number = np.maximum(count, 1.0)
-        size = np.sqrt(xx / number)
-        is_judged = (count >= _LEAST_WINDOWS) & (size > 2.0 * self._rounding)
-        ratio = np.where(is_judged, xy / np.where(is_judged, xx, 1.0), 1.0)
-        scatter = np.sqrt(np.maximum(yy - ratio * xy, 0.0)) / number
-        doubt = (self._rounding + 3.0 * scatter) / np.where(is_judged, size, np.inf)
-        unexplained = ratio / np.clip(ratio, 1.0, self.explained)
-        excess = np.abs(unexplained - 1.0) - doubt
-        j = int(np.argmax(excess))
-        return (j, float(ratio[j])) if excess[j] > _VELOCITY_TOLERANCE else None
+        return None
 
 
 _ROUNDING = 1e-6

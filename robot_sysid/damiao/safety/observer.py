@@ -5,7 +5,7 @@ torque that the arm needs:
 
 =====================================  =========================================================
 the bus                                answers missing, damaged, doubled; commands of others
-torque reported, torque commanded      torque sign, weak motor, another master, supply
+torque reported, torque commanded      torque scale or sign, weak motor, another master, supply
 position, integrated velocity          velocity scale or sign, slipping gear or encoder
 position, command                      blocked joint, frozen encoder, answers that repeat
 torque commanded, torque needed        weak motor, new load, push, moved zero, slipping gear
@@ -26,7 +26,13 @@ import numpy as np
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.protocol import ENABLED, MitCommand, status_text
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
-from robot_sysid.damiao.safety.guards import NO_STATUS, Mask, Replies, VelocityCheck
+from robot_sysid.damiao.safety.guards import (
+    NO_STATUS,
+    Mask,
+    Replies,
+    ScaleCheck,
+    VelocityCheck,
+)
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -52,6 +58,13 @@ _SINKS = (
 _MEMORY = 0.9  # Factor per cycle by which counts of surplus answers and foreign commands decay.
 _FEW = 2.5  # Decayed count above which the run stops: a single wrong one is a damaged frame.
 _OTHER_TORQUE = 0.15  # Accepted error of a reported torque [share of the peak torque].
+_LEAST_TORQUES = 25  # Least number of torques from which their scale is judged.
+_TORQUE_TOLERANCE = 0.15  # Accepted error of it: TMAX of two types differ by a fifth.
+_STRONG = (
+    0.9  # Torque that a motor may fail to make, and that is not judged [peak torques].
+)
+_SLOW = 0.1  # Velocity above which late samples would make a commanded torque wrong [rad/s].
+_SCALING_CYCLES = 50  # Cycles from one judgement of the scales to the next.
 _EFFORT_WAY = 0.05  # Position error that makes the limit of a sudden effort [rad].
 _LEAST_EFFORT = 0.1  # Least such limit [share of the peak torque].
 _MOST_EFFORT = 0.25  # Largest such limit [share of the peak torque].
@@ -130,9 +143,15 @@ class Observer:
         # kp is above 0 here, because ``VelocityCheck`` divides by these values.
         fades = settings.period * kp / np.array(settings.kd)
         self._velocity_check = VelocityCheck(self._velocity_step, fades)
+        # Error of a single torque: by rounding, or half a percent of the peak torque.
+        self._torque_scale = ScaleCheck(
+            np.maximum(4.0 * torque_step, 0.005 * peak_torque),
+            *(_LEAST_TORQUES, _TORQUE_TOLERANCE, np.ones(n_joints)),
+        )
         self._zero_check = holding.watch() if holding.watch is not None else None
         # Means (2, n) of effort and of feed-forward torque over the last moments; NaN before.
         self._means = np.full((2, n_joints), np.nan)
+        self._cycles = 0
         self.missed, self.silent, self.total_missed = np.zeros((3, n_joints), int)
         # Cycles in a row with doubted answers only.
         self._damaged = np.zeros(n_joints, int)
@@ -199,7 +218,7 @@ class Observer:
         self._moments[0] = acted.position, feedback.position
         effort = commanded - acted.torque
         self._check_limits(replies, acted, commanded, effort, standing, rising)
-        self._raise_found(self._slip)
+        self._check_scales(commanded, feedback.torque, feedback.velocity)
         if not rising:
             self._check_opposite_load()
         values = np.array([effort, acted.torque])
@@ -268,6 +287,26 @@ class Observer:
                 "program commands it"
             ),
         )
+
+    def _check_scales(self, commanded: Array, tau: Array, qd: Array) -> None:
+        """Stop for a slip; every ``_SCALING_CYCLES`` cycles also for a wrong scale.
+
+        ``commanded`` (n,) and ``tau`` (n,) are the commanded and the reported torques [N m], ``qd``
+        (n,) the velocities [rad/s].
+        """
+        can_follow = np.abs(commanded) < _STRONG * self._peak
+        usable = np.isfinite(tau) & can_follow & (np.abs(qd) < _SLOW)
+        self._torque_scale.add(commanded, tau, usable)
+        self._raise_found(self._slip)
+        self._cycles += 1
+        if self._cycles % _SCALING_CYCLES == 0:
+            for check, sentence in (
+                (self._torque_scale, _TORQUE_SCALE),
+                (self._velocity_check.scale, _VELOCITY_SCALE),
+            ):
+                worst = check.worst()
+                if worst is not None:
+                    self._raise(worst[0], sentence.format(worst[1]))
 
     def _check_frozen(
         self, replies: Replies, acted: MitCommand, commanded: Array
@@ -444,4 +483,13 @@ _BEYOND = (
     "is {0:.3f} rad/s off its speed, limit {1:g}",
     "is {0:.3f} N m off its torque, limit {1:g}",
     "suddenly needs {0:.1f} N m beside what carried it",
+)
+_TORQUE_SCALE = (
+    "reports {:.2f} times the torque that it was commanded to make: its TMAX register does not "
+    "describe its torques, or its torque ratio is another"
+)
+_VELOCITY_SCALE = (
+    "moves {:.3f} times as far as its velocity says, and sampling does not explain it: one of the "
+    "two has another scale; turn the joint by hand by a known angle and compare with 'motors "
+    "monitor', before anything is changed"
 )

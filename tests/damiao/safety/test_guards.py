@@ -144,7 +144,7 @@ def watched_swing(factor, noise=0.0, step=0.005, gone=0.0, fades=1e-6):
 
 @pytest.mark.parametrize("factor", [0.8, 0.95, 1.05, 1.25])
 def test_a_wrong_velocity_scale_is_found(factor):
-    joint, slope = watched_swing(factor).worst()
+    joint, slope = watched_swing(factor).scale.worst()
     assert slope == pytest.approx(1.0 / factor, abs=2e-3) and joint in (0, 1)
 
 
@@ -158,7 +158,7 @@ def test_a_wrong_velocity_scale_is_found(factor):
     ],
 )
 def test_a_right_one_or_one_that_is_too_coarse_to_judge_is_left_alone(options):
-    assert watched_swing(**options).worst() is None
+    assert watched_swing(**options).scale.worst() is None
 
 
 @pytest.mark.parametrize("fades", [0.05, 0.2, 0.8, 1.5])
@@ -183,7 +183,7 @@ def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_
         p = last_speed + away[0] * cycle
         v = away[1]
         check.add(np.full(1, n * cycle), np.full(1, p), np.full(1, v))
-    assert check.worst() is None
+    assert check.scale.worst() is None
 
 
 JOINTS = damiao_joints(["DM4340", "DM4310"], 2)
