@@ -29,7 +29,7 @@ BUDGETS = {
     "robot_sysid/pipeline": 6216,
     "robot_sysid/records": 8303,
     "robot_sysid/report": 7231,
-    "robot_sysid/results": 13506,
+    "robot_sysid/results": 13485,
     "robot_sysid/servo": 5207,
     "robot_sysid/signals": 5253,
     "robot_sysid/simulation": 4000,

@@ -37,10 +37,6 @@ if TYPE_CHECKING:
 
 _MAX_BODY_NAMES = 3
 """Number of bodies of a link that are named; more make a line too long."""
-_FRICTION_ROUNDING = 1e-9
-"""Friction below which a number is rounding error [N m]."""
-_MIN_CAUSE_SHARE = 0.05
-"""Share of the standard error below which a cause is not listed: it changes the error by 0.1 %."""
 
 
 def result_lines(result: Result, links: bool = False) -> list[str]:
@@ -143,10 +139,10 @@ def _decimals_text(values: Array) -> str:
 
 def _friction_text(value: float) -> str:
     """Return a number with two decimals, or with one significant digit instead of 0.00."""
+    value = float(without_rounding(np.array(value), scale=1.0))
     # Adding zero turns the -0.00 that rounding leaves into 0.00.
     rounded = round(value, 2) + 0.0
-    is_hidden = rounded == 0.0 and abs(value) > _FRICTION_ROUNDING
-    return f"{value:.1g}" if is_hidden else f"{rounded:.2f}"
+    return f"{value:.1g}" if value and not rounded else f"{rounded:.2f}"
 
 
 def _mass_lines(result: Result) -> Iterator[str]:
@@ -223,12 +219,10 @@ def _fit_error_text(test: Validation) -> str:
 
 def _detail_lines(result: Result) -> Iterator[str]:
     """Yield the lines that --verbose adds: errors of the mass by cause, residuals by joint."""
-    mass_error = float(result.body.errors[0])
     causes = result.body.mass_causes
-    large = [c for c in causes if causes[c] > _MIN_CAUSE_SHARE * mass_error]
-    if np.isfinite(mass_error) and large:
-        large.sort(key=lambda cause: -causes[cause])
-        listed = ", ".join(f"{cause_text(c)} {causes[c]:.2g}" for c in large)
+    if np.isfinite(result.body.errors[0]) and causes:
+        largest = sorted(causes, key=lambda cause: -causes[cause])
+        listed = ", ".join(f"{cause_text(c)} {causes[c]:.2g}" for c in largest)
         yield f"Error of the mass by cause, kg: {listed}"
     estimate = result.estimate
     yield "  RMSE per joint:"
