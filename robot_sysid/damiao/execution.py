@@ -49,7 +49,7 @@ from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.option_fields import options_of, record_from
+from robot_sysid.records.option_fields import record_from
 
 
 class MotorRun:
@@ -84,10 +84,12 @@ class MotorRun:
         model.
         """
         robot = self.robot
-        for key in (*options_of(PosedModelOptions), *motion.MODEL_LIMITS):
+        model_options = record_from(PosedModelOptions, self.values)
+        for key in (*vars(model_options), *motion.MODEL_LIMITS):
             if robot is None and self.values.get(key) is not None:
-                flag = key.replace("_", "-")
-                raise InputError(f"--{flag} is about a model; add --model")
+                raise InputError(
+                    f"--{key.replace('_', '-')} is about a model; add --model"
+                )
         trajectory = motion.read_damiao_trajectory(self.values["trajectory"])
         if robot is not None and trajectory.n_joints != robot.n_joints:
             raise InputError(
