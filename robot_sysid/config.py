@@ -123,8 +123,8 @@ class NumberedMotorOptions(MotorOptions):
 
 _FOLDERS = ("output_dir", "mesh_dir")
 """Keys of options that name a folder."""
-_WRITTEN = "--save-"
-"""Begin of the flags of options that name a file to write."""
+_WRITTEN = "save-"
+"""Part of the flags of options that name a file to write."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class Config:
 
     def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over; None stands for no file."""
-        files = [path for flag, path in self._files() if not flag.startswith(_WRITTEN)]
+        files = [path for flag, path in self._files() if _WRITTEN not in flag]
         return (self.model.path, self.output.config, *files)
 
     def _files(self) -> Iterator[tuple[str, Path]]:
@@ -196,7 +196,7 @@ class Config:
         for name in self.written:
             yield "--output-dir", self.output.output_dir / name
         for flag, path in self._files():
-            if flag.startswith(_WRITTEN):
+            if _WRITTEN in flag:
                 yield flag, path
 
 
