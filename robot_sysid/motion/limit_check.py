@@ -84,11 +84,7 @@ class LimitCheck:
         """Why the trajectory must not be run, or None."""
         if not self.excesses:
             return None
-        count = len(self.excesses)
-        limits = "" if count == 1 else f"{count} limits, first "
-        return (
-            f"this trajectory must not be run: it breaks {limits}the {self.excesses[0]}"
-        )
+        return f"this trajectory must not be run: it breaks the {self.excesses[0]}"
 
 
 def check_limits(

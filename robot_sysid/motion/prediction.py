@@ -20,12 +20,10 @@ from robot_sysid.motion.problem import LIMIT_NAMES, ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.static import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.messages import PARAMETER_UNITS, Detail, percent, position_unit
+from robot_sysid.records.messages import Detail, percent, position_unit
 
 LARGE_SHARE = 0.2
 """Predicted standard error over the parameter's size above which the parameter is named."""
-_SAME_POSE = 1e-6
-"""How near to the model's pose a start counts as that pose [rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -152,10 +150,6 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
             f"mass {mass_error:.2g} kg, centre of mass {1e3 * centre_error:.2g} mm"
         )
         yield Detail(f"  by {cause}: {figures}")
-    errors = zip(spatial.PARAMETER_NAMES, prediction.errors, PARAMETER_UNITS)
-    for name, error, unit in errors:
-        if np.isfinite(error):
-            yield Detail(f"  {name:3s} ± {error:9.2e} {unit}")
 
 
 def motion_lines(
@@ -173,7 +167,7 @@ def motion_lines(
         yield f"Limits of this program (check them against the arm's): {limits_text}"
     start = plan.evaluate(np.zeros(1)).q[0]
     pose = ", ".join(f"{name} {q:.3f}" for name, q in zip(problem.joint_names, start))
-    if np.allclose(start, problem.robot.reference, atol=_SAME_POSE):
+    if np.allclose(start, problem.robot.reference):
         yield Detail(f"Start: the model's pose at rest, {pose}")
     else:
         contact = contact_before(problem, plan)

@@ -30,10 +30,8 @@ from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import count_text, torque_unit
 from robot_sysid.trajectory import TORQUE_MARGIN
 
-N_POSES = 6000
-"""Number of random poses tried as a start."""
-EASY_SHARE = 0.8
-"""Share of the torque limits up to which moving off leaves enough torque for a motion."""
+N_POSES = 1000
+"""Number of random poses tried as a start, and of further ones per round."""
 CREEP = 1e-3
 """Speed at which there is dry friction and hardly anything else [rad/s or m/s]."""
 MOST_STARTS = 50
@@ -118,11 +116,11 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     start = next(free, poses[0] if poses else None)
     if start is None:
         raise InputError(
-            f"no trajectory is feasible: {reason}, and none of {N_POSES} other poses within the "
+            f"no trajectory is feasible: {reason}, and none of many other poses within the "
             f"limits is held by all joints and touches nothing; {remedy}"
         )
-    note = f"{reason}; the motion starts and ends at another pose"
-    return replace(problem, rest=start, notes=(*problem.notes, note))
+    notes = (*problem.notes, f"{reason}; the motion starts and ends at another pose")
+    return replace(problem, rest=start, notes=notes)
 
 
 def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
@@ -157,20 +155,25 @@ def _torque_share(problem: ExcitationProblem, poses: Array) -> Array:
 
 
 def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
-    """Yield poses (n,) that keep torque limits and clearances: those that take at most
-    ``EASY_SHARE`` of the torque limits first, in both groups the nearest to ``problem.rest`` first.
+    """Yield poses (n,) that keep torque limits and clearances, the nearest to ``problem.rest``
+    first.
     """
-    # Random poses from near the start to anywhere; the random numbers are fixed, so that the start
-    # does not depend on any seed.
+    # Random poses from near the start to anywhere, then more of them where holding is easy; the
+    # random numbers are fixed, so that the start does not depend on any seed.
     lower = problem.limits.lower
     upper = problem.limits.upper
     rng = np.random.default_rng(0)
     anywhere = rng.uniform(lower, upper, (N_POSES, problem.n_joints))
     nearness = np.linspace(1.0 / N_POSES, 1.0, N_POSES)[:, None]
     poses = problem.rest + nearness * (anywhere - problem.rest)
+    for halving in range(3, 9):
+        load = np.max(_torque_share(problem, poses), axis=1)
+        spread = (upper - lower) * 0.5**halving
+        further = rng.normal(poses[np.argmin(load)], spread, anywhere.shape)
+        poses = np.vstack((poses, np.clip(further, lower, upper)))
     load = np.max(_torque_share(problem, poses), axis=1)
     distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
-    for k in np.lexsort((distance, load > EASY_SHARE)):
+    for k in np.argsort(distance):
         if load[k] < 1.0 and problem.obstacles.closest(poses[k]).slack >= 0.0:
             yield poses[k]
 
@@ -282,9 +285,8 @@ def _select_poses(problem: ExcitationProblem, poses: Array, rows: Array) -> list
 def pose_line(plan: MotionPlan) -> str:
     """Return a line on the poses of a plan."""
     assert isinstance(plan, LineTrajectory)
-    count = len(plan.rests)
     return (
-        f"{count} poses, each approached from both sides, {plan.duration:.0f} s; mean torques of "
+        f"{len(plan.rests)} poses, each approached from both sides, {plan.duration:.0f} s; mean torques of "
         "their rests are used"
     )
 
