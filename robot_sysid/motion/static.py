@@ -286,8 +286,8 @@ def pose_line(plan: MotionPlan) -> str:
     """Return a line on the poses of a plan."""
     assert isinstance(plan, LineTrajectory)
     return (
-        f"{len(plan.rests)} poses, each approached from both sides, {plan.duration:.0f} s; mean torques of "
-        "their rests are used"
+        f"{len(plan.rests)} poses, each approached from both sides, {plan.duration:.0f} s; mean "
+        "torques of their rests are used"
     )
 
 
