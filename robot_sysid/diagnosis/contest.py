@@ -73,10 +73,10 @@ EXTERNAL = (
 ODD_LINKS = 7.25
 """Factor on the stated uncertainty of links' masses, as the log shows it, above which it is said:
 models of siblings reach 6.1 to 7.7, but one right arm in forty with a link that is 40 % off 8.0.
-No torque tells these apart, and the stated errors hold for both."""
+No torque tells these apart."""
 ODD_MODEL = (
-    "the links differ from the model by {} of their masses, which the stated errors allow for: is "
-    "it the model of this arm, not of a sibling, and with the same links?"
+    "the links differ from the model by {} of their masses: is it the model of this arm, not of a "
+    "sibling, and with the same links? links before the last may be farther off than their \u00b1"
 )
 """Text of the note that links are off as few arms' are."""
 OTHER_ARM = 0.3
