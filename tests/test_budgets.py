@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 17245,
     "robot_sysid/mjcf": 7953,
     "robot_sysid/model": 8609,
-    "robot_sysid/motion": 20488,
+    "robot_sysid/motion": 20521,
     "robot_sysid/pipeline": 6216,
     "robot_sysid/records": 8303,
     "robot_sysid/report": 7231,

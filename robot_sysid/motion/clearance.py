@@ -126,6 +126,7 @@ class Clearance:
         clearance: float,
         half_spaces: Sequence[HalfSpace],
     ) -> None:
+        self._arguments = robot, start, clearance, half_spaces
         self._robot = robot
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = data_at_pose(model, robot.reference_qpos)
@@ -140,6 +141,10 @@ class Clearance:
         self.collisions = self._set_required_distances(start, clearance)
         self._ignore_harmless_neighbours(start)
         self._set_required_heights(start, half_spaces)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the constructor's arguments: a pickle of MuJoCo's data ends the process in 3.0."""
+        return type(self), self._arguments
 
     def slack(self, q: Array) -> tuple[Array, Array]:
         """Return the slack of the tightest pair and its gradient at joint positions q (N, n).
