@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 4777,
     "robot_sysid/commands": 12227,
-    "robot_sysid/damiao": 35316,
+    "robot_sysid/damiao": 35326,
     "robot_sysid/diagnosis": 17642,
     "robot_sysid/dynamics": 5878,
     "robot_sysid/estimate": 28678,

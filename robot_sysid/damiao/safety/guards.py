@@ -416,10 +416,11 @@ class CommandBounds:
         """
         allowed = self.confine(command, last, elapsed, q)
         # A joint that has never answered has an unknown position error: only its torque counts.
-        asked, makes = (
-            given.kp * np.nan_to_num(given.position - q) + given.torque
-            for given in (command, allowed)
-        )
+        with np.errstate(over="ignore"):
+            asked, makes = (
+                given.kp * np.nan_to_num(given.position - q) + given.torque
+                for given in (command, allowed)
+            )
         torque_slack = self.torque_step + command.kp * self.position_step
         for wanted, limited, slack, text in (
             (
