@@ -73,7 +73,7 @@ EXTERNAL = (
 ODD_LINKS = 7.25
 """Factor on the stated uncertainty of links' masses, as the log shows it, above which it is said:
 models of siblings reach 6.1 to 7.7, but one right arm in forty with a link that is 40 % off 8.0.
-No torque tells these apart."""
+No torque tells these apart, but models of other arms leave more than 1 % of it unexplained."""
 ODD_MODEL = (
     "the links differ from the model by {} of their masses: is it the model of this arm, not of a "
     "sibling, and with the same links? links before the last may be farther off than their \u00b1"
@@ -343,7 +343,8 @@ def wrong_models(
     spread = first.fit.question.link_scales.mass
     if spread > ODD_LINKS:
         share = percent(spread * PER_CENT * options.priors.link)
-        return [Finding("model", Level.NOTE, ODD_MODEL.format(share))]
+        level = Level.WARN if last.misfit > PER_CENT else Level.NOTE
+        return [Finding("model", level, ODD_MODEL.format(share))]
     return []
 
 

@@ -159,13 +159,13 @@ def velocity_ratios(pieces: Sequence[Measurement]) -> Array:
     p.p and p.v over all stretches of ``INTEGRATION_TIME``, one of which begins at every sample of
     the windows of ``spread_windows``. The velocities are p.v / p.p times the derivatives.
     """
-    from scipy.integrate import cumulative_trapezoid
-
     displacements = []
     for piece in spread_windows(pieces):
         length = max(1, round(INTEGRATION_TIME / sampling_period(piece.time)))
         if piece.qd is not None and len(piece) > length:
-            integrated = cumulative_trapezoid(piece.qd, piece.time, axis=0, initial=0.0)
+            steps = 0.5 * (piece.qd[1:] + piece.qd[:-1])
+            steps *= np.diff(piece.time)[:, None]
+            integrated = np.cumsum(np.vstack((0.0 * steps[:1], steps)), axis=0)
             tracks = np.stack((piece.q, integrated))
             displacements.append(tracks[:, length:] - tracks[:, :-length])
     if not displacements:

@@ -129,9 +129,12 @@ def rotation_of_angles(roll_pitch_yaw: Array) -> Array:
     """Return the rotation R (3, 3) of angles roll, pitch and yaw (3,) [rad] about the fixed axes x,
     y and z, as in a URDF: R = Rz(yaw) Ry(pitch) Rx(roll). ValueError if there are not three.
     """
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_euler("xyz", roll_pitch_yaw).as_matrix()
+    sin_roll, sin_pitch, sin_yaw = np.sin(roll_pitch_yaw)
+    cos_roll, cos_pitch, cos_yaw = np.cos(roll_pitch_yaw)
+    rx = np.array([[1, 0, 0], [0, cos_roll, -sin_roll], [0, sin_roll, cos_roll]])
+    ry = np.array([[cos_pitch, 0, sin_pitch], [0, 1, 0], [-sin_pitch, 0, cos_pitch]])
+    rz = np.array([[cos_yaw, -sin_yaw, 0], [sin_yaw, cos_yaw, 0], [0, 0, 1]])
+    return rz @ ry @ rx
 
 
 def quaternion(rotation: Array) -> Array:
