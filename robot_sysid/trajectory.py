@@ -160,20 +160,6 @@ def motion_chunks(plan: MotionPlan, sample_rate: float) -> Iterator[Motion]:
         yield plan.evaluate(time)
 
 
-def spread_motion(plan: MotionPlan, count: int, rate: float = 200.0) -> Motion:
-    """Return a plan's motion at a rate [Hz], or at ``count`` instants where that is fewer.
-
-    The instants are multiples of the golden ratio modulo the duration, in ascending order: a
-    sequence that falls in step with no period of the motion.
-    """
-    n_samples = sample_count(plan.duration, rate)
-    if n_samples <= count:
-        return plan.evaluate(np.minimum(np.arange(n_samples) / rate, plan.duration))
-    golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    share = np.mod(golden * np.arange(count), 1.0)
-    return plan.evaluate(np.sort(plan.duration * share))
-
-
 def generate_excitation_trajectory(
     robot: RobotModel,
     rng: np.random.Generator,

@@ -186,7 +186,7 @@ def write_results(
     """Write all files of a result, and the data of a later report.
 
     The data are left of measured torques, or where a report is wanted; without them, the results
-    stand. The caller has locked the output folder. InputError where a file cannot be written.
+    stand. InputError where a file cannot be written.
 
     Args:
         config: names the output folder, and what is written there.
