@@ -27,7 +27,7 @@ BUDGETS = {
     "robot_sysid/model": 8609,
     "robot_sysid/motion": 20521,
     "robot_sysid/pipeline": 6216,
-    "robot_sysid/records": 8303,
+    "robot_sysid/records": 8376,
     "robot_sysid/report": 7231,
     "robot_sysid/results": 13485,
     "robot_sysid/servo": 5207,

@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 PARAMETER_UNITS = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
@@ -122,6 +123,40 @@ class Detail(str):
 
 class MeshesLeftOut(str):
     """A note that collision meshes, which MuJoCo does not find or read, were left out."""
+
+
+class Level(Enum):
+    """Weight of a remark, in the order in which remarks are printed.
+
+    What REFUSES forbids the use of a log or a result, what DOUBTS needs consent or limits
+    the use, what SAYS only informs.
+    """
+
+    REFUSES = "refuses"
+    DOUBTS = "doubts"
+    SAYS = "says"
+
+
+@dataclass(frozen=True)
+class Remark:
+    """What the user should know of a log, a model or a result: one sentence.
+
+    Attributes:
+        level: its weight.
+        about: what it is about: a log's check, a joint, a body or the written file; "" for the run.
+        text: the sentence, without an end mark.
+        remedy: what to do, without an end mark; "" where nothing has to be done.
+    """
+
+    level: Level
+    about: str
+    text: str
+    remedy: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """The sentence and the remedy behind it."""
+        return "; ".join(filter(None, (self.text, self.remedy)))
 
 
 @dataclass(frozen=True)
