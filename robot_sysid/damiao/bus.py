@@ -223,17 +223,8 @@ class RegisterClient:
         replies = self.answers(protocol.read_frame(can_id, register), limit=1)
         return replies[0][0] if replies else None
 
-    def write(
-        self, can_id: int, register: int, value: float, verify: bool = True
-    ) -> None:
+    def write(self, can_id: int, register: int, value: float) -> None:
         """Write a value to a motor's register; it is lost at power-off unless stored.
-
-        Args:
-            can_id: CAN id of the motor.
-            register: number of the register.
-            value: new value.
-            verify: wait for the answer, whose value differs where the motor refused the new one;
-                False for a change of bit rate, after which no answer can be received.
 
         Raises:
             InputError: the value does not fit into the register; nothing was sent.
@@ -242,8 +233,6 @@ class RegisterClient:
         raw = protocol.bytes_from_value(register, value)
         name = protocol.NAMES[register]
         request = protocol.write_frame(can_id, register, raw)
-        if not verify:
-            return self._link.send(request)
         replies = self.answers(request, limit=1)
         if not replies:
             raise HardwareAbort(f"motor {can_id} did not answer to writing {name}")

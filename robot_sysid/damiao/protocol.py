@@ -271,8 +271,6 @@ DISABLE = 0xFD
 """Special command: disable the motor."""
 CLEAR_ERROR = 0xFB
 """Special command: leave a fault, to the disabled state."""
-SET_ZERO = 0xFE
-"""Special command: store the present position as zero."""
 _SPECIAL = b"\xff" * 7
 """First seven bytes of a special frame; the eighth is the special command."""
 
@@ -306,8 +304,6 @@ disable_frame = partial(_special_frame, DISABLE)
 """Return the frame that disables a motor (by CAN id)."""
 clear_error_frame = partial(_special_frame, CLEAR_ERROR)
 """Return the frame by which a motor (by CAN id) leaves a fault, to the disabled state."""
-set_zero_frame = partial(_special_frame, SET_ZERO)
-"""Return the frame that permanently stores a motor's (by CAN id) present position as its zero."""
 
 
 def _request(
@@ -360,9 +356,9 @@ def refuse_harmful(frame: Frame) -> None:
 def refuse_motion(frame: Frame) -> None:
     """Raise SysidError for a frame that would drive a motor: setting up a motor never sends one.
 
-    Allowed are register operations and all special commands except ENABLE.
+    Allowed are register operations and clearing an error.
     """
-    is_harmless = is_special(frame.data) and frame.data[7] != ENABLE
+    is_harmless = is_special(frame.data) and frame.data[7] == CLEAR_ERROR
     if frame.id != REGISTER_ID and not is_harmless:
         raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
 
@@ -383,8 +379,6 @@ VMAX = 22
 """Register: scaling limit of velocity [rad/s]."""
 TMAX = 23
 """Register: scaling limit of torque [N m]."""
-CAN_BR = 35
-"""Register: code of the bit rate, a value of ``BIT_RATES``."""
 
 TIMEOUT_UNIT = 50e-6
 """Time of one unit of the watchdog register TIMEOUT [s]."""
@@ -392,19 +386,15 @@ MIT_MODE = 1
 """Value of CTRL_MODE in which a motor follows MIT commands."""
 MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
 """Name of each control mode, by the value of register CTRL_MODE."""
-_KBIT = (125, 200, 250, 500, 1000, 2000, 2500, 3200, 4000, 5000)
-"""Bit rates [kbit/s] of the codes 0, 1, 2, ... of register CAN_BR."""
-BIT_RATES = {1000 * rate: code for code, rate in enumerate(_KBIT)}
-"""Code of register CAN_BR by bit rate [bit/s]."""
 
 NAMES = {
     0: "UV_Value", 1: "KT_Value", 2: "OT_Value", 3: "OC_Value", MST_ID: "MST_ID", ESC_ID: "ESC_ID",
     TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", 11: "Damp", 12: "Inertia", 14: "sw_ver", 16: "NPP",
     17: "Rs", 19: "Flux", GR: "Gr", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX", 29: "OV_Value",
-    30: "GREF", CAN_BR: "can_br",
+    30: "GREF",
 }  # fmt: skip
 """The maker's name of each register, by its number."""
-INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16, CAN_BR)
+INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16)
 """Registers that hold an unsigned integer; all other registers hold a float."""
 SCALING = (PMAX, VMAX, TMAX)
 """Registers of the scaling limits, in the order of ``Scaling.limits``."""

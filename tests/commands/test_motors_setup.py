@@ -10,7 +10,6 @@ from robot_sysid.damiao.protocol import (
     DISABLED,
     ENABLE,
     ENABLED,
-    READ,
     REGISTER_ID,
     STORE,
     is_special,
@@ -79,9 +78,9 @@ def test_nothing_is_stored_unless_asked_for(capsys, bus):
 
 
 @pytest.mark.parametrize(
-    "change", [("--mit",), ("--set-zero",), ("--store",), ("--new-id", 3)]
+    "change", [("--mit",), ("--clear-error",), ("--store",), ("--new-id", 3)]
 )
-def test_an_enabled_motor_is_never_changed(capsys, bus, person, change):
+def test_an_enabled_motor_is_never_changed(capsys, bus, change):
     bus.motors[0].status = ENABLED
     bus.motors[0].registers[protocol.TIMEOUT] = 0.0
     registers = dict(bus.motors[0].registers)
@@ -90,34 +89,10 @@ def test_an_enabled_motor_is_never_changed(capsys, bus, person, change):
     assert bus.motors[0].registers == registers and only_asks(bus.wire.sent)
 
 
-def test_a_zero_is_set_after_two_questions(capsys, bus, person):
-    waiting, prompts = person
-    bus.arm.mechanism.q[0] = 0.4
-    waiting += ["yes", "no"]
-    err = fail(capsys, 2, "setup", *CAN0, "--motor", 1, "--set-zero")
-    assert "the zero is as it was" in err and only_asks(bus.wire.sent)
-    waiting += ["yes", "yes"]
-    out = succeed(capsys, "setup", *CAN0, "--motor", 1, "--set-zero")
-    assert "motor 1: 0.4000 rad is now" in out and len(prompts) == 4
-    assert bus.motors[0].shift == pytest.approx(-0.4)
-
-
-def test_no_zero_is_set_where_the_angle_is_not_known(capsys, bus, person):
-    motor = bus.motors[0]
-    request = bytes([READ, protocol.PMAX])
-    answer = motor.handle
-    motor.handle = lambda frame, time: (
-        None if frame.data[2:4] == request else answer(frame, time)
-    )
-    err = fail(capsys, 3, "setup", *CAN0, "--motor", 1, "--set-zero")
-    assert "does not tell its PMAX" in err and only_asks(bus.wire.sent)
-    assert person[1] == []
-
-
 def test_an_error_is_cleared_by_name(capsys, bus):
     bus.motors[1].status = 0xA
     out = succeed(capsys, "setup", *CAN0, "--motor", 2, "--clear-error")
-    assert "status A: over-current is cleared" in out
+    assert "status A: over-current is now status 0" in out
     assert bus.motors[1].status == DISABLED
 
 
@@ -152,12 +127,6 @@ def test_an_error_is_cleared_by_name(capsys, bus):
             2,
         ),
         (("--motor", 1, "--new-id", 16), "--new-id must be from 1 to 15", 2),
-        (("--motor", 1, "--motor-bitrate", 500000), "with one motor on the bus", 2),
-        (
-            ("--motor", 1, "--motor-bitrate", 300000),
-            "--motor-bitrate must be one of 125000",
-            2,
-        ),
     ],
 )
 def test_what_cannot_be_meant_is_refused(capsys, bus, options, message, code):
@@ -175,15 +144,6 @@ def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
         motor.registers[protocol.MST_ID] = 0.0
     bus.motors[1].registers[protocol.MST_ID] = 0x101
     succeed(capsys, "setup", *CAN0, "--motor", 1, *options)
-
-
-def test_a_bit_rate_is_changed_with_one_motor_on_the_bus(capsys, bus):
-    bus.motors[1].silent = True
-    out = succeed(
-        capsys, "setup", *CAN0, "--motor", 1, "--motor-bitrate", 500000, "--store"
-    )
-    assert "can_br=4 is now can_br=3" in out and "not stored" in out
-    assert bus.motors[0].registers[protocol.CAN_BR] == 3.0
 
 
 def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):

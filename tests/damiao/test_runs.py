@@ -27,7 +27,7 @@ from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import Permissions
 from robot_sysid.damiao.simulated import SimulatedArm
 from robot_sysid.errors import HardwareAbort
-from tests.support.damiao_rig import GRAVITY, Rig, fault, motor, swing
+from tests.support.damiao_rig import BIT_RATE, GRAVITY, Rig, fault, motor, swing
 from tests.support.places import ROOT
 
 SHORT = {"ramp_time": 0.1, "approach_time": 0.1, "rate": 125.0}
@@ -175,7 +175,7 @@ def as_if_somebody_talked(run):
 
 
 def answers_in_fd(run):
-    run.motors[0].registers[protocol.CAN_BR] = 9.0
+    run.motors[0].registers[BIT_RATE] = 9.0
 
 
 def extra(*joint):

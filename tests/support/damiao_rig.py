@@ -38,6 +38,8 @@ from tests.support.recordings import read_recording
 INERTIA = 0.1
 GRAVITY = 2.0
 CLASSIC = protocol.BusTiming()
+# Register of the code of the bit rate: above 4 a motor answers in CAN-FD.
+BIT_RATE = 35
 
 
 class Pendulums:
@@ -81,7 +83,7 @@ class FaultyMotor(SimulatedMotor):
         answer = None if self.silent else super().handle(frame, time)
         if answer is None or self.lost_replies:
             return None
-        return answer._replace(fd=self.registers.get(protocol.CAN_BR, 0.0) > 4.0)
+        return answer._replace(fd=self.registers.get(BIT_RATE, 0.0) > 4.0)
 
     def _feedback(self):
         velocity = self.velocity * self.velocity_factor
@@ -91,8 +93,6 @@ class FaultyMotor(SimulatedMotor):
     def _special(self, code):
         if code == protocol.CLEAR_ERROR:
             self.fail(protocol.DISABLED)
-        if code == protocol.SET_ZERO and not self.driving:
-            self.shift = -self.position
         super()._special(code)
 
     def _register_answer(self, data):
@@ -102,18 +102,15 @@ class FaultyMotor(SimulatedMotor):
         if data[2] == protocol.STORE:
             self.stored = dict(self.registers)
             return data
-        if number in WRITABLE:
+        if number in protocol.REQUIRED:
             self.registers[number] = protocol.value_from_bytes(number, data[4:8])
         return data[:4] + protocol.bytes_from_value(number, self.registers[number])
-
-
-WRITABLE = (*protocol.REQUIRED, protocol.CAN_BR)
 
 
 def motor(joint, watchdog=0.1):
     """A joint's motor, in which nothing is wrong yet."""
     sound = simulated_motor(joint, watchdog)
-    sound.registers[protocol.CAN_BR] = 4.0
+    sound.registers[BIT_RATE] = 4.0
     return FaultyMotor(**vars(sound))
 
 

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.execution import run as play_plan
 from robot_sysid.damiao.joints import damiao_joints
@@ -37,6 +36,7 @@ from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulator import ArmTorque
 from tests.support.clocks import ScriptedClock
 from tests.support.damaged_links import FaultyLink
+from tests.support.damiao_rig import BIT_RATE
 from tests.support.faulty_arm import FaultyArm, bench_motor
 from tests.support.places import GUESS, TRUTH
 
@@ -256,7 +256,7 @@ class BenchRun:
         mechanism = ArmStepper(robot_of("truth"), start, PHYSICS_STEP)
         self.arm = FaultyArm(mechanism, self.motors)
         for motor in self.motors:
-            motor.registers[protocol.CAN_BR] = 9.0 if setup.timing.fd else 4.0
+            motor.registers[BIT_RATE] = 9.0 if setup.timing.fd else 4.0
         wire = SimulatedLink(self.clock, self.arm, setup.timing, echo=True)
         self.link = FaultyLink(wire, self.clock, joints)
         self.stop = StopRequest()

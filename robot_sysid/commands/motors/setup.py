@@ -1,24 +1,18 @@
 """``robot-sysid motors setup|monitor``: change one motor, or watch all.
 
-Setup changes ids, mode, watchdog, bit rate and zero, and clears an error: each by an option of its
-own, for one motor, while it is disabled; each step prints the old value and reads the new one back.
-No run on motors does any of this.
+Setup changes ids, mode and watchdog, and clears an error: each by an option of its own, for one
+motor, while it is disabled; each step prints the old value and reads the new one back. No run on
+motors does any of this.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from robot_sysid.commands import Console
-from robot_sysid.commands.motors.session import (
-    Session,
-    confirm,
-    motor_table,
-    state_table,
-)
+from robot_sysid.commands.motors.session import Session, motor_table, state_table
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import (
     GuardedLink,
@@ -52,12 +46,6 @@ def _range_check(low: float, high: float, text: str) -> Callable[[float], str | 
     return lambda value: None if low <= value <= high else f"must be from {text}"
 
 
-def _bit_rate_complaint(rate: int) -> str | None:
-    """Return why a bit rate [bit/s] is refused, or None."""
-    rates = protocol.BIT_RATES
-    return None if rate in rates else f"must be one of {', '.join(map(str, rates))}"
-
-
 _ID: dict[str, Any] = {
     "metavar": "ID",
     "parse": parse_whole_number,
@@ -83,14 +71,6 @@ class SetupOptions(OptionRecord):
         "S [s]",
         check=_range_check(low=0, high=5, text="0 to 5 s"),
     )
-    motor_bitrate: int | None = option(
-        None,
-        "set its bit rate; it listens at the new one from then on",
-        "RATE [bit/s]",
-        parse=parse_whole_number,
-        check=_bit_rate_complaint,
-    )
-    set_zero: bool = option(False, "make where it stands its zero; asks twice")
     clear_error: bool = option(False, "clear its error, once you know its cause")
     store: bool = option(False, "keep the changes when the power goes off")
 
@@ -107,115 +87,76 @@ class MonitorOptions(OptionRecord):
 
 
 class MotorSetup:
-    """Changes registers, error and zero of one motor, which has to be disabled.
+    """Changes registers and error of one motor, which has to be disabled.
 
     Args:
         link: link of the motor's bus that lets configuration frames pass.
         motor: the motor, as inspected.
-
-    Raises:
-        HardwareAbort: the motor is enabled, or does not report its state.
     """
 
     def __init__(self, link: GuardedLink, motor: InspectedMotor) -> None:
         self._link = link
         self._client = RegisterClient(link)
-        self._motor = motor
         self._name = motor.name
-        self._can_id = motor.can_id
-        self._master = motor.master_id
-        self._require_disabled()
+        # Present ids of the motor, by their registers.
+        self._ids = {protocol.ESC_ID: motor.can_id, protocol.MST_ID: motor.master_id}
 
     def apply(self, options: SetupOptions) -> Iterator[str]:
         """Make the changes, in an order in which the motor stays reachable; yield a line for each.
 
-        Raises:
-            InputError: a person does not confirm.
-            HardwareAbort: the motor refuses, does not answer any more, or is enabled.
-        """
-        if options.clear_error:
-            yield self._clear_error()
-        if options.mit:
-            yield self._write_register(protocol.CTRL_MODE, protocol.MIT_MODE)
-        if options.watchdog is not None:
-            ticks = float(round(options.watchdog / protocol.TIMEOUT_UNIT))
-            yield self._write_register(protocol.TIMEOUT, ticks)
-        if options.set_zero:
-            yield self._set_zero()
-        if options.new_master_id is not None:
-            yield self._write_register(protocol.MST_ID, options.new_master_id)
-            self._master = options.new_master_id
-        if options.new_id is not None:
-            yield self._write_register(protocol.ESC_ID, options.new_id)
-            self._can_id = options.new_id
-        if options.motor_bitrate is None:
-            if options.store:
-                self._write_flash(protocol.store_frame(self._can_id))
-                yield f"{self._name} keeps its values when the power goes off"
-            return
-        code = protocol.BIT_RATES[options.motor_bitrate]
-        # Its answer comes at the new bit rate, which this bus does not have.
-        yield self._write_register(protocol.CAN_BR, code, verify=False)
-        if options.store:
-            yield "not stored: open the bus at the new bit rate and give --store again"
-
-    def _write_register(self, register: int, value: float, verify: bool = True) -> str:
-        """Write a value to a register by its number; return a line with the old and new value.
-
-        With ``verify`` the motor's answer is waited for and compared. HardwareAbort where the motor
-        is enabled, or refuses the value.
+        HardwareAbort where the motor refuses, does not answer any more, or is enabled.
         """
         self._require_disabled()
-        old = self._client.read(self._can_id, register)
-        self._client.write(self._can_id, register, value, verify=verify)
+        if options.clear_error:
+            yield self._clear_error()
+        ticks = None
+        if options.watchdog is not None:
+            ticks = round(options.watchdog / protocol.TIMEOUT_UNIT)
+        values: dict[int, float | None] = {
+            protocol.CTRL_MODE: protocol.MIT_MODE if options.mit else None,
+            protocol.TIMEOUT: ticks,
+            protocol.MST_ID: options.new_master_id,
+            protocol.ESC_ID: options.new_id,
+        }
+        for register, value in values.items():
+            if value is not None:
+                yield self._write_register(register, value)
+        if options.store:
+            self._require_disabled()
+            self._link.send(protocol.store_frame(self._ids[protocol.ESC_ID]))
+            self._link.clock.sleep_until(self._link.clock.now() + _STORE_TIME)
+            yield f"{self._name} keeps its values when the power goes off"
+
+    def _write_register(self, register: int, value: float) -> str:
+        """Write a value to a register by its number; return a line with the old and new value.
+
+        HardwareAbort where the motor is enabled, or refuses the value.
+        """
+        self._require_disabled()
+        can_id = self._ids[protocol.ESC_ID]
+        old = self._client.read(can_id, register)
+        self._client.write(can_id, register, value)
+        if register in self._ids:
+            self._ids[register] = int(value)
         old_text = "unknown"
         if old is not None:
             old_text = protocol.register_text(register, old)
-        new_text = protocol.register_text(register, value)
-        return f"{self._name}: {old_text} is now {new_text}"
+        return (
+            f"{self._name}: {old_text} is now {protocol.register_text(register, value)}"
+        )
 
     def _clear_error(self) -> str:
-        """Clear the motor's error and return a line that names the error, or says there is none.
+        """Clear the motor's error and return a line with its old and its new status.
 
         HardwareAbort where the motor still reports an error.
         """
+        text = protocol.status_text(self._status())
+        self._link.send(protocol.clear_error_frame(self._ids[protocol.ESC_ID]))
         status = self._status()
-        text = protocol.status_text(status)
-        if not protocol.is_fault(status):
-            return f"{self._name} has no error to clear ({text})"
-        self._link.send(protocol.clear_error_frame(self._can_id))
-        new_status = self._status()
-        if protocol.is_fault(new_status):
-            new_text = protocol.status_text(new_status)
+        new_text = protocol.status_text(status)
+        if protocol.is_fault(status):
             raise HardwareAbort(f"{self._name} still reports {new_text}")
-        return f"{self._name}: {text} is cleared"
-
-    def _set_zero(self) -> str:
-        """Make the motor's position its zero, and return a line with the old and new position.
-
-        A person has to confirm twice; InputError otherwise.
-        """
-        old_position = self._position()
-        for question in (
-            f"{self._name} stands at {old_position:.4f} rad; make that its zero?",
-            "every joint map, recording and trajectory made with the old zero is wrong then; sure?",
-        ):
-            if not confirm(question):
-                raise InputError("not confirmed; the zero is as it was")
-        self._write_flash(protocol.set_zero_frame(self._can_id))
-        return (
-            f"{self._name}: {old_position:.4f} rad is now {self._position():.4f} rad; "
-            "the motor keeps it"
-        )
-
-    def _write_flash(self, frame: protocol.Frame) -> None:
-        """Send a frame that makes the motor write its flash memory, and wait until it has.
-
-        HardwareAbort where the motor is enabled: only a disabled one writes.
-        """
-        self._require_disabled()
-        self._link.send(frame)
-        self._link.clock.sleep_until(self._link.clock.now() + _STORE_TIME)
+        return f"{self._name}: {text} is now {new_text}"
 
     def _require_disabled(self) -> None:
         """Raise HardwareAbort where the motor is enabled."""
@@ -224,31 +165,19 @@ class MotorSetup:
                 f"{self._name} is enabled; end the program that uses it, nothing was changed"
             )
 
-    def _position(self) -> float:
-        """Return the motor's position [rad]; HardwareAbort where its range PMAX is unknown."""
-        state = self._motor.decode_feedback(self._feedback())
-        if state is None:
-            raise HardwareAbort(
-                f"{self._name} does not tell its PMAX, so nobody knows what angle it means; "
-                "the zero is as it was"
-            )
-        return float(state.position[0])
-
     def _status(self) -> int:
         """Return the motor's present status code; HardwareAbort where no answer comes.
 
         It is the upper half of the first byte of a feedback frame.
         """
-        return self._feedback()[0] >> 4
-
-    def _feedback(self) -> bytes:
-        """Return the data of a fresh feedback frame; HardwareAbort where none comes."""
-        frame = self._client.refresh(self._can_id, self._master)
+        frame = self._client.refresh(
+            self._ids[protocol.ESC_ID], self._ids[protocol.MST_ID]
+        )
         if frame is None:
             raise HardwareAbort(
                 f"{self._name} does not tell its state; nothing more is done"
             )
-        return frame.data
+        return frame.data[0] >> 4
 
 
 def setup(session: Session) -> int:
@@ -293,7 +222,7 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
 
     Raises:
         HardwareAbort: no motor, or more than one, has that id.
-        InputError: its new ids or bit rate would clash with other motors.
+        InputError: its new ids would clash with other motors.
     """
     motor = inspection.motors.get(options.motor or 0)
     if motor is None or len(motor.reply_ids) != 1:
@@ -301,18 +230,15 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
             f"no motor answers to CAN id {options.motor}, or several share it: leave one motor on "
             "the bus"
         )
-    others = []
-    for other in inspection.motors.values():
-        if other is not motor:
-            others.append((other.can_id, other.master_id))
-    if options.motor_bitrate is not None and others:
-        raise InputError("a bit rate can only be changed with one motor on the bus")
     ids = motor.can_id, motor.master_id
     new_master = options.new_master_id
     if new_master is None:
         new_master = motor.master_id
     new_ids = options.new_id or motor.can_id, new_master
-    for other_ids in others:
+    for other in inspection.motors.values():
+        if other is motor:
+            continue
+        other_ids = other.can_id, other.master_id
         # Ids that clash already may be put right one motor after the other.
         old_problems = set(id_problems([ids, other_ids]))
         for problem in id_problems([new_ids, other_ids]):
@@ -324,36 +250,25 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
 def monitor(session: Session) -> int:
     """Print the motors' states at every interval, without enabling them; return the exit code.
 
-    It ends with Ctrl-C or after the lifetime of the options. The code is 1 if no motor answers.
+    It ends with Ctrl-C or after the lifetime of the options. Each table is printed over the last
+    one. The code is 1 if no motor answers.
     """
     options = record_from(MonitorOptions, session.values)
     with session.open_guarded(refuse_motion) as link:
         motors = list(inspect_bus(link).motors.values())
         if not motors:
             return _conclude_listing(session, count=0)
+        client = RegisterClient(link)
+        clock = link.clock
+        end = clock.now() + (options.lifetime or float("inf"))
         with contextlib.suppress(KeyboardInterrupt):
-            _print_states(link, motors, options, session.console)
+            while True:
+                states = [(motor, client.state_of(motor)) for motor in motors]
+                lines = state_table(states)
+                session.console.stage(*lines)
+                following = clock.now() + options.interval
+                if following > end:
+                    break
+                clock.sleep_until(following)
+                session.console.move_up(len(lines))
     return 0
-
-
-def _print_states(
-    link: GuardedLink,
-    motors: Sequence[InspectedMotor],
-    options: MonitorOptions,
-    console: Console,
-) -> None:
-    """Print a table of motors' states at every interval of the options, until the lifetime ends.
-
-    Each table is printed over the last one.
-    """
-    client = RegisterClient(link)
-    clock = link.clock
-    end = clock.now() + (options.lifetime or float("inf"))
-    while True:
-        states = [(motor, client.state_of(motor)) for motor in motors]
-        lines = list(state_table(states))
-        console.stage(*lines)
-        if clock.now() + options.interval > end:
-            return
-        clock.sleep_until(clock.now() + options.interval)
-        console.move_up(len(lines))
