@@ -15,7 +15,6 @@ from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.execution import MotorRun
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.preflight import require_no_stop
-from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.motion import LimitOptions
@@ -79,7 +78,7 @@ def play(
         plan = run.plan()
         require_no_stop(run.checks(plan), "not played")
         run.require_free(plan)
-        arm = run.simulated_arm(plan, DEFAULT_WATCHDOG) if simulate else None
+        arm = run.simulated_arm(plan) if simulate else None
         with run.open_guarded() if arm is None else run.open_simulated(arm) as link:
             inspection = inspect_bus(link)
             # The signs of a simulated arm's motors are not in doubt.

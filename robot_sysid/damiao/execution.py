@@ -45,7 +45,12 @@ from robot_sysid.damiao.settings import (
     RecordingOptions,
     recording_header,
 )
-from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
+from robot_sysid.damiao.simulated import (
+    DEFAULT_WATCHDOG,
+    SimulatedArm,
+    SimulatedLink,
+    simulated_motor,
+)
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
@@ -225,18 +230,18 @@ class MotorRun:
             keyframe=model.keyframe,
         )
 
-    def simulated_arm(
-        self, plan: Plan, watchdog: float, *timestep: float
-    ) -> SimulatedArm:
+    def simulated_arm(self, plan: Plan, *timestep: float) -> SimulatedArm:
         """Return a simulated arm of the model that stands at the plan's first point.
 
-        ``watchdog`` is the watchdog time of its motors [s]; ``timestep`` is one value, the time
-        step of the physics [s], or no argument for the default. InputError without a model.
+        ``timestep`` is one value, the time step of the physics [s], or no argument for the default.
+        InputError without a model.
         """
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
         from robot_sysid.simulation.plant import ArmStepper
 
+        # Long enough for slow cycles, too.
+        watchdog = max(DEFAULT_WATCHDOG, 12.0 * plan.settings.period)
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
         stepper = ArmStepper(self.robot, plan.trajectory.q[0], *timestep)
         return SimulatedArm(stepper, motors)

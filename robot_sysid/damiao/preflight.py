@@ -22,6 +22,7 @@ NOTE = "note"
 """Severity of a finding that the user should know."""
 STOP = "stop"
 """Severity of a finding that forbids to play."""
+SILENT = "no motor answers: check power, wiring and bit rate"
 _REST_SPEED = 0.05
 """Largest speed at the ends of a trajectory [rad/s]: a quarter of the default approach speed."""
 _LEAST_WATCHDOG_CYCLES = 2 * (PAUSE + 1)
@@ -157,16 +158,17 @@ def _frame_limit_checks(
 
 
 def general_checks(
-    inspection: Inspection, settings: PlaySettings, timing: protocol.BusTiming
+    inspection: Inspection, rate: float | None, timing: protocol.BusTiming
 ) -> list[Check]:
     """Return the checks of inspected motors that need no trajectory: load, traffic, conditions.
 
-    At least one motor must have answered. No deviation is permitted.
+    ``rate`` is the cycle rate [Hz], None for the default. No deviation is permitted.
     """
-    checks = [
-        *_load_checks(len(inspection.motors), settings, timing),
-        *_traffic_checks(inspection),
-    ]
+    n_motors = len(inspection.motors)
+    if not n_motors:
+        return [_stop(SILENT)]
+    settings = PlaySettings(rate=rate or protocol.default_rate(n_motors, timing))
+    checks = [*_load_checks(n_motors, settings, timing), *_traffic_checks(inspection)]
     for motor in inspection.motors.values():
         checks += _condition_checks(motor, settings, permissions=Permissions())
     return checks

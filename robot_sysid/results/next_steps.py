@@ -17,8 +17,6 @@ from robot_sysid.records.messages import NextStep
 from robot_sysid.results.record import Result
 from robot_sysid.results.verdict import verdict_line
 
-PAYLOAD_RECORDINGS = ("empty.csv", "loaded.csv", "loaded_again.csv", "empty_again.csv")
-"""Names of the recordings of a motion for a payload, in the order ``PAYLOAD_ORDER``."""
 _WEIGHED = (
     "payload {model} --empty {folder}/empty.csv {folder}/empty_again.csv --loaded "
     f"{{folder}}/loaded.csv {{folder}}/loaded_again.csv --order {PAYLOAD_ORDER} {{options}} "
@@ -48,7 +46,6 @@ STEPS: Mapping[str, tuple[str, str]] = {
         "Next, identify the arm",
         "identify {model} {log} {options} --output-dir {folder}",
     ),
-    "payload recorded": ("Next, weigh the difference", _WEIGHED),
     "torque scales unknown": (
         "Next, compare with a known mass",
         "payload {model} --empty {log} --loaded {weight} --known-mass 1 {options} "

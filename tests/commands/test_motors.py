@@ -129,14 +129,11 @@ def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
     assert len(recording.columns["time"]) == 51
 
 
-def test_dry_run_without_a_bus_checks_the_file(capsys, bus, trajectory):
-    succeed(capsys, "play", trajectory, "--dry-run")
-    err = fail(capsys, 3, "play", trajectory, "--dry-run", "--rate", "2000")
-    assert "limit 70 %; use --rate 250" in err
+def test_check_without_a_bus_checks_the_file(capsys, bus, trajectory):
+    succeed(capsys, "check", trajectory)
+    code, out, _ = run(capsys, "check", trajectory, "--rate", "2000")
+    assert code == 1 and "limit 70 %; use --rate 250" in out
     assert bus.wire is None
-    code, out, _ = run(capsys, "play", trajectory, *CAN0, "--dry-run")
-    assert code == 0 and "nothing speaks against playing" in out
-    assert only_asks(bus.wire.sent)
 
 
 def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
@@ -185,8 +182,8 @@ def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
     ("arguments", "command_options"),
     [
         (["fly"], "unknown command 'fly'; valid: simulate, check, play, setup"),
-        (["check"], "check needs --channel"),
-        (["play", "T"], "play needs --channel"),
+        (["check"], "this command needs --channel"),
+        (["play", "T"], "this command needs --channel"),
         (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
         (["play", "missing.csv", *CAN0], "cannot read missing.csv"),
         (["check", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
@@ -213,8 +210,6 @@ def refused_by(capsys, folder, trajectory, path):
     files = set(folder.iterdir())
     message = []
     for arguments in (
-        ("play", trajectory, "--model", path, "--dry-run"),
-        ("play", trajectory, "--model", path, *CAN0, "--dry-run"),
         ("play", trajectory, "--model", path, *CAN0, "--yes", "--record", record),
         ("simulate", trajectory, "--model", path, "--record", record),
         ("simulate", trajectory, "--model", path, *CAN0),
@@ -224,13 +219,13 @@ def refused_by(capsys, folder, trajectory, path):
         message.append(
             text.partition(" played: ")[2] or text.partition("not rehearsed: ")[2]
         )
-    code, out, _ = run(capsys, "check", trajectory, "--model", path, *CAN0)
-    assert code == 1
-    stops = [
-        line.partition("[STOP] ")[2] for line in out.splitlines() if "[STOP]" in line
-    ]
-    assert set(folder.iterdir()) == files
-    assert {text.strip() for text in message} == {stops[0]}
+    for channel in (CAN0, ()):
+        code, out, _ = run(capsys, "check", trajectory, "--model", path, *channel)
+        assert code == 1
+        lines = [line.partition("[STOP] ") for line in out.splitlines()]
+        stops = [text for _, mark, text in lines if mark]
+        assert set(folder.iterdir()) == files
+        assert {text.strip() for text in message} == {stops[0]}
     return stops
 
 
@@ -292,7 +287,7 @@ def test_a_map_of_joints_on_two_buses_is_refused(capsys, trajectory, tmp_path):
     path = tmp_path / "map.csv"
     rows = [map_line(f"joint{k}", f"can{k}", 1, 0x11) for k in range(2)]
     write_joint_map(path, rows)
-    err = fail(capsys, 2, "play", trajectory, "--joint-map", path, "--dry-run")
+    err = fail(capsys, 2, "check", trajectory, "--joint-map", path)
     assert "has these joints on several buses" in err
 
 

@@ -21,7 +21,6 @@ from robot_sysid.damiao.settings import (
     RecordingOptions,
 )
 from robot_sysid.damiao.simulated import (
-    DEFAULT_WATCHDOG,
     SimulatedArm,
     SimulatedLink,
     SimulatedMotor,
@@ -176,7 +175,7 @@ def trajectory_file(folder, motion, motor_type="DM4340"):
 def with_coarse_physics(monkeypatch):
     """Let simulated arms of models take steps of 4 ms; a step of the usual size takes as long."""
     simulated_arm = MotorRun.simulated_arm
-    coarse = lambda run, plan, *_: simulated_arm(run, plan, DEFAULT_WATCHDOG, 4e-3)  # noqa: E731
+    coarse = lambda run, plan, *_: simulated_arm(run, plan, 4e-3)  # noqa: E731
     monkeypatch.setattr(MotorRun, "simulated_arm", coarse)
 
 

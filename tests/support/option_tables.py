@@ -58,7 +58,7 @@ TABLES: Mapping[str, Sequence[type]] = {
     "motors: setup": motors.COMMANDS["setup"].groups["setup"],
     "motors: monitor": motors.COMMANDS["monitor"].groups["monitor"],
     "motors: map": motors.COMMANDS["map"].groups["map"],
-    "motors: play and simulate": (motors.PlayChoices, motors.SimulatedMotorOptions),
+    "motors: play and simulate": (motors.PlayChoices,),
 }
 """Name of a table to the records whose options it lists; of "main" only the main options."""
 _PLACE = re.compile(r"(<!-- options: (.*?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)

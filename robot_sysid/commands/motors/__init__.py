@@ -20,7 +20,6 @@ from robot_sysid.commands.motors.session import (
     run_lines,
 )
 from robot_sysid.commands.motors.setup import (
-    SILENT,
     MonitorOptions,
     SetupOptions,
     monitor,
@@ -30,14 +29,13 @@ from robot_sysid.damiao import preflight
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.protocol import BusTiming, default_rate
+from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import (
     Permissions,
     Plan,
     PlaySettings,
     RecordingOptions,
 )
-from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.model import PosedModelOptions
@@ -61,50 +59,33 @@ _WARNING = (
 
 @dataclass(frozen=True)
 class PlayChoices(OptionRecord):
-    """Whether ``motors play`` stops after the checks, and whether it asks a person."""
+    """Whether ``motors play`` asks a person."""
 
-    dry_run: bool = option(
-        False, "stop after the checks; without --channel only those that need no bus"
-    )
     yes: bool = option(False, "do not ask for confirmation", short="-y")
 
 
-@dataclass(frozen=True)
-class SimulatedMotorOptions(OptionRecord):
-    """Options of the simulated motors of ``motors simulate``."""
-
-    watchdog: float = option(DEFAULT_WATCHDOG, "of the simulated motors", "S [s] > 0")
-
-
 def check(session: Session) -> int:
-    """Inspect the motors and print what they say; return 0 where nothing forbids to play, else 1.
+    """Print what forbids to play; return 0 where nothing does, else 1.
 
-    Without a trajectory only the motors are judged. InputError without --channel, or where a model
-    is given without a trajectory.
+    Without a channel only the trajectory is judged, without a trajectory only the motors.
+    InputError without both, or where a model is given without a trajectory.
     """
     console = session.console
-    if not session.address.channel:
-        raise InputError("check needs --channel, for instance --channel can0")
     plan = session.plan() if session.values.get("trajectory") else None
     if plan is None and session.values.get("model"):
         raise InputError("--model needs a TRAJECTORY to check")
     checks = session.checks(plan) if plan else []
-    with session.open_guarded() as link:
-        inspection = inspect_bus(link)
-    count = len(inspection.motors)
-    if not count:
-        console.stage(*check_lines(checks))
-        session.verdict = (f"Not usable: {SILENT}",)
-        return 1
-    timing = session.timing
-    given_rate = record_from(PlaySettings, session.values).rate
-    settings = PlaySettings(rate=given_rate or default_rate(count, timing))
-    if plan:
-        checks += session.inspection_checks(plan, inspection)
-    else:
-        checks += preflight.general_checks(inspection, settings, timing)
-    joints = plan.trajectory.joints if plan else ()
-    console.stage(*motor_table(inspection, joints), *check_lines(checks))
+    if plan is None or session.address.channel:
+        with session.open_guarded() as link:
+            inspection = inspect_bus(link)
+        if plan:
+            checks += session.inspection_checks(plan, inspection)
+        else:
+            rate = record_from(PlaySettings, session.values).rate
+            checks += preflight.general_checks(inspection, rate, session.timing)
+        joints = plan.trajectory.joints if plan else ()
+        console.stage(*motor_table(inspection, joints))
+    console.stage(*check_lines(checks))
     faults = len(preflight.stops(checks))
     if faults:
         session.verdict = (f"Not usable: {faults} to change before playing",)
@@ -119,22 +100,14 @@ def check(session: Session) -> int:
 
 
 def play(session: Session) -> int:
-    """Play a trajectory on the motors, or only check it; return the exit code.
+    """Play a trajectory on the motors and return the exit code; errors are those of ``_play_on``.
 
-    InputError without --channel, unless it is a dry run; other errors are those of ``_play_on``.
+    InputError without --channel.
     """
-    choices = record_from(PlayChoices, session.values)
     plan = session.plan()
     checks = session.checks(plan)
-    if session.address.channel:
-        with session.open_guarded() as link:
-            return _play_on(link, plan, checks, choices, session, is_real=True)
-    if not choices.dry_run:
-        raise InputError(
-            "play needs --channel, for instance --channel can0 (or --dry-run)"
-        )
-    session.console.stage(*check_lines(checks))
-    return _conclude_dry_run(checks, session, plan)
+    with session.open_guarded() as link:
+        return _play_on(link, plan, checks, session, is_real=True)
 
 
 def simulate(session: Session) -> int:
@@ -144,9 +117,8 @@ def simulate(session: Session) -> int:
     """
     plan = session.plan()
     checks = session.checks(plan)
-    watchdog = record_from(SimulatedMotorOptions, session.values).watchdog
-    with session.open_simulated(session.simulated_arm(plan, watchdog)) as link:
-        return _play_on(link, plan, checks, PlayChoices(yes=True), session)
+    with session.open_simulated(session.simulated_arm(plan)) as link:
+        return _play_on(link, plan, checks, session, is_real=False)
 
 
 class MotorCommand(NamedTuple):
@@ -175,17 +147,14 @@ _PLAYED = {
         "damiao_trajectory.csv --model arm.xml --record measured.csv",
         "Play a trajectory on the arm of a model with simulated Damiao motors, in simulated time "
         "and without a bus, with all checks of play.",
-        {
-            "simulated motors": (SimulatedMotorOptions,),
-            **_MOTION,
-            "recording": (RecordingOptions,),
-        },
+        {**_MOTION, "recording": (RecordingOptions,)},
     ),
     "check": MotorCommand(
         check,
         "damiao_trajectory.csv --channel can0",
         "Ask every id from 1 to 15, print what the motors say, and tell what has to change before "
-        "a trajectory can be played. Enables no motor and writes nothing.",
+        "a trajectory can be played; without --channel only what the file itself needs. Enables no "
+        "motor and writes nothing.",
         _MOTION,
     ),
     "play": MotorCommand(
@@ -230,7 +199,6 @@ _MAIN = (
     "kp",
     "park",
     "record",
-    "dry_run",
     "yes",
     "joint_map",
     "accept_register_limits",
@@ -350,20 +318,17 @@ def _play_on(
     link: GuardedLink,
     plan: Plan,
     checks: Sequence[preflight.Check],
-    choices: PlayChoices,
     session: Session,
-    is_real: bool = False,
+    is_real: bool,
 ) -> int:
     """Check a plan on inspected motors, ask the user, play it, and print how it ended.
 
-    Returns 0. A dry run ends after the checks. When the user has confirmed, the motors are
-    inspected and checked once more.
+    Returns 0. When the user has confirmed, the motors are inspected and checked once more.
 
     Args:
         link: link of the open bus.
         plan: plan of the motion.
         checks: checks that were made without a bus.
-        choices: whether to stop after the checks, and whether to ask the user.
         session: run of the command.
         is_real: whether the motors are real ones.
 
@@ -376,11 +341,9 @@ def _play_on(
     checks = [*checks, *session.inspection_checks(plan, inspection, real=is_real)]
     table = motor_table(inspection, plan.trajectory.joints)
     console.stage(*table, *check_lines(checks))
-    if choices.dry_run:
-        return _conclude_dry_run(checks, session, plan)
     preflight.require_no_stop(checks, "not played")
     session.require_free(plan)
-    if not choices.yes:
+    if is_real and not record_from(PlayChoices, session.values).yes:
         if not confirm(_WARNING, "; give --yes"):
             raise InputError("not confirmed; nothing was moved")
         # The arm may have moved or been touched in the meantime.
@@ -401,17 +364,4 @@ def _play_on(
     if record is not None:
         verdict = f"Usable: {done}; recorded to {record}"
     session.conclude(verdict, step_after_play(session, plan, is_real))
-    return 0
-
-
-def _conclude_dry_run(
-    checks: Sequence[preflight.Check], session: Session, plan: Plan
-) -> int:
-    """Set the verdict of a dry run, which only checks, and return the exit code 0.
-
-    HardwareAbort where a check forbids to play.
-    """
-    preflight.require_no_stop(checks, "would not be played")
-    verdict = "Usable: nothing speaks against playing (nothing was enabled)"
-    session.conclude(verdict, play_step(session, plan))
     return 0

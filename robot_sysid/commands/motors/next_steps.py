@@ -8,7 +8,7 @@ from robot_sysid.model import PosedModelOptions
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import command_arguments
-from robot_sysid.results.next_steps import PAYLOAD_RECORDINGS, step_after
+from robot_sysid.results.next_steps import step_after
 
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
@@ -37,30 +37,24 @@ def play_step(session: Session, plan: Plan) -> NextStep:
 def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
     """Return the step after a trajectory was played: check motors, play again, or identify."""
     if not is_real:
-        missing = {} if "channel" in session.values else {"channel": USUAL_CHANNEL}
-        command = session.command("check", "speed", "record", **missing)
+        channel = session.values.get("channel", USUAL_CHANNEL)
+        command = session.command("check", speed=None, record=None, channel=channel)
         return NextStep("Next, with the arm connected, check its motors", command)
     folder = plan.trajectory.path.parent
     settings = plan_settings(folder)
     planned = {} if settings is None else settings[1]
     is_payload = planned.get("for_") == "payload"
-    record = plan.recording.record
-    if record is None or plan.settings.speed < 1.0:
-        record = folder / (PAYLOAD_RECORDINGS[0] if is_payload else "measured.csv")
+    record = plan.recording.record or folder / "measured.csv"
+    is_slow = plan.recording.record is None or plan.settings.speed < 1.0
+    if is_slow and not is_payload:
         sentence = "Next, play it at full speed and record it, to identify from"
-        # The option --speed is left out.
-        return NextStep(sentence, session.command("play", "speed", record=record))
-    if is_payload and record.name in PAYLOAD_RECORDINGS[:-1]:
-        following = PAYLOAD_RECORDINGS[PAYLOAD_RECORDINGS.index(record.name) + 1]
-        record = record.with_name(following)
-        load = "with" if following.startswith("loaded") else "without"
-        sentence = f"Next, {load} what is to be weighed, play it again"
-        return NextStep(sentence, session.command("play", record=record))
+        record = folder / "measured.csv"
+        return NextStep(sentence, session.command("play", speed=None, record=record))
     arm = session.values if session.values.get("model") else planned
     options = command_arguments(arm, PosedModelOptions)
     state = "motion recorded"
     if is_payload:
-        state = "payload recorded"
+        state = "motion planned for payload"
         options += ["--static"] if planned.get("static") else []
     elif planned.get("for_") == "arm":
         options.append("--links")

@@ -19,16 +19,17 @@ from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.preflight import Check
 from robot_sysid.damiao.protocol import Feedback
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
-from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import NextStep, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
 
-# Classes whose options ``Session.command`` repeats: before the model's file, and after it.
-_BUS_RECORDS = BusAddress, protocol.BusTiming
-_RUN_RECORDS = PosedModelOptions, PlaySettings, Permissions, RecordingOptions
+_RECORDS = (
+    *(BusAddress, protocol.BusTiming, PosedModelOptions, PlaySettings, Permissions),
+    *(RecordingOptions, LimitOptions),
+)
+"""Classes whose options ``Session.command`` repeats."""
 
 
 def ask(prompt: str) -> str:
@@ -73,28 +74,19 @@ class Session(MotorRun):
         self.step = step
         self.verdict = (verdict, *step.lines())
 
-    def command(self, name: str, *leave_out: str, **changes: Any) -> tuple[str, ...]:
+    def command(self, name: str, **changes: Any) -> tuple[str, ...]:
         """Return the words of the motors command ``name`` with the options of this run.
 
-        Args:
-            name: name of the command, such as "play".
-            leave_out: keys of options that are left out.
-            changes: values of options, by key, that are added or replaced.
+        ``changes`` are values of options, by key, that are added or replaced; None leaves one out.
         """
         values = {**self.values, **changes}
-        for key in leave_out:
-            if key not in changes:
-                values.pop(key, None)
         arguments = [PROGRAM, "motors", name]
         if values.get("trajectory"):
             arguments.append(str(values["trajectory"]))
-        arguments += command_arguments(values, *_BUS_RECORDS)
         for key in ("model", "joint_map"):
             if values.get(key):
                 arguments += [f"--{key.replace('_', '-')}", str(values[key])]
-        limits = {key: values[key] for key in LIMITS if key in values}
-        arguments += command_arguments(values, *_RUN_RECORDS)
-        return (*arguments, *command_arguments(limits, LimitOptions))
+        return (*arguments, *command_arguments(values, *_RECORDS))
 
 
 # Headings of ``motor_table``, of which ``_motor_row`` makes the rows.

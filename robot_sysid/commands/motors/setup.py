@@ -22,6 +22,7 @@ from robot_sysid.damiao.bus import (
     inspect_bus,
 )
 from robot_sysid.damiao.joints import id_problems
+from robot_sysid.damiao.preflight import SILENT
 from robot_sysid.damiao.protocol import refuse_motion
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records.messages import NextStep
@@ -33,7 +34,6 @@ from robot_sysid.records.option_fields import (
     record_from,
 )
 
-SILENT = "no motor answers: check power, wiring and bit rate"
 _STORE_TIME = 0.05
 """Time for a motor to write its flash memory [s]; a judgement, longer than that takes."""
 
