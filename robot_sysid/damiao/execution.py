@@ -26,12 +26,7 @@ from robot_sysid.damiao.joints import DamiaoJoint, map_joints, read_joint_map
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
 from robot_sysid.damiao.preflight import Check
 from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, refuse_harmful
-from robot_sysid.damiao.recorder import (
-    Aside,
-    Centring,
-    MeasurementRecorder,
-    SamplingRipple,
-)
+from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.references import (
     FileHolding,
     HoldingCheck,
@@ -81,9 +76,8 @@ class MotorRun:
     def plan(self) -> Plan:
         """Return the plan of the trajectory file with the options' settings.
 
-        With a model it also has the inertia (n,) that each joint moves [kg m^2], the lower and the
-        upper limits (n,) of the joints [rad], and the SamplingRipple, which computes the ripple
-        that torque steps between control cycles add to the recorded motion.
+        With a model it also has the inertia (n,) that each joint moves [kg m^2], and the lower and
+        the upper limits (n,) of the joints [rad].
 
         InputError where the file does not fit the model or the joint map, or an option needs a
         model.
@@ -108,8 +102,6 @@ class MotorRun:
 
             arm = ArmStepper(robot, trajectory.q[0])
             from_model["inertia"] = arm.moved_inertia()
-            ripple = SamplingRipple(arm.mobility, robot.friction.viscous)
-            from_model["ripple"] = ripple
             from_model["model_range"] = robot.limits.lower, robot.limits.upper
         return Plan(
             trajectory,
@@ -342,7 +334,7 @@ def _open_recorder(
     registers = [motor.registers for motor in motors]
     head = recording_header(played.joints, registers, plan.settings, played.path.name)
     names = [f"j{j}" for j in range(played.n_joints)]
-    centring = Centring(plan.settings.period, plan.ripple)
+    centring = Centring(plan.settings.period, plan.inertia)
     return MeasurementRecorder(
         *(recording.record, head, names, aside, centring, recording.overwrite)
     )

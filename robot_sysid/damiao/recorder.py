@@ -21,10 +21,7 @@ The torque that acts on the arm at low frequencies differs from the samples in t
   growth: an apparent armature of kp / (12 rate^2).
 - Between commands the torque falls by a step. The joints' velocities follow, by up to
   step / (12 rate inertia) at the moment of sampling, and damping makes torque of it. That passes
-  for viscous friction of kd kp / (12 rate^2 inertia), and for armature in proportion. A joint so
-  light that it swings on its stiffness within a few periods (0.001 kg m^2 on 180 N m/rad: 15 ms)
-  takes back most of a step before it is sampled. Where joints are coupled and sampled one after the
-  other, their positions follow each other's steps too.
+  for viscous friction of kd kp / (12 rate^2 inertia), and for armature in proportion.
 
 The first two are computed from the commands; the third needs the arm's inertia. Measured velocities
 would show it too, but a motor's filter delays them by an unknown time, which would look like
@@ -248,95 +245,8 @@ def _numbers(values: Iterable[float]) -> list[str]:
     return [f"{value:.6f}" if np.isfinite(value) else "" for value in values]
 
 
-_SLOWEST_CHANGE = 1e-3
-"""Least size of the product of a mode's rate and the period; smaller ones become minus this value.
-
-Formulas divide by the product's square, which would magnify rounding errors.
-"""
-
-
-class SamplingRipple:
-    """Ripple that recurring torque steps add to an arm's motion at the moments of sampling.
-
-    The ripple is the third difference in the module's docstring. An arm of n joints, controlled
-    with stiffness and damping, is a linear system with 2n modes; in steady motion each mode
-    responds periodically to the sawtooth of torque between commands.
-
-    Args:
-        mobility: returns the inverse mass matrix (n, n) [1/(kg m^2)] at positions (n,) [rad].
-        viscous: (n,) the joints' own viscous friction [N m s/rad].
-
-    Attributes:
-        n_joints: number n of joints of the arm.
-    """
-
-    def __init__(self, mobility: Callable[[Array], Array], viscous: Array) -> None:
-        self.n_joints = len(viscous)
-        self._mobility = mobility
-        self._viscous = viscous
-
-    def motion(
-        self,
-        q: Array,
-        acted: MitCommand,
-        step: Array,
-        growth: Array,
-        time: Array,
-        period: float,
-    ) -> tuple[Array, Array]:
-        """Return how much the ripple adds to sampled positions and velocities (n,) [rad, rad/s].
-
-        At a share u of the period after its step, joint j has the torque
-        -step_j B1(u) + growth_j / 2 B2(u) beside the mean of held commands, with Bernoulli's
-        polynomials B1(u) = u - 1/2 and B2(u) = u^2 - u + 1/6. The results are zero where the
-        inertia is not positive, or the modes coincide.
-
-        Args:
-            q: positions (n,) [rad].
-            acted: command in force at the samples.
-            step: torque step (n,) of each joint at its time of sampling [N m].
-            growth: growth (n,) of the step from one period to the next [N m].
-            time: times of sampling (n,) [s].
-            period: time between steps [s].
-        """
-        n = self.n_joints
-        mobility = self._mobility(q)
-        zero = np.zeros((n, n))
-        is_finite = np.all(np.isfinite(mobility))
-        if not (is_finite and np.linalg.eigvalsh(mobility)[0] > 0.0):
-            # The model has no usable inertia.
-            return np.zeros(n), np.zeros(n)
-
-        # The state, n positions and then n velocities, is a sum of 2n modes (columns), of which
-        # each changes at its rate [1/s]; ``drive`` (2n, n) is what each joint's torque adds to it.
-        stiffness = mobility * acted.kp
-        damping = mobility * (acted.kd + self._viscous)
-        system = np.block([[zero, np.eye(n)], [-stiffness, -damping]])
-        rates, modes = np.linalg.eig(system)
-        try:
-            drive = np.linalg.solve(modes, np.vstack((zero, mobility)))
-        except np.linalg.LinAlgError:
-            # Modes coincide, as of a joint without gains: no correction rather than an error.
-            return np.zeros(n), np.zeros(n)
-        change = rates * period
-        change = np.where(np.abs(change) < _SLOWEST_CHANGE, -_SLOWEST_CHANGE, change)
-
-        # Periodic response of each mode (last axis, 2n) to -B1, and to B2 / 2 by way of it, when
-        # joint i (first axis) is sampled, for the torque of joint j (second axis): ``share`` of a
-        # period has passed since joint j was sampled, at which time its torque stepped.
-        share = ((time[:, None] - time) / period % 1.0)[..., None]
-        fading = np.exp(change * share) / -np.expm1(change)
-        to_step = period / change * (share - 0.5 + 1.0 / change + fading)
-        second = share**2 - share + 1.0 / 6.0
-        to_growth = -(0.5 * period * second + to_step) / change
-
-        # Amplitudes (n, 2n) of the modes when joint i is sampled, by the torques of all joints.
-        response = to_step * step[:, None] + to_growth * growth[:, None]
-        amplitudes = np.sum(response * drive.T, axis=1)
-        position_modes, velocity_modes = modes.reshape(2, n, -1)
-        position = np.sum(position_modes * amplitudes, axis=-1).real
-        velocity = np.sum(velocity_modes * amplitudes, axis=-1).real
-        return position, velocity
+_LEAST_FADING = 1e-3
+"""Least product of a joint's decay rate and the period: the formula divides by it."""
 
 
 class Centring:
@@ -346,13 +256,14 @@ class Centring:
 
     Args:
         period: length of a control cycle [s].
-        ripple: ripple of the arm; None where its inertia is unknown, then the third difference in
-            the module's docstring is not corrected.
+        inertia: inertia (n,) that each joint moves [kg m^2]; None where it is unknown, then the
+            third difference in the module's docstring is not corrected.
     """
 
-    def __init__(self, period: float, ripple: SamplingRipple | None = None) -> None:
+    def __init__(self, period: float, inertia: Array | None = None) -> None:
         self._period = period
-        self._ripple = ripple
+        self._inertia = inertia
+        # Each joint's torque step in its last answer (n,) [N m].
         self._last: Array | None = None
 
     def torques(self, replies: Replies, acted: MitCommand) -> tuple[Array, Array]:
@@ -362,31 +273,27 @@ class Centring:
         command in force at the samples. Where a joint did not answer, both results are NaN.
         """
         step = torque_step(replies, acted)
-        state = np.array([replies.feedback.position, replies.time, step])
-        last = state if self._last is None else self._last
-        # A joint that did not answer gets its last position, time and torque step.
-        state = np.where(np.isfinite(state), state, last)
-        self._last = state
-        growth = np.nan_to_num(state[2] - last[2])
+        last = step if self._last is None else self._last
+        # A joint that did not answer keeps its last torque step.
+        self._last = np.where(np.isnan(step), last, step)
+        growth = np.nan_to_num(step - last)
         # One term for each difference in the module's docstring.
         half_step = 0.5 * step
         armature_torque = growth / 12.0
-        ripple_torque = self._ripple_torque(state, growth, acted)
-        return step, half_step - armature_torque + ripple_torque
+        return step, half_step - armature_torque - self._fallen_share(acted.kd) * step
 
-    def _ripple_torque(self, state: Array, growth: Array, acted: MitCommand) -> Array:
-        """Return the torque (n,) to add to sampled torques for the ripple [N m]; 0 where unknown.
+    def _fallen_share(self, kd: Array) -> Array | float:
+        """Return the share (n,) of a torque step that damping has taken back when it is sampled.
 
-        ``state`` (3, n) has positions [rad], times [s] and torque steps [N m]; the steps have grown
-        by ``growth`` (n,) [N m] since the last cycle.
+        Velocities of a joint with inertia I and damping kd decay at the rate kd / I. A sawtooth of
+        torque then makes a periodic motion whose velocity at the step, times kd, is this share of
+        the step.
         """
-        if self._ripple is None or not np.all(np.isfinite(state)):
-            return np.zeros(state.shape[1])
-        q, time, step = state
-        position, velocity = self._ripple.motion(
-            q, acted, step, growth, time, self._period
-        )
-        return acted.kp * position + acted.kd * velocity
+        if self._inertia is None:
+            return 0.0
+        fading = kd * self._period / np.maximum(self._inertia, 1e-9)
+        fading = np.maximum(fading, _LEAST_FADING)
+        return np.asarray(0.5 / np.tanh(0.5 * fading) - 1.0 / fading)
 
 
 def torque_step(replies: Replies, acted: MitCommand) -> Array:

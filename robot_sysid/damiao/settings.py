@@ -21,7 +21,6 @@ from robot_sysid.damiao.protocol import (
     default_rate,
     register_text,
 )
-from robot_sysid.damiao.recorder import SamplingRipple
 from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory, user_bounds
 from robot_sysid.errors import InputError
@@ -251,8 +250,6 @@ class Plan:
         limits: user's limits of the trajectory and of the transfers to its first point and to the
             parking pose.
         model_range: least and greatest joint positions (n,) of the model [rad]; None without one.
-        ripple: computes the effect of torque steps on sampled positions and velocities; None
-            without a model.
 
     The settings become complete when the plan is made: ``PlaySettings.for_motors`` fills them in.
     The approach is made as slow as the user's limits ask for.
@@ -266,7 +263,6 @@ class Plan:
     inertia: Array | None = None
     limits: LimitOptions = NO_LIMITS
     model_range: tuple[Array, Array] | None = None
-    ripple: SamplingRipple | None = None
 
     def __post_init__(self) -> None:
         """Complete the settings; InputError where the trajectory has fewer than two rows."""

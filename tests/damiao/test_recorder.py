@@ -18,12 +18,7 @@ from robot_sysid.damiao.protocol import (
     Scaling,
     decode_feedback,
 )
-from robot_sysid.damiao.recorder import (
-    Aside,
-    Centring,
-    MeasurementRecorder,
-    SamplingRipple,
-)
+from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.safety.guards import hide_answers
 from robot_sysid.damiao.settings import PlaySettings, RecordingOptions, recording_header
 from robot_sysid.damiao.simulated import simulated_motor
@@ -248,40 +243,32 @@ def sampled_ripple(mobility, stiffness, damping, step, growth, time):
     return sampled[0] - np.mean(states[:, 0], axis=0), sampled[1]
 
 
-@pytest.mark.parametrize("stiffness", [0.0, 100.0, 1000.0])
 @pytest.mark.parametrize("damping", [0.05, 1.0, 20.0])
-def test_ripple_is_the_periodic_response_to_steps_at_their_moments(damping, stiffness):
-    mobility = np.linalg.inv([[0.05, 0.01], [0.01, 0.008]])
-    viscous = np.array([0.02, 0.3])
-    kd = damping * np.array([1.0, 0.4])
-    kp = stiffness * np.array([1.0, 0.6])
-    step = np.array([0.7, -0.4])
-    time = np.array([0.001, 0.0025])
-    growth = np.array([0.1, 0.3])
-    ripple = SamplingRipple(lambda q: mobility, viscous)
-    expected = sampled_ripple(mobility, kp, kd + viscous, step, growth, time)
-    command = MitCommand(*np.zeros((2, 2)), kp, kd, np.zeros(2))
-    computed = ripple.motion(np.zeros(2), command, step, growth, time, PERIOD)
-    for values, integrated in zip(computed, expected):
-        np.testing.assert_allclose(
-            values, integrated, atol=2e-3 * np.max(np.abs(values))
-        )
-
-
-def test_a_model_without_inertia_tells_nothing_of_ripple():
-    ripple = SamplingRipple(lambda q: np.full((1, 1), np.inf), np.zeros(1))
+def test_a_step_falls_until_it_is_sampled_as_damping_lets_it(damping):
+    """The periodic response to a sawtooth of torque, of a joint with inertia and damping."""
+    inertia = np.array([0.05])
+    kd = np.array([damping])
+    step = np.array([0.7])
     zero = np.zeros(1)
-    command = stiff(np.zeros(1))
-    motion = ripple.motion(zero, command, np.ones(1), zero, zero, PERIOD)
-    np.testing.assert_array_equal(motion, 0.0)
+    arm = 1.0 / inertia[:, None], zero, kd
+    _, velocity = sampled_ripple(*arm, step, zero, zero)
+    acted = MitCommand(zero, zero, zero, kd, zero)
+    replies = replies_of(zero, zero, zero, acted._replace(torque=step))
+    centring = Centring(PERIOD, inertia)
+    centring._last = step
+    made, centre = centring.torques(replies, acted)
+    np.testing.assert_allclose(made, step)
+    np.testing.assert_allclose(
+        centre, 0.5 * step + kd * velocity, atol=2e-3 * np.max(np.abs(step))
+    )
 
 
 def test_a_missing_answer_leaves_the_other_joints_torques_as_they_are():
     """A joint that is silent for a cycle, or from the first on, makes holes for itself alone."""
-    ripple = SamplingRipple(lambda q: np.diag([20.0, 30.0]), np.zeros(2))
+    inertia = np.array([0.05, 0.03])
     time = np.array([0.0, 0.001])
     for silent_cycles in ({2}, {0}, {0, 1, 2, 3}):
-        centring = Centring(PERIOD, ripple)
+        centring = Centring(PERIOD, inertia)
         for k in range(4):
             silent = np.array([False, k in silent_cycles])
             q = np.where(silent, np.nan, 0.0)
@@ -291,14 +278,3 @@ def test_a_missing_answer_leaves_the_other_joints_torques_as_they_are():
             step, centre = centring.torques(replies_of(q, q, stamps, sent), acted)
             np.testing.assert_array_equal(np.isfinite(centre), ~silent)
             assert centre[0] == pytest.approx(0.5 * step[0], rel=0.2)
-
-
-@pytest.mark.parametrize(("kp", "kd"), [(0.0, 0.0), (0.0, 2.0), (1.0, 4.0)])
-def test_gains_that_leave_two_modes_in_one_spoil_no_sample(kp, kd):
-    """None at all, or critical damping: kd^2 = 4 kp inertia."""
-    ripple = SamplingRipple(lambda q: np.array([[0.25]]), np.zeros(1))
-    one = np.ones(1)
-    added = ripple.motion(
-        0.0 * one, stiff(0.0 * one, kp, kd), one, one, 0.0 * one, PERIOD
-    )
-    assert np.all(np.isfinite(added)) and np.max(np.abs(added)) < 1e-3

@@ -8,7 +8,7 @@ motors does any of this.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -250,25 +250,31 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
 def monitor(session: Session) -> int:
     """Print the motors' states at every interval, without enabling them; return the exit code.
 
-    It ends with Ctrl-C or after the lifetime of the options. Each table is printed over the last
-    one. The code is 1 if no motor answers.
+    It ends with Ctrl-C or after the lifetime of the options. The code is 1 if no motor answers.
     """
-    options = record_from(MonitorOptions, session.values)
     with session.open_guarded(refuse_motion) as link:
         motors = list(inspect_bus(link).motors.values())
         if not motors:
             return _conclude_listing(session, count=0)
-        client = RegisterClient(link)
-        clock = link.clock
-        end = clock.now() + (options.lifetime or float("inf"))
         with contextlib.suppress(KeyboardInterrupt):
-            while True:
-                states = [(motor, client.state_of(motor)) for motor in motors]
-                lines = state_table(states)
-                session.console.stage(*lines)
-                following = clock.now() + options.interval
-                if following > end:
-                    break
-                clock.sleep_until(following)
-                session.console.move_up(len(lines))
+            _print_states(link, motors, session)
     return 0
+
+
+def _print_states(
+    link: GuardedLink, motors: Sequence[InspectedMotor], session: Session
+) -> None:
+    """Print a table of motors' states at every interval, each over the last one."""
+    options = record_from(MonitorOptions, session.values)
+    client = RegisterClient(link)
+    clock = link.clock
+    end = clock.now() + (options.lifetime or float("inf"))
+    while True:
+        states = [(motor, client.state_of(motor)) for motor in motors]
+        lines = state_table(states)
+        session.console.stage(*lines)
+        following = clock.now() + options.interval
+        if following > end:
+            return
+        clock.sleep_until(following)
+        session.console.move_up(len(lines))
