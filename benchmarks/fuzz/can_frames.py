@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fuzz.harness import Case
-from robot_sysid.damiao.adapters import BusLink, PacketReader
+from robot_sysid.damiao.adapters import PACKET, BusLink, SerialAdapter, SerialReader
 from robot_sysid.damiao.bus import GuardedLink, SimulatedClock, inspect_bus
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import (
@@ -170,10 +170,14 @@ def _codec(frames: list[Frame]) -> None:
 
 def _line_read(line: bytes) -> None:
     """Read bytes of the maker's serial adapter, seven at a time."""
-    reader = PacketReader()
-    for k in range(0, len(line), 7):
-        for packet in reader.take(line[k : k + 7]):
-            assert len(packet.data) == 8
+    pieces = [line[k : k + 7] for k in range(0, len(line), 7)]
+    port = SimpleNamespace(in_waiting=0)
+    port.read = lambda size: pieces.pop(0) if pieces else b""
+    adapter = SerialAdapter.__new__(SerialAdapter)
+    adapter._read = SerialReader(port, PACKET)
+    while pieces:
+        message = adapter.recv(0.0)
+        assert message is None or len(message.data) == 8
 
 
 def _through_driver(frames: list[Frame]) -> None:

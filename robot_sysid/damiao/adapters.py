@@ -15,8 +15,6 @@ import contextlib
 import errno
 import re
 import time
-from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,10 +42,7 @@ class BusAddress(OptionRecord):
         choices=INTERFACES,
     )
     channel: str | None = option(
-        None,
-        "the bus, for instance can0 or /dev/ttyACM0; left=/dev/ttyACM0 where the joint map calls "
-        "it left",
-        "CHANNEL",
+        None, "the bus, for instance can0 or /dev/ttyACM0", "CHANNEL"
     )
     bus_option: tuple[str, ...] = option(
         (),
@@ -55,16 +50,6 @@ class BusAddress(OptionRecord):
         "NAME=VALUE",
         repeats=True,
     )
-
-    @property
-    def named_channel(self) -> tuple[str | None, str]:
-        """The bus's name in joint maps, which is the channel by default, and its channel.
-
-        The name is None, and the channel "", where none was given.
-        """
-        # An address such as spy://COM3?file=log has no name, although it has an equals sign.
-        match = re.fullmatch(r"([\w.-]+)=(.*)", self.channel or "")
-        return (match[1], match[2]) if match else (self.channel, self.channel or "")
 
 
 SERIAL_ADAPTER = "damiao"
@@ -88,8 +73,6 @@ _FULL = (
 )
 _PLAUSIBLE_AGE = 1.0
 """Age of a frame above which its time stamp must be of another clock [s]."""
-_FD_CLOCK = 80_000_000
-"""Clock frequency of PCAN's and Kvaser's CAN-FD controllers [Hz]."""
 
 
 def import_can() -> Any:
@@ -206,12 +189,12 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> Link
     """
     can = import_can()
     interface = address.interface
-    _, channel = address.named_channel
+    channel = address.channel
     if timing.fd and interface == SERIAL_ADAPTER:
         raise InputError(
             "the maker's serial adapter sends classic CAN frames only; leave --fd off"
         )
-    options = _bus_options(can, interface, timing)
+    options = _bus_options(interface, timing)
     for text in address.bus_option:
         name, equals, value = text.partition("=")
         if not equals or not name.isidentifier():
@@ -219,7 +202,7 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> Link
         options[name] = can.util.cast_from_string(value)
     try:
         if interface == SERIAL_ADAPTER:
-            return BusLink(SerialAdapter(channel, **options), clock)
+            return BusLink(SerialAdapter(str(channel), **options), clock)
         bus = can.Bus(
             channel=channel, interface=interface, ignore_config=True, **options
         )
@@ -233,7 +216,7 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> Link
     return BusLink(bus, clock)
 
 
-def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
+def _bus_options(interface: str, timing: BusTiming) -> dict[str, Any]:
     """Return the keyword arguments that open an adapter's bus in python-can with given timing.
 
     They set the bit rates and, where this is an option, that sent frames are received as echoes.
@@ -242,60 +225,71 @@ def _bus_options(can: Any, interface: str, timing: BusTiming) -> dict[str, Any]:
         return {}
     if interface in ("socketcan", "virtual"):
         return {"receive_own_messages": True, "fd": timing.fd}
-    if not timing.fd:
-        return {"bitrate": int(timing.bitrate)}
-    rates = {
-        "nom_bitrate": int(timing.bitrate),
-        "data_bitrate": int(timing.data_bitrate),
-    }
-    # Sample points in percent of a bit.
-    points = {"nom_sample_point": 80.0, "data_sample_point": 75.0}
-    bit_timing = can.BitTimingFd.from_sample_point(f_clock=_FD_CLOCK, **rates, **points)
-    return {"timing": bit_timing}
-
-
-_HEAD = bytes([0x55, 0xAA, 30, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
-"""First bytes of a packet to the maker's adapter, up to the type of id."""
-_RECEIVED = 16
-"""Length of a packet from the adapter [bytes]."""
-_A_FRAME = b"\x11"
-"""Type of a packet from the adapter that holds a received frame."""
-_PACKET = re.compile(rb"\xaa(.).(.{4})(.{8})\x55", re.DOTALL)
-"""A packet from the adapter: its type, CAN id and data."""
-
-
-def packet(identifier: int, data: bytes) -> bytes:
-    """Return the 30 bytes with which the maker's adapter sends a classic frame."""
-    body = identifier.to_bytes(4, "little") + bytes([0, len(data), 0, 0])
-    return _HEAD + body + data.ljust(8, b"\0") + b"\0"
-
-
-class PacketReader:
-    """Finds the packets of the maker's adapter in a stream of bytes, of which some may be lost."""
-
-    def __init__(self) -> None:
-        self._incomplete = b""
-
-    def take(self, piece: bytes) -> list[Frame]:
-        """Return the frames (id, data) that end in ``piece``, the next bytes of the stream.
-
-        Bytes of a packet that has not ended yet are stored for the next call.
-        """
-        line = self._incomplete + piece
-        frames = []
-        # A packet may be incomplete if it begins in the last 15 bytes.
-        end = max(len(line) - (_RECEIVED - 1), 0)
-        for match in _PACKET.finditer(line):
-            packet_type, can_id, data = match.groups()
-            end = max(end, match.end())
-            if packet_type == _A_FRAME:
-                frames.append(Frame(int.from_bytes(can_id, "little"), data))
-        self._incomplete = line[end:]
-        return frames
+    options: dict[str, Any] = {"bitrate": int(timing.bitrate)}
+    if timing.fd:
+        options.update(fd=True, data_bitrate=int(timing.data_bitrate))
+    return options
 
 
 _PATIENCE = 1e-3
 """Time for which a serial port waits for a byte before it is asked again [s]."""
+_LONGEST = 256
+"""More bytes than any line or packet of a serial adapter has."""
+_LINE_END = re.compile(rb"[\r\a]")
+"""End of a line of slcan: a carriage return, or a bell where it refuses a command."""
+PACKET = re.compile(rb"\xaa.{14}\x55", re.DOTALL)
+"""A packet from the maker's adapter."""
+_HEAD = bytes([0x55, 0xAA, 30, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
+"""First bytes of a packet to the maker's adapter, up to the type of id."""
+_A_FRAME = 0x11
+"""Type of a packet from the maker's adapter that holds a received frame."""
+
+
+class SerialReader:
+    """Reads all bytes at once that have come from a serial adapter, and divides them.
+
+    python-can's own loop asks for every single byte of slcan. It also waits a millisecond, a
+    quarter of a control cycle, for the first byte where only bytes that have already come are
+    wanted.
+
+    Args:
+        port: open serial port.
+        end: pattern of a whole packet, or of the end of a line.
+    """
+
+    def __init__(self, port: Any, end: re.Pattern[bytes]) -> None:
+        # Setting a port's time-out takes long, so it is not set for each reading.
+        port.timeout = _PATIENCE
+        port.write_timeout = _SEND_TIMEOUT
+        self._port = port
+        self._end = end
+        self._received = b""
+
+    def __call__(self, timeout: float) -> bytes | None:
+        """Return the bytes up to the next end of the pattern, or None after ``timeout`` [s]."""
+        until = time.monotonic() + timeout
+        while (end := self._end.search(self._received)) is None:
+            time_left = max(until - time.monotonic(), 0.0)
+            piece = self._port.read(self._port.in_waiting or int(time_left > 0.0))
+            self._received = self._received[-_LONGEST:] + piece
+            if not piece and time_left == 0.0:
+                return None
+        line = self._received[: end.end()]
+        self._received = self._received[end.end() :]
+        return line
+
+
+def read_in_pieces(bus: Any) -> None:
+    """Make python-can's open slcan bus read all bytes at once that have come."""
+    reader = SerialReader(bus.serialPortOrig, _LINE_END)
+
+    def read_line(timeout: float) -> str | None:
+        """Return the next line with its end, or None after ``timeout`` [s]."""
+        line = reader(timeout)
+        # python-can gives up at a byte that is no text.
+        return None if line is None else line.decode("ascii", "ignore")
+
+    bus._read = read_line
 
 
 class SerialAdapter:
@@ -306,80 +300,29 @@ class SerialAdapter:
     Args:
         device: path of the serial port.
         baudrate: speed of the serial line [bit/s].
-        write_timeout: longest time for the line to take a packet [s].
     """
 
-    def __init__(
-        self, device: str, baudrate: int = 921_600, write_timeout: float = _SEND_TIMEOUT
-    ) -> None:
+    def __init__(self, device: str, baudrate: int = 921_600) -> None:
         import serial
 
-        self._port = serial.Serial(
-            device, baudrate, timeout=0, write_timeout=write_timeout
-        )
-        self._reader = PacketReader()
-        self._waiting = deque[Frame]()
+        self._port = serial.Serial(device, baudrate)
+        self._read = SerialReader(self._port, PACKET)
 
     def send(self, message: Any, timeout: float) -> None:
         """Send a frame; the adapter does not report when the frame was on the bus."""
-        self._port.write(packet(message.arbitration_id, bytes(message.data)))
+        data = bytes(message.data)
+        identifier = message.arbitration_id.to_bytes(4, "little")
+        body = identifier + bytes([0, len(data), 0, 0]) + data.ljust(8, b"\0")
+        self._port.write(_HEAD + body + b"\0")
 
     def recv(self, timeout: float) -> Any:
-        """Return the next message, or None after ``timeout`` [s]."""
-        until = time.monotonic() + timeout
-        while not self._waiting:
-            self._port.timeout = max(until - time.monotonic(), 0.0)
-            # The rest of what has come already, or the first byte of what comes next.
-            piece = self._port.read(max(self._port.in_waiting, 1))
-            self._waiting.extend(self._reader.take(piece))
-            if time.monotonic() >= until and not self._waiting:
-                return None
-        frame = self._waiting.popleft()
+        """Return the next message, or None; it waits for at most ``timeout`` [s]."""
+        line = self._read(timeout)
+        if line is None or line[-15] != _A_FRAME:
+            return None
+        frame = Frame(int.from_bytes(line[-13:-9], "little"), line[-9:-1])
         return can_message(frame, timestamp=time.time())
 
     def shutdown(self) -> None:
         """Close the serial line."""
         self._port.close()
-
-
-class LineReader:
-    """Reads an slcan adapter's lines for python-can, whose own loop asks for every single byte.
-
-    python-can's loop also waits a millisecond, a quarter of a control cycle, for the first byte
-    where only bytes that have already come are wanted; this class does not.
-
-    Args:
-        fetch: takes the time left [s] and returns all bytes that have come; where none have and
-            this time is positive, it waits for the first one, but may return none before the end.
-    """
-
-    def __init__(self, fetch: Callable[[float], bytes]) -> None:
-        self._fetch = fetch
-        self._received = b""
-
-    def __call__(self, timeout: float) -> str | None:
-        """Return the next line with its end, or None after ``timeout`` [s]."""
-        until = time.monotonic() + timeout
-        while (end := _LINE_END.search(self._received)) is None:
-            time_left = max(until - time.monotonic(), 0.0)
-            piece = self._fetch(time_left)
-            self._received += piece
-            if not piece and time_left == 0.0:
-                return None
-        line = self._received[: end.end()]
-        self._received = self._received[end.end() :]
-        # python-can gives up at a byte that is no text.
-        return line.decode("ascii", "ignore")
-
-
-_LINE_END = re.compile(rb"[\r\a]")
-"""End of a line of slcan: a carriage return, or a bell where it refuses a command."""
-
-
-def read_in_pieces(bus: Any) -> None:
-    """Make python-can's open slcan bus read all bytes at once that have come."""
-    port = bus.serialPortOrig
-    # Setting a port's time-out takes long, so it is not set for each reading.
-    port.timeout = _PATIENCE
-    port.write_timeout = _SEND_TIMEOUT
-    bus._read = LineReader(lambda left: port.read(port.in_waiting or int(left > 0.0)))

@@ -128,8 +128,7 @@ class MotorRun:
         path = self.values.get("joint_map")
         if path is not None:
             rows = read_joint_map(Path(path))
-            bus, _ = self.address.named_channel
-            return map_joints(joints, rows, bus, names)
+            return map_joints(joints, rows, self.address.channel, names)
         if not names:
             return tuple(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))

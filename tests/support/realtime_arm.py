@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.damiao.adapters import BusLink, LineReader
+from robot_sysid.damiao.adapters import BusLink, read_in_pieces
 from robot_sysid.damiao.bus import Link, SystemClock, undisturbed_processor
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, SimulatedArm, simulated_motor
@@ -34,7 +34,8 @@ class NearEnd:
         device: path at which another program opens the far end.
     """
 
-    write_timeout: float | None = None
+    timeout = write_timeout = 0.0
+    in_waiting = 0
 
     def __init__(self) -> None:
         # Unix only.
@@ -46,9 +47,9 @@ class NearEnd:
         os.set_blocking(self._near, False)
         self.device = os.ttyname(self._far)
 
-    def fetch(self, patience: float) -> bytes:
-        """Return all bytes that have come; wait at most ``patience`` [s] for the first one."""
-        ready = select.select([self._near], [], [], patience)[0]
+    def read(self, size: int) -> bytes:
+        """Return all bytes that have come; for a ``size`` of 1 wait for the first one."""
+        ready = select.select([self._near], [], [], size * self.timeout)[0]
         return os.read(self._near, 4096) if ready else b""
 
     def write(self, data: bytes) -> None:
@@ -88,7 +89,7 @@ def slcan_terminal() -> tuple[Any, str]:
     bus: Any = Terminal("loop://", sleep_after_open=0)
     line = NearEnd()
     bus.serialPortOrig = line
-    bus._read = LineReader(line.fetch)
+    read_in_pieces(bus)
     return bus, line.device
 
 
