@@ -27,6 +27,7 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     encode_mit,
 )
+from robot_sysid.damiao.references import FileHolding
 from robot_sysid.damiao.settings import Plan, PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
 from robot_sysid.damiao.trajectory import (
@@ -91,7 +92,8 @@ def _ignore(message: object) -> None:
 def play(link: GuardedLink, plan: Plan):
     """Inspect the motors and play a plan on them."""
     inspection = inspect_bus(link)
-    return run(link, plan, inspection, StopRequest(), _ignore, _ignore)
+    holding = FileHolding(plan.trajectory)
+    return run(link, plan, inspection, StopRequest(), _ignore, _ignore, holding)
 
 
 def tell(benchmark, report, rate: float) -> None:

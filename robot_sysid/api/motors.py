@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_sysid.api.keywords import MOTORS, Model, path_of, with_keywords
+from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import inspect_bus
-from robot_sysid.damiao.execution import MotorRun
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.preflight import require_no_stop
 from robot_sysid.damiao.trajectory import LIMITS
@@ -74,7 +74,7 @@ def play(
         if model is not None:
             values["model"] = path_of(model)
         values.update(options)
-        run = MotorRun({"trajectory": path, "joint_map": joint_map, **values})
+        run = execution.MotorRun({"trajectory": path, "joint_map": joint_map, **values})
         plan = run.plan()
         require_no_stop(run.checks(plan), "not played")
         run.require_free(plan)
@@ -84,13 +84,14 @@ def play(
             # The signs of a simulated arm's motors are not in doubt.
             checks = run.inspection_checks(plan, inspection, not simulate)
             require_no_stop(checks, "not played")
-            return run.play(
+            return execution.run(
                 link,
                 plan,
                 inspection,
                 StopRequest(),
                 say,
                 on_progress=lambda time: None,
+                holding=run.holding(plan),
             )
 
 

@@ -134,12 +134,12 @@ _SWITCH_INTERVAL = 2e-4
 
 
 @contextlib.contextmanager
-def undisturbed_processor(live: bool = True) -> Iterator[bool]:
+def undisturbed_processor(live: bool = True) -> Iterator[None]:
     """Keep garbage collection, other threads and other programs from pausing a ``with`` block.
 
-    Yields whether the block has real-time priority, which the system may refuse; garbage collection
-    is off in any case. A block with real-time priority has to sleep now and then, because no other
-    program can run on its processor while the block computes.
+    On Linux the block has real-time priority, unless the system refuses it or the user has chosen a
+    scheduling policy already (by chrt). A block with real-time priority has to sleep now and then,
+    because no other program can run on its processor while the block computes.
 
     Args:
         live: ask for real-time priority; False for a block that runs in simulated time.
@@ -148,57 +148,32 @@ def undisturbed_processor(live: bool = True) -> Iterator[bool]:
     gc.collect()
     gc.disable()
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    priority = _real_time_priority if live else contextlib.nullcontext
+    takes_priority = live and sys.platform == "linux"
+    takes_priority = takes_priority and os.sched_getscheduler(0) == os.SCHED_OTHER
     try:
-        with priority() as is_granted:
-            yield bool(is_granted)
+        if takes_priority:
+            _schedule(os.SCHED_FIFO, PRIORITY, _PRIORITY_ASIDE)
+        yield
     finally:
+        if takes_priority:
+            # Threads that were started in the block have inherited the priority.
+            _schedule(os.SCHED_OTHER, 0, 0)
         sys.setswitchinterval(switch_interval)
         gc.enable()
 
 
-@contextlib.contextmanager
-def _real_time_priority() -> Iterator[bool]:
-    """Give this program's threads real-time priority in a block; yield whether the block has it.
-
-    Afterwards all threads have the usual policy again. A scheduling policy that the user has chosen
-    already (by chrt) is not changed. On other systems than Linux nothing is changed.
-    """
-    if sys.platform != "linux":
-        yield False
-        return
-    # Thread 0 is the calling one.
-    policy = os.sched_getscheduler(0)
-    if policy != os.SCHED_OTHER:
-        yield policy in (os.SCHED_FIFO, os.SCHED_RR)
-        return
-    try:
-        is_granted = _schedule(thread_id=0, policy=os.SCHED_FIFO, priority=PRIORITY)
-        if is_granted:
-            for thread_id in _other_threads():
-                _schedule(thread_id, os.SCHED_FIFO, _PRIORITY_ASIDE)
-        yield is_granted
-    finally:
-        # Threads that were started in the block have inherited the priority.
-        for thread_id in (0, *_other_threads()):
-            _schedule(thread_id, os.SCHED_OTHER, priority=0)
-
-
-def _schedule(thread_id: int, policy: int, priority: int) -> bool:
-    """Set policy and priority of a thread, 0 for the calling one; return whether this succeeded."""
-    try:
-        os.sched_setscheduler(thread_id, policy, os.sched_param(priority))
-    except OSError:
-        # No right to it, or the thread has ended.
-        return False
-    return True
-
-
-def _other_threads() -> list[int]:
-    """Return the system's ids of all threads of this program but the calling one."""
+def _schedule(policy: int, priority: int, aside: int) -> None:
+    """Set the policy of all threads, the priority of the calling one and that of the others."""
     current = threading.get_native_id()
-    ids = [thread.native_id for thread in threading.enumerate()]
-    return [thread_id for thread_id in ids if thread_id not in (None, current)]
+    for thread in threading.enumerate():
+        is_current = thread.native_id == current
+        # No right to it, or the thread has ended.
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(
+                thread.native_id or current,
+                policy,
+                os.sched_param(priority if is_current else aside),
+            )
 
 
 _TRIES = 3

@@ -172,34 +172,16 @@ class MotorRun:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
 
-    def play(
-        self,
-        link: GuardedLink,
-        plan: Plan,
-        inspection: Inspection,
-        stop: StopRequest,
-        on_phase: Callable[[str], None],
-        on_progress: Callable[[float], None],
-    ) -> PlayReport:
-        """Play a plan, checked by the model while it moves, and return the report of the run.
-
-        Signals that end a program stop the run. Arguments and errors are those of the function
-        ``run``.
-        """
-        with stop.on_signals():
-            holding = self.holding(plan)
-            return run(link, plan, inspection, stop, on_phase, on_progress, holding)
-
     def require_free(self, plan: Plan) -> None:
         """Raise InputError if a recording would replace an input, or a file without --overwrite."""
         keys = "trajectory", "model", "joint_map"
         inputs = [self.values[key] for key in keys if self.values.get(key)]
         plan.recording.require_free(*inputs)
 
-    def holding(self, plan: Plan) -> HoldingCheck | None:
-        """Return the check of holding torques against the model's gravity; None without a model."""
+    def holding(self, plan: Plan) -> HoldingCheck:
+        """Return the check of holding torques against those of the model, or else of the file."""
         if self.robot is None:
-            return None
+            return FileHolding(plan.trajectory)
         from robot_sysid.damiao.model_check import gravity_check
 
         return gravity_check(self.robot, plan.trajectory.joints)
@@ -268,9 +250,11 @@ def run(
     stop: StopRequest,
     on_phase: Callable[[str], None],
     on_progress: Callable[[float], None],
-    holding: HoldingCheck | None = None,
+    holding: HoldingCheck,
 ) -> PlayReport:
     """Play a plan on the motors of an inspection, record it, and return the report of the run.
+
+    Signals that end a program stop the run.
 
     Args:
         link: link of the motors' bus.
@@ -279,7 +263,7 @@ def run(
         stop: request for a stop, see ``Player``.
         on_phase: called with the name of each phase of the run.
         on_progress: called with the time played so far [s].
-        holding: check of the torques that hold the arm; None compares with the trajectory's own.
+        holding: check of the torques that hold the arm.
 
     Raises:
         HardwareAbort: a check forbids the run, or the run was stopped; the message has the reason.
@@ -296,8 +280,7 @@ def run(
     writer = Aside(link.clock.live)
     try:
         recorder = _open_recorder(plan, motors, writer)
-        with recorder or contextlib.nullcontext(), session:
-            holding = holding or FileHolding(plan.trajectory)
+        with stop.on_signals(), recorder or contextlib.nullcontext(), session:
             player = Player(
                 session,
                 plan.settings,

@@ -12,7 +12,7 @@ from robot_sysid.damiao import protocol
 from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, id_problems, limits_agree
-from robot_sysid.damiao.references import FileHolding, HoldingCheck
+from robot_sysid.damiao.references import HoldingCheck
 from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import Permissions, Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
@@ -370,16 +370,12 @@ def _answer_time_checks(
         )
 
 
-def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
+def direction_checks(plan: Plan, holding: HoldingCheck) -> Iterator[Check]:
     """Yield a finding where a joint's direction is not known, by its load or a verification.
 
-    Args:
-        plan: plan with the joints and the first point.
-        model: computes the torques that hold the arm; None for the torques of the trajectory.
-            Without a model, or if the user permits them, unknown directions are only noted;
-            otherwise they stop the run.
+    ``holding`` computes the torques that hold the arm. Where it has no model, or if the user
+    permits them, unknown directions are only noted; otherwise they stop the run.
     """
-    holding = model or FileHolding(plan.trajectory)
     joints = holding.unverified_joints(plan.trajectory.q[0])
     labels = ", ".join(joint.label for joint in joints)
     if not joints:
@@ -388,7 +384,7 @@ def direction_checks(plan: Plan, model: HoldingCheck | None) -> Iterator[Check]:
         f"nobody has verified which way {labels} turn, and where the trajectory begins gravity "
         "hardly loads them"
     )
-    if model is None or plan.permissions.directions:
+    if plan.permissions.directions or not holding.is_model:
         yield _note(f"{finding}: mirrored or swapped, they would be played like that")
         return
     yield _stop(

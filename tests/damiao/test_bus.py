@@ -55,9 +55,11 @@ def test_the_loop_goes_before_the_other_threads_and_these_before_other_programs(
     monkeypatch,
 ):
     scheduler = Scheduler(monkeypatch)
-    with waiting_thread() as other, undisturbed_processor() as is_granted:
-        assert is_granted
-        assert scheduler.schedules[0] == (os.SCHED_FIFO, PRIORITY)
+    with waiting_thread() as other, undisturbed_processor():
+        assert scheduler.schedules[threading.get_native_id()] == (
+            os.SCHED_FIFO,
+            PRIORITY,
+        )
         policy, priority = scheduler.schedules[other]
         assert policy == os.SCHED_FIFO
         assert 0 < priority < PRIORITY
@@ -75,15 +77,14 @@ def test_priority_is_given_back_on_every_way_out(monkeypatch, error):
             later = stack.enter_context(waiting_thread())
             if error:
                 raise error
-        for thread_id in (0, earlier, later):
+        for thread_id in (threading.get_native_id(), earlier, later):
             assert scheduler.schedules[thread_id] == (os.SCHED_OTHER, 0)
 
 
 @LINUX
 def test_a_user_without_the_right_goes_on_without(monkeypatch):
     scheduler = Scheduler(monkeypatch, is_allowed=False)
-    with undisturbed_processor() as is_granted:
-        assert not is_granted
+    with undisturbed_processor():
         assert not gc.isenabled()
     assert gc.isenabled()
     assert scheduler.schedules == {}
@@ -93,8 +94,8 @@ def test_a_user_without_the_right_goes_on_without(monkeypatch):
 def test_simulated_time_takes_no_priority(monkeypatch):
     """It never waits, and would keep a processor for itself."""
     scheduler = Scheduler(monkeypatch)
-    with undisturbed_processor(live=False) as is_granted:
-        assert not is_granted
+    with undisturbed_processor(live=False):
+        assert not gc.isenabled()
     assert scheduler.schedules == {}
 
 

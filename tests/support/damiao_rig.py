@@ -14,6 +14,7 @@ from robot_sysid.damiao.execution import MotorRun, run
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import bus_checks
+from robot_sysid.damiao.references import FileHolding
 from robot_sysid.damiao.settings import (
     Permissions,
     Plan,
@@ -282,11 +283,11 @@ class Rig:
     def run(self, settle=0.5):
         """Inspect, play, record; keep error or report; then let the arm be for a while."""
         inspection = inspect_bus(self.link)
-        callbacks = self._phase, lambda time: None
+        others = self._phase, lambda time: None, FileHolding(self.plan.trajectory)
         try:
             self.checks = bus_checks(self.plan, inspection)
             self.plan.recording.require_free()
-            self.report = run(self.link, self.plan, inspection, self.stop, *callbacks)
+            self.report = run(self.link, self.plan, inspection, self.stop, *others)
         except Exception as error:
             self.error = error
         self.arm.advance(self.clock.now() + settle)

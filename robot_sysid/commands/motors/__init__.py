@@ -28,6 +28,7 @@ from robot_sysid.commands.motors.setup import (
 from robot_sysid.damiao import preflight
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
+from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import (
@@ -356,7 +357,10 @@ def _play_on(
         """Show how much of the plan has been played at ``time`` [s]."""
         console.advance("Playing", done=time, total=plan.duration, text="")
 
-    report = session.play(link, plan, inspection, stop, console.stage, show_progress)
+    report = run(
+        *(link, plan, inspection, stop, console.stage, show_progress),
+        holding=session.holding(plan),
+    )
     console.stage(*run_lines(report))
     record = plan.recording.record
     done = "played, and all motors are disabled"
