@@ -47,8 +47,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in arguments
     make_output_tolerant()
     _limit_libraries()
-    if "_ARGCOMPLETE" in os.environ:
-        importlib.import_module("robot_sysid.commands.arguments").complete()
     name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else ""
     interrupted = "interrupted"
     with _record_interrupts(process_ends=argv is None) as interrupts:

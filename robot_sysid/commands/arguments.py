@@ -1,16 +1,14 @@
-"""Command-line parsers made from option records, their values, and completion in a shell."""
+"""Command-line parsers made from option records, and their values."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
-import os
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
-from robot_sysid.commands import COMMANDS, PROGRAM, Console, ConsoleOptions, print_line
+from robot_sysid.commands import PROGRAM, Console, ConsoleOptions, print_line
 from robot_sysid.errors import EXIT_CODES, InputError
 from robot_sysid.records import option_fields as options
 from robot_sysid.records.file_access import read_toml
@@ -267,46 +265,3 @@ def parse_command(
     for key in options.options_of(Console):
         values.pop(key, None)
     return values, console
-
-
-def complete() -> None:
-    """Answer a shell's request for completions, and exit.
-
-    The shell has run ``register-python-argcomplete robot-sysid``.
-    """
-    from argcomplete import autocomplete
-    from argcomplete.completers import FilesCompleter
-
-    typed = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])]
-    # The first word is the program, the last one is to be completed: "|" makes one of no letters.
-    typed_words = f"{typed}|".split()[1:-1]
-    parser, name_length = _completion_parser(typed_words)
-
-    def complete_files_and_commands(prefix: str, **_: Any) -> list[str]:
-        return [*(() if typed_words else COMMANDS), *FilesCompleter()(prefix)]
-
-    # A subcommand is completed as a program of its own, whose name has so many words.
-    os.environ["_ARGCOMPLETE"] = str(name_length)
-    completer: Any = complete_files_and_commands
-    autocomplete(parser, default_completer=completer)
-
-
-def _completion_parser(
-    typed_words: Sequence[str],
-) -> tuple[argparse.ArgumentParser, int]:
-    """Return the parser for the complete words of a line, and how many words name the command.
-
-    ``typed_words`` leave out the program's name, which is counted.
-    """
-    name = typed_words[0] if typed_words and typed_words[0] in COMMANDS else ""
-    module_name = COMMANDS.get(name, COMMANDS["identify"])
-    module = importlib.import_module(f"robot_sysid.commands.{module_name}")
-    if name == "motors":
-        if len(typed_words) > 1 and typed_words[1] in module.COMMANDS:
-            return module.build_parser(typed_words[1]), 3
-        parser = argparse.ArgumentParser()
-        parser.add_argument("command", choices=module.COMMANDS)
-        return parser, 2
-    if module_name == "identify":
-        return module.build_parser(name), 2 if name else 1
-    return module.build_parser(), 2

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -148,26 +145,3 @@ def test_the_version_is_printed(capsys):
 def test_identify_has_few_options(capsys):
     lines = help_lines(["identify", "--help-all"], capsys)
     assert sum(line.startswith("  -") for line in lines) <= MOST_OPTIONS
-
-
-ASKED = {
-    "pa": {"payload "},
-    "plan --excitation-t": {"--excitation-time-budget "},
-    "motors ch": {"check "},
-    "motors play t.csv --rec": {"--record "},
-    "arm.xml --motor-t": {"--motor-type "},
-    "re": {"report "},
-    "identify arm.xml lo": {"log.csv "},
-}
-
-
-@pytest.mark.parametrize("typed", ASKED)
-def test_commands_options_and_files_are_completed(typed, tmp_path):
-    (tmp_path / "log.csv").touch()
-    line = f"robot-sysid {typed}"
-    answer = tmp_path / "answer"
-    asking = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer)}
-    asking.update(COMP_LINE=line, COMP_POINT=str(len(line)), _ARGCOMPLETE_IFS="\n")
-    call = [sys.executable, "-m", "robot_sysid"]
-    subprocess.run(call, cwd=tmp_path, env={**os.environ, **asking}, check=True)
-    assert set(answer.read_text().splitlines()) == ASKED[typed]
