@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 
@@ -98,13 +98,13 @@ class ActuatorChange:
         actuator: its MuJoCo id.
         stiffness, damping: gains of a position actuator, which makes stiffness (ctrl - q) - damping
             qd [N m/rad or N/m; N m s/rad or N s/m]. A <position> has no damping before MuJoCo 3.1.
-        numbers: new values by their name in MJCF: "armature", "damping".
+        emptied: attributes that become zero, "armature" or "damping".
     """
 
     actuator: int
     stiffness: float | None = None
     damping: float | None = None
-    numbers: Mapping[str, float] = field(default_factory=dict)
+    emptied: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -387,7 +387,7 @@ def write_actuator(document: ModelDocument, change: ActuatorChange) -> None:
     """
     node = _section_child(document, "actuator", change.actuator)
     kinds = "an element of its own"
-    numbers = {name: format_number(x) for name, x in change.numbers.items()}
+    numbers = dict.fromkeys(change.emptied, "0")
     if node is not None and change.stiffness is not None:
         kp = format_number(change.stiffness)
         kv = format_number(change.damping or 0.0)
@@ -403,7 +403,7 @@ def write_actuator(document: ModelDocument, change: ActuatorChange) -> None:
     if node is None:
         fault = f"actuator number {change.actuator} is not written out in the file"
         raise ExportError(f"{document.path}: {fault} as {kinds}; write it out")
-    _set_numbers(node, numbers)
+    node.attrib.update(numbers)
 
 
 _MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")

@@ -217,43 +217,41 @@ def is_static(mj_model: Any, actuator: int) -> bool:
 
 
 _STATED = ("armature", "damping", "dampingpoly")
-"""Numbers of a joint or tendon that a file may state at its actuators."""
+"""Numbers of a joint or tendon that a file may state at its actuators, since MuJoCo 3.7."""
 
 
 def with_actuators_in_joints(mj_model: Any) -> Any:
     """Return a model whose joints and tendons have the rotors and damping of their actuators.
 
     It takes the same torques. Numbers of its actuators stay, but act no more: all else reads rotor
-    inertia and damping in one place. Without any, it is the model itself; releases before 3.7 have
-    none.
+    inertia and damping in one place. Without any, it is the model itself.
     """
-    stated = [getattr(mj_model, f"actuator_{name}", 0.0) for name in _STATED]
-    if not any(map(np.any, stated)):
+    if not any(np.any(getattr(mj_model, f"actuator_{n}", 0.0)) for n in _STATED):
         return mj_model
     folded = copy.copy(mj_model)
-    for name in _STATED:
-        of_dofs = getattr(folded, f"dof_{name}")
-        for joint, dof in enumerate(mj_model.jnt_dofadr.tolist()):
-            pulling = actuators_on(mj_model, joint)
-            of_dofs[dof] += stated_at_actuators(mj_model, pulling, name)
-        of_tendons = getattr(folded, f"tendon_{name}")
-        for tendon in range(mj_model.ntendon):
-            pulling = actuators_of_tendon(mj_model, tendon)
-            of_tendons[tendon] += stated_at_actuators(mj_model, pulling, name)
+    kinds = mj_model.actuator_trntype.tolist()
+    targets = mj_model.actuator_trnid[:, 0].tolist()
+    for actuator, (kind, target) in enumerate(zip(kinds, targets)):
+        if kind in _AT_JOINT:
+            owner, row = "dof", mj_model.jnt_dofadr[target]
+        elif kind in _AT_TENDON:
+            owner, row = "tendon", target
+        else:
+            continue
+        scale = gear_ratio(mj_model, actuator) ** 2
+        for name in _STATED:
+            stated = getattr(mj_model, f"actuator_{name}")[actuator]
+            getattr(folded, f"{owner}_{name}")[row] += scale * stated
     folded.jnt_actuatorid[:] = -1
     folded.tendon_actuatorid[:] = -1
     return folded
 
 
-def stated_at_actuators(mj_model: Any, actuators: Sequence[int], name: str) -> Array:
-    """Return what a file states at actuators (ids) of a number of their joint or tendon.
-
-    ``name``: "armature", "damping", or "dampingpoly" with two numbers.
-    """
-    total = np.zeros(2 if name == "dampingpoly" else ())
-    if not hasattr(mj_model, f"actuator_{name}"):
-        return total  # releases before 3.7 have none
-    stated = getattr(mj_model, f"actuator_{name}")
-    for actuator in actuators:
-        total = total + gear_ratio(mj_model, actuator) ** 2 * stated[actuator]
-    return total
+def stated_at_actuator(mj_model: Any, actuator: int) -> set[str]:
+    """Return which of "armature" and "damping" a file states at an actuator (id)."""
+    names = set()
+    for name in _STATED:
+        numbers = getattr(mj_model, f"actuator_{name}", None)
+        if numbers is not None and np.any(numbers[actuator]):
+            names.add(name.replace("poly", ""))
+    return names

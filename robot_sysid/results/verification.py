@@ -2,7 +2,8 @@
 
 Both files are compiled and every field of the compiled models is compared, but for those listed
 here, each with its reason. The written model must then take the torques that the identification
-predicts.
+predicts. A new body or tendon makes other fields of a model: such a file is compared without them,
+and with them by its torques.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import mjcf_inertial, settings_of_inertia
-from robot_sysid.mjcf.updated_model import ModelChange, WeldedBody
+from robot_sysid.mjcf.updated_model import ModelChange
 from robot_sysid.model.bodies import body_theta, inertia_about_com
 from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import (
@@ -58,6 +59,9 @@ DERIVED = {
     *["nhistory", "actuator_historyadr", "sensor_historyadr"],
     # Found by simulating the actuator's movement, so masses enter.
     "actuator_lengthrange",
+    # Joints and tendons have the rotors and damping of their actuators.
+    *["actuator_armature", "actuator_damping", "actuator_dampingpoly"],
+    *["jnt_actuatorid", "tendon_actuatorid"],
     # Whether a body's inertia is diagonal in its joint's axes, or a geom or site coincides with its
     # body's inertial frame: shortcuts for the engine.
     *["body_simple", "dof_simplenum", "geom_sameframe", "site_sameframe"],
@@ -103,8 +107,6 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
         for name, value in joint.numbers.items():
             getattr(expected, f"dof_{name}")[dof] = value
     for servo in change.actuators:
-        for name, value in servo.numbers.items():
-            getattr(expected, f"actuator_{name}")[servo.actuator] = value
         if servo.stiffness is None:
             continue
         # A PID controller keeps its gain in the bias alone.
@@ -121,26 +123,29 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
     return expected
 
 
-def verify_written_model(
-    original: Any, written: Path, change: ModelChange
-) -> CompiledModel:
-    """Compile a written model, compare it with the original, and return it.
+def compiled_draft(written: Path) -> CompiledModel:
+    """Return a written model, compiled; ExportError where it does not load."""
+    try:
+        return compile_model(written)
+    except InputError as error:
+        raise ExportError(f"the written model cannot be loaded: {error}") from None
+
+
+def verify_written_model(original: Any, written: Path, change: ModelChange) -> Any:
+    """Compile a written model, compare it with the original, and return its ``MjModel``.
 
     Args:
         original: compiled model.
         written: file of the written model.
-        change: the difference that is wanted.
+        change: the difference that is wanted, without new bodies and tendons.
 
     Raises:
         ExportError: the file does not load, or a field has changed that should not have, or does
             not have the wanted value; the message names the field.
     """
+    changed = compiled_draft(written).mj_model
     try:
-        compiled = compile_model(written)
-    except InputError as error:
-        raise ExportError(f"the written model cannot be loaded: {error}") from None
-    try:
-        require_change(original, compiled.mj_model, change)
+        require_change(original, changed, change)
     except ExportError as error:
         settings = settings_of_inertia(read_document(written))
         if not settings:
@@ -149,7 +154,7 @@ def verify_written_model(
             f"its compiler settings {', '.join(settings)} change inertias: remove them"
         )
         raise ExportError(f"{error}; {remedy}") from None
-    return compiled
+    return changed
 
 
 def require_change(original: Any, changed: Any, change: ModelChange) -> None:
@@ -157,111 +162,57 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
 
     Args:
         original: compiled model.
-        changed: compiled model. A body that the change adds has an id within those of the original;
-            bodies from that id on have ids larger by one. New tendons follow those of the original.
-        change: the difference that is wanted.
+        changed: compiled model.
+        change: the difference that is wanted, without new bodies and tendons.
     """
-    new_body = None
-    welded = change.welded
-    if welded is not None:
-        new_body = mujoco.mj_name2id(
-            changed, int(mujoco.mjtObj.mjOBJ_BODY), welded.name
-        )
-        if new_body < 0 or changed.nbody != original.nbody + 1:
-            name = welded.name
-            raise ExportError(f"the written model has no body '{name}' of its own")
-    # Body id in the original to its parameters and to those that set the scale of deviations.
-    thetas: dict[int, tuple[Array, Array]] = {}
-    for body in change.bodies:
-        body_id = body.body_id
-        has_mass = np.any(body.theta)
-        scale_theta = body.theta if has_mass else body_theta(original, body_id)
-        thetas[body_id] = body.theta, scale_theta
-    new_tendons = [tendon for tendon in change.tendons if tendon.is_new]
-    if changed.ntendon != original.ntendon + len(new_tendons):
-        count = changed.ntendon
-        raise ExportError(
-            f"the written model has {count} tendons; no model was written"
-        )
-    for tendon in new_tendons:
-        for name, value in tendon.numbers.items():
-            actual = getattr(changed, f"tendon_{name}")[tendon.tendon]
-            if not np.isclose(actual, value, rtol=TOLERANCE, atol=0.0):
-                raise ExportError(
-                    f"the new tendon has {name} {actual}; no model was written"
-                )
     expected = changed_copy(original, change)
     # Damping from a dampratio is computed from the inertia that the actuator moves.
     is_computed = np.ones(len(original.actuator_biasprm), dtype=bool)
     for servo in change.actuators:
-        is_computed[servo.actuator] = servo.stiffness is None
+        is_computed[servo.actuator] &= servo.stiffness is None
     damping = changed.actuator_biasprm[: len(is_computed), 2]
     expected.actuator_biasprm[is_computed, 2] = damping[is_computed]
-    require_same_model(expected, changed, set(thetas), new_body)
-    for body_id, (theta, scale_theta) in thetas.items():
-        is_behind_new = new_body is not None and body_id >= new_body
-        require_theta(changed, body_id + is_behind_new, theta, scale_theta)
-    if welded is not None and new_body is not None:
-        _require_pose(changed, new_body, welded)
-        require_theta(changed, new_body, welded.theta, welded.theta)
+    require_same_model(expected, changed, {body.body_id for body in change.bodies})
+    for body in change.bodies:
+        has_mass = np.any(body.theta)
+        scale_theta = body.theta if has_mass else body_theta(original, body.body_id)
+        require_theta(changed, body.body_id, body.theta, scale_theta)
 
 
 def require_same_model(
-    original: Any,
-    other: Any,
-    changed_bodies: Collection[int] = (),
-    new_body: int | None = None,
+    original: Any, other: Any, changed_bodies: Collection[int] = ()
 ) -> None:
     """Raise ExportError if two compiled models differ in a field by more than rounding.
 
     The message names the first such field. Fields of ``DERIVED`` and ``PATHS`` may differ.
 
     Args:
-        original: compiled model.
-        other: compiled model; it may have further tendons, behind those of the original.
-        changed_bodies: ids of bodies of the original whose inertia may differ.
-        new_body: id of the one body that only the other model has, or None.
+        original, other: compiled models.
+        changed_bodies: ids of bodies whose inertia may differ.
     """
     other_fields = dict(compiled_fields(other))
-    ignored = DERIVED | PATHS
-    ignored_prefixes: tuple[str, ...] = ()
-    if other.ntendon > original.ntendon:
-        ignored |= {"ntendon", "nwrap", "nJten", *_NAME_FIELDS}
-        ignored_prefixes = ("name_",)
-        for name, value in compiled_fields(original):
-            if name.startswith(("tendon_", "ten_", "wrap_")):
-                other_fields[name] = other_fields[name][: len(value)]
-    if new_body is not None:
-        ignored |= _BODY_COUNT_FIELDS
-        ignored_prefixes = ("name_", "B_")
-    equal_bodies = set(_bodies_of_equal_inertia(original, other, new_body))
+    equal_bodies = set(_bodies_of_equal_inertia(original, other))
     for name, value in compiled_fields(original):
-        if name in ignored or name.startswith(ignored_prefixes):
+        if name in DERIVED | PATHS:
             continue
         rows = set(changed_bodies) if name in BODY_FIELDS else set()
         if name in _AXES_FIELDS:
             rows |= equal_bodies
-        if not _is_same(name, value, other_fields.get(name), rows, new_body):
+        if not _is_same(value, other_fields.get(name), rows):
             raise ExportError(
                 f"the written model has another {name} than it should have; "
                 f"{_ADVICE.get(name, 'no model was written')}"
             )
 
 
-def _bodies_of_equal_inertia(
-    original: Any, other: Any, new_body: int | None
-) -> Iterator[int]:
+def _bodies_of_equal_inertia(original: Any, other: Any) -> Iterator[int]:
     """Yield the ids of bodies whose inertia is the same in two compiled models but for rounding.
 
-    Rounding turns principal axes, of equal moments by any angle. ``new_body``: id of the one body
-    that only the other model has, or None.
+    Rounding turns principal axes, of equal moments by any angle.
     """
-    for body in range(original.nbody):
-        other_body = body + (new_body is not None and body >= new_body)
-        if other_body >= other.nbody:
-            return
+    for body in range(min(original.nbody, other.nbody)):
         inertia = inertia_about_com(original, body)
-        difference = inertia_about_com(other, other_body) - inertia
+        difference = inertia_about_com(other, body) - inertia
         if np.max(np.abs(difference)) <= TOLERANCE * np.max(np.abs(inertia)):
             yield body
 
@@ -331,40 +282,23 @@ def compiled_fields(mj_model: Any, prefix: str = "") -> Iterator[tuple[str, Any]
             yield from compiled_fields(value, f"{prefix}{name}.")
 
 
-def _is_same(
-    name: str,
-    original: Any,
-    other: Any,
-    changed_rows: Collection[int],
-    new_body: int | None,
-) -> bool:
+def _is_same(original: Any, other: Any, changed_rows: Collection[int]) -> bool:
     """Return whether a field of two compiled models is the same, but for rows that may differ.
 
-    Where the other model has a new body, body ids from it on are larger by one: integers of the
-    original that are at least ``new_body`` may be larger by one in every field.
-
     Args:
-        name: name of the field.
         original: number or array in the original model.
         other: number or array in the other model.
-        changed_rows: rows of the original array that may differ.
-        new_body: id of the one body that only the other model has, or None.
+        changed_rows: rows of the arrays that may differ.
     """
     if not isinstance(original, np.ndarray) or not isinstance(other, np.ndarray):
         return bool(original == other)
-    if new_body is not None and name.startswith("body_"):
-        other = np.delete(other, new_body, axis=0)
     if original.shape != other.shape:
         return False
-    is_float = original.dtype.kind == "f"
-    if new_body is not None and not is_float:
-        is_shifted = (other == original + 1) & (original >= new_body)
-        other = np.where(is_shifted, original, other)
     if changed_rows:
         rows = np.setdiff1d(np.arange(len(original)), list(changed_rows))
         original = original[rows]
         other = other[rows]
-    if is_float:
+    if original.dtype.kind == "f":
         return np.allclose(original, other, rtol=TOLERANCE, atol=0.0, equal_nan=True)
     return np.array_equal(original, other)
 
@@ -417,36 +351,4 @@ def require_reproduction(
             f"{path.name} does not reproduce the identified torques: joint "
             f"{robot.joint_names[worst]} is off by {relative[worst]:.1e} relative (allowed "
             f"{TORQUE_TOLERANCE:.0e}); no model was written"
-        )
-
-
-POSE_TOLERANCE = 1e-12
-"""Largest deviation of a new body's origin [m] and axes: a few rounding errors of a quaternion."""
-_NAME_FIELDS = ("nnames", "nnames_map", "names", "names_map")
-"""Fields that hold the names of all elements."""
-# Fields whose size or content depends on the number of bodies, or on ids of pairs of bodies.
-_BODY_COUNT_FIELDS = {
-    *_NAME_FIELDS,
-    *["nbody", "nB", "tree_bodynum", "exclude_signature", "pair_signature"],
-}
-
-
-def _require_pose(written: Any, new_body: int, body: WeldedBody) -> None:
-    """Raise ExportError unless a compiled body is fixed to its carrier at the wanted pose.
-
-    Args:
-        written: compiled model.
-        new_body: id of the body in it.
-        body: the wanted pose, relative to the body that carries it.
-    """
-    axes = np.empty(9)
-    mujoco.mju_quat2Mat(axes, written.body_quat[new_body])
-    axes_deviation = np.max(np.abs(axes.reshape(3, 3) - body.rotation))
-    origin_deviation = np.max(np.abs(written.body_pos[new_body] - body.translation))
-    is_at_pose = max(axes_deviation, origin_deviation) <= POSE_TOLERANCE
-    parent = body_label(written, int(written.body_parentid[new_body]))
-    if parent != body.carrier or written.body_jntnum[new_body] or not is_at_pose:
-        raise ExportError(
-            f"in the written model, body '{body.name}' is not fixed to '{body.carrier}' where it "
-            "should be; no model was written"
         )

@@ -33,13 +33,17 @@ from robot_sysid.mjcf.updated_model import (
     WeldedBody,
     changed_model_text,
 )
+from robot_sysid.model.actuators import (
+    actuators_of_tendon,
+    actuators_on,
+    stated_at_actuator,
+)
 from robot_sysid.model.bodies import body_theta, link_bodies
 from robot_sysid.model.compilation import mjcf_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.messages import Detail, with_error
 from robot_sysid.results import verification
-from robot_sysid.results.actuator_numbers import beside_actuators
 from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Quantity, Result
 
 _MOMENTS = [4, 7, 9]
@@ -326,9 +330,9 @@ def _write(
 ) -> None:
     """Write the text of a changed model as a draft file, and verify the draft.
 
-    The draft is compiled, compared with the original model, and its torques are compared with those
-    of the links' parameters. Inertias are written as principal moments where the installed MuJoCo
-    reads full matrices inaccurately.
+    The draft is compiled, compared with the original model, a new body or tendon left out, and its
+    torques are compared with those of the links' parameters. Inertias are written as principal
+    moments where the installed MuJoCo reads full matrices inaccurately.
 
     Args:
         robot: the arm with the original model.
@@ -346,22 +350,54 @@ def _write(
         written.append(change.welded.theta)
     is_exact = all(map(verification.reads_fullinertia_exactly, written))
     change = replace(change, principal=not is_exact)
+    emptied = _emptied_actuators(robot, change)
+    change = replace(change, actuators=(*change.actuators, *emptied))
+    tendons = tuple(tendon for tendon in change.tendons if not tendon.is_new)
+    without_new = replace(change, welded=None, tendons=tendons)
     path = target.path
-    stated = beside_actuators(robot, change)
-    # The compiled draft has rotors and damping of actuators in joints and tendons.
-    change = replace(change, actuators=stated.actuators)
-    text = changed_model_text(
-        robot.path, stated, path.absolute().parent, target.mesh_dir
-    )
     try:
-        draft = target.files.write(path, text)
-        compiled = verification.verify_written_model(robot.mj_model, draft, change)
+        draft = _write_draft(robot.path, without_new, target)
+        written_model = verification.verify_written_model(
+            robot.mj_model, draft, without_new
+        )
+        if change.welded is not None or len(tendons) < len(change.tendons):
+            draft = _write_draft(robot.path, change, target)
+            written_model = verification.compiled_draft(draft).mj_model
         verification.require_reproduction(
-            robot, thetas, change, compiled.mj_model, target.checkpoints, path
+            robot, thetas, change, written_model, target.checkpoints, path
         )
     except BaseException:
         target.files.withdraw(path)
         raise
+
+
+def _write_draft(source: Path, change: ModelChange, target: ModelTarget) -> Path:
+    """Write a changed model file as the target's draft, and return where the draft is."""
+    folder = target.path.absolute().parent
+    text = changed_model_text(source, change, folder, target.mesh_dir)
+    return target.files.write(target.path, text)
+
+
+def _emptied_actuators(
+    robot: RobotModel, change: ModelChange
+) -> Iterator[ActuatorChange]:
+    """Yield changes that take rotors and damping from actuators whose joint or tendon gets them.
+
+    Since MuJoCo 3.7 a file may state them at either; an identification knows their sum.
+    """
+    model = robot.mj_model
+    owners = []
+    for joint in change.joints:
+        dof = robot.dof_index[robot.joint_names.index(joint.label)]
+        pulling = actuators_on(model, int(model.dof_jntid[dof]))
+        owners.append((pulling, joint.numbers))
+    for tendon in change.tendons:
+        owners.append((actuators_of_tendon(model, tendon.tendon), tendon.numbers))
+    for actuators, numbers in owners:
+        for actuator in actuators:
+            emptied = stated_at_actuator(model, actuator) & {*numbers}
+            if emptied:
+                yield ActuatorChange(actuator, emptied=tuple(sorted(emptied)))
 
 
 def versions() -> dict[str, str]:
