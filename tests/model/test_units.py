@@ -1,8 +1,6 @@
-"""Model files with units as CAD programs write them are refused by the name of the unit."""
+"""Model files with units as CAD programs write them are refused."""
 
 from __future__ import annotations
-
-import re
 
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
-from robot_sysid.model import units
 from robot_sysid.parser import load_robot_model
 from tests.support import urdf
 
@@ -39,38 +36,29 @@ def arm(folder, mass=1.0, inertia=1.0, length=1.0, changed=LINKS, is_placeholder
     return path
 
 
-@pytest.mark.parametrize("inertia_unit", units._INERTIAS)
-@pytest.mark.parametrize("mass_unit", units._MASSES)
-def test_units_are_named_with_what_to_divide_by(tmp_path, mass_unit, inertia_unit):
-    mass = units._MASSES[mass_unit]
-    inertia = units._INERTIAS[inertia_unit]
-    path = arm(tmp_path, mass, inertia)
-    if mass == inertia == 1.0 or (mass_unit, inertia_unit) == ("g", "kg cm2"):
-        # Grams with kg cm2 make links that are three times as large, and 30 times as dense.
-        assert load_robot_model(path).n_joints == 4
-        return
-    with pytest.raises(ModelError) as caught:
-        load_robot_model(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert (f"masses fit {mass_unit}, not kg" in message) == (mass != 1.0)
-    assert (f"inertias fit {inertia_unit}, not kg m2" in message) == (inertia != 1.0)
-    remedies = re.findall(
-        r"(masses|inertias) fit [^:]*: divide them by ([\d.e+-]+)", message
-    )
-    factors = {"masses": mass, "inertias": inertia}
-    assert {name: float(x) for name, x in remedies} == {
-        name: factor for name, factor in factors.items() if factor != 1.0
-    }
+@pytest.mark.parametrize(
+    ("mass", "inertia"),
+    [(1.0, 1e6), (1.0, 1e9), (1.0, 1e4), (1e3, 1.0), (1e3, 1e9), (1e-3, 1.0)],
+)
+def test_masses_and_inertias_in_other_units_are_refused(tmp_path, mass, inertia):
+    with pytest.raises(
+        ModelError, match="which no arm has; state masses in kg"
+    ) as caught:
+        load_robot_model(arm(tmp_path, mass, inertia))
+    assert "\n" not in str(caught.value)
 
 
 def test_lengths_in_millimetres_are_refused(tmp_path):
     path = arm(tmp_path, length=1000.0)
-    with pytest.raises(ModelError, match="joints add up to 600 m: these lengths fit"):
+    with pytest.raises(
+        ModelError, match="joints add up to 600 m, .*: these lengths fit"
+    ):
         load_robot_model(path)
     text = path.read_text().replace("0 0 200.0", "0 0 0.2")
     path.write_text(text)
-    with pytest.raises(ModelError, match=r"centres of mass .* by 112 m: these lengths"):
+    with pytest.raises(
+        ModelError, match=r"centres of mass lie 112 m .*: these lengths"
+    ):
         load_robot_model(path)
 
 
@@ -83,9 +71,3 @@ def test_a_single_link_may_be_ten_times_off(tmp_path_factory, name, mass, inerti
 
 def test_equal_moments_of_all_links_stand_for_unknown_ones(tmp_path):
     assert load_robot_model(arm(tmp_path, is_placeholder=True)).n_joints == 4
-
-
-def test_a_single_link_that_no_arm_has_is_named(tmp_path):
-    path = arm(tmp_path, inertia=1e6, changed={"l2"})
-    with pytest.raises(ModelError, match=r"link 'l2' has 2 kg and a radius .* no arm"):
-        load_robot_model(path)
