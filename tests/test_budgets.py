@@ -17,8 +17,8 @@ from tests.support.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 4776,
-    "robot_sysid/commands": 11343,
-    "robot_sysid/damiao": 34264,
+    "robot_sysid/commands": 11324,
+    "robot_sysid/damiao": 33959,
     "robot_sysid/diagnosis": 17693,
     "robot_sysid/dynamics": 5986,
     "robot_sysid/estimate": 28678,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5253,
     "robot_sysid/simulation": 4000,
     "robot_sysid": 11334,
-    "tests": 223084,
+    "tests": 223067,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -24,7 +24,6 @@ from robot_sysid.damiao.bus import (
 )
 from robot_sysid.damiao.joints import DamiaoJoint, map_joints, read_joint_map
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
-from robot_sysid.damiao.preflight import Check
 from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, refuse_harmful
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.references import (
@@ -49,6 +48,7 @@ from robot_sysid.damiao.simulated import (
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
+from robot_sysid.records.messages import Remark
 from robot_sysid.records.option_fields import record_from
 
 
@@ -133,7 +133,7 @@ class MotorRun:
             return tuple(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
 
-    def checks(self, plan: Plan) -> list[Check]:
+    def checks(self, plan: Plan) -> list[Remark]:
         """Return a plan's checks that need no bus."""
         checks = preflight.plan_checks(plan)
         if self.robot is None:
@@ -156,7 +156,7 @@ class MotorRun:
 
     def inspection_checks(
         self, plan: Plan, inspection: Inspection, real: bool = True
-    ) -> list[Check]:
+    ) -> list[Remark]:
         """Return the checks of a plan against the motors of an inspection.
 
         ``real`` tells whether the motors are real ones, whose directions are checked too.

@@ -5,22 +5,20 @@ packed into CAN frames; the torque that a motor can deliver is in its ratings. E
 limits in registers, where they can be changed. So the table ``MOTORS`` serves the export and the
 comparison with the registers; on a bus the register values are used.
 
-A motor may turn opposite to its joint in the model, have another zero position than the joint, and
-deliver a torque that differs by a factor from the torque that it reports:
+A motor may turn opposite to its joint in the model, and have another zero position than the joint:
 
     motor position = direction * joint position + offset
     motor velocity = direction * joint velocity
-    joint torque   = direction * torque ratio * motor torque
+    joint torque   = direction * motor torque
 
-Stiffness and damping produce motor torque, so a joint's gains are divided by the torque ratio.
 Quantities of motors appear only in this module and in frames; all other code is in joint space.
 
 A joint map is a small CSV file; only the columns ``joint``, ``can_id`` and ``direction`` are
 required::
 
-    joint,bus,can_id,master_id,direction,offset,torque_ratio,verified
-    shoulder,can0,1,0x11,+1,0.0,1.0,hand
-    elbow,can0,2,0x12,-1,0.785,1.0,
+    joint,bus,can_id,master_id,direction,offset,verified
+    shoulder,can0,1,0x11,+1,0.0,hand
+    elbow,can0,2,0x12,-1,0.785,
 
 ``verified`` is ``hand`` where somebody turned the joint by hand and saw that this motor turned with
 it in this direction, else empty.
@@ -62,8 +60,7 @@ class MotorSpec:
         rated_torque: torque that the motor can hold continuously [N m].
         peak_torque: torque that the motor can deliver for a short time [N m].
         gear_ratio: rotor turns per turn of the output shaft.
-        supply: usual supply voltage [V].
-        no_load_rpm: output speed without load at ``supply`` [rev/min]; None where unknown.
+        no_load_rpm: output speed without load [rev/min]; None where unknown.
     """
 
     name: str
@@ -71,24 +68,23 @@ class MotorSpec:
     rated_torque: float
     peak_torque: float
     gear_ratio: float
-    supply: float = 24.0
     no_load_rpm: float | None = None
 
 
-# Name, (PMAX, VMAX, TMAX), rated torque, peak torque, gear ratio, supply, no-load rpm.
+# Name, (PMAX, VMAX, TMAX), rated torque, peak torque, gear ratio, no-load rpm.
 _SPECS = (
-    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 10.0, 24.0, 200.0),
-    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 40.0, 24.0, 52.0),
-    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 40.0, 48.0, 100.0),
-    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 6.0, 24.0, 240.0),
-    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 6.0, 24.0, 200.0),
-    MotorSpec("DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 10.0, 24.0, 100.0),
-    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 9.0, 24.0, 160.0),
-    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 7.0, 24.0, 460.0),
+    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 10.0, 200.0),
+    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 40.0, 52.0),
+    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 40.0, 100.0),
+    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 6.0, 240.0),
+    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 6.0, 200.0),
+    MotorSpec("DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 10.0, 100.0),
+    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 9.0, 160.0),
+    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 7.0, 460.0),
     # The maker's sources disagree about its VMAX, 30 or 50 rad/s.
-    MotorSpec("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 10.0, 48.0, 400.0),
-    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, 48.0, 48.0, None),
-    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 10.0, 48.0, 150.0),
+    MotorSpec("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 10.0, 400.0),
+    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, 48.0, None),
+    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 10.0, 150.0),
     MotorSpec("DMH3510", (12.5, 280.0, 1.0), 0.18, 0.45, 1.0),
     MotorSpec("DMH6215", (12.5, 45.0, 10.0), 1.0, 2.0, 1.0),
     # Its TMAX is below its rated torque, and its VMAX leaves steps of 1 rad/s.
@@ -112,7 +108,7 @@ def motor_spec(name: str) -> MotorSpec:
 
 def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:
     """Return the peak torque (n,) that each joint's motor makes at its joint [N m]."""
-    return np.array([joint.spec.peak_torque * joint.torque_ratio for joint in joints])
+    return np.array([joint.spec.peak_torque for joint in joints])
 
 
 def matching_types(limits: Sequence[float]) -> tuple[str, ...]:
@@ -147,7 +143,6 @@ class DamiaoJoint:
         bus: name of the motor's bus in a joint map, or "".
         direction: 1, or -1 where the motor turns opposite to the joint.
         offset: position of the motor where the joint is at zero [rad].
-        torque_ratio: torque that the motor delivers divided by the torque that it reports.
         verified: how the mounting was verified: ``BY_HAND``, or "" where it was not.
     """
 
@@ -158,7 +153,6 @@ class DamiaoJoint:
     bus: str = ""
     direction: int = 1
     offset: float = 0.0
-    torque_ratio: float = 1.0
     verified: str = ""
 
     @property
@@ -243,26 +237,21 @@ class Mounting:
     Attributes:
         direction: 1, or -1 where the motor turns opposite to its joint (n,).
         offset: position of the motor where its joint is at zero (n,) [rad].
-        ratio: torque that the motor delivers divided by the torque that it reports (n,).
     """
 
     direction: Array
     offset: Array
-    ratio: Array
 
     @classmethod
     def of(cls, joints: Sequence[DamiaoJoint]) -> Mounting:
         """Return the mounting of the motors of n joints, in the order of ``joints``."""
-        rows = [(joint.direction, joint.offset, joint.torque_ratio) for joint in joints]
-        # The shape (n, 3) is stated for the case of no joints.
-        direction, offset, ratio = np.array(rows, dtype=float).reshape(-1, 3).T
-        return cls(direction, offset, ratio)
+        direction = np.array([float(joint.direction) for joint in joints])
+        return cls(direction, np.array([joint.offset for joint in joints]))
 
     @property
     def inverse(self) -> Mounting:
         """The conversion from motors to joints, which has the same form."""
-        offset = -self.direction * self.offset
-        return Mounting(self.direction, offset, 1.0 / self.ratio)
+        return Mounting(self.direction, -self.direction * self.offset)
 
     def signals(
         self, position: Array, velocity: Array, torque: Array
@@ -272,39 +261,20 @@ class Mounting:
         All arguments and results are (..., n) [rad, rad/s, N m].
         """
         sign = self.direction
-        return (
-            sign * position + self.offset,
-            sign * velocity,
-            sign * torque / self.ratio,
-        )
+        return sign * position + self.offset, sign * velocity, sign * torque
 
     def command(self, command: MitCommand) -> MitCommand:
         """Return the command to send to the motors for a command of their joints, fields (n,)."""
-        position, velocity, kp, kd, torque = command
-        p, v, t = self.signals(position, velocity, torque)
-        return MitCommand(p, v, kp / self.ratio, kd / self.ratio, t)
+        p, v, t = self.signals(command.position, command.velocity, command.torque)
+        return command._replace(position=p, velocity=v, torque=t)
 
-    def frame_limits(self, limits: Array) -> tuple[Array, Array, Array, Array]:
-        """Return what frames can carry: lower and upper position, velocity and torque (n,) each.
-
-        ``limits`` (n, 3) are the motors' PMAX, VMAX and TMAX [rad, rad/s, N m].
-        """
-        inverse = self.inverse
-        position, velocity, torque = limits.T
-        lower = inverse.offset - position
-        return lower, inverse.offset + position, velocity, torque * self.ratio
+    def frame_range(self, pmax: Array) -> tuple[Array, Array]:
+        """Return the joint positions (n,) [rad] at the ends of frames with PMAX (n,) [rad]."""
+        middle = self.inverse.offset
+        return middle - pmax, middle + pmax
 
 
-_COLUMNS = [
-    "joint",
-    "bus",
-    "can_id",
-    "master_id",
-    "direction",
-    "offset",
-    "torque_ratio",
-    "verified",
-]
+_COLUMNS = ["joint", "bus", "can_id", "master_id", "direction", "offset", "verified"]
 """All columns of a joint map file, in the order in which they are written."""
 _REQUIRED_COLUMNS = ("joint", "can_id", "direction")
 """Columns without which a joint map file is refused."""
@@ -349,8 +319,7 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
     lines = [",".join(_COLUMNS)]
     for row in rows:
         ids = f"{row.name},{row.bus},{row.can_id},{row.master_id:#x}"
-        mounting = f"{row.direction:+d},{row.offset:.4f},{row.torque_ratio:g}"
-        lines.append(f"{ids},{mounting},{row.verified}")
+        lines.append(f"{ids},{row.direction:+d},{row.offset:.4f},{row.verified}")
     write_atomically(path, "\n".join(lines) + "\n")
 
 
@@ -420,15 +389,14 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
             bus=cells.get("bus", ""),
             direction=int(cells["direction"]),
             offset=float(cells.get("offset") or 0.0),
-            torque_ratio=float(cells.get("torque_ratio") or 1.0),
             verified=cells.get("verified", ""),
         )
         is_sound = joint.verified in ("", BY_HAND) and joint.direction in (1, -1)
-        if is_sound and math.isfinite(joint.offset) and 0.0 < joint.torque_ratio < 1e9:
+        if is_sound and math.isfinite(joint.offset):
             return joint
     except ValueError:
         pass
     raise InputError(
-        f"{where}: expected a row as elbow,can0,2,0x12,-1,0,1,{BY_HAND}: name, bus, ids, direction "
-        f"+1 or -1, offset, positive torque_ratio, verified {BY_HAND} or nothing"
+        f"{where}: expected a row as elbow,can0,2,0x12,-1,0,{BY_HAND}: name, bus, ids, "
+        f"direction +1 or -1, offset, verified {BY_HAND} or nothing"
     )

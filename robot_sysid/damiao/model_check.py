@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
-from robot_sysid.damiao.preflight import NOTE, STOP, Check
+from robot_sysid.damiao.preflight import note, stop
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan
@@ -31,6 +31,7 @@ from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.trajectories import straight_way
 from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records.messages import Remark
 from robot_sysid.simulator import ArmTorque
 
 _SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
@@ -67,7 +68,7 @@ _SHORT = 0.02
 
 def transfer_checks(
     problem: ExcitationProblem, name: str, begin: Array, end: Array
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield a stop where the arm touches something on the line between two poses (n,) [rad].
 
     A line on which all joints move less than 0.02 rad is not looked at: bodies that touch there
@@ -79,10 +80,10 @@ def transfer_checks(
     contact = first_contact(problem, straight_way(begin, end))
     if contact is not None:
         text = f"{name} the model's {contact.label} touch; bring the arm nearer by hand"
-        yield Check(STOP, text)
+        yield stop(text)
 
 
-def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Check]:
+def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
     """Yield a stop for each limit of the model that a plan exceeds and for each contact.
 
     A note names the links whose contacts cannot be found. ``problem`` has the arm of the model,
@@ -91,7 +92,7 @@ def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Check]:
     """
     unguarded = unguarded_text(problem.unguarded)
     if unguarded:
-        yield Check(NOTE, unguarded)
+        yield note(unguarded)
     limits = problem.robot.limits
     bounds = Bounds(
         "the model's",
@@ -99,11 +100,11 @@ def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Check]:
         torque=limits.torque,
     )
     for excess in excesses(plan.trajectory, plan.settings.speed, bounds):
-        yield Check(STOP, f"{excess}; {_SMALLER}")
+        yield stop(f"{excess}; {_SMALLER}")
     contact = first_contact(problem, PlayedPath(plan))
     if contact is not None:
         text = f"the model's {contact.label} touch at {contact.time:.2f} s"
-        yield Check(STOP, f"{text}; {_SMALLER}")
+        yield stop(f"{text}; {_SMALLER}")
 
 
 _OTHER_TORQUE = 0.8
@@ -116,7 +117,7 @@ other sign, and 0.5 where a new load doubles the torque of a joint: this is a ju
 
 def torque_checks(
     trajectory: DamiaoTrajectory, speed: float, robot: RobotModel
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield a stop for each joint whose motion needs more torque than its motor can make.
 
     Further stops are yielded where the file feeds forward another torque than the motion needs. The
@@ -129,10 +130,9 @@ def torque_checks(
     available = peak_torques(joints)
     peaks = np.abs(needed).max(axis=0)
     for j in np.flatnonzero(peaks > available).tolist():
-        yield Check(
-            STOP,
+        yield stop(
             f"{joints[j].label}: the motion needs {peaks[j]:.1f} N m and its motor makes "
-            f"{available[j]:g} at most; {CANNOT_FOLLOW}, {WEIGH_FIRST}",
+            f"{available[j]:g} at most; {CANNOT_FOLLOW}, {WEIGH_FIRST}"
         )
     # The torque in the file is that of the file's own speed.
     at_full_speed = arm(Motion(trajectory.time, q, qd, qdd))
@@ -142,12 +142,11 @@ def torque_checks(
     doubt = torque_doubt(joints) + robot.friction.largest_dry
     is_foreign = (error > doubt) & (error > _OTHER_TORQUE * needed_rms)
     for j in np.flatnonzero(is_foreign).tolist():
-        yield Check(
-            STOP,
+        yield stop(
             f"{joints[j].label}: the torque that the file feeds forward is that of another motion "
             f"or arm: it is off by {error[j]:.1f} N m where {robot.path.name} needs "
             f"{needed_rms[j]:.1f} (rms), and {CANNOT_FOLLOW}; export the file again for this arm, "
-            f"or {WEIGH_FIRST}",
+            f"or {WEIGH_FIRST}"
         )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -17,11 +16,8 @@ from robot_sysid.damiao.session import PAUSE
 from robot_sysid.damiao.settings import Permissions, Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
+from robot_sysid.records.messages import Level, Remark
 
-NOTE = "note"
-"""Severity of a finding that the user should know."""
-STOP = "stop"
-"""Severity of a finding that forbids to play."""
 SILENT = "no motor answers: check power, wiring and bit rate"
 _REST_SPEED = 0.05
 """Largest speed at the ends of a trajectory [rad/s]: a quarter of the default approach speed."""
@@ -39,29 +35,18 @@ _ANSWER_SHARE = 0.9
 """Share of a control cycle for which the player waits for answers."""
 
 
-@dataclass(frozen=True)
-class Check:
-    """Finding of a check before a run; a check that is passed has none.
-
-    Attributes:
-        severity: NOTE (worth knowing) or STOP (forbids to play).
-        text: the finding and its remedy.
-    """
-
-    severity: str
-    text: str
+note = partial(Remark, Level.SAYS, "")
+"""Return a finding, by its text, that the user should know."""
+stop = partial(Remark, Level.REFUSES, "")
+"""Return a finding, by its text with the remedy, that forbids to play."""
 
 
-_note = partial(Check, NOTE)
-_stop = partial(Check, STOP)
-
-
-def stops(checks: Sequence[Check]) -> list[str]:
+def stops(checks: Sequence[Remark]) -> list[str]:
     """Return the texts of the checks that forbid to play."""
-    return [check.text for check in checks if check.severity == STOP]
+    return [check.text for check in checks if check.level is Level.REFUSES]
 
 
-def require_no_stop(checks: Sequence[Check], consequence: str) -> None:
+def require_no_stop(checks: Sequence[Remark], consequence: str) -> None:
     """Raise HardwareAbort with ``consequence`` and the first check's text that forbids to play.
 
     Where no check forbids to play, nothing happens.
@@ -70,7 +55,7 @@ def require_no_stop(checks: Sequence[Check], consequence: str) -> None:
         raise HardwareAbort(f"{consequence}: {text}")
 
 
-def plan_checks(plan: Plan) -> list[Check]:
+def plan_checks(plan: Plan) -> list[Remark]:
     """Return the checks of a plan that need neither a bus nor a model of the arm.
 
     They compare ids, speed at the ends, velocities with positions, ratings of the motors, bus load
@@ -81,34 +66,34 @@ def plan_checks(plan: Plan) -> list[Check]:
     bounds = motion.user_bounds(plan.limits, len(joints))
     excesses = motion.excesses(plan.trajectory, plan.settings.speed, bounds)
     return [
-        *map(_stop, id_problems(ids)),
+        *map(stop, id_problems(ids)),
         *_motion_checks(plan),
         *_motor_checks(plan),
         *_load_checks(len(joints), plan.settings, plan.timing),
-        *map(_stop, excesses),
+        *map(stop, excesses),
     ]
 
 
-def _motion_checks(plan: Plan) -> Iterator[Check]:
+def _motion_checks(plan: Plan) -> Iterator[Remark]:
     """Yield a stop where a trajectory has a speed at an end, or velocities do not fit positions."""
     trajectory = plan.trajectory
     end_speed = float(np.max(np.abs(trajectory.qd[[0, -1]]))) * plan.settings.speed
     if end_speed > _REST_SPEED:
-        yield _stop(
+        yield stop(
             f"the trajectory starts or ends at {end_speed:.2f} rad/s; it has to start and end at "
             "rest"
         )
     mismatch = motion.velocity_mismatch(trajectory)
     if mismatch is not None:
         row, joint, error = mismatch
-        yield _stop(
+        yield stop(
             f"from {trajectory.time[row]:g} s on, positions of {trajectory.joints[joint].label} "
             f"change by {error:.4g} rad/s more than its velocities say; export the file again, "
             "with at least four decimals"
         )
 
 
-def _motor_checks(plan: Plan) -> Iterator[Check]:
+def _motor_checks(plan: Plan) -> Iterator[Remark]:
     """Yield the checks of motors by the data of their types: torque, speed, resolution.
 
     A rating that the motor cannot exceed stops the run, one that can be exceeded briefly is noted.
@@ -119,21 +104,21 @@ def _motor_checks(plan: Plan) -> Iterator[Check]:
     speeds = np.abs(trajectory.qd).max(axis=0) * settings.speed
     torques = np.abs(trajectory.tau).max(axis=0)
     for j, joint in enumerate(joints):
-        motor_torque = torques[j] / joint.torque_ratio
-        for warning in motion.rating_warnings(joint, speeds[j], motor_torque):
-            yield Check(STOP if motion.CANNOT_FOLLOW in warning else NOTE, warning)
+        for warning in motion.rating_warnings(joint, speeds[j], torques[j]):
+            is_possible = motion.CANNOT_FOLLOW not in warning
+            yield note(warning) if is_possible else stop(warning)
 
 
 def _load_checks(
     n_motors: int, settings: PlaySettings, timing: protocol.BusTiming
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield a stop where the bus cannot carry the frames of ``n_motors``."""
     limit = protocol.PLANNING_LIMIT
     load = protocol.bus_load(n_motors, 1.0 / settings.period, timing)
     bus_type = "CAN-FD" if timing.fd else "classic CAN"
     if load > limit:
         rate = protocol.default_rate(n_motors, timing)
-        yield _stop(
+        yield stop(
             f"frames at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %, limit "
             f"{100 * limit:.0f} %; use --rate {rate:g}"
         )
@@ -141,17 +126,18 @@ def _load_checks(
 
 def _frame_limit_checks(
     plan: Plan, limits: Sequence[tuple[float, ...]]
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield a stop for each quantity of a joint beyond the range of its motor's frames.
 
     ``limits`` are PMAX, VMAX and TMAX of each joint's motor [rad, rad/s, N m].
     """
     trajectory = plan.trajectory
     mounting = Mounting.of(trajectory.joints)
-    lower, upper, velocity, torque = mounting.frame_limits(np.array(limits))
+    pmax, velocity, torque = np.array(limits).T
+    lower, upper = mounting.frame_range(pmax)
     bounds = motion.Bounds("its registers'", lower, upper, velocity, torque=torque)
     for excess in motion.excesses(trajectory, plan.settings.speed, bounds):
-        yield _stop(f"{excess}; export a smaller trajectory")
+        yield stop(f"{excess}; export a smaller trajectory")
 
 
 # --- answers of the motors ----------------------------------------------------------------------
@@ -159,14 +145,14 @@ def _frame_limit_checks(
 
 def general_checks(
     inspection: Inspection, rate: float | None, timing: protocol.BusTiming
-) -> list[Check]:
+) -> list[Remark]:
     """Return the checks of inspected motors that need no trajectory: load, traffic, conditions.
 
     ``rate`` is the cycle rate [Hz], None for the default. No deviation is permitted.
     """
     n_motors = len(inspection.motors)
     if not n_motors:
-        return [_stop(SILENT)]
+        return [stop(SILENT)]
     settings = PlaySettings(rate=rate or protocol.default_rate(n_motors, timing))
     checks = [*_load_checks(n_motors, settings, timing), *_traffic_checks(inspection)]
     for motor in inspection.motors.values():
@@ -174,7 +160,7 @@ def general_checks(
     return checks
 
 
-def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
+def bus_checks(plan: Plan, inspection: Inspection) -> list[Remark]:
     """Return the checks of a plan against the answers of the motors on the bus.
 
     Frame limits, answer time and the distance from the first point are only checked if the scaling
@@ -188,7 +174,7 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
         motor = inspection.motors.get(joint.can_id)
         if motor is None:
             checks.append(
-                _stop(
+                stop(
                     f"{joint.label} does not answer; check power, wiring, its id, bit rate, --fd"
                 )
             )
@@ -205,26 +191,26 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Check]:
     return [*checks, *_other_motor_checks(others)]
 
 
-def _traffic_checks(inspection: Inspection) -> Iterator[Check]:
+def _traffic_checks(inspection: Inspection) -> Iterator[Remark]:
     """Yield a stop for each sign of another program, or clashing ids."""
     if inspection.unsolicited:
-        yield _stop(
+        yield stop(
             f"{inspection.unsolicited} frames came without being asked for: another program is "
             "talking to these motors; end it first"
         )
     ids = [(can_id, motor.master_id) for can_id, motor in inspection.motors.items()]
     for problem in id_problems(ids):
-        yield _stop(problem)
+        yield stop(problem)
 
 
-def _other_motor_checks(motors: Sequence[InspectedMotor]) -> Iterator[Check]:
+def _other_motor_checks(motors: Sequence[InspectedMotor]) -> Iterator[Remark]:
     """Yield the checks of ``motors`` outside the trajectory, which are left limp."""
     if motors:
         names = ", ".join(motor.name for motor in motors)
-        yield _note(f"not in the trajectory and left limp: {names}")
+        yield note(f"not in the trajectory and left limp: {names}")
     for motor in motors:
         if motor.feedback is None or motor.feedback.status[0] == protocol.ENABLED:
-            yield _stop(
+            yield stop(
                 f"{motor.name} is not in the trajectory, and is enabled by another program or does "
                 "not tell: end that program and power-cycle the motor, or take it off the bus"
             )
@@ -235,7 +221,7 @@ def _condition_checks(
     settings: PlaySettings,
     permissions: Permissions,
     joint: DamiaoJoint | None = None,
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield the checks of one motor's registers and state.
 
     Args:
@@ -247,11 +233,11 @@ def _condition_checks(
     name = joint.label if joint else motor.name
     registers = motor.registers
     if len(motor.reply_ids) > 1:
-        yield _stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
+        yield stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
     missing = set(protocol.REQUIRED) - set(registers)
     if missing:
         names = ", ".join(protocol.NAMES[number] for number in sorted(missing))
-        yield _stop(f"{name} does not answer for {names}; try again")
+        yield stop(f"{name} does not answer for {names}; try again")
         return
     if joint:
         yield from _id_register_checks(motor, joint, name)
@@ -259,7 +245,7 @@ def _condition_checks(
     mode = int(registers[protocol.CTRL_MODE])
     if mode != protocol.MIT_MODE:
         mode_name = protocol.MODES.get(mode, "unknown")
-        yield _stop(f"{name} is in mode {mode} ({mode_name}); set CTRL_MODE to 1 (MIT)")
+        yield stop(f"{name} is in mode {mode} ({mode_name}); set CTRL_MODE to 1 (MIT)")
     watchdog = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
     yield from _watchdog_checks(name, watchdog, settings)
     yield from _state_checks(motor, settings, name)
@@ -267,13 +253,13 @@ def _condition_checks(
 
 def _id_register_checks(
     motor: InspectedMotor, joint: DamiaoJoint, name: str
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield a stop where the reply id of a motor, called ``name``, differs from its joint's."""
     master_id = int(motor.registers[protocol.MST_ID])
     reply_ids = sorted(set(motor.reply_ids))
     if master_id != joint.master_id or reply_ids != [joint.master_id]:
         answers = ", ".join(f"{reply_id:#x}" for reply_id in reply_ids)
-        yield _stop(
+        yield stop(
             f"{name} answers on {answers} (MST_ID {master_id:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set it with motors setup --new-master-id, or export "
             "again with plan --export-damiao --master-id"
@@ -282,7 +268,7 @@ def _id_register_checks(
 
 def _scaling_checks(
     motor: InspectedMotor, joint: DamiaoJoint, permissions: Permissions
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield a stop where a motor's PMAX, VMAX, TMAX are not those of its joint's motor type.
 
     It is a note where the user permits the limits in the registers.
@@ -297,16 +283,16 @@ def _scaling_checks(
         f"{name} has PMAX, VMAX, TMAX {stored} but a {joint.motor_type} has {nominal}"
     )
     if permissions.register_limits and min(limits) > 0.0:
-        yield _note(f"{difference}: the motor's own values are used")
+        yield note(f"{difference}: the motor's own values are used")
     else:
-        yield _stop(
+        yield stop(
             f"{difference}; if the motor is right, give --accept-register-limits"
         )
 
 
 def _watchdog_checks(
     name: str, timeout: float, settings: PlaySettings
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield a finding where a watchdog's timeout [s] is too long, or ends between two cycles.
 
     ``name`` is the motor's name in the message.
@@ -317,60 +303,58 @@ def _watchdog_checks(
     remedy = f"set it with motors setup --watchdog {proposed:g} --store"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
     if not 0.0 < timeout <= _NO_WATCHDOG:
-        yield _stop(
+        yield stop(
             f"{name} has no watchdog ({timeout:g} s): the arm would go on if this program died; "
             f"{remedy}"
         )
     elif timeout < least:
-        yield _stop(f"{watchdog} is too short for {settings.rate:g} Hz; {remedy}")
+        yield stop(f"{watchdog} is too short for {settings.rate:g} Hz; {remedy}")
     elif timeout > _LONG_WATCHDOG:
-        yield _note(f"{watchdog} is long; {remedy}")
+        yield note(f"{watchdog} is long; {remedy}")
 
 
 def _state_checks(
     motor: InspectedMotor, settings: PlaySettings, name: str
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield a stop where a motor's state or temperature forbids to enable it.
 
     ``name`` is the motor's name in messages.
     """
     feedback = motor.feedback
     if feedback is None:
-        yield _stop(f"{name} does not tell its state; its firmware may be too old")
+        yield stop(f"{name} does not tell its state; its firmware may be too old")
         return
     code = int(feedback.status[0])
     if code == protocol.ENABLED:
-        yield _stop(f"{name} is enabled already; end the program that uses it")
+        yield stop(f"{name} is enabled already; end the program that uses it")
     elif code != protocol.DISABLED:
         fault = protocol.status_text(code)
-        yield _stop(
+        yield stop(
             f"{name} reports {fault}; find the cause, then clear it or power-cycle"
         )
     temperature = max(feedback.temperature_mos[0], feedback.temperature_rotor[0])
     if temperature > settings.start_temperature:
         limit = f"{settings.start_temperature:g}"
-        yield _stop(
-            f"{name} is at {temperature} deg C, above {limit}; let it cool down"
-        )
+        yield stop(f"{name} is at {temperature} deg C, above {limit}; let it cool down")
 
 
 def _answer_time_checks(
     round_trip: float | None, settings: PlaySettings
-) -> Iterator[Check]:
+) -> Iterator[Remark]:
     """Yield a stop where not all motors' answers come within 0.9 of a control cycle.
 
     ``round_trip`` is the time from the commands to the last answer [s]; None where it is unknown.
     """
     if round_trip is not None and round_trip > _ANSWER_SHARE * settings.period:
         rate = protocol.handy_rate(_ANSWER_SHARE / round_trip)
-        yield _stop(
+        yield stop(
             f"all motors have answered after {1e3 * round_trip:.1f} ms, too late for "
             f"{settings.rate:g} Hz: commands and samples would be mixed up; use --rate {rate:g} or "
             "a faster adapter"
         )
 
 
-def direction_checks(plan: Plan, holding: HoldingCheck) -> Iterator[Check]:
+def direction_checks(plan: Plan, holding: HoldingCheck) -> Iterator[Remark]:
     """Yield a finding where a joint's direction is not known, by its load or a verification.
 
     ``holding`` computes the torques that hold the arm. Where it has no model, or if the user
@@ -385,15 +369,15 @@ def direction_checks(plan: Plan, holding: HoldingCheck) -> Iterator[Check]:
         "hardly loads them"
     )
     if plan.permissions.directions or not holding.is_model:
-        yield _note(f"{finding}: mirrored or swapped, they would be played like that")
+        yield note(f"{finding}: mirrored or swapped, they would be played like that")
         return
-    yield _stop(
+    yield stop(
         f"{finding}; move them by hand once with motors map --model, and give the --joint-map; "
         "--accept-directions plays without"
     )
 
 
-def _start_checks(plan: Plan, q: Array) -> Iterator[Check]:
+def _start_checks(plan: Plan, q: Array) -> Iterator[Remark]:
     """Yield a stop for each joint whose position in q (n,) [rad] is far from the first point."""
     tolerance = plan.settings.start_tolerance
     for joint, position, first in zip(plan.trajectory.joints, q, plan.trajectory.q[0]):
@@ -408,4 +392,4 @@ def _start_checks(plan: Plan, q: Array) -> Iterator[Check]:
             text += (
                 "; a whole turn apart: the motor lost its turn count when it was off"
             )
-        yield _stop(text)
+        yield stop(text)

@@ -200,24 +200,19 @@ def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:
             kd > 0 in its frame (the motor would oscillate), or a frame's first seven bytes would
             all be 0xFF (the motor would take it for enable, disable, zero or clear).
     """
-    values = _stack_last(*command)
+    values = np.stack(np.broadcast_arrays(*command), axis=-1)
     scaling._require_inside(values)
     codes = scaling._codes(values)
+    frames = _COMMAND.pack(codes)
     # The third and the fourth field of a command are kp and kd.
     is_unstable = (values[..., 2] > 0.0) & (codes[..., 3] == 0)
-    if np.any(is_unstable):
-        number = _first_motor(is_unstable) + 1
-        raise InputError(
-            f"kp > 0 needs kd of at least {KD_STEP:.2g} of motor number {number}: less is sent as 0"
-        )
-    frames = _COMMAND.pack(codes)
     is_special_frame = np.all(frames[..., :7] == 0xFF, axis=-1)
-    if np.any(is_special_frame):
-        number = _first_motor(is_special_frame) + 1
-        raise InputError(
-            f"the command of motor number {number} has every field at its maximum and would read "
-            "as a special frame; lower its gains or torque"
-        )
+    for mask, text in (
+        (is_unstable, f"has kp > 0, which needs kd of at least {KD_STEP:.2g}"),
+        (is_special_frame, "would read as a special frame; lower its gains or torque"),
+    ):
+        for *_, motor in np.argwhere(mask)[:1]:
+            raise InputError(f"the command of motor number {motor + 1} {text}")
     return frames
 
 
@@ -242,17 +237,6 @@ def decode_feedback(
     measured = fields[..., 2:5] + (0.5 if half_step else 0.0)
     position, velocity, torque = scaling._values(measured, fields=_MEASURED)
     return Feedback(status, position, velocity, torque, mos, rotor)
-
-
-def _stack_last(*fields: Any) -> Any:
-    """Return F fields (..., n), broadcast to one shape, as an array (..., n, F)."""
-    return np.stack(np.broadcast_arrays(*fields), axis=-1)
-
-
-def _first_motor(mask: Any) -> int:
-    """Return the motor's index in the first true entry of a mask (..., n); one must be true."""
-    first_entry = np.argwhere(np.atleast_1d(mask))[0]
-    return int(first_entry[-1])
 
 
 REGISTER_ID = 0x7FF
@@ -471,8 +455,6 @@ PLANNING_LIMIT = 0.70
 
 A judgement: the rest is for error frames and for sending one frame in three again.
 """
-HANDY_RATES = (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
-"""Cycle rates to propose [Hz], highest first."""
 _FRAMES_PER_CYCLE = 2
 """Frames per motor and control cycle: the command and its reply."""
 _CLASSIC_BITS = 111 + 24
@@ -532,5 +514,5 @@ def default_rate(n_motors: int, timing: BusTiming) -> float:
 
 
 def handy_rate(max_rate: float) -> float:
-    """Return the highest rate of ``HANDY_RATES`` up to ``max_rate`` [Hz], or this where none is."""
-    return next((rate for rate in HANDY_RATES if rate <= max_rate), max_rate)
+    """Return the highest multiple of 10 Hz up to ``max_rate`` [Hz], or this where it is less."""
+    return 10.0 * (max_rate // 10.0) if max_rate > 10.0 else max_rate

@@ -114,8 +114,8 @@ class Aside:
 
 _MEASURED = ("pos", "vel", "tau")
 """Titles of a joint's measured columns, after the joint's label."""
-_COMMANDS = ("cmd_pos", "cmd_vel", "cmd_tau", "cmd_step", "cmd_mean")
-"""Titles of the command in force at the sample, its torque step, and what was added to ``tau``."""
+_COMMANDS = ("cmd_pos", "cmd_vel", "cmd_tau", "cmd_mean")
+"""Titles of the command in force at the sample, and of what was added to ``tau``."""
 _EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
 """Titles of a joint's further columns, which follow the measured ones of all joints."""
 
@@ -221,12 +221,12 @@ class MeasurementRecorder:
         of each joint.
         """
         feedback = replies.feedback
-        step, centre = self._centring.torques(replies, acted)
+        centre = self._centring.torques(replies, acted)
         # Rows of these tables are joints.
         measured = np.column_stack(
             [feedback.position, feedback.velocity, feedback.torque + centre]
         )
-        command = acted.position, acted.velocity, acted.torque, step, centre
+        command = acted.position, acted.velocity, acted.torque, centre
         commanded = np.column_stack([replies.time - origin, *command])
         state = (feedback.status, feedback.temperature_mos, feedback.temperature_rotor)
         cells = [f"{time:.6f}"]
@@ -266,21 +266,22 @@ class Centring:
         # Each joint's torque step in its last answer (n,) [N m].
         self._last: Array | None = None
 
-    def torques(self, replies: Replies, acted: MitCommand) -> tuple[Array, Array]:
-        """Return a cycle's torque steps (n,) and corrections (n,) to add to its torques [N m].
+    def torques(self, replies: Replies, acted: MitCommand) -> Array:
+        """Return the corrections (n,) to add to a cycle's torques [N m].
 
         To be called once per cycle, in order: the state of the cycle is stored. ``acted`` is the
-        command in force at the samples. Where a joint did not answer, both results are NaN.
+        command in force at the samples. Where a joint did not answer, the result is NaN.
         """
-        step = torque_step(replies, acted)
+        command = replies.command or acted
+        motion = replies.feedback.position, replies.feedback.velocity
+        # The step by which the torque changes when the new command acts.
+        step = command.motor_torque(*motion) - acted.motor_torque(*motion)
         last = step if self._last is None else self._last
         # A joint that did not answer keeps its last torque step.
         self._last = np.where(np.isnan(step), last, step)
         growth = np.nan_to_num(step - last)
         # One term for each difference in the module's docstring.
-        half_step = 0.5 * step
-        armature_torque = growth / 12.0
-        return step, half_step - armature_torque - self._fallen_share(acted.kd) * step
+        return (0.5 - self._fallen_share(acted.kd)) * step - growth / 12.0
 
     def _fallen_share(self, kd: Array) -> Array | float:
         """Return the share (n,) of a torque step that damping has taken back when it is sampled.
@@ -294,15 +295,3 @@ class Centring:
         fading = kd * self._period / np.maximum(self._inertia, 1e-9)
         fading = np.maximum(fading, _LEAST_FADING)
         return np.asarray(0.5 / np.tanh(0.5 * fading) - 1.0 / fading)
-
-
-def torque_step(replies: Replies, acted: MitCommand) -> Array:
-    """Return the step (n,) of each joint's torque when the command that was sent last acts [N m].
-
-    It is the torque of ``replies.command`` minus that of ``acted``, the command in force before it,
-    both at the sampled position and velocity; NaN where a joint did not answer.
-    """
-    command = replies.command or acted
-    q = replies.feedback.position
-    qd = replies.feedback.velocity
-    return command.motor_torque(q, qd) - acted.motor_torque(q, qd)

@@ -2,8 +2,7 @@
 
 Arrays have one entry for each of the n joints, base to terminal; j is the index of a joint. Joint
 space means positions, velocities and torques of the joints, as a model of the arm has them; motor
-space means those that the frames carry. ``Mounting`` converts one into the other: by sign, zero
-and torque ratio of each motor's mounting.
+space means those that the frames carry. ``Mounting`` converts one into the other.
 """
 
 from __future__ import annotations
@@ -150,12 +149,11 @@ class MotorSession:
         self.n_joints = len(joints)
         self._labels = [joint.label for joint in joints]
         self._mounting = Mounting.of(joints)
-        position_step, velocity_step, torque_step = scaling.steps
-        self.steps = position_step, velocity_step, torque_step * self._mounting.ratio
+        self.steps = scaling.steps
+        pmax, vmax, tmax = scaling.limits.T
         # A frame cannot command more than TMAX either.
-        *frame_range, torque = self._mounting.frame_limits(scaling.limits)
-        self.peak_torque: Array = np.minimum(peak_torques(joints), torque)
-        self._frame_range = CommandRange(*frame_range)
+        self.peak_torque: Array = np.minimum(peak_torques(joints), tmax)
+        self._frame_range = CommandRange(*self._mounting.frame_range(pmax), vmax)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         # Command in force as the motors read it, in joint space; None before the first.
         self._command: protocol.MitCommand | None = None
@@ -168,7 +166,7 @@ class MotorSession:
         self._moved_until = np.full(self.n_joints, -np.inf)
         # Data of each motor's last command, by joint.
         self._sent_data: dict[int, bytes] = {}
-        self._filter = SampleFilter(self.peak_torque, velocity_step)
+        self._filter = SampleFilter(self.peak_torque, self.steps[1])
         self._outstanding = Outstanding(self.n_joints)
         # Number of commands in this cycle that another program sent to each motor.
         self._foreign = np.zeros(self.n_joints, int)

@@ -352,7 +352,6 @@ def recording_header(
         "half_step=1: half a quantisation step added to measured position, velocity and torque, "
         "because motors drop the fraction",
         "centred=1: jN_tau is the measured torque plus jN_cmd_mean, the mean of held commands",
-        "jN_cmd_step is the torque step that the command answered by this sample then made",
         "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
         "jN_doubted=1: an answer came that cannot be true; it is left out here",
     ]

@@ -155,10 +155,8 @@ class SimulatedMotor:
         Python's integers are forty times as fast as arrays for one motor: an arm in real time has
         tenths of a millisecond for an answer.
         """
-        position, velocity, torque = measured
-        values = position, velocity, torque
         packed = int(self.status) << 4 | (self.can_id & 0xF)
-        for value, register, bits in zip(values, protocol.SCALING, _MEASURED_BITS):
+        for value, register, bits in zip(measured, protocol.SCALING, _MEASURED_BITS):
             limit = self.registers[register]
             max_code = (1 << bits) - 1
             code = math.floor((value + limit) * (max_code / (2.0 * limit)))
@@ -296,7 +294,7 @@ class SimulatedArm:
         self._p, v, kp, kd, t = self._mounting.inverse.command(
             protocol.MitCommand(*commands)
         )
-        self._peak = peak * self._mounting.ratio
+        self._peak = peak
         self._kd = np.where(driving, kd, brake)
         self._offset = np.where(driving, kd * v + t, 0.0)
         self._kp = np.where(driving, kp, 0.0)

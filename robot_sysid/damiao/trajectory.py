@@ -244,8 +244,7 @@ def rating_warnings(
     if spec.no_load_rpm is not None and velocity > spec.no_load_rpm * RPM:
         yield (
             f"{joint.label}: {velocity:.2f} rad/s ({velocity / RPM:.0f} rpm) exceeds the no-load "
-            f"speed of a {spec.name} at {spec.supply:g} V, {spec.no_load_rpm * RPM:.2f} rad/s; "
-            f"{CANNOT_FOLLOW}"
+            f"speed of a {spec.name}, {spec.no_load_rpm * RPM:.2f} rad/s; {CANNOT_FOLLOW}"
         )
 
 

@@ -74,10 +74,7 @@ NUMBERS = st.floats(-10.0, 10.0)
 
 @st.composite
 def mountings(draw, n=3):
-    columns = [
-        [draw(strategy) for _ in range(n)]
-        for strategy in (WAYS, NUMBERS, st.floats(0.1, 5.0))
-    ]
+    columns = [[draw(strategy) for _ in range(n)] for strategy in (WAYS, NUMBERS)]
     return Mounting(*np.array(columns, dtype=float))
 
 
@@ -104,18 +101,12 @@ def test_a_motor_makes_the_torque_that_its_joint_is_told(mounting, numbers):
     np.testing.assert_allclose(torque, joint_command.motor_torque(q, qd), atol=1e-6)
 
 
-@given(
-    st.lists(
-        st.tuples(WAYS, st.floats(-3, 3), st.floats(0.5, 2.0)), min_size=1, max_size=7
-    )
-)
+@given(st.lists(st.tuples(WAYS, st.floats(-3, 3)), min_size=1, max_size=7))
 def test_a_map_is_read_as_it_was_written(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("map") / "map.csv"
     written = [
-        map_line(
-            f"j{k}", "can0", k + 1, k + 17, direction, round(offset, 4), round(ratio, 3)
-        )
-        for k, (direction, offset, ratio) in enumerate(rows)
+        map_line(f"j{k}", "can0", k + 1, k + 17, direction, round(offset, 4))
+        for k, (direction, offset) in enumerate(rows)
     ]
     write_joint_map(path, written)
     assert list(read_joint_map(path)) == written
@@ -142,7 +133,7 @@ def test_what_is_left_out_is_as_usual(tmp_path):
         ("joint,can_id,direction\na,1,1\na,2,1\n", "names a twice"),
         ("joint,can_id,direction\na,1,1\nb,1,1\n", "used by more than one motor"),
         ("joint,can_id,direction,offset\na,1,1,nan\n", "row 1: expected"),
-        ("joint,can_id,direction,torque_ratio\na,1,1,0\n", "positive torque_ratio"),
+        ("joint,can_id,direction,torque_ratio\na,1,1,1\n", "expected the columns"),
         ("joint,can_id,direction\na\0,1,1\n", "zero bytes"),
     ],
 )

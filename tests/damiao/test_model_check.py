@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.model_check import model_checks, torque_checks, transfer_checks
-from robot_sysid.damiao.preflight import NOTE, STOP
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.records import JointLimits, Motion
+from robot_sysid.records.messages import Level
 from robot_sysid.simulator import ArmTorque
 from tests.support import arms
 from tests.support.damiao_rig import swing, trajectory_file
@@ -57,14 +57,16 @@ def check_trajectory(folder, motion, speed, robot, limits=NO_LIMITS):
     played = replace(played, joints=joints)
     plan = Plan(played, PlaySettings(speed=speed), limits=limits)
     checks = model_checks(plan, build_problem(robot, limits))
-    return [check for check in checks if check.severity != NOTE]
+    return [check for check in checks if check.level != Level.SAYS]
 
 
 def limit_findings(checks):
     """(joint, limit) of each stop, of which all findings are."""
     checks = list(checks)
     # Behind the semicolon stands a command.
-    stops = [check.text.partition(";")[0] for check in checks if check.severity == STOP]
+    stops = [
+        check.text.partition(";")[0] for check in checks if check.level == Level.REFUSES
+    ]
     excesses = []
     for text, joint, quantity in itertools.product(stops, JOINTS, WHAT):
         if joint in text and f"{quantity} " in text:
@@ -184,7 +186,7 @@ def test_a_wall_on_the_way_is_found_even_where_the_file_states_no_velocity(
     """The wall stands at a right angle; ball and box touch within 0.1 rad of it."""
     robot = arms.robot_of(WALL, max_velocity=np.inf)
     checks = check_trajectory(folder, turn(angle), speed, robot)
-    assert [check.severity for check in checks] == [STOP] * (angle > np.pi / 2)
+    assert [check.level for check in checks] == [Level.REFUSES] * (angle > np.pi / 2)
     assert all("wall" in check.text and "arm" in check.text for check in checks)
 
 

@@ -41,7 +41,7 @@ def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(tmp_path)
     """The recording is the same as that of a motor that sits straight."""
     plain = rig(tmp_path, name="plain").run()
     odd = rig(tmp_path, name="odd")
-    odd.mount(1, direction=-1, offset=0.6, torque_ratio=1.3)
+    odd.mount(1, direction=-1, offset=0.6)
     odd.run()
     assert plain.error is None and odd.error is None
     for signal, close in (("pos", 2e-3), ("vel", 0.05), ("tau", 0.15)):

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from robot_sysid.commands.motors.setup import SetupOptions
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
-from robot_sysid.damiao.preflight import NOTE, STOP, _watchdog_checks, plan_checks
+from robot_sysid.damiao.preflight import _watchdog_checks, plan_checks
 from robot_sysid.damiao.protocol import BusTiming, bus_load
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
+from robot_sysid.records.messages import Level
 from robot_sysid.records.option_fields import record_from
 
 
@@ -41,14 +42,14 @@ def checks_of(rows, types, timing=None, **settings):
 
 def severities(checks, words):
     """The severity of each check whose text contains these words."""
-    return [check.severity for check in checks if words in check.text]
+    return [check.level for check in checks if words in check.text]
 
 
 @given(worst=st.floats(0.0, 0.2), speed=st.floats(0.05, 1.0))
 def test_both_ends_have_to_be_at_rest_at_the_speed_they_are_played_at(worst, speed):
     rows = rows_of(2, velocity=np.array([0.0, worst]))
     checks = checks_of(rows, ["DM4340"] * 2, speed=speed)
-    assert severities(checks, "at rest") == [STOP] * (worst * speed > 0.05)
+    assert severities(checks, "at rest") == [Level.REFUSES] * (worst * speed > 0.05)
 
 
 @given(rate=st.floats(10.0, 3000.0), n=st.integers(1, 8), fd=st.booleans())
@@ -56,21 +57,24 @@ def test_a_bus_that_is_too_full_is_refused(rate, n, fd):
     timing = BusTiming(fd=fd)
     checks = checks_of(rows_of(n), ["DM4340"] * n, timing, rate=rate)
     full = bus_load(n, rate, timing) > 0.7
-    assert severities(checks, " load ") == [STOP] * full
-    assert severities(checks, "use --rate") == [STOP] * full
+    assert severities(checks, " load ") == [Level.REFUSES] * full
+    assert severities(checks, "use --rate") == [Level.REFUSES] * full
 
 
 @pytest.mark.parametrize("name", ["DM4340", "DM6248", "DMS3519"])
 def test_what_a_motor_cannot_do_is_refused_and_what_is_beyond_its_rating_noted(name):
     spec = MOTORS[name]
-    for torque, severity in ((spec.rated_torque, NOTE), (spec.peak_torque, STOP)):
+    for torque, severity in (
+        (spec.rated_torque, Level.SAYS),
+        (spec.peak_torque, Level.REFUSES),
+    ):
         checks = checks_of(rows_of(1, torque=1.001 * torque), [name])
         assert severities(checks, "torque of a") == [severity]
     for share in (0.999, 1.001):
         top = share * (spec.no_load_rpm or 0.0) * 2 * np.pi / 60
         checks = checks_of(rows_of(1, velocity=top), [name])
         noted = severities(checks, "exceeds the no-load speed")
-        assert noted == [STOP] * (top > 0.0 and share > 1.0)
+        assert noted == [Level.REFUSES] * (top > 0.0 and share > 1.0)
 
 
 @pytest.mark.parametrize("rate", [2.0, 9.0, 12.5, 250.0])
@@ -82,4 +86,4 @@ def test_the_watchdog_that_is_advised_can_be_given_and_lets_the_arm_play(rate, t
         # Refuses what cannot be given.
         given = record_from(SetupOptions, {"watchdog": float(advised)})
         checks = _watchdog_checks("motor 1", given.watchdog, settings)
-        assert severities(checks, "") in ([], [NOTE])
+        assert severities(checks, "") in ([], [Level.SAYS])

@@ -41,7 +41,7 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.messages import NextStep
+from robot_sysid.records.messages import NextStep, Remark
 from robot_sysid.records.option_fields import (
     OptionRecord,
     option,
@@ -318,7 +318,7 @@ def _overview_parser() -> Parser:
 def _play_on(
     link: GuardedLink,
     plan: Plan,
-    checks: Sequence[preflight.Check],
+    checks: Sequence[Remark],
     session: Session,
     is_real: bool,
 ) -> int:

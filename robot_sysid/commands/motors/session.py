@@ -16,13 +16,12 @@ from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.execution import MotorRun
 from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
 from robot_sysid.damiao.player import PlayReport
-from robot_sysid.damiao.preflight import Check
 from robot_sysid.damiao.protocol import Feedback
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.errors import InputError
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.messages import NextStep, aligned_lines
+from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
 
 _RECORDS = (
@@ -94,8 +93,6 @@ _HEADINGS = (
     *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear"),
     *("degC", "state"),
 )
-_MARKS = {"note": "note", "stop": "STOP"}
-"""Mark of a check's line by the severity of the check; all have four characters."""
 
 
 def motor_table(
@@ -131,13 +128,11 @@ def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> lis
     return aligned_lines(rows)
 
 
-def check_lines(checks: Sequence[Check]) -> Iterator[str]:
-    """Yield one line per finding, and the command in its text."""
+def check_lines(checks: Sequence[Remark]) -> Iterator[str]:
+    """Yield one line per finding."""
     for check in checks:
-        # A command stands on a line of its own, below the text that it remedies.
-        text, *commands = check.text.split("\n")
-        yield f"[{_MARKS[check.severity]}] {text}"
-        yield from commands
+        mark = "STOP" if check.level is Level.REFUSES else "note"
+        yield f"[{mark}] {check.text}"
 
 
 def run_lines(report: PlayReport) -> Iterator[str]:

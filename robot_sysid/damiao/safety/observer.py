@@ -120,7 +120,7 @@ class Observer:
         self._peak = peak_torque
         self._position_step, self._velocity_step, torque_step = steps
         self._doubt = torque_doubt(joints)
-        rated = np.array([j.spec.rated_torque * j.torque_ratio for j in joints])
+        rated = np.array([j.spec.rated_torque for j in joints])
         kp = np.maximum(settings.kp, 1e-9)
         self._sag = np.minimum(_SAG * rated / kp, settings.max_tracking_error)
         way = _EFFORT_WAY * kp
@@ -486,7 +486,7 @@ _BEYOND = (
 )
 _TORQUE_SCALE = (
     "reports {:.2f} times the torque that it was commanded to make: its TMAX register does not "
-    "describe its torques, or its torque ratio is another"
+    "describe its torques"
 )
 _VELOCITY_SCALE = (
     "moves {:.3f} times as far as its velocity says, and sampling does not explain it: one of the "
