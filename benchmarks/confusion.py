@@ -22,11 +22,11 @@ silent      nothing is said
 
 Then they are counted by what they cost:
 
-stopped     refused, or warned of: a user has no answer
+stopped     refused, or doubted: a user has no answer
 no use      there is an answer, but its verdict is against it
 harmful     a trusted mass of the last link that is 20 % and two stated errors off: of the answer,
             or of the one after following advice: options or columns that a finding states, or
-            accepting its warning
+            accepting its doubts
 off         a trusted answer's mass that is two stated errors off (harmful ones included)
 sound       any other trusted mass
 
@@ -83,7 +83,7 @@ OTHER_ARM = "the model of another arm"
 class Finding:
     """A finding of the command ``log``, as its JSON has it."""
 
-    name: str
+    about: str
     level: str
     text: str
     options: tuple[str, ...] = ()
@@ -94,7 +94,7 @@ class Finding:
         """Return a finding of an entry of the JSON."""
         options = tuple(entry.get("options") or ())
         correction = entry.get("correction")
-        return cls(entry["name"], entry["level"], entry["text"], options, correction)
+        return cls(entry["about"], entry["level"], entry["text"], options, correction)
 
     def corrected(self, log: Measurement) -> Measurement:
         """Return a log with its columns put right, as the finding says."""
@@ -172,13 +172,13 @@ class Outcome:
 
     @property
     def is_stopped(self) -> bool:
-        """Return whether the log is refused or warned of."""
-        return any(finding.level != "note" for finding in self.findings)
+        """Return whether the log is refused or doubted."""
+        return any(finding.level != "says" for finding in self.findings)
 
     @property
     def names(self) -> str:
         """Return the names of the findings, with their levels."""
-        named = dict.fromkeys(f"{f.name}:{f.level}" for f in self.findings)
+        named = dict.fromkeys(f"{f.about}:{f.level}" for f in self.findings)
         return "+".join(named) or "-"
 
     def classify_naming(self, cause: Cause) -> str:
@@ -186,7 +186,7 @@ class Outcome:
         texts = [f.text for f in self.findings]
         texts += () if self.answer is None else self.answer.remarks
         ties = [f for f in self.findings if ALTERNATIVES in f.text]
-        names = {f.name for f in self.findings if f not in ties}
+        names = {f.about for f in self.findings if f not in ties}
         if any(OTHER_ARM in text for text in texts):
             names.add("other arm")
         named = [not names.isdisjoint(fault) for fault in cause.faults]
@@ -198,7 +198,7 @@ class Outcome:
         is_untrusted = self.answer is not None and not self.answer.is_trusted
         if not self.findings:
             return "doubt" if is_untrusted and cause.faults else "silent"
-        is_withheld = all(f.name == "unexplained" for f in self.findings)
+        is_withheld = all(f.about == "unexplained" for f in self.findings)
         return "doubt" if any(named) or ties or is_withheld else "misnamed"
 
     def classify_costs(self) -> Iterator[str]:
@@ -248,7 +248,7 @@ class Judge:
         yield from map(Finding.of_entry, entries)
         if code and not entries:
             error = [line for line in messages.splitlines() if "error:" in line]
-            yield Finding("error", "refuse", "".join(error[:1]) or messages)
+            yield Finding("error", "refuses", "".join(error[:1]) or messages)
 
     def identify(self, paths: Sequence[Path], *options: str) -> Answer:
         """Return the answer of ``identify``; one that fails is not trusted."""
@@ -268,15 +268,15 @@ class Judge:
         )
 
     def follow_advice(self, findings: Sequence[Finding]) -> Iterator[Answer]:
-        """Yield the answers after following findings' advice, and after accepting warnings."""
+        """Yield the answers after following findings' advice, and after accepting doubts."""
         for finding in findings:
             if finding.options or finding.correction:
                 logs = [finding.corrected(log) for log in self.scene.logs]
                 yield self.identify(self.write_logs(logs), *finding.options)
         paths = self.write_logs(self.scene.logs)
-        warned = dict.fromkeys(f.name for f in findings if f.level == "warn")
-        if warned and all(f.level != "refuse" for f in findings):
-            options = [word for name in warned for word in ("--accept", name)]
+        doubted = dict.fromkeys(f.about for f in findings if f.level == "doubts")
+        if doubted and all(f.level != "refuses" for f in findings):
+            options = [word for name in doubted for word in ("--accept", name)]
             yield self.identify(paths, *options)
 
 
@@ -290,14 +290,14 @@ def check_scene(scene: Scene, is_answered: bool) -> Outcome:
         seconds = time.process_time() - start
         if not is_answered:
             return Outcome(tuple(findings), seconds, None, (), scene.culprit)
-        if any(finding.level != "note" for finding in findings):
+        if any(finding.level != "says" for finding in findings):
             advised = tuple(judge.follow_advice(findings))
             return Outcome(tuple(findings), seconds, None, advised, scene.culprit)
         answer = judge.identify(paths)
         seconds = time.process_time() - start
     # The estimate names these itself, for it knows on which side of the gears sensors are.
     for name in answer.motors:
-        findings.append(Finding("coupling", "note", f"a motor turns with {name}"))
+        findings.append(Finding("coupling", "says", f"a motor turns with {name}"))
     return Outcome(tuple(findings), seconds, answer, (), scene.culprit)
 
 
@@ -339,7 +339,7 @@ class Case:
         texts = []
         for finding in outcome.findings:
             texts.append(
-                f"{finding.level}: {finding.name}: {finding.text[:SHOWN_TEXT]}"
+                f"{finding.level}: {finding.about}: {finding.text[:SHOWN_TEXT]}"
             )
         texts = texts or ["nothing is said"]
         answers = [] if outcome.answer is None else [outcome.answer.describe()]
@@ -365,14 +365,14 @@ class Tally:
         """Count one log: how it is named, what its answer costs, names and time."""
         self.namings[outcome.classify_naming(CAUSES[case.cause])] += 1
         self.costs.update(outcome.classify_costs())
-        self.names[outcome.names] += 1
+        self.abouts[outcome.names] += 1
         self.seconds.append(outcome.seconds)
 
     def join(self, other: Tally) -> None:
         """Add another tally's counts."""
         self.namings.update(other.namings)
         self.costs.update(other.costs)
-        self.names.update(other.names)
+        self.abouts.update(other.names)
         self.seconds.extend(other.seconds)
 
     def line(self, row: str) -> str:
@@ -381,7 +381,7 @@ class Tally:
         counts += [self.costs[cost] for cost in COSTS]
         numbers = "".join(f"{count:>9}" for count in counts)
         names = ", ".join(
-            f"{names} {count}" for names, count in self.names.most_common()
+            f"{names} {count}" for names, count in self.abouts.most_common()
         )
         return f"{row:<31}{numbers}{np.mean(self.seconds):>7.2f} s  {names}"
 

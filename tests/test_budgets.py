@@ -19,14 +19,14 @@ BUDGETS = {
     "robot_sysid/api": 4776,
     "robot_sysid/commands": 11324,
     "robot_sysid/damiao": 33959,
-    "robot_sysid/diagnosis": 17693,
+    "robot_sysid/diagnosis": 17176,
     "robot_sysid/dynamics": 5986,
-    "robot_sysid/estimate": 28678,
+    "robot_sysid/estimate": 28673,
     "robot_sysid/logs": 17245,
     "robot_sysid/mjcf": 7939,
     "robot_sysid/model": 8206,
     "robot_sysid/motion": 20521,
-    "robot_sysid/pipeline": 6216,
+    "robot_sysid/pipeline": 6215,
     "robot_sysid/records": 8376,
     "robot_sysid/report": 7231,
     "robot_sysid/results": 12657,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5253,
     "robot_sysid/simulation": 4000,
     "robot_sysid": 11334,
-    "tests": 223067,
+    "tests": 223065,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

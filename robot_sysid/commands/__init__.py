@@ -55,7 +55,9 @@ _RED = 31
 _BOLD = 1
 _COLOURS = {
     **dict.fromkeys(("Not usable", "robot-sysid: error", "STOP"), _RED),
-    **dict.fromkeys(("Usable, but", "Usable (", "Usable for", "note", "warn"), _YELLOW),
+    **dict.fromkeys(
+        ("Usable, but", "Usable (", "Usable for", "note", "doubts"), _YELLOW
+    ),
     **dict.fromkeys(("Usable", "Self-test passed"), _GREEN),
     **dict.fromkeys(("Use this file", "Copy into", "Next"), _BOLD),
 }

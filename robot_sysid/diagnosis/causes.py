@@ -4,12 +4,12 @@ An error that every fit allows for, such as a joint's zero, has a second term he
 columns and a wider prior. To add a cause, add a function to ``CAUSES`` that takes the fit of a log
 and yields explanations.
 
-Throughout, m is the number of rows of a chunk, J that of joints, e that of a cause's parameters. In
-texts {value} stands for the number with its error, {joint} for the joint's name.
+Throughout, m is the number of rows of a chunk, J that of joints, e that of a cause's parameters.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.log_fit import typical_torque
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import (
@@ -39,7 +38,7 @@ from robot_sysid.estimate.terms import (
     independent,
 )
 from robot_sysid.records import Array
-from robot_sysid.records.messages import percent, with_error
+from robot_sysid.records.messages import Level, with_error
 
 STEPS = 15
 """Number of evenly spaced instants at which a change of payload is tried."""
@@ -57,25 +56,30 @@ WARM_UP = (10.0, 30.0, 100.0)
 """Time constants over which friction falls as a gear warms up [s]."""
 SURE = 2.0
 """Standard errors that count as sure."""
-Values = Callable[[Array, Array], str]
-"""Function that returns the user's text from values (e,) and standard errors (e,)."""
 Column = Callable[[Rows, Point], Array]
 """Function that returns a torque (m, J) or (m, J, e) of a chunk of rows around a point [N m]."""
+_BY_SIGN = re.compile(r"\{([^|{}]*)\|([^|{}]*)\}")
+"""Words of a text for a positive number, and for a negative one."""
 
 
 @dataclass(frozen=True)
 class Explanation:
     """One fault that a log or its model may have.
 
+    In text and remedy {value} stands for the size of the number with its standard error,
+    {more|less} for the word that its sign needs, and {inverse} for 1 / (1 + first value).
+
     Attributes:
         term: its parameters and prior. The cause is the name of the check that reports it, a key of
-            ``logs.CHECKS``; the text is the fault and what to do, with {value}.
-        family: term whose columns hold those of this one and of others like it.
-        level: severity of the finding, where a result without the explanation would be wrong.
+            ``logs.CHECKS``.
+        text: the fault.
+        remedy: what to do; "" for nothing.
+        level: level of the finding, where a result without the explanation would be wrong.
         joint: index of the joint that it acts on; None for all.
-        factor, unit, shift: the number in the text is (first value + shift) factor.
+        factor: the number in the text is the first value times it.
+        unit: of the number.
+        relative_error: of the number, beside the standard error of the fit.
         is_norm: whether the number is the Euclidean norm of the first three values, not the first.
-        words: returns the text where it takes more than one number.
         choices: number of similar explanations that are tried, of which only the best one counts.
         is_possible: whether values (e,) with standard errors (e,) fit the text.
         harmful_from: size of the first value from which it is harmful in any case.
@@ -83,14 +87,14 @@ class Explanation:
     """
 
     term: Term
-    family: Term
-    level: Level = Level.WARN
+    text: str
+    remedy: str = ""
+    level: Level = Level.DOUBTS
     joint: int | None = None
     factor: float = 1.0
     unit: str = ""
-    shift: float = 0.0
+    relative_error: float = 0.0
     is_norm: bool = False
-    words: Values | None = None
     choices: int = 1
     is_possible: Callable[[Array, Array], bool] = lambda values, errors: True
     harmful_from: float = np.inf
@@ -101,33 +105,44 @@ class Explanation:
         """The name of the check and the joint; a log's findings name each subject once."""
         return self.term.cause, self.joint
 
-    def text(self, values: Array, errors: Array) -> str:
-        """Return the fault in words, with values (e,) and standard errors (e,)."""
-        if self.words is not None:
-            return self.words(values, errors)
+    def describe(self, values: Array, errors: Array) -> tuple[str, str]:
+        """Return (text, remedy) with values (e,) and standard errors (e,)."""
         value = float(values[0])
         error = float(errors[0])
         if self.is_norm:
             value = float(np.linalg.norm(values[:3]))
             error = float(np.max(errors[:3]))
-        number = with_error(
-            self.factor * (value + self.shift), abs(self.factor) * error, self.unit
-        )
-        return self.term.text.replace("{value}", number)
+        error = abs(self.factor) * float(np.hypot(error, self.relative_error * value))
+        number = with_error(abs(self.factor * value), error, self.unit)
+
+        def fill_in(template: str) -> str:
+            """Return a text with the number and the words for its sign."""
+            words = _BY_SIGN.sub(r"\1" if value > 0.0 else r"\2", template)
+            inverse = f"{1.0 / (1.0 + value):.3g}"
+            return words.replace("{value}", number).replace("{inverse}", inverse)
+
+        return fill_in(self.text), fill_in(self.remedy)
 
 
 def single(
-    check: str, text: str, key: str, columns: Column, spread: Any, **fields: Any
+    check: str,
+    key: str,
+    columns: Column,
+    spread: Any,
+    text: str,
+    remedy: str = "",
+    **fields: Any,
 ) -> Explanation:
-    """Return an explanation of columns (m, J), or (m, J, e), that no other one has.
+    """Return an explanation of columns (m, J), or (m, J, e).
 
     Args:
         check: name of the check.
-        text: see ``Explanation.term``.
-        key: tells the parameters' names from all others.
+        key: tells the parameters' names from those of all others.
         columns: torque per unit of each parameter.
         spread: prior standard deviations, (e,) or one number.
-        fields: of the explanation.
+        text: see ``Explanation``.
+        remedy: see ``Explanation``.
+        fields: other ones of the explanation.
     """
     deviations = np.atleast_1d(np.asarray(spread, dtype=float))
     names = tuple(f"{check} {key} {k}" for k in range(len(deviations)))
@@ -137,18 +152,19 @@ def single(
         torque = columns(rows, point)
         return torque if torque.ndim == 3 else torque[:, :, None]
 
-    term = Term(check, names, stacked, independent(deviations), text=text)
-    return Explanation(term, term, **fields)
+    term = Term(check, names, stacked, independent(deviations))
+    return Explanation(term, text, remedy, **fields)
 
 
 def per_joint(
     arm: ArmTerms,
     check: str,
-    text: str,
     key: str,
     columns: Column,
     spread: float,
-    common: str = "",
+    text: str,
+    common: str,
+    remedy: str,
     **fields: Any,
 ) -> Iterator[Explanation]:
     """Yield an error that all joints have in common, if that has a text, then that of each joint.
@@ -158,34 +174,27 @@ def per_joint(
     Args:
         arm: all terms.
         columns: (m, J, J), per unit of each joint's error.
-        common: text for the error that all have in common.
+        text: has {joint} for the joint's name.
+        common: text for the error that all have in common; "" for no such error.
     """
-    owners = ("all", *arm.joints)
-    names = tuple(f"{check} {key} {owner}" for owner in owners)
 
-    def with_sum(rows: Rows, point: Point) -> Array:
-        """Return the columns (m, J, 1 + J), the sum of all joints first."""
-        own = columns(rows, point)
-        return np.concatenate((np.sum(own, axis=2, keepdims=True), own), axis=2)
+    def common_column(rows: Rows, point: Point) -> Array:
+        """Return the torque (m, J) per unit of the common error."""
+        return np.asarray(np.sum(columns(rows, point), axis=2))
 
-    family = Term(check, names, with_sum, independent(np.full(len(names), spread)))
-    for number, owner in enumerate(owners):
-        sentence = text.replace("{joint}", owner) if number else common
-        if sentence and (number or len(owners) > 2):
-            term = part_of(family, number, sentence)
-            joint = number - 1 if number else None
-            yield Explanation(term, family, joint=joint, **fields)
+    def column(joint: int, rows: Rows, point: Point) -> Array:
+        """Return the torque (m, J) per unit of one joint's error."""
+        return columns(rows, point)[:, :, joint]
 
-
-def part_of(family: Term, number: int, text: str) -> Term:
-    """Return the term of one parameter of a family."""
-
-    def columns(rows: Rows, point: Point) -> Array:
-        """Return the columns (m, J, 1)."""
-        return family.columns(rows, point)[:, :, [number]]
-
-    term = family.only([family.names[number]])
-    return replace(term, columns=columns, text=text)
+    if common and len(arm.joints) > 1:
+        key_of_all = f"{key} all"
+        yield single(check, key_of_all, common_column, spread, common, remedy, **fields)
+    for joint, name in enumerate(arm.joints):
+        sentence = text.replace("{joint}", name)
+        key_of_one = f"{key} {name}"
+        own = partial(column, joint)
+        fields["joint"] = joint
+        yield single(check, key_of_one, own, spread, sentence, remedy, **fields)
 
 
 def rigid(arm: ArmTerms, rows: Rows, point: Point) -> Array:
@@ -247,28 +256,28 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
     yield from per_joint(
         arm,
         "torque-scale",
-        "torque of joint {joint} reads {value} what links and the other joints say; weigh a "
-        "known mass (payload --known-mass) and pass the file that it writes as --torque-scale",
         "",
         diagonal(links),
         0.4,
-        "torques are {value} what the model's links make: either the torques of all joints read "
-        "that many times too much, or the masses of all links are that many times the model's; "
-        "torques cannot tell these apart: weigh the arm, or a known mass (payload --known-mass)",
-        unit="times",
-        shift=1.0,
+        "torque of joint {joint} reads {value} too {much|little}, by the model's links and the "
+        "torques of the other joints",
+        "the torques of all joints read {value} too {much|little}, or the masses of all links are "
+        "that much {larger|smaller} than the model's, which torques cannot tell apart",
+        "weigh a known mass (payload --known-mass), and pass the file that it writes as "
+        "--torque-scale",
+        factor=100.0,
+        unit="%",
         is_possible=lambda v, e: bool(v[0] > -0.5),
     )
-    drift = "changes its scale by {value} over the log; let motors and sensors warm up, and record "
-    drift += "again"
     yield from per_joint(
         arm,
         "torque-scale",
-        f"the torque of joint {{joint}} {drift}",
         "drift",
         diagonal(along(fitted, links)),
         0.15,
-        f"the torque of all joints {drift}",
+        "the torque scale of joint {joint} {rises|falls} by {value} over the log",
+        "the torque scale of all joints {rises|falls} by {value} over the log",
+        "let motors and sensors warm up, and record again",
         # The time runs from -1 to 1.
         factor=200.0,
         unit="%",
@@ -276,21 +285,24 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
     yield from per_joint(
         arm,
         "zero",
-        "the position of joint {joint} reads {value} too much; correct its zero",
         "",
         lambda rows, point: arm.terms[ZEROS].columns(rows, point)[:, :, arm.indices],
         0.1,
+        "the position of joint {joint} reads {value} too {much|little}",
+        "",
+        "correct the joint's zero",
         unit="rad",
         harmful_from=GROSS_ZERO,
     )
     late = per_joint(
         arm,
         "delay",
-        "torque of joint {joint} alone lags position by {value}; record all joints at once",
         "",
         diagonal(lambda rows, point: arm.terms[DELAY].columns(rows, point)[:, :, 0]),
         0.04,
-        "torque lags position by {value}; record both at the same instant",
+        "torque of joint {joint} alone is {value} {later|earlier} than its position",
+        "torque is {value} {later|earlier} than position",
+        "record torques and positions of all joints at the same instant",
         factor=1e3,
         unit="ms",
         is_possible=lambda v, e: bool(abs(v[0]) < LONGEST_DELAY),
@@ -300,12 +312,12 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         yield replace(delay, harmful_from=gross)
     yield single(
         "friction",
-        "every gear loses {value} of its load, which no model file can hold; friction is right at "
-        "this load alone",
         "load",
         partial(arm.friction_column, "load"),
         0.15,
-        level=Level.NOTE,
+        "every gear loses {value} of its load, which no model file can hold: friction in the file "
+        "is right at this load alone",
+        level=Level.SAYS,
         factor=100.0,
         unit="%",
         is_possible=lambda v, e: bool(0.0 < v[0] < 0.5),
@@ -317,10 +329,11 @@ def tilt(fitted: Fit) -> Iterator[Explanation]:
     if TILT in fitted.arm.terms:
         yield single(
             "tilt",
-            "the base is tilted by {value} against the model's; level it, or turn the model",
             "",
             fitted.arm.terms[TILT].columns,
             np.full(2, 0.15),
+            "the base is tilted by {value} against the model's",
+            "level it, or turn the base in the model",
             factor=float(np.degrees(1.0)),
             unit="degrees",
             is_norm=True,
@@ -334,37 +347,43 @@ def time_base(fitted: Fit) -> Iterator[Explanation]:
     by 2 s, so they change inertial torque alone.
     """
     arm = fitted.arm
-    advice = "record the controller's own time stamps"
+    own_stamps = "record the controller's own time stamps"
 
-    def both(rows: Rows, point: Point) -> Array:
-        """Return the torque (m, J, 2) per unit of a constant error and its change to the end."""
-        inertial = 2.0 * (rigid(arm, rows, point) - weight(arm, rows, point))
-        change = along(fitted, lambda *_: inertial)(rows, point)
-        return np.stack((inertial, change), axis=-1)
+    def inertial(rows: Rows, point: Point) -> Array:
+        """Return the torque (m, J) per unit of a constant error."""
+        return 2.0 * (rigid(arm, rows, point) - weight(arm, rows, point))
 
-    def describe(v: Array, e: Array) -> str:
-        """Return the text of an error v, constant or with its change, with standard errors e."""
-        if len(v) == 1:
-            return (
-                f"by inertia beside gravity, time in the log is {too_long(v[0])} "
-                f"(\u00b1 {percent(float(e[0]))}); {advice}, or scale them with --columns FILE: "
-                f"time = {1.0 / (1.0 + float(v[0])):.3g} * TITLE"
-            )
-        return (
-            f"by inertia beside gravity, the clock drifts: time is {too_long(v[0] - v[1])} at "
-            f"first, {too_long(v[0] + v[1])} at the end; {advice}"
-        )
+    def with_drift(rows: Rows, point: Point) -> Array:
+        """Return the torque (m, J, 2) per unit of a change to the end, and of a constant error."""
+        change = along(fitted, inertial)(rows, point)
+        return np.stack((change, inertial(rows, point)), axis=-1)
 
-    drifting = single(
-        "clock", "", "", both, [0.1, 0.1], words=describe, harmful_from=0.0
+    yield single(
+        "clock",
+        "",
+        inertial,
+        0.1,
+        "time in the log is {value} too {long|short}, as the torque of inertia shows beside that "
+        "of gravity",
+        f"{own_stamps}, or scale these with a line of a --columns FILE: "
+        "time = {inverse} * TITLE",
+        factor=100.0,
+        unit="%",
+        harmful_from=0.0,
     )
-    yield replace(drifting, term=part_of(drifting.term, 0, ""))
-    yield drifting
-
-
-def too_long(share: float) -> str:
-    """Return "3 % too long" for a share of 0.03, "3 % too short" for -0.03."""
-    return f"{percent(abs(float(share)))} too {'long' if share > 0.0 else 'short'}"
+    yield single(
+        "clock",
+        "drift",
+        with_drift,
+        [0.1, 0.1],
+        "the clock drifts, as the torque of inertia shows beside that of gravity: time stamps "
+        "grow by {value} {more|less} at the end of the log than at its begin",
+        own_stamps,
+        # The time runs from -1 to 1.
+        factor=200.0,
+        unit="%",
+        harmful_from=0.0,
+    )
 
 
 def payload_steps(fitted: Fit) -> Iterator[Explanation]:
@@ -391,18 +410,6 @@ def payload_step(fitted: Fit, instant: float, spacing: float) -> Explanation:
         after = rows.low_passed(key, lambda m: (m.time >= instant).astype(float))
         return last.columns(rows, point) * after[:, None, None]
 
-    def describe(v: Array, e: Array) -> str:
-        """Return the text for the ten changes v (10,) with standard errors e (10,)."""
-        # The torque scales multiply the load, too.
-        scales = fitted.at([n for n in fitted.names if n.startswith("scale[")])
-        error = float(np.hypot(e[0], np.max(fitted.errors[scales], initial=0.0) * v[0]))
-        change = with_error(abs(float(v[0])), error, "kg")
-        return (
-            f"from about {instant:.3g} s on the last link carries {change} "
-            f"{'more' if v[0] > 0.0 else 'less'}: was something picked up, dropped or moved? "
-            "record each state in a log of its own"
-        )
-
     def nearby() -> list[Explanation]:
         """Return steps at eleven instants around this one, a sixth of the spacing apart."""
         period = float(np.median(np.diff(fitted.recordings[0].motion.time)))
@@ -412,15 +419,19 @@ def payload_step(fitted: Fit, instant: float, spacing: float) -> Explanation:
         instants = instant + finer * np.arange(-5, 6)
         return [payload_step(fitted, at, finer) for at in instants.tolist()]
 
-    spread = parameter_scale(0.05 * arm.robot.mass, 0.1 * arm.robot.length)
+    scales = fitted.at([n for n in fitted.names if n.startswith("scale[")])
     return single(
         "payload-step",
-        "",
         f"{instant}",
         columns,
-        spread,
-        level=Level.REFUSE,
-        words=describe,
+        parameter_scale(0.05 * arm.robot.mass, 0.1 * arm.robot.length),
+        f"from about {instant:.3g} s on the last link carries {{value}} {{more|less}}: something "
+        "was picked up, dropped or moved",
+        "record each state in a log of its own",
+        level=Level.REFUSES,
+        unit="kg",
+        # The torque scales multiply the load, too.
+        relative_error=float(np.max(fitted.errors[scales], initial=0.0)),
         choices=STEPS,
         nearby=nearby,
     )
@@ -436,7 +447,7 @@ def forces(fitted: Fit) -> Iterator[Explanation]:
     down = float(np.linalg.norm(gravity_vector(arm.robot))) or 9.81
     load = parameter_scale(0.1 * total, 0.1)[:4]
 
-    def pull(rows: Rows, point: Point) -> Array:
+    def constant_force(rows: Rows, point: Point) -> Array:
         """Return the torque (m, J, 12) of forces along three axes, and of their offsets."""
         # The weight of one kilogram under a gravity of one along an axis stands for a unit force.
         axes = [-last_weight(arm, rows, axis) for axis in np.eye(3)]
@@ -450,35 +461,36 @@ def forces(fitted: Fit) -> Iterator[Explanation]:
 
     yield single(
         "force",
-        "a constant force of {value} acts on the last link, as of a hand, a cable or a spring; "
-        "take it away, and record again",
         "tip",
-        pull,
+        constant_force,
         total * down * np.repeat((0.1, 0.01), (3, 9)),
-        level=Level.REFUSE,
+        "a constant force of {value} acts on the last link, as of a hand, a cable or a spring",
+        "take it away, and record again",
+        level=Level.REFUSES,
         is_possible=lambda v, e: bool(np.any(np.abs(v[:3]) > 3.0 * e[:3])),
         unit="N",
         is_norm=True,
     )
     yield single(
         "force",
-        "the last link weighs {value} more than its inertia says: something holds a part of it, "
-        "or pulls, as a hand or a hose does; take it away, record again",
         "weight",
         lambda rows, point: last_weight(arm, rows, point.gravity),
         load,
-        level=Level.REFUSE,
+        "the last link weighs {value} {more|less} than its inertia says: a hand, a hose or a "
+        "support holds a part of it or draws at it",
+        "take it away, and record again",
+        level=Level.REFUSES,
         unit="kg",
     )
     yield single(
         "gravity",
-        "{value} of the links' weight is missing from the torque: is there a spring balancer that "
-        "the model lacks, or is gravity compensated in part? record the measured joint torque, not "
-        "the command",
         "share",
         share,
         np.append(0.5, load),
-        level=Level.REFUSE,
+        "{value} of the links' weight is missing from the torque: a spring balancer that the model "
+        "lacks, or gravity that is compensated in part",
+        "record the measured joint torque, not the command",
+        level=Level.REFUSES,
         factor=-100.0,
         unit="%",
         is_possible=lambda v, e: bool(
@@ -510,7 +522,7 @@ def spring(motion: Any, k: int) -> list[Array]:
 def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
     """Yield torque at each joint in its position or in time: a spring, a hum, a ripple.
 
-    Of a hum and a ripple, the strongest sine in the joint's residual torque is tried: over time
+    Of a hum and a ripple, the strongest sines in the joint's residual torque are tried: over time
     from 2 periods per log to 0.4 periods per row, over position with ``RIPPLES`` waves per turn.
     """
     arm = fitted.arm
@@ -525,50 +537,43 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
     for joint, name in enumerate(arm.joints):
         yield single(
             "force",
-            f"at joint {name} a torque follows the position, as of a spring, a balancer or a hose; "
-            "the model has to have it, or take it away",
             f"spring {name}",
             shapes_at(fitted, joint, spring),
             np.full(3, 0.5 * torque[joint]),
-            level=Level.REFUSE,
+            f"at joint {name} a torque follows the position, as of a spring, a balancer or a hose",
+            "take it away, or add it to the model",
+            level=Level.REFUSES,
             joint=joint,
         )
-        rate = float(rates[np.argmax(in_time[:, joint])])
-        yield single(
-            "contact",
-            f"torque of joint {name} hums: a sine of {rate / (2.0 * np.pi):.2g} Hz and {{value}} "
-            "that neither motion nor friction makes; find its source",
-            name,
-            shapes_at(fitted, joint, partial(waves, rate, True)),
-            np.full(2, 0.1 * torque[joint]),
+        sine = partial(
+            single,
+            spread=np.full(2, 0.1 * torque[joint]),
             joint=joint,
             unit="N m",
             is_norm=True,
+        )
+        rate = float(rates[np.argmax(in_time[:, joint])])
+        yield sine(
+            "contact",
+            name,
+            shapes_at(fitted, joint, partial(waves, rate, True)),
+            text=f"torque of joint {name} hums: a sine of {rate / (2.0 * np.pi):.2g} Hz and "
+            "{value} that neither motion nor friction makes",
+            remedy="find its source",
             choices=len(rates),
         )
         in_turn = np.exp(1j * np.outer(RIPPLES, q[:, arm.indices[joint]]))
         sizes = np.abs(in_turn @ residual[:, joint])
-        for at in np.argsort(sizes)[-LIKELY:].tolist():
-            yield ripple(fitted, joint, RIPPLES[at])
-
-
-def ripple(fitted: Fit, joint: int, count: int) -> Explanation:
-    """Return the explanation that the torque of a joint ripples some times per turn."""
-    name = fitted.arm.joints[joint]
-    return single(
-        "ripple",
-        f"torque of joint {name} ripples about {count} times per turn by {{value}}, as of cogging; "
-        "errors count it as noise",
-        f"{count} {name}",
-        shapes_at(fitted, joint, partial(waves, count, False)),
-        np.full(2, 0.1 * typical_torque(fitted.sums)[joint]),
-        level=Level.NOTE,
-        joint=joint,
-        unit="N m",
-        is_norm=True,
-        choices=len(RIPPLES),
-        nearby=lambda: [ripple(fitted, joint, count + k) for k in (-1, 1)],
-    )
+        for count in np.array(RIPPLES)[np.argsort(sizes)[-LIKELY:]].tolist():
+            yield sine(
+                "ripple",
+                f"{count} {name}",
+                shapes_at(fitted, joint, partial(waves, count, False)),
+                text=f"torque of joint {name} ripples about {count} times per turn by {{value}}, "
+                "as of cogging; standard errors count it as noise",
+                level=Level.SAYS,
+                choices=len(RIPPLES),
+            )
 
 
 def waves(rate: float, in_time: bool, motion: Any, k: int) -> list[Array]:
@@ -593,11 +598,12 @@ def crosstalk(fitted: Fit) -> Iterator[Explanation]:
 
             yield single(
                 "crosstalk",
-                f"the torque of joint {name} holds {{value}} of that of joint "
-                f"{arm.joints[other]}; calibrate its sensor",
                 f"{name} {other}",
                 columns,
                 0.1 * min(1.0, torque[joint] / torque[other]),
+                f"the torque of joint {name} holds {{value}} of that of joint "
+                f"{arm.joints[other]}{{|, with the opposite sign}}",
+                "calibrate its sensor",
                 joint=joint,
                 factor=100.0,
                 unit="%",
@@ -624,11 +630,12 @@ def warming(fitted: Fit) -> Iterator[Explanation]:
 
         yield single(
             "friction",
-            "friction falls over the log; let the arm warm up before it is recorded",
             f"{constant}",
             diagonal(excess),
             spread,
-            level=Level.NOTE,
+            "friction falls over the log",
+            "let the arm warm up before it is recorded",
+            level=Level.SAYS,
             choices=len(WARM_UP),
         )
 

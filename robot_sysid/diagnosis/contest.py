@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from robot_sysid.diagnosis import Finding, Level
-from robot_sysid.diagnosis.causes import SURE, Explanation, explanations, too_long
+from robot_sysid.diagnosis import Finding
+from robot_sysid.diagnosis.causes import SURE, Explanation, explanations
 from robot_sysid.diagnosis.log_fit import (
     LogFit,
     LogRows,
@@ -38,7 +38,7 @@ from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.messages import percent, with_error
+from robot_sysid.records.messages import Level, percent, with_error
 
 TIE = 6.0
 """Difference in gain within which two explanations count as equally likely [nats]."""
@@ -59,26 +59,10 @@ UNEXPLAINED = 0.05
 ALL_OFF = 1.4
 """Ratio of the torque of all links but the last to the model's, or its inverse, above which the
 model or the torques are wrong as a whole: links that are off by 20 %, one by 40 %, reach 1.34."""
-ALL_LINKS = (
-    "all links make {:.3g} times the model's torque: either the torques read that many times too "
-    "much, or all masses of the model are wrong by as much, or it is the model of another arm; "
-    "torques cannot tell these apart: weigh a link, or a known mass (payload --known-mass)"
-)
-"""Text of the finding that all links are off alike."""
-EXTERNAL = (
-    "the torque has little of the links' weight: is it external, left after a controller's "
-    "model, or motor current (--torque-constants)? record the measured joint torque"
-)
-"""Text of the finding that torques are small, but in no other unit."""
 ODD_LINKS = 7.25
 """Factor on the stated uncertainty of links' masses, as the log shows it, above which it is said:
 models of siblings reach 6.1 to 7.7, but one right arm in forty with a link that is 40 % off 8.0.
 No torque tells these apart, but models of other arms leave more than 1 % of it unexplained."""
-ODD_MODEL = (
-    "the links differ from the model by {} of their masses: is it the model of this arm, not of a "
-    "sibling, and with the same links? links before the last may be farther off than their \u00b1"
-)
-"""Text of the note that links are off as few arms' are."""
 OTHER_ARM = 0.3
 """Share of unexplained torque above which the model is taken for that of another arm."""
 ALIKE = 3
@@ -89,18 +73,14 @@ FRICTIONLESS = 0.004
 """Largest error of dry friction, as a share of the torque, with which none can be told."""
 EXACT = 0.001
 """Error of filtering in dry friction, as a share of the joint's torque."""
-COMPUTED = (
-    "the torque follows rigid-body dynamics and has no friction: it was computed, or commanded, "
-    "not measured; record the measured torque"
-)
-"""Text of the finding that no torque was measured."""
+MEASURED = "record the measured joint torque"
+RIGHT_MODEL = "check that the model is of this arm, with all that is fixed to its links"
 # Number of explanations whose noise is estimated anew in each round.
 _REFITTED = 6
 # Least gain of an explanation before that, at white noise [nats].
 _WORTH = 8.0
 # Largest number of explanations and corrections that act together.
 _MOST_ROUNDS = 5
-_ASCENDING = (Level.NOTE, Level.WARN, Level.REFUSE)
 
 
 @dataclass(frozen=True)
@@ -157,7 +137,7 @@ class Score:
     def is_reportable(self) -> bool:
         """Whether the explanation is large enough for a finding."""
         explanation = self.explanation
-        is_of_log = explanation.joint is None and explanation.level is not Level.NOTE
+        is_of_log = explanation.joint is None and explanation.level is not Level.SAYS
         is_large = self.torque_share > LEAST_SHARE
         if explanation.is_norm:
             is_large |= float(np.max(self.joint_shares)) > LEAST_OF_JOINT
@@ -165,21 +145,21 @@ class Score:
 
     @property
     def level(self) -> Level:
-        """The explanation's level where an estimate that ignores it would be wrong, else NOTE.
+        """The explanation's level where an estimate that ignores it would be wrong, else SAYS.
 
         It would be if a parameter of the last link changes by more than ``MATTERS`` standard
         errors, or more than ``HARMFUL_SHARE`` of the torque is explained.
         """
         explanation = self.explanation
-        if explanation.level is Level.REFUSE:
-            return Level.REFUSE
+        if explanation.level is Level.REFUSES:
+            return Level.REFUSES
         last = self.before.at(spatial.PARAMETER_NAMES)
         moved = self.log.fit.free[self.log.fit.at(spatial.PARAMETER_NAMES)]
         change = np.abs(moved - self.before.free[last])
         errors = np.sqrt(np.diag(self.before.inverse)[last])
         is_harmful = self.is_gross or bool(np.any(change > MATTERS * errors))
         is_harmful |= self.torque_share > HARMFUL_SHARE
-        return explanation.level if is_harmful else Level.NOTE
+        return explanation.level if is_harmful else Level.SAYS
 
 
 class Contest:
@@ -201,10 +181,8 @@ class Contest:
     def rows_of(self, offered: Sequence[Explanation]) -> LogRows:
         """Return the rows of the log with the columns of explanations."""
         fitted = self.log.fit
-        families = {each.family.names[0]: each.family for each in offered}
-        return log_rows(
-            fitted.arm, fitted.recordings, fitted.point, [*families.values()]
-        )
+        terms = [explanation.term for explanation in offered]
+        return log_rows(fitted.arm, fitted.recordings, fitted.point, terms)
 
     def score(self, current: Fit, explanation: Explanation, rows: LogRows) -> Score:
         """Return the score of an explanation; both fits have the noise that it leaves."""
@@ -241,11 +219,17 @@ class Contest:
             scores[0] = self.refine(current, scores[0])
         return scores
 
-    def is_time_wrong(self, share: float) -> bool:
-        """Return whether time is rather too long by a share than right, by the torques."""
+    def wrong_time(self, share: float) -> Iterator[Finding]:
+        """Yield the finding that time is too long by a share, by recorded velocities.
+
+        Nothing is yielded where the share is zero, or torques rather say that time is right.
+        """
         clock = next(e for e in self.offered if e.term.cause == "clock")
         value = float(self.score(self.log.fit, clock, self.rows).values[0][0])
-        return abs(value - share) < abs(value)
+        if abs(value - share) < abs(value):
+            text, remedy = clock.describe(np.array([share]), np.zeros(1))
+            text += ", and so do the recorded velocities"
+            yield Finding(Level.REFUSES, "clock", text, remedy)
 
     def refine(self, current: Fit, score: Score) -> Score:
         """Return the best score that ``Explanation.nearby`` leads to, step by step."""
@@ -279,11 +263,13 @@ def findings(
     """
     first = log = LogFit.of(robot, recordings, options)
     if is_computed(log):
-        return [Finding("computed", Level.WARN, COMPUTED)]
+        text = "the torque follows rigid-body dynamics and has no friction: it was computed, or "
+        text += "commanded, not measured"
+        return [Finding(Level.DOUBTS, "computed", text, MEASURED)]
     odd_unit = odd_unit_finding(log)
     contest = Contest(log)
-    if share and contest.is_time_wrong(share):
-        return [Finding("clock", Level.REFUSE, wrong_time(share))]
+    if wrong_time := [*contest.wrong_time(share)]:
+        return wrong_time
     rounds: list[list[Score]] = []
     corrected: list[Finding] = []
     while len(rounds) + len(corrected) < _MOST_ROUNDS:
@@ -297,7 +283,7 @@ def findings(
             terms = [each.term for each in found]
             is_turned = bool(winner and winner.explanation.term.cause in LIKE_GRAVITY)
             tried = corrections(log, best, terms, options, divided, is_turned)
-        is_exchanged = bool(tried) and tried[0].finding.name in ("order", "tilt")
+        is_exchanged = bool(tried) and tried[0].finding.about in ("order", "tilt")
         # An exchange of joints also gives one of them torque that is far too large for it.
         if odd_unit and not corrected and not is_exchanged:
             return [odd_unit]
@@ -314,7 +300,7 @@ def findings(
             rounds.append(ties)
             log = ties[0].log
     named = [*corrected, *name_causes(rounds[:MOST_NAMES]), *placeholders(robot)]
-    if all(finding.level is Level.NOTE for finding in named):
+    if all(finding.level is Level.SAYS for finding in named):
         named += wrong_models(first, log, options)
     return named
 
@@ -330,31 +316,52 @@ def wrong_models(
         options: prior uncertainties of the estimate.
     """
     if np.median(first.torque_ratio[first.loaded]) < SMALLER:
-        return [Finding("gravity", Level.REFUSE, EXTERNAL)]
+        text = "the torque has little of the links' weight: it may be external torque, left after "
+        text += "a controller's model, or motor current"
+        remedy = f"{MEASURED}, or give --torque-constants for a current"
+        return [Finding(Level.REFUSES, "gravity", text, remedy)]
     ratio, error = last.links_ratio
     # Of few joints, other links take up what the last one does not: the ratio is hardly known.
     off = abs(ratio - 1.0) - SURE * error
     if off > (ALL_OFF - 1.0) / max(1.0, ALL_OFF * (ratio < 1.0)):
-        return [Finding("torque-scale", Level.REFUSE, ALL_LINKS.format(ratio))]
+        text = (
+            f"all links make {ratio:.3g} times the model's torque: either the torques read that "
+            "many times too much, or all masses of the model are wrong by as much, or it is the "
+            "model of another arm, which torques cannot tell apart"
+        )
+        remedy = "weigh a link, or a known mass (payload --known-mass)"
+        return [Finding(Level.REFUSES, "torque-scale", text, remedy)]
+    robot = last.fit.arm.robot
     if last.misfit > UNEXPLAINED:
-        return [unexplained_torque(last)]
+        worst = np.argsort(-last.misfit_by_joint * last.rows.typical_torque)[:3]
+        shares = [
+            f"{last.fit.arm.joints[k]} {percent(float(last.misfit_by_joint[k]))}"
+            for k in worst.tolist()
+        ]
+        text = (
+            f"{percent(last.misfit)} of the torque is explained by none of the faults that are "
+            f"looked for; of each joint's own: {', '.join(shares)}"
+        )
+        check = "model" if last.misfit > OTHER_ARM else "unexplained"
+        remedy = f"{RIGHT_MODEL}, and that it carried the same load all the time, with no contact"
+        return [Finding(Level.DOUBTS, check, text, remedy)]
     if not last.is_plausible:
-        return [implausible_links(last)]
+        text = (
+            f"to fit this log, the terminal link would have {with_error(*last.last_mass, 'kg')} on "
+            f"an arm of {robot.mass:.3g} kg, or other links would be far from the model's"
+        )
+        remedy = f"{RIGHT_MODEL}, and its base mounted as the model says"
+        return [Finding(Level.DOUBTS, "model", text, remedy)]
     spread = first.fit.question.link_scales.mass
     if spread > ODD_LINKS:
-        share = percent(spread * PER_CENT * options.priors.link)
-        level = Level.WARN if last.misfit > PER_CENT else Level.NOTE
-        return [Finding("model", level, ODD_MODEL.format(share))]
+        text = (
+            f"the links differ from the model by {percent(spread * PER_CENT * options.priors.link)}"
+            " of their masses: it may be the model of a sibling of this arm; the standard errors "
+            "of links before the last may be too small"
+        )
+        level = Level.DOUBTS if last.misfit > PER_CENT else Level.SAYS
+        return [Finding(level, "model", text, RIGHT_MODEL)]
     return []
-
-
-def wrong_time(share: float) -> str:
-    """Return the text on time stamps that are too long by a share, by recorded velocities."""
-    return (
-        f"by the recorded velocities, time in the log is {too_long(share)}; record the "
-        "controller's own time stamps, or scale them with --columns FILE: time = "
-        f"{1.0 / (1.0 + share):.3g} * TITLE"
-    )
 
 
 def placeholders(robot: RobotModel) -> Iterator[Finding]:
@@ -368,10 +375,8 @@ def placeholders(robot: RobotModel) -> Iterator[Finding]:
     for sizes, names in groups.items():
         if len(names) >= ALIKE:
             text = f"the model's inertias of {', '.join(names.values())} are all alike, about "
-            text += (
-                f"{sizes[-1]} kg m^2: they are placeholders, and errors allow for less"
-            )
-            yield Finding("model", Level.NOTE, text)
+            text += f"{sizes[-1]} kg m^2: they are placeholders, and the standard errors may be "
+            yield Finding(Level.SAYS, "model", f"{text}too small")
 
 
 def is_better(correction: Correction, winner: Score | None, is_plausible: bool) -> bool:
@@ -383,7 +388,7 @@ def is_better(correction: Correction, winner: Score | None, is_plausible: bool) 
     if not is_plausible:
         return correction.gain > -CLEAR
     least = CLEAR
-    if winner is not None and winner.explanation.term.cause != correction.finding.name:
+    if winner is not None and winner.explanation.term.cause != correction.finding.about:
         least = max(least, winner.gain - TIE)
     return correction.gain > least
 
@@ -405,11 +410,11 @@ def name_causes(rounds: Sequence[Sequence[Score]]) -> list[Finding]:
         if best.get(winner.term.cause) is not ranked[0]:
             continue
         known |= {score.explanation.subject for score in ranked}
-        texts = [score.explanation.text(*score.values) for score in best.values()]
-        severity = max(_ASCENDING.index(score.level) for score in best.values())
-        named.append(
-            Finding(winner.term.cause, _ASCENDING[severity], "; or ".join(texts))
-        )
+        descriptions = [s.explanation.describe(*s.values) for s in best.values()]
+        texts, remedies = map(dict.fromkeys, zip(*descriptions))
+        level = min((score.level for score in best.values()), key=[*Level].index)
+        remedy = ", or ".join(filter(None, remedies))
+        named.append(Finding(level, winner.term.cause, "; or ".join(texts), remedy))
     return named
 
 
@@ -424,31 +429,3 @@ def is_computed(log: LogFit) -> bool:
     distance = np.sum((dry / np.hypot(error, EXACT * torque)) ** 2)
     limit = len(dry) + 3.0 * np.sqrt(2.0 * len(dry))
     return bool(known < FRICTIONLESS and distance < limit)
-
-
-def unexplained_torque(log: LogFit) -> Finding:
-    """Return the finding that torque is unexplained: its share, and the three worst joints."""
-    share = log.misfit
-    worst = np.argsort(-log.misfit_by_joint * log.rows.typical_torque)[:3].tolist()
-    listed = ", ".join(
-        f"{log.fit.arm.joints[k]} {percent(float(log.misfit_by_joint[k]))}"
-        for k in worst
-    )
-    text = (
-        f"{percent(share)} of the torque is explained by nothing that is looked for ({listed} of "
-        "its own): is the model of this arm, with what is fixed to its links, and did it carry the "
-        "same all the time with nothing touching it?"
-    )
-    return Finding("model" if share > OTHER_ARM else "unexplained", Level.WARN, text)
-
-
-def implausible_links(log: LogFit) -> Finding:
-    """Return the finding that the estimated links are implausible for this arm."""
-    mass, error = log.last_mass
-    arm = log.fit.arm.robot.mass
-    text = (
-        f"to fit this log, the terminal link would have {with_error(mass, error, 'kg')} on an arm "
-        f"of {arm:.3g} kg, or other links far from the model's: is the model of this arm, and its "
-        "base mounted as the model says?"
-    )
-    return Finding("model", Level.WARN, text)

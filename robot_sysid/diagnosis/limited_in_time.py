@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis import Finding, Level
+from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.log_fit import LogRows, log_rows
 from robot_sysid.estimate.fit import Equations, solve
 from robot_sysid.estimate.options import EstimationOptions
@@ -27,7 +27,7 @@ from robot_sysid.estimate.questions import Question, arm_question, friction_colu
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import ArmTerms
 from robot_sysid.records import Array, Measurement, RobotModel
-from robot_sysid.records.messages import count_text
+from robot_sysid.records.messages import Level, count_text
 from robot_sysid.signals.frozen import equal_runs, frozen_positions, true_runs
 from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import slice_samples
@@ -202,7 +202,7 @@ def leave_out(
             phrases.append(phrase)
             text = f"something touched the arm, or a sensor failed, {phrase}: left out"
             name = str(checks[rows.start])
-            notes.append(Finding(name, Level.NOTE, text, is_left_out=True))
+            notes.append(Finding(Level.SAYS, name, text))
         left_out_count += int(np.sum(left_out))
         if not np.any(left_out):
             kept.append(piece)
@@ -211,8 +211,9 @@ def leave_out(
     is_much = left_out_count > MOST_SHARE * sum(map(len, pieces))
     if is_much or len(notes) > MOST_STRETCHES:
         text = f"something touches the arm, or a sensor fails, {count_text(len(notes), 'time')}"
-        text += f", first {phrases[0]}: too much to leave out; record again without it"
-        return list(pieces), [Finding(notes[0].name, Level.WARN, text)]
+        text += f", first {phrases[0]}: too much to leave out"
+        remedy = "record again without it"
+        return list(pieces), [Finding(Level.DOUBTS, notes[0].about, text, remedy)]
     return kept, notes
 
 

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.diagnosis import Finding, Level
+from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.contest import findings
 from robot_sysid.diagnosis.limited_in_time import (
     MANY_VALUES,
@@ -34,7 +34,7 @@ from robot_sysid.estimate.rows import Recording
 from robot_sysid.logs import CHECKS
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
-from robot_sysid.records.messages import Progress, percent
+from robot_sysid.records.messages import Level, Progress, count_text, percent
 from robot_sysid.signals.process import LogPiece, check_losses, process
 from robot_sysid.signals.resampling import sampling_period, slice_samples
 
@@ -55,8 +55,8 @@ def slow_findings(recordings: Sequence[Recording]) -> Iterator[Finding]:
     """Yield a finding where no speed reaches ``SLOWEST``, too slow for friction."""
     fastest = max(float(np.max(np.abs(each.motion.qd))) for each in recordings)
     if fastest < SLOWEST:
-        text = f"no joint moves faster than {fastest:.2g} rad/s; record a faster motion"
-        yield Finding("too-little", Level.REFUSE, text)
+        text = f"no joint moves faster than {fastest:.2g} rad/s"
+        yield Finding(Level.REFUSES, "too-little", text, "record a faster motion")
 
 
 def enough_findings(
@@ -72,12 +72,12 @@ def enough_findings(
     rows = int(2.0 * signals.cutoff * span)
     rate = 1.0 / sampling_period(pieces[0].time)
     if rate < SLOWEST_RATE:
-        text = f"{rate:.3g} samples per second are too few; record at 100 or more"
-        yield Finding("too-little", Level.REFUSE, text)
+        text = f"{rate:.3g} samples per second are too few"
+        yield Finding(Level.REFUSES, "too-little", text, "record at 100 or more")
     if rows < ROWS:
         text = f"{span:.3g} s behind a low-pass of {signals.cutoff:.3g} Hz hold about {rows} "
-        text += f"independent samples per joint, and {ROWS} are needed; record longer"
-        yield Finding("too-little", Level.REFUSE, text)
+        text += f"independent samples per joint, and {ROWS} are needed"
+        yield Finding(Level.REFUSES, "too-little", text, "record longer")
 
 
 REPEATED = 0.3
@@ -97,7 +97,6 @@ _NO_WAY = 1.4
 _CLEAR = 8.0
 # Number of samples of a piece, and of steps of all pieces, below which findings are not made.
 _ENOUGH = 100
-_RECORD_TIME = "; record the time of each sample"
 
 
 def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
@@ -120,20 +119,22 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     # A lost sample doubles the speed; noise makes smaller excesses, too, and more of them.
     uneven = float(np.mean(is_usual & (speed > 1.25) & (speed < 1.5)))
     repeated = float(np.mean(is_usual & (np.abs(speed) < REPEATED)))
+    remedy = "record the time at which each sample was taken"
     # Noise that makes many steps of the smaller excess may also make those with the larger one.
     if lost > max(FEW, 3.0 * uneven):
-        problem = f"{100.0 * lost:.2g} % of the steps have lost samples that the time stamps do not"
-        level = Level.REFUSE if lost > MANY else Level.WARN
-        yield Finding("clock", level, f"{problem} show{_RECORD_TIME}")
+        text = f"{percent(lost)} of the steps have lost samples that the time stamps do not show"
+        level = Level.REFUSES if lost > MANY else Level.DOUBTS
+        yield Finding(level, "clock", text, remedy)
     if repeated > FEW:
-        problem = f"{100.0 * repeated:.2g} % of the steps repeat the position of the sample before"
+        text = f"{percent(repeated)} of the steps repeat the position of the sample before while "
+        text += "the arm moves"
         # A low-pass smooths a repeated sample away, but not a wrong time.
-        level = Level.WARN if repeated > MANY else Level.NOTE
-        text = f"{problem} while the arm moves{_RECORD_TIME}"
-        yield Finding("clock", level, text)
+        level = Level.DOUBTS if repeated > MANY else Level.SAYS
+        yield Finding(level, "clock", text, remedy)
     if jumps:
-        text = f"the clock jumps ahead {jumps} times without a sample missing; use the stamps of "
-        yield Finding("clock", Level.WARN, f"{text}the controller's own clock")
+        text = f"the clock jumps ahead {count_text(jumps, 'time')} without a sample missing"
+        remedy = "use the time stamps of the controller's own clock"
+        yield Finding(Level.DOUBTS, "clock", text, remedy)
 
 
 INTEGRATION_TIME = 1.0
@@ -199,11 +200,8 @@ def velocity_notes(ratios: Array, joint_names: Sequence[str]) -> Iterator[Findin
     if len(odd):
         names = ", ".join(joint_names[k] for k in odd.tolist())
         factor = float(np.median(ratios[odd]))
-        text = (
-            f"recorded velocities of {names} are {factor:.3g} times the derivatives of "
-        )
-        text += "positions, which are used in their place"
-        yield Finding("clock", Level.NOTE, text)
+        text = f"recorded velocities of {names} are {factor:.3g} times the derivatives of positions"
+        yield Finding(Level.SAYS, "clock", f"{text}, which are used in their place")
 
 
 def _steps(piece: Measurement) -> tuple[Array, Array]:
@@ -261,9 +259,9 @@ def saturation_findings(
             if count > max(OFTEN * len(values), _CROWDED * others):
                 share = percent(count / len(values))
                 text = f"the torque of joint {name} is exactly {end:.4g} N m, the end of its range,"
-                text += f" in {share} of the samples: the sensor is at its end; move slower, or "
-                text += "carry less"
-                yield Finding("saturated", Level.WARN, text)
+                text += f" in {share} of the samples: the sensor saturates"
+                remedy = "move slower, or carry less"
+                yield Finding(Level.DOUBTS, "saturated", text, remedy)
 
 
 WINDOW = 16.0
@@ -363,10 +361,10 @@ def check_pieces(
     options = options or EstimationOptions()
     names = robot.joint_names
     pieces, raw = leave_out(names, pieces, [*failed_sensors(pieces)])
-    lasts_a_moment = all(finding.is_left_out for finding in raw)
+    lasts_a_moment = all(finding.level is Level.SAYS for finding in raw)
     raw += [*clock_findings(pieces), *saturation_findings(pieces, names)]
-    if any(finding.level is Level.REFUSE for finding in raw):
-        return tuple(raw), tuple(pieces)
+    if any(finding.level is Level.REFUSES for finding in raw):
+        return _in_order(raw), tuple(pieces)
     recordings = low_pass(pieces, options.cutoff)
     found = [*enough_findings(pieces, recordings)]
     if not found:
@@ -380,16 +378,21 @@ def check_pieces(
         share = time_share(ratios)
         found = findings(robot, recordings, options, scales, share)
         found = found or [*slow_findings(recordings)]
-        if found:
-            contacts = [finding for finding in contacts if finding.is_left_out]
-        raw += contacts
-        if not any(finding.name == "clock" for finding in found):
+        # Where another fault is found, torque that is odd time and again is of that fault.
+        raw += [f for f in contacts if f.level is Level.SAYS or not found]
+        if not any(finding.about == "clock" for finding in found):
             raw += velocity_notes(ratios, names)
     if not links_known:
         for k, finding in enumerate(found):
-            if finding.name in OF_LINKS:
-                found[k] = replace(finding, level=Level.NOTE)
-    return (*raw, *found), tuple(pieces)
+            if finding.about in OF_LINKS:
+                found[k] = replace(finding, level=Level.SAYS)
+    return _in_order([*raw, *found]), tuple(pieces)
+
+
+def _in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return findings by their level, the most severe first, each once."""
+    levels = [*Level]
+    return tuple(sorted(dict.fromkeys(found), key=lambda f: levels.index(f.level)))
 
 
 def _touched(
@@ -421,37 +424,32 @@ def check_log(
 ) -> MeasurementLog:
     """Return a log without what is left out of it; raise an error where a finding forbids its use.
 
-    What is left out becomes a note of the log. Other notes and accepted warnings go to
-    ``progress``. The error has the texts of the refusals or, if
-    there are none, of the other warnings; the notes of the log's reader are then reported, too.
+    The findings that do not forbid it become notes of the log. The error has the refusals or, if
+    there are none, the doubts that are not accepted; the other notes are then reported.
 
     Args:
         robot: the arm with its model.
         log: the log that was read.
-        accepted: names of checks whose warnings are accepted.
-        progress: receives the notes.
+        accepted: names of checks whose doubts are accepted.
+        progress: receives the notes of a log that is not used.
         options: see ``check_pieces``.
         links_known: see ``check_pieces``.
         checks: names of the checks whose findings count.
 
     Raises:
         InputError: a finding refuses the log, or the log is too short to be checked.
-        SysidError: there is a warning that is not accepted.
+        SysidError: there is a doubt that is not accepted.
     """
     with prefix_input_errors(str(log.path)):
         all_findings, pieces = check_pieces(
             robot, log.pieces, options, links_known, log.torque_scale
         )
-    log_findings = tuple(f for f in all_findings if f.name in checks)
+    log_findings = [f for f in all_findings if f.about in checks]
     notes = list(log.notes)
     for finding in log_findings:
-        if finding.is_left_out:
-            notes.append(finding.text)
-            continue
-        is_accepted = finding.level is Level.WARN and finding.name in accepted
-        # All other findings forbid an estimate, and become the error below.
-        if finding.level is Level.NOTE or is_accepted:
-            progress.note(finding.line().removeprefix("note: "))
+        is_accepted = finding.level is Level.DOUBTS and finding.about in accepted
+        if finding.level is Level.SAYS or is_accepted:
+            notes.append(f"{finding.sentence} [{finding.about}]")
     try:
         require_acceptable(log, log_findings, accepted)
     except SysidError:
@@ -463,29 +461,31 @@ def check_log(
 def require_acceptable(
     log: MeasurementLog, findings: Sequence[Finding], accepted: Collection[str] = ()
 ) -> None:
-    """Raise an error where a finding refuses the log or is a warning that is not accepted.
+    """Raise an error where a finding refuses the log or is a doubt that is not accepted.
 
     Args:
         log: the log that was read.
         findings: the findings of all checks.
-        accepted: names of checks whose warnings are accepted.
+        accepted: names of checks whose doubts are accepted.
 
     Raises:
         ColumnsError: a finding refuses the log, and other columns put it right.
         InputError: a finding refuses the log.
-        SysidError: there is a warning that is not accepted.
+        SysidError: there is a doubt that is not accepted.
     """
-    refused = [finding for finding in findings if finding.level is Level.REFUSE]
-    warned = [f for f in findings if f.level is Level.WARN and f.name not in accepted]
+    refused = [f for f in findings if f.level is Level.REFUSES]
+    # A remedy is none where something else is wrong as well.
+    if len(refused) == 1:
+        raise refuse_for(log, refused[0])
     if refused:
-        # A remedy is none where something else is wrong as well.
-        if len(refused) == 1:
-            raise refuse_for(log, refused[0])
-        raise InputError(f"{log.path}: {'; '.join(f.text for f in refused)}")
-    if warned:
-        texts = "; ".join(finding.text for finding in warned)
+        raise InputError(f"{log.path}: {'; '.join(f.sentence for f in refused)}")
+    doubts = [
+        f for f in findings if f.level is Level.DOUBTS and f.about not in accepted
+    ]
+    if doubts:
+        texts = "; ".join(finding.sentence for finding in doubts)
         # Each name once, in the order of the findings.
-        names = dict.fromkeys(finding.name for finding in warned)
+        names = dict.fromkeys(finding.about for finding in doubts)
         accepting = " ".join(f"--accept {name}" for name in names)
         advice = f"nothing was written (to go on all the same: {accepting})"
         raise SysidError(f"{log.path}: {texts}; {advice}")

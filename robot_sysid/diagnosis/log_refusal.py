@@ -10,9 +10,9 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding
+from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs.column_map import Column, ColumnMap
+from robot_sysid.logs.column_map import Column
 from robot_sysid.logs.reader import MeasurementLog, columns_file_name
 
 _PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
@@ -21,30 +21,25 @@ _PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
 
 def refuse_for(log: MeasurementLog, finding: Finding) -> InputError:
     """Return the error that refuses a log for a finding; ColumnsError where columns are wrong."""
-    text = f"{log.path}: {finding.text}"
-    payload_options = finding.payload_options
-    if finding.correction is not None and not finding.options:
-        lines = _corrected_lines(log.columns, finding.correction)
+    text = f"{log.path}: {finding.sentence}"
+    options = finding.options
+    if finding.about == "angle-unit" and log.columns.angle_declared:
+        options = ()  # A unit in a title outranks the option.
+    if finding.correction is not None and (finding.command or not options):
+        lines = _corrected_lines(log, finding.correction)
         if lines:
-            reason = text.removesuffix(COLUMNS_ADVICE)
+            reason = f"{log.path}: {finding.text}"
             draft = _add_lines(log.options.columns, lines, reason)
             name = _free_name(log.path, draft)
             error = ColumnsError(text, draft, name, is_correction=True)
-            if payload_options:
-                error.options = ((*payload_options, "--columns", name),)
-                error.command = "payload"
+            error.options = ((*options, "--columns", name),)
+            error.command = finding.command
             return error
-    if payload_options:
-        return InputError(text, [payload_options], command="payload")
-    # A unit in a title outranks the option.
-    is_declared = finding.name == "angle-unit" and log.columns.angle_declared
-    if not finding.options or is_declared:
-        return InputError(text)
-    return InputError(text, [finding.options])
+    return InputError(text, [options] if options else (), finding.command)
 
 
 def _corrected_lines(
-    columns: ColumnMap, correction: ColumnCorrection
+    log: MeasurementLog, correction: ColumnCorrection
 ) -> dict[str, str]:
     """Return key to value of the lines of a columns file that put columns right.
 
@@ -52,10 +47,11 @@ def _corrected_lines(
     from their positions.
 
     Args:
-        columns: the columns that the log was read with.
-        correction: of these columns; velocities, where they are recorded, are corrected like
+        log: the log as it was read.
+        correction: of its columns; velocities, where they are recorded, are corrected like
             positions.
     """
+    columns = log.columns
     if columns.commanded or columns.joint_time:
         return {}
     groups = {name: getattr(columns, name) for name in correction.quantities}
@@ -63,7 +59,7 @@ def _corrected_lines(
         groups["velocity"] = columns.velocity
     lines = {}
     for quantity, group in groups.items():
-        joints = zip(correction.joint_names, correction.order, correction.factors)
+        joints = zip(log.joint_names, correction.order, correction.factors)
         for joint, (name, source, factor) in enumerate(joints):
             if source != joint or factor != 1.0:
                 value = _column_text(columns.titles, group[source], factor)

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.diagnosis import COLUMNS_ADVICE, ColumnCorrection, Finding, Level
-from robot_sysid.diagnosis.log_fit import LogFit, compare, log_rows
+from robot_sysid.diagnosis import ColumnCorrection, Finding
+from robot_sysid.diagnosis.log_fit import LogFit, compare, log_rows, root_mean_square
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
@@ -34,9 +34,9 @@ from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import arm_question
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import SCALES, Term, independent
+from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.messages import with_error
+from robot_sysid.records.messages import Level, with_error
 from robot_sysid.signals.process import ProcessedSignals
 
 LITTLE = 0.02
@@ -55,8 +55,8 @@ links are off by 20 %, one of them by 40 %, measure at least 0.53 of the weight.
 LARGER = 5.0
 """Torque scale above which they are: the heaviest tool that an arm may carry, which its model
 lacks, makes at least one joint's weight no larger than 3.4 times."""
-WIDE = 0.7
-"""Prior standard deviation of a scale's relative change in one round."""
+WIDE = 70.0
+"""Prior standard deviation of a scale's relative change in one round [%]."""
 KNOWN = 0.4
 """Relative standard error from which a joint's scale is not identified."""
 SAME = 1.35
@@ -98,12 +98,6 @@ ODD_UNIT = 20.0
 has a unit of its own."""
 _LEAST_LOAD = 0.03
 """Model torque below which friction makes most of a joint's torque, over the strongest joint's."""
-MOUNTED = (
-    "gravity acts {value} from the model's: the base is mounted otherwise, on a wall or a ceiling; "
-    'turn it in the model (MJCF: gravity="{gravity}" of <option>, or euler of the base\'s body; '
-    "URDF: rpy of the first joint's origin)"
-)
-"""Text of the finding that the arm is mounted otherwise than the model says."""
 
 
 @dataclass(frozen=True)
@@ -145,49 +139,49 @@ def mistakes(
     names = tuple(robot.joint_names)
     n = len(names)
     moving = range(n) if moving is None else moving
-    ones = np.ones(n)
+    advice = "put the columns right with --columns FILE"
 
-    def mistake(
-        check: str,
-        text: str,
-        quantities: tuple[str, ...],
-        order: Sequence[int] = range(n),
-        factors: Array = ones,
-        options: tuple[str, ...] = (),
-    ) -> Finding:
-        """Return the finding that joints have the columns of others, or columns times a factor."""
-        columns = ColumnCorrection(
-            quantities, names, tuple(order), tuple(factors.tolist())
-        )
-        return Finding(check, Level.REFUSE, text, options=options, correction=columns)
+    def wrong_order(text: str, order: Sequence[int]) -> Finding:
+        """Return the finding that joints have the columns of others."""
+        columns = ColumnCorrection(quantities, tuple(order), (1.0,) * n)
+        text = f"{text}{scope}"
+        return Finding(Level.REFUSES, "order", text, advice, correction=columns)
 
     for quantities in (("torque",), ("position",), ("position", "torque")):
         subject = " and ".join(quantities)
         verb = "has" if len(quantities) == 1 else "have"
         scope = "" if len(quantities) == 2 else f" in the {subject}s"
-        turned = f"{verb} the opposite sign of the model's{COLUMNS_ADVICE}"
-        for joint, name in enumerate(names):
-            signs = np.where(np.arange(n) == joint, -1.0, 1.0)
-            text = f"the {subject} of joint {name} {turned}"
-            yield mistake("sign", text, quantities, factors=signs)
+        signs = dict(zip((f"joint {name}" for name in names), 1.0 - 2.0 * np.eye(n)))
         if n > 1 and quantities == ("torque",):
-            text = f"the torque of every joint {turned}"
-            yield mistake("sign", text, quantities, factors=-ones)
+            signs["every joint"] = -np.ones(n)
+        for owner, factors in signs.items():
+            text = f"the {subject} of {owner} {verb} the opposite sign of the model's"
+            columns = ColumnCorrection.of_factors(factors, *quantities)
+            yield Finding(Level.REFUSES, "sign", text, advice, correction=columns)
         for first, second in combinations(moving, 2):
             order = list(range(n))
             order[first], order[second] = second, first
-            text = f"joints {names[first]} and {names[second]} are exchanged{scope}"
-            yield mistake("order", text + COLUMNS_ADVICE, quantities, order)
+            text = f"joints {names[first]} and {names[second]} are exchanged"
+            yield wrong_order(text, order)
         if n > 2 and len(moving) == n:
-            text = f"the order of the joints is reversed{scope}{COLUMNS_ADVICE}"
-            yield mistake("order", text, quantities, range(n)[::-1])
-    degrees = np.where(robot.is_slide, 1.0, np.pi / 180.0)
-    text = "positions look like degrees; pass --units deg"
-    options = ("--units", "deg")
-    yield mistake("angle-unit", text, ("position",), factors=degrees, options=options)
-    text = "positions look like radians that were taken for degrees; say rad where degrees are "
-    text += "said: in --units, the file of --columns, a column's title or the recorder"
-    yield mistake("angle-unit", text, ("position",), factors=1.0 / degrees)
+            yield wrong_order("the order of the joints is reversed", range(n)[::-1])
+    radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
+    yield Finding(
+        Level.REFUSES,
+        "angle-unit",
+        "positions look like degrees",
+        "pass --units deg",
+        ("--units", "deg"),
+        correction=ColumnCorrection.of_factors(radians, "position"),
+    )
+    yield Finding(
+        Level.REFUSES,
+        "angle-unit",
+        "positions look like radians that were taken for degrees",
+        "say rad where degrees are said: in --units, the file of --columns, a column's title or "
+        "the recorder",
+        correction=ColumnCorrection.of_factors(1.0 / radians, "position"),
+    )
 
 
 def corrections(
@@ -235,7 +229,9 @@ def wrong_columns(
     counts = np.sum(log.rows.sums.counts, axis=0)
     moving = [int(log.fit.arm.indices[row]) for row in np.flatnonzero(counts)]
     tried = [*mistakes(robot, moving)]
-    as_is, *scores = agreement(log, found, [None, *(each.correction for each in tried)])
+    level = gravity_vector(robot)
+    as_is = agreement(log, found, None, level)
+    scores = [agreement(log, found, each.correction, level) for each in tried]
     for number in np.argsort(scores)[::-1][:FINALISTS].tolist():
         columns = tried[number].correction
         if scores[number] > as_is + CLEAR and columns is not None:
@@ -247,10 +243,10 @@ def wrong_columns(
 def agreement(
     log: LogFit,
     found: Sequence[Term],
-    corrections: Sequence[ColumnCorrection | None],
-    directions: Sequence[Array] = (),
-) -> list[float]:
-    """Return how well torques follow the model's links, with each correction and direction.
+    correction: ColumnCorrection | None,
+    gravity: Array,
+) -> float:
+    """Return how well torques follow the model's links, with corrected columns and gravity.
 
     It is a log likelihood: each joint's torque is a factor times that of the links but the last, a
     last link of any parameters, Coulomb and viscous friction, a rotor and an offset; the factor,
@@ -259,59 +255,43 @@ def agreement(
     Args:
         log: the fit of the log.
         found: explanations that act in it.
-        corrections: of columns; None for none.
-        directions: of gravity (3,) [m/s^2]; the model's by default.
+        correction: of columns; None for none.
+        gravity: (3,) [m/s^2].
     """
     from scipy.optimize import nnls
 
     arm = log.fit.arm
     robot = arm.robot
     names = [name for term in found for name in term.names]
-    torque = np.zeros((len(log.rows.used), robot.n_joints))
-    torque[:, arm.indices] = log.rows.right_sides
-    torque[:, arm.indices] -= log.rows.torque_of(names, log.fit.free[log.fit.at(names)])
-    every = max(1, len(torque) // COMPARED)
+    explained = log.rows.torque_of(names, log.fit.free[log.fit.at(names)])
+    every = max(1, len(explained) // COMPARED)
+    torque = np.zeros((len(explained), robot.n_joints))
+    torque[:, arm.indices] = log.rows.right_sides - explained
     torque = torque[::every]
+    least = LEAST_MISFIT * np.sqrt(np.mean(torque**2))
     motions = [recording.motion for recording in log.fit.recordings]
-    series = [
+    q, qd, qdd = (
         np.concatenate([vars(motion)[name] for motion in motions])[::every]
         for name in ("q", "qd", "qdd")
-    ]
-    moved = []
-    torques = []
-    gravity = []
-    for columns in corrections:
-        quantities = () if columns is None else columns.quantities
-        apply = np.asarray if columns is None else columns.apply
-        for direction in directions or [gravity_vector(robot)]:
-            is_moved = "position" in quantities
-            moved.append([apply(each) if is_moved else each for each in series])
-            torques.append(apply(torque) if "torque" in quantities else torque)
-            gravity.append(np.tile(direction[:, None], len(torque)))
-    q, qd, qdd = np.concatenate(moved, axis=1)
-    moves = LinkDynamics(robot, np.concatenate(gravity, axis=1)).motion(q, qd, qdd)
+    )
+    if correction is not None and "position" in correction.quantities:
+        q, qd, qdd = map(correction.apply, (q, qd, qdd))
+    if correction is not None and "torque" in correction.quantities:
+        torque = correction.apply(torque)
+    links = LinkDynamics(robot, gravity).motion(q, qd, qdd)
     others = robot.thetas
     others[-1] = 0.0
-    signed = np.stack((moves.torque(others), np.sign(qd), qd, qdd), axis=-1)
-    free = moves.columns([robot.n_joints - 1])
-    free = np.concatenate((free, np.ones_like(free[:, :, :1])), axis=2)
-    shape = len(torques), len(torque), robot.n_joints, -1
-    free = np.swapaxes(free.reshape(shape), 1, 2)
-    signed = np.swapaxes(signed.reshape(shape), 1, 2)
-    sides = np.swapaxes(np.array(torques), 1, 2)[..., None]
-    basis = np.linalg.qr(free + 1e-9)[0]
-    rows = np.concatenate((signed, sides), axis=-1)
-    rows = rows - basis @ (np.swapaxes(basis, 2, 3) @ rows)
-    least = LEAST_MISFIT * np.sqrt(np.mean(torque**2))
-    scores = []
-    for candidate in rows[:, arm.indices]:
-        score = 0.0
-        for joint in candidate:
-            size = np.sqrt(np.mean(joint**2, axis=0)) + 1e-12
-            left = nnls((joint / size)[:, :-1], joint[:, -1])[1] / np.sqrt(len(joint))
-            score -= len(joint) * np.log(max(left, least))
-        scores.append(float(score))
-    return scores
+    signed = np.stack((links.torque(others), np.sign(qd), qd, qdd, torque), axis=-1)
+    last_link = links.columns([robot.n_joints - 1])
+    score = 0.0
+    for joint in arm.indices:
+        free = np.column_stack((last_link[:, joint], np.ones(len(torque))))
+        basis = np.linalg.qr(free + 1e-9)[0]
+        columns = signed[:, joint] - basis @ (basis.T @ signed[:, joint])
+        size = root_mean_square(columns[:, :-1]) + 1e-12
+        left = nnls(columns[:, :-1] / size, columns[:, -1])[1] / np.sqrt(len(torque))
+        score -= len(torque) * float(np.log(max(left, least)))
+    return score
 
 
 def mounted(
@@ -325,12 +305,10 @@ def mounted(
     robot = log.fit.arm.robot
     level = gravity_vector(robot)
     size = float(np.linalg.norm(level))
-    directions = [level]
-    for axis in product((-1.0, 0.0, 1.0), repeat=3):
-        if any(axis):
-            directions.append(size * np.array(axis) / np.linalg.norm(axis))
-    scores = agreement(log, found, [None], directions)
-    gravity = directions[int(np.argmax(scores))]
+    axes = np.array([axis for axis in product((-1.0, 0.0, 1.0), repeat=3) if any(axis)])
+    directions = size * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    scores = [agreement(log, found, None, gravity) for gravity in (level, *directions)]
+    gravity = (level, *directions)[int(np.argmax(scores))]
     wide = replace(options, priors=replace(options.priors, gravity=WIDE_TILT))
     for _ in range(_TURNS):
         turned = with_gravity(robot, gravity)
@@ -342,9 +320,14 @@ def mounted(
         if angle < LEAST_TURN:
             return
     error = float(np.degrees(np.sqrt(np.max(np.diag(after.fit.inverse)[at]))))
-    text = MOUNTED.replace("{value}", with_error(angle, error, "degrees"))
     numbers = " ".join(f"{value:.2f}" for value in gravity + 0.0)
-    finding = Finding("tilt", Level.REFUSE, text.replace("{gravity}", numbers))
+    text = f"gravity acts {with_error(angle, error, 'degrees')} from the model's: the base is "
+    text += "mounted otherwise, on a wall or a ceiling"
+    remedy = (
+        f'turn it in the model (MJCF: gravity="{numbers}" of <option>, or euler of the base\'s '
+        "body; URDF: rpy of the first joint's origin)"
+    )
+    finding = Finding(Level.REFUSES, "tilt", text, remedy)
     yield Correction(finding, *compare(log, after))
 
 
@@ -365,22 +348,19 @@ def wrong_scales(
     scale[~log.loaded] = np.median(scale[log.loaded])
     if not SMALLER < np.median(scale) < LARGER:
         scale *= signs_of(log)
-    names = arm.robot.joint_names
-    widened = tuple(f"wide {name}" for name in names_of("scale", arm.joints))
-    prior = independent(np.full(len(widened), WIDE))
-    term = Term(SCALES, widened, arm.terms[SCALES].columns, prior)
+    wide = replace(options, priors=replace(options.priors, scale=WIDE))
     # Links that explain the scales as they are would leave none to find.
-    question = replace(log.fit.question, link_scales=AS_STATED)
+    question = replace(log.fit.question, options=wide, link_scales=AS_STATED)
     point = arm.start()
     for _ in range(_ROUNDS):
-        division = ColumnCorrection.of_factors(("torque",), names, 1.0 / scale)
+        division = ColumnCorrection.of_factors(1.0 / scale, "torque")
         undone = corrected(log.fit.recordings, division)
-        rows = log_rows(arm, undone, point, [term, *found])
+        rows = log_rows(arm, undone, point, found)
         torque = rows.sums.rms_torque
-        terms = [*arm_question(arm, question, torque), *found, term]
+        terms = [*arm_question(arm, question, torque), *found]
         ones = np.ones(len(scale))
         fitted = rows.fit(terms, replace(log.fit, noise=0.05 * torque), ones)
-        at = fitted.at(widened)
+        at = fitted.at(names_of("scale", arm.joints))
         change = np.clip(1.0 + fitted.free[at], 0.2, 5.0)
         scale = scale * change
         point = fitted.next_point()
@@ -407,7 +387,7 @@ def wrong_scales(
     prior_covariance = COMMON_RANGE**2 + OWN_RANGE**2 * np.eye(len(own))
     penalty = np.linalg.slogdet(prior_covariance)[1] - np.linalg.slogdet(covariance)[1]
     penalty = 0.5 * (penalty + own @ np.linalg.solve(prior_covariance, own))
-    division = ColumnCorrection.of_factors(("torque",), names, 1.0 / scale)
+    division = ColumnCorrection.of_factors(1.0 / scale, "torque")
     undone = corrected(log.fit.recordings, division)
     after = LogFit.of(arm.robot, undone, options, found)
     gain, after = compare(log, after, np.log(np.abs(scale)))
@@ -441,11 +421,10 @@ def odd_unit_finding(log: LogFit) -> Finding | None:
     if factor < ODD_UNIT or typical < 0.6:
         return None
     name = log.fit.arm.joints[joint]
-    text = (
-        f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in mN·m or "
-        f"N·cm; put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
-    )
-    return Finding("torque-scale", Level.REFUSE, text)
+    text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in mN·m "
+    text += "or N·cm"
+    remedy = f"put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
+    return Finding(Level.REFUSES, "torque-scale", text, remedy)
 
 
 def scale_finding(
@@ -456,32 +435,36 @@ def scale_finding(
     known = np.abs(scale[sure])
     typical = float(np.median(known))
     listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
-    start = ",".join(format(value, ".4g") for value in np.abs(scale) * divided)
     text = f"torque reads {typical:.3g} times what the model takes ({listed}): "
     off = float(np.max(np.abs(np.log(known))))
-    level = Level.WARN if off > np.log(WARNED) else Level.NOTE
-    level = Level.REFUSE if off > np.log(REFUSED) else level
+    level = Level.DOUBTS if off > np.log(WARNED) else Level.SAYS
+    level = Level.REFUSES if off > np.log(REFUSED) else level
     # No links, and no tool that an arm may carry, make all torques that small or large.
     is_foreign = bool(np.all(known < SMALLER) or np.all(known > LARGER))
     check = "torque-unit" if is_foreign else "torque-scale"
-    turned = None
+    correction = None
     if np.any(scale < 0.0):
-        turned = ColumnCorrection.of_factors(("torque",), names, np.sign(scale))
+        correction = ColumnCorrection.of_factors(np.sign(scale), "torque")
         opposite = ", ".join(name for name, s in zip(names, scale) if s < 0.0)
         text += f"of {opposite} with the opposite sign; "
+    start = [format(value, ".4g") for value in np.abs(scale) * divided]
     if np.max(known) / np.min(known) > SAME:
         text += "a factor of its own for every joint, as motor currents or per cent of rated "
-        text += f"torque have, or all masses of the model are wrong; {WEIGHING}"
-        weighed = ("--torque-scale", start)
-        return Finding(check, level, text, weighed, correction=turned)
-    torques = UNITS.get(typical, "motor currents, torques before the gear")
-    if np.ptp(divided) == 0.0:
-        start = start.partition(",")[0]
+        text += "torque have, or all masses of the model are wrong"
+        options = ("--torque-scale", ",".join(start))
+        return Finding(level, check, text, WEIGHING, options, "payload", correction)
+    options = (
+        "--torque-scale",
+        start[0] if np.ptp(divided) == 0.0 else ",".join(start),
+    )
+    remedy = f"pass {' '.join(options)}"
     # Masses in another unit are refused where models are read.
     if is_foreign and typical in UNITS:
-        text += f"as in {torques}; pass --torque-scale {start}"
-        return Finding(check, level, text, options=("--torque-scale", start))
+        return Finding(level, check, f"{text}as in {UNITS[typical]}", remedy, options)
+    torques = UNITS.get(typical, "motor currents, torques before the gear")
     text += f"either torques are in another unit ({torques}), or all masses of the model are wrong "
-    text += "by as much, or it is the model of another arm; torques cannot tell these apart: "
-    text += f"weigh a link or a known mass; if the model is right, pass --torque-scale {start}"
-    return Finding(check, level, text)
+    text += (
+        "by as much, or it is the model of another arm, which torques cannot tell apart"
+    )
+    remedy = f"weigh a link or a known mass; if the model is right, {remedy}"
+    return Finding(level, check, text, remedy)

@@ -152,7 +152,6 @@ class Term:
         held_by: kinds of model files that can hold the parameters.
         bodies: whether each ten parameters have to be a possible body.
         usual: (k,) values that parameters keep which nothing shows; the model's.
-        text: for an explanation, the sentence with its value.
     """
 
     cause: str
@@ -164,7 +163,6 @@ class Term:
     held_by: frozenset[str] = frozenset()
     bodies: bool = False
     usual: Array | None = None
-    text: str = ""
 
     def only(self, names: Sequence[str]) -> Term:
         """Return the term with some of its parameters, whose errors have to be independent."""

@@ -86,7 +86,7 @@ class LogOptions(OptionRecord):
     )
     accept: tuple[str, ...] = option(
         (),
-        "go on in spite of what this check warns of; may be repeated",
+        "go on in spite of the doubts of this check; may be repeated",
         "CHECK",
         choices=tuple(CHECKS),
         repeats=True,

@@ -68,18 +68,20 @@ def identify_logs(
         logs.append(open_log(robot, path, options, progress))
     tests = []
     if options.validation_measurements is not None:
-        test = open_log(robot, options.validation_measurements, options, progress)
-        tests.append(test)
-        # A note keeps its type: a Detail stays one.
-        progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
-    refuse_repeated_logs([*logs, *tests])
+        path = options.validation_measurements
+        tests.append(open_log(robot, path, options, progress))
+    read = [*logs, *tests]
+    refuse_repeated_logs(read)
     checked: list[MeasurementLog] = []
-    for log in (*logs, *tests):
+    for log in read:
         label = "Looking for what is wrong with the logs"
-        progress.advance(label, len(checked), len(logs) + len(tests), "")
+        progress.advance(label, len(checked), len(read), "")
         log = check_log(robot, log, options.accept, progress, config.estimation)
         checked.append(log)
     logs, tests = checked[: len(logs)], checked[len(logs) :]
+    for test in tests:
+        # A note keeps its type: a Detail stays one.
+        progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
     origin = origin_of(logs)
     notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
     pieces = []
@@ -87,7 +89,7 @@ def identify_logs(
         for samples in log.pieces:
             pieces.append(Piece(str(log.path), replace(samples, qd=None)))
     # This frees the recorded velocities before signals are made.
-    del logs, checked, log, samples
+    del read, logs, checked, log, samples
     return _identify_pieces(config, robot, pieces, origin, notes, progress, tests)
 
 

@@ -118,7 +118,7 @@ def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
     monkeypatch.setattr(log_checks, "check_pieces", check_once)
     printed = command.run("log late.csv arm.xml --json", code=1)
     answer = json.loads(printed.out)
-    assert {finding["level"] for finding in answer["findings"]} == {"warn"}
+    assert {finding["level"] for finding in answer["findings"]} == {"doubts"}
     assert answer["samples"] == 3000
     message = command.refused("log late.csv arm.xml", code=1)
     assert (
@@ -126,7 +126,7 @@ def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
     )
     accepted = ("--accept held --accept unexplained",)
     printed = command.run("log late.csv arm.xml", *accepted)
-    assert "warn: something touches the arm, or a sensor fails" in printed.out
+    assert "doubts: something touches the arm, or a sensor fails" in printed.out
 
 
 def test_titles_cannot_steer_the_terminal(command):

@@ -42,7 +42,7 @@ def test_each_explanation_is_found_with_the_value_that_is_put_in(contest):
         spoilt = replace(recording)
         added = rows.torque_of(term.names, value)
         spoilt.__dict__["torque"] = recording.torque + added
-        wrong = log_rows(right.arm, [spoilt], right.point, [explanation.family])
+        wrong = log_rows(right.arm, [spoilt], right.point, [term])
         score = contest.score(right, explanation, wrong)
         unspoilt = contest.score(right, explanation, rows)
         found, _ = score.values
@@ -69,5 +69,5 @@ def test_deviations_that_the_prior_allows_are_not_named(truth):
 def test_torque_that_nothing_explains_is_said(truth):
     noise = 5.0 * np.random.default_rng(0).normal(size=truth.log.tau.shape)
     recordings = low_pass([replace(truth.log, tau=noise)], None)
-    names = {f.name for f in findings(truth.robot, recordings, OPTIONS, np.ones(5))}
+    names = {f.about for f in findings(truth.robot, recordings, OPTIONS, np.ones(5))}
     assert names & {"model", "unexplained"}

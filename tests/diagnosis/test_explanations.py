@@ -86,7 +86,7 @@ TORQUES = {
     "force: at joint joint2 a torque follows": lambda t: t.log.tau + spring(t, 2),
     "gravity: of the links' weight is missing": lambda t: t.log.tau - 0.6 * t.still,
     "gravity": lambda t: t.log.tau - t.still,
-    "torque-scale: changes its scale by": lambda t: (
+    "torque-scale: the torque scale of all joints rises by": lambda t: (
         t.log.tau * (1.0 + 0.03 * t.log.time)[:, None]
     ),
     "torque-unit: pass --torque-scale 200": lambda t: 100.0 * t.log.tau,
@@ -107,19 +107,19 @@ TORQUES = {
 }
 """Name of a check and its message to a torque (N, 4) for which it has to come; for all faults, on
 public arms, see benchmarks/confusion.py."""
-CLOCK = "clock: by inertia beside gravity, time in"
+CLOCK = "clock: too long, as the torque of inertia"
 SAMPLES = {
     "order": lambda log: {
         name: vars(log)[name][:, ::-1] for name in ("q", "qd", "tau")
     },
     "angle-unit": lambda log: {"q": np.degrees(log.q), "qd": np.degrees(log.qd)},
     "zero": lambda log: {"q": log.q + [0.0, 0.15, 0.0, 0.0]},
-    "clock: by inertia beside gravity, the clock drifts": lambda log: {
+    "clock: the clock drifts": lambda log: {
         "time": log.time * (1.0 + 0.008 * log.time),
         "qd": None,
     },
     CLOCK: lambda log: {"time": 1.3 * log.time, "qd": None},
-    "clock: by the recorded velocities, time in": lambda log: {"time": 1.15 * log.time},
+    "clock: and so do the recorded velocities": lambda log: {"time": 1.15 * log.time},
 }
 """Name of a check and its message to the samples of a log for which it has to come."""
 
@@ -148,7 +148,7 @@ def check(four_joints):
 def test_a_fault_is_called_by_its_name(check, fault):
     _, findings = check(fault)
     name, _, message = fault.partition(": ")
-    messages = [finding.text for finding in findings if finding.name == name]
+    messages = [finding.sentence for finding in findings if finding.about == name]
     assert any(message in text for text in messages), findings
 
 
@@ -169,7 +169,7 @@ def test_a_change_of_load_is_within_its_error_at_any_instant(four_joints, instan
     tau = four_joints.log.tau + late_payload(four_joints, instant)
     log = replace(four_joints.log, tau=tau)
     findings, _ = check_pieces(four_joints.robot, [log])
-    (text,) = [finding.text for finding in findings if finding.name == "payload-step"]
+    (text,) = [finding.text for finding in findings if finding.about == "payload-step"]
     mass, error = map(float, re.search("carries (.*) ± (.*) kg more", text).groups())
     true_mass = 0.8 * four_joints.theta[0]
     assert abs(mass - true_mass) < 2.0 * error < 0.2 * true_mass
@@ -178,7 +178,7 @@ def test_a_change_of_load_is_within_its_error_at_any_instant(four_joints, instan
 
 REMEDIES = {
     CLOCK: lambda log, finding: replace(
-        log, time=number_after("time =", finding.text) * log.time
+        log, time=number_after("time =", finding.remedy) * log.time
     ),
     "sign": correct_torques,
     "angle-unit": lambda log, _: replace(
@@ -195,7 +195,7 @@ REMEDIES = {
 def test_the_advised_remedy_puts_the_log_right(check, four_joints, fault):
     log, findings = check(fault)
     name = fault.partition(":")[0]
-    (named, *_) = [finding for finding in findings if finding.name == name]
+    (named, *_) = [finding for finding in findings if finding.about == name]
     remedied = REMEDIES[fault](log, named)
     assert check_pieces(four_joints.robot, [remedied])[0] == ()
 
@@ -210,4 +210,4 @@ def test_torque_scales_or_a_tilted_base_are_no_fault_of_the_clock(
     scales = 1.0 + scale * np.array([1.0, -1.0, 1.0, -1.0])
     log = replace(truth.log, tau=(truth.log.tau + torque) * scales)
     findings, _ = check_pieces(truth.robot, [log])
-    assert {finding.name for finding in findings} <= {"torque-scale", "tilt"}, findings
+    assert {finding.about for finding in findings} <= {"torque-scale", "tilt"}, findings

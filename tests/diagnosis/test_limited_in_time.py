@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import robot_sysid
-from robot_sysid.diagnosis import Level
 from robot_sysid.diagnosis.limited_in_time import Stretch, failed_sensors, leave_out
 from robot_sysid.diagnosis.log_checks import check_pieces
 from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.records.messages import Level
 from robot_sysid.signals.process import process
 from tests.diagnosis.conftest import FOUR_AXES, JOINT
 from tests.support import arms
@@ -83,7 +83,9 @@ FAULTS = {
 def test_a_fault_that_lasts_a_moment_is_left_out_and_said(four_joints, fault):
     log = FAULTS[fault](four_joints.log)
     findings, (piece,) = check_pieces(four_joints.robot, [log])
-    assert findings and all(finding.is_left_out for finding in findings), findings
+    assert findings and all(finding.level is Level.SAYS for finding in findings), (
+        findings
+    )
     assert all("left out" in finding.text for finding in findings)
     used = used_times([piece])
     assert not np.any((used > BEGIN + 0.02) & (used < END - 0.02))
@@ -103,7 +105,7 @@ def test_a_fault_that_comes_back_or_lasts_stops_the_identification(four_joints, 
         tau[rows_between(four_joints.log, *span), 1] = 0.0
     log = replace(four_joints.log, tau=tau)
     findings, _ = check_pieces(four_joints.robot, [log])
-    assert any(f.name == "held" and f.level is Level.WARN for f in findings)
+    assert any(f.about == "held" and f.level is Level.DOUBTS for f in findings)
 
 
 def test_pushes_that_come_back_stop_the_identification(four_joints):
@@ -111,7 +113,7 @@ def test_pushes_that_come_back_stop_the_identification(four_joints):
     waves = np.maximum(np.sin(2.0 * np.pi * log.time), 0.0) * (np.sin(log.time) > 0.0)
     tau = log.tau + np.outer(waves, 0.5 * np.std(log.tau, axis=0))
     findings, _ = check_pieces(four_joints.robot, [replace(log, tau=tau)])
-    assert any(finding.level is not Level.NOTE for finding in findings)
+    assert any(finding.level is not Level.SAYS for finding in findings)
 
 
 def test_nothing_of_a_right_log_is_left_out(four_joints, truth):
@@ -171,7 +173,7 @@ def test_what_is_left_out_does_not_depend_on_the_order_of_joints(order, joint, s
     (piece,), notes = leave_out(JOINTS, [log], [*failed_sensors([log])])
     failures = [*failed_sensors([turned])]
     (turned_piece,), turned_notes = leave_out(names, [turned], failures)
-    assert notes and all(note.is_left_out for note in notes)
+    assert {note.level for note in notes} == {Level.SAYS}
     np.testing.assert_array_equal(piece.left_out, turned_piece.left_out)
     np.testing.assert_array_equal(piece.q[:, order], turned_piece.q)
     assert [sorted(note.text) for note in notes] == [

@@ -8,12 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from robot_sysid.diagnosis import Finding, Level
+from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import mistakes
 from robot_sysid.errors import ColumnsError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnChoices, parse_columns, recognise_columns
+from robot_sysid.records.messages import Level
 from tests.support import arms
 
 ROBOT = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:3]))
@@ -48,10 +49,11 @@ def refusal(titles, correction, folder, text="", payload=(), **attributes):
     log = SimpleNamespace(
         path=Path("run.csv"),
         columns=columns,
+        joint_names=NAMES,
         options=LogOptions(columns=path if text else None),
     )
     finding = Finding(
-        "order", Level.REFUSE, "it is wrong", payload, correction=correction
+        Level.REFUSES, "order", "it is wrong", "", payload, "payload", correction
     )
     return refuse_for(log, finding)
 
@@ -112,6 +114,6 @@ def test_an_option_is_suggested_that_no_title_contradicts(is_declared):
         path="run.csv", columns=SimpleNamespace(angle_declared=is_declared)
     )
     option = ("--units", "deg")
-    finding = Finding("angle-unit", Level.REFUSE, "degrees", options=option)
+    finding = Finding(Level.REFUSES, "angle-unit", "degrees", options=option)
     error = refuse_for(log, finding)
     assert error.options == (() if is_declared else (option,))
