@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.table import (
-    BLOCK,
     Block,
     LogSource,
     LogTable,
@@ -38,13 +37,8 @@ from robot_sysid.signals.resampling import RECORDING_SEPARATION
 
 def array_blocks(arrays: Sequence[Array], columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of arrays, (N,) or (N, k), side by side, with the columns of these indices."""
-    n_rows = len(arrays[0])
-    for first in range(0, n_rows, BLOCK):
-        rows = slice(first, first + BLOCK)
-        cells = [np.asarray(array[rows], dtype=float) for array in arrays]
-        table = np.column_stack(cells)[:, list(columns)]
-        lines = np.arange(first, first + len(table)) + 1
-        yield Block(lines, table, share_read=lines[-1] / n_rows)
+    cells = np.column_stack([np.asarray(array, dtype=float) for array in arrays])
+    yield Block(np.arange(len(cells)) + 1, cells[:, list(columns)])
 
 
 def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:

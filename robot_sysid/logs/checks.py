@@ -157,14 +157,12 @@ def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
 
 
 def mending_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
-    """Yield notes on unwrapped positions, rows without this arm's data, and thinning."""
-    if rows.anomalies[WRAPPED].n_rows:
-        first = rows.anomalies[WRAPPED].first
+    """Yield notes on unwrapped positions and rows without this arm's data."""
+    count, first = rows.anomalies[WRAPPED]
+    if count:
         yield f"unwrapped positions that jump by a full turn (first: {first})"
     if rows.n_foreign:
         yield f"left out {rows.n_foreign} rows that hold nothing of this arm"
-    if rows.thinning > 1:
-        yield f"a long log: every {rows.thinning} rows were low-passed and made one"
 
 
 def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:

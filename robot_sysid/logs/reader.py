@@ -2,8 +2,8 @@
 
 A log is a table with a row per sample: time, and position and torque of every chain joint;
 velocity and other columns where the file has them. ``table`` describes its form, ``titles`` and
-``column_map`` find the columns, ``checks`` judges the rows. A log is read in blocks; its rows after
-thinning are held in memory.
+``column_map`` find the columns, ``checks`` judges the rows. The numbers of its
+columns are held in memory.
 """
 
 from __future__ import annotations

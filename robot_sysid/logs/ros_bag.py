@@ -30,12 +30,14 @@ from robot_sysid.logs.ros_messages import (
     read_stamp,
 )
 from robot_sysid.logs.ros_topics import Topic, choose_topic
-from robot_sysid.logs.table import BLOCK, Block, LogSource, LogTable, import_optional
+from robot_sysid.logs.table import Block, LogSource, LogTable, import_optional
 from robot_sysid.records.file_access import refuse_special_file
 
 _FIRST_MESSAGES = 200
 """Messages of a topic from which its joints are listed: a second or more, in which each publisher
 of the topic has sent one."""
+_BLOCK = 10_000
+"""Messages that are in memory at a time."""
 Message = tuple[int, Sample]
 """(time of the header, or else of recording [ns since 1970], sample)."""
 
@@ -152,7 +154,7 @@ def _blocks(
         total = max(1, sum(c.msgcount for c in _connections(bag, topic)))
         messages = _read_messages(bag, topic)
         count = 0
-        while batch := list(islice(messages, BLOCK)):
+        while batch := list(islice(messages, _BLOCK)):
             cells = np.empty((len(batch), 1 + len(keys)))
             for row, (stamp, sample) in zip(cells, batch):
                 row[0] = 1e-9 * (stamp - start)

@@ -3,8 +3,7 @@
 A form's reader returns a ``LogTable``, which yields its rows in blocks. ``read_rows`` cleans them:
 rows with an empty or NaN cell, rows that are not numbers and rows that are no later than the row
 before are left out, and a jump by a full turn is unwrapped. Each anomaly is counted, with its first
-line, for ``checks`` to judge. A log that is longer than any identification needs is low-passed and
-thinned while it is read.
+line, for ``checks`` to judge.
 
 A compressed file of a few kilobytes may unpack to more than the computer's memory. Each form's
 reader therefore calls ``refuse_bomb`` with the size that the file states.
@@ -17,7 +16,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +28,9 @@ from robot_sysid.records import Array, Measurement
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
-from robot_sysid.signals.resampling import Thinning
 
 Lines = NDArray[np.int64]
 """Numbers of lines, messages or rows, counted from 1."""
-Mask = NDArray[np.bool_]
-"""One truth value per row or joint."""
-BLOCK = 10_000
-"""Number of rows that are in memory as text or messages at a time: some 10 MB of a wide log."""
 
 
 @dataclass(frozen=True)
@@ -171,11 +165,8 @@ _IMPOSSIBLE_TIME = 1e24
 """Largest absolute time [s], even of a clock of nanoseconds that is read as seconds."""
 
 
-class Anomaly(NamedTuple):
-    """How many rows have an anomaly, and where the first one is, for the user."""
-
-    n_rows: int = 0
-    first: str = ""
+Anomaly = tuple[int, str]
+"""How many rows have an anomaly, and where the first one is, for the user."""
 
 
 @dataclass(frozen=True)
@@ -183,12 +174,11 @@ class LogRows:
     """The usable rows of a log.
 
     Attributes:
-        lines: (N,) file lines; of thinned rows, the line in the middle of those made one.
+        lines: (N,) file lines.
         samples: the rows as a measurement (N rows).
         n_read: number of rows in the file that hold something of this arm.
         n_foreign: number of rows that hold nothing of this arm.
         anomalies: UNREADABLE, MISSING, REPEATED, BACKWARDS and WRAPPED to their counts.
-        thinning: how many rows were low-passed into one.
         row_noun: what a row is called: "line", "message" or "row".
     """
 
@@ -197,7 +187,6 @@ class LogRows:
     n_read: int
     anomalies: Mapping[str, Anomaly]
     n_foreign: int
-    thinning: int
     row_noun: str
 
     def cite(self, lines: Lines) -> str:
@@ -212,9 +201,7 @@ def read_rows(
     is_slide: Sequence[bool],
     progress: Progress | None = None,
 ) -> LogRows:
-    """Return the usable rows of a log, cleaned and thinned.
-
-    A cleaned row holds the line, the time and the columns of ``columns.groups()``, in this order.
+    """Return the usable rows of a log.
 
     Args:
         table: the log.
@@ -222,168 +209,98 @@ def read_rows(
         is_slide: (n,) whether a joint is a slide, whose positions are not unwrapped.
         progress: receives the progress of reading.
     """
-    cleaner = _RowCleaner(table, columns, is_slide)
-    used = columns.columns()
-    # Of line, time, position, torque, velocity and time stamps of the joints.
-    widths = [1, 1, *map(len, columns.groups())]
-    chunks = [np.empty((0, sum(widths)))]
-    thinning = None
-    indices = [column.index for column in used]
-    progress = progress or Progress()
-    label = f"Reading {table.path.name}"
-    for block in table.blocks(indices):
-        rows = cleaner.clean(block)
-        # All is done only behind the loop, though the last blocks may report a share of 1.
-        done = min(block.share_read, 0.999)
-        progress.advance(label, done, total=1.0, text=f"{cleaner.n_read} rows")
-        if thinning is None and len(rows) > 1:
-            # The number of rows and the sampling period are estimated from the first rows.
-            expected = cleaner.n_read / max(block.share_read, 1e-9)
-            thinning = Thinning(rows[:, 1], expected)
-        chunks.append(thinning.push(rows) if thinning else rows)
-    progress.advance(label, done=1.0, total=1.0, text="")
-    groups = np.split(np.concatenate(chunks), np.cumsum(widths)[:-1], axis=1)
-    lines, time, q, tau, qd, stamps = map(np.ascontiguousarray, groups)
+    lines, cells, complaint = _read_cells(table, columns, progress or Progress())
+    n = len(columns.position)
+    # Positions and torques.
+    needed = cells[:, 1 : 1 + 2 * n]
+    impossible = np.any(np.abs(needed) > _IMPOSSIBLE, axis=1)
+    impossible |= np.abs(cells[:, 0]) > _IMPOSSIBLE_TIME
+    foreign = np.isnan(needed).all(axis=1) & ~impossible
+    finite = np.isfinite(cells).all(axis=1)
+    missing = np.flatnonzero(~finite & ~impossible & ~foreign)
+    first = ""
+    if len(missing):
+        used = columns.columns()
+        is_empty = ~np.isfinite(cells[missing[0], -len(used) :])
+        listed = [used[k].title for k in np.flatnonzero(is_empty)]
+        first = f"{table.row_noun} {lines[missing[0]]}, columns {', '.join(listed)}"
+    usable = finite & ~impossible
+    anomalies = {
+        UNREADABLE: _anomaly(table, lines[impossible], complaint),
+        MISSING: _anomaly(table, lines[missing], first),
+    }
+    lines = lines[usable]
+    cells = cells[usable]
+    # Rows after a step backwards that are not yet later than all before are not counted.
+    time = cells[:, 0]
+    step = np.diff(time)
+    later = np.ones(len(time), dtype=bool)
+    later[1:] = time[1:] > np.maximum.accumulate(time)[:-1]
+    anomalies[BACKWARDS] = _anomaly(table, lines[1:][step < 0.0])
+    anomalies[REPEATED] = _anomaly(table, lines[1:][step == 0.0])
+    lines = lines[later]
+    cells = cells[later]
+    # Full turns by which each position jumps against the row before.
+    step = np.diff(cells[:, 1 : 1 + n], axis=0)
+    turns = np.round(step / _TURN) * ~np.array(is_slide)
+    turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
+    anomalies[WRAPPED] = _anomaly(table, lines[1:][np.any(turns != 0.0, axis=1)])
+    cells[1:, 1 : 1 + n] -= _TURN * np.cumsum(turns, axis=0)
+    widths = [1, *map(len, columns.groups())]
+    groups = np.split(cells, np.cumsum(widths)[:-1], axis=1)
+    time, q, tau, qd, stamps = map(np.ascontiguousarray, groups)
     command = None
     if columns.commanded:
         # A servo's torque follows its position error, the measure of torque here [rad].
         command = tau
         tau = command - q
-    return LogRows(
-        lines=np.round(lines[:, 0]).astype(np.int64),
-        samples=Measurement(
-            time=time[:, 0],
-            q=q,
-            qd=qd if columns.velocity else None,
-            tau=tau,
-            joint_time=stamps if columns.joint_time else None,
-            command=command,
-        ),
-        n_read=cleaner.n_read,
-        anomalies=cleaner.anomalies,
-        n_foreign=cleaner.n_foreign,
-        thinning=thinning.every if thinning else 1,
-        row_noun=table.row_noun,
+    samples = Measurement(
+        time=time[:, 0],
+        q=q,
+        qd=qd if columns.velocity else None,
+        tau=tau,
+        joint_time=stamps if columns.joint_time else None,
+        command=command,
     )
+    n_foreign = int(np.count_nonzero(foreign))
+    n_read = len(foreign) - n_foreign
+    return LogRows(lines, samples, n_read, anomalies, n_foreign, table.row_noun)
 
 
-class _RowCleaner:
-    """Leaves out unusable rows and unwraps positions, block by block, in the order of the log.
+def _read_cells(
+    table: LogTable, columns: ColumnMap, progress: Progress
+) -> tuple[Lines, Array, str]:
+    """Return the lines (R,) of all rows of a log, their cells (R, 1 + C), and a complaint.
 
-    Args:
-        table: the log.
-        columns: the column of each quantity.
-        is_slide: (n,) whether a joint is a slide, whose positions are not unwrapped.
-
-    Attributes:
-        n_read: number of rows so far that hold something of this arm.
-        n_foreign: number of rows so far that hold nothing of this arm.
-        anomalies: UNREADABLE, MISSING, REPEATED, BACKWARDS and WRAPPED to their counts so far.
+    The cells are time, then the columns of ``columns.groups()``, in SI units; the complaint is the
+    fault of the first row that is not numbers.
     """
+    used = columns.columns()
+    lines = [np.empty(0, dtype=np.int64)]
+    blocks = [np.empty((0, len(used)))]
+    complaint = ""
+    label = f"Reading {table.path.name}"
+    for block in table.blocks([column.index for column in used]):
+        lines.append(block.lines)
+        blocks.append(block.cells)
+        complaint = complaint or block.complaint
+        # All is done only behind the loop, though the last blocks may report a share of 1.
+        done = min(block.share_read, 0.999)
+        progress.advance(
+            label, done, total=1.0, text=f"{table.row_noun} {block.lines[-1]}"
+        )
+    progress.advance(label, done=1.0, total=1.0, text="")
+    cells = np.concatenate(blocks)
+    factors = np.array([column.factor for column in used])
+    np.multiply(cells, factors, out=cells, where=np.isfinite(cells))
+    if columns.time is None:
+        time = np.arange(len(cells)) / float(columns.rate or 1.0)
+        cells = np.column_stack((time, cells))
+    return np.concatenate(lines), cells, complaint
 
-    def __init__(
-        self, table: LogTable, columns: ColumnMap, is_slide: Sequence[bool]
-    ) -> None:
-        self._row_noun = table.row_noun
-        self._columns = columns
-        self._can_turn = ~np.array(is_slide)
-        self._factors = np.array([column.factor for column in columns.columns()])
-        self._n = len(columns.position)
-        # Time and positions (1 + n,) of the last usable row.
-        self._last_row: Array | None = None
-        self._turns = np.zeros(self._n)
-        self.n_read = 0
-        self.n_foreign = 0
-        anomalies = (UNREADABLE, MISSING, REPEATED, BACKWARDS, WRAPPED)
-        self.anomalies = dict.fromkeys(anomalies, Anomaly())
 
-    def clean(self, block: Block) -> Array:
-        """Return the usable rows (R, 2 + C) of a block: line, time, then the C other columns.
-
-        Numbers are in SI units. Rows left out are counted, and the last usable row is remembered
-        for the next block.
-        """
-        lines = block.lines
-        cells = block.cells.copy()
-        np.multiply(cells, self._factors, out=cells, where=np.isfinite(cells))
-        if self._columns.time is None:
-            count = self.n_read + self.n_foreign + np.arange(len(cells))
-            cells = np.column_stack((count / float(self._columns.rate or 1.0), cells))
-        usable = self._find_usable(block, cells)
-        lines = lines[usable]
-        cells = cells[usable]
-        if len(cells):
-            later = self._find_later(lines, cells[:, 0])
-            lines = lines[later]
-            cells = cells[later]
-        if len(cells):
-            self._unwrap(lines, cells)
-        return np.column_stack((lines, cells))
-
-    def _count(self, anomaly: str, lines: Lines, first: str = "") -> None:
-        """Count lines (K,) with an anomaly; ``first`` describes the first one, or is ""."""
-        if len(lines):
-            count, earlier = self.anomalies[anomaly]
-            first = earlier or first or f"{self._row_noun} {lines[0]}"
-            self.anomalies[anomaly] = Anomaly(count + len(lines), first)
-
-    def _find_usable(self, block: Block, cells: Array) -> Mask:
-        """Return (R,) which rows hold numbers that can be true; count the others.
-
-        Args:
-            block: the rows as the file has them.
-            cells: (R, 1 + C) time, positions, torques and further columns in SI units.
-        """
-        # Positions and torques.
-        needed = cells[:, 1 : 1 + 2 * self._n]
-        impossible = np.any(np.abs(needed) > _IMPOSSIBLE, axis=1)
-        impossible |= np.abs(cells[:, 0]) > _IMPOSSIBLE_TIME
-        foreign = np.isnan(needed).all(axis=1) & ~impossible
-        self.n_foreign += int(np.count_nonzero(foreign))
-        self.n_read += int(np.count_nonzero(~foreign))
-        finite = np.isfinite(cells).all(axis=1)
-        self._count(UNREADABLE, block.lines[impossible], block.complaint)
-        missing = np.flatnonzero(~finite & ~impossible & ~foreign)
-        first = ""
-        if len(missing):
-            empty = ~np.isfinite(block.cells[missing[0]])
-            columns = self._columns.columns()
-            listed = [columns[k].title for k in np.flatnonzero(empty)]
-            first = f"{self._row_noun} {block.lines[missing[0]]}, columns {', '.join(listed)}"
-        self._count(MISSING, block.lines[missing], first)
-        return np.asarray(finite & ~impossible)
-
-    def _find_later(self, lines: Lines, time: Array) -> Mask:
-        """Return (R,) whether each row is later than all rows so far.
-
-        A row before its predecessor counts as BACKWARDS, one at the same time as REPEATED. Rows
-        after a step backwards that are not yet later than all are left out and not counted.
-
-        Args:
-            lines: (R,) numbers of the rows in the file.
-            time: (R,) of the rows [s].
-        """
-        previous = time[0] - 1.0 if self._last_row is None else self._last_row[0]
-        step = np.diff(time, prepend=previous)
-        # The latest time before each row.
-        latest = np.maximum.accumulate(np.concatenate(([previous], time)))[:-1]
-        self._count(BACKWARDS, lines[step < 0.0])
-        self._count(REPEATED, lines[step == 0.0])
-        return np.asarray(time > latest)
-
-    def _unwrap(self, lines: Lines, cells: Array) -> None:
-        """Take full turns off the positions in cells (R, 1 + C), in place; count the jumps.
-
-        The columns of cells: time, positions, and further ones; ``lines`` (R,) are the numbers of
-        the rows. The last row is remembered for the next block, as the file has it.
-        """
-        q = cells[:, 1 : 1 + self._n]
-        previous = q[:1] if self._last_row is None else self._last_row[None, 1:]
-        step = np.diff(q, axis=0, prepend=previous)
-        # Full turns (R, n) by which each row jumps against the one before.
-        turns = np.round(step / _TURN) * self._can_turn
-        turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
-        self._count(WRAPPED, lines[np.any(turns != 0.0, axis=1)])
-        self._last_row = cells[-1, : 1 + self._n].copy()
-        q -= _TURN * (self._turns + np.cumsum(turns, axis=0))
-        self._turns = self._turns + turns.sum(axis=0)
+def _anomaly(table: LogTable, lines: Lines, first: str = "") -> Anomaly:
+    """Return the number of lines (K,) with an anomaly, and ``first`` or else the first line."""
+    if not len(lines):
+        return 0, ""
+    return len(lines), first or f"{table.row_noun} {lines[0]}"

@@ -1,9 +1,7 @@
-"""Long and irregular logs: split a log into pieces at gaps and by length, decimate a dense log, and
-resample a piece to a uniform time grid.
+"""Long and irregular logs: split a log into pieces at gaps and by length, and resample a piece to a
+uniform time grid.
 
-Each piece is filtered by itself. Two hours at 1 kHz hold no more information about an arm than two
-hours at 60 Hz, and take sixteen times the memory. So times, positions and torques of a dense log
-pass one zero-phase low-pass and are decimated.
+Each piece is filtered by itself.
 """
 
 from __future__ import annotations
@@ -17,7 +15,6 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
-from robot_sysid.signals.filters import design_low_pass
 
 GAP_STEPS = 1.75
 """Multiple of the median step of time beyond which a step counts as a hole with at least one lost
@@ -230,55 +227,3 @@ def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
         values = [getattr(chunk, field.name) for chunk in (first, *others)]
         changes[field.name] = None if values[0] is None else np.concatenate(values)
     return replace(first, **changes)
-
-
-MOST_ROWS_KEPT = 300_000
-"""Rows beyond which a log is decimated; so 1 GB is read in 153 MB (docs/logs.md)."""
-LEAST_RATE = 60.0
-"""Rows per second that decimation leaves at least (docs/logs.md) [Hz]."""
-_CUTOFF_SHARE = 0.45
-"""Cut-off of the low-pass over the decimated rate: its gain is flat below 0.4 times the cut-off,
-and aliases fold back to frequencies above that."""
-
-
-class Thinning:
-    """Low-passes and decimates the rows of a log that arrive in blocks.
-
-    It leaves about ``MOST_ROWS_KEPT`` rows of a log, and at least ``LEAST_RATE`` per second.
-
-    Args:
-        time: (N,) first time stamps of the log [s].
-        expected: estimated number of rows of the log.
-
-    Attributes:
-        every: number of rows that become one; 1 leaves the rows as they are.
-    """
-
-    def __init__(self, time: Array, expected: float) -> None:
-        period = sampling_period(time)
-        coarsest = max(1.0, 1.0 / (period * LEAST_RATE))
-        self.every = int(min(math.ceil(expected / MOST_ROWS_KEPT), coarsest))
-        self._longest_step = splitting_gap(period)
-        if self.every > 1:
-            rate = 1.0 / period
-            low_pass = design_low_pass(_CUTOFF_SHARE * rate / self.every, rate)
-            self._low_pass = replace(low_pass, step=self.every)
-        # The latest rows, which later decimated rows need.
-        self._waiting: Array | None = None
-
-    def push(self, rows: Array) -> Array:
-        """Take the next rows (N, 2 + C) of the log and return the decimated rows (K, 2 + C).
-
-        The first column is the number of the line in the file, the second the time [s].
-        """
-        if self.every == 1:
-            return rows
-        if self._waiting is not None:
-            rows = np.concatenate((self._waiting, rows))
-        decimated = []
-        # The filter does not reach over a gap.
-        gaps = np.flatnonzero(np.diff(rows[:, 1]) > self._longest_step)
-        for block in np.split(rows, gaps + 1):
-            decimated.append(self._low_pass.decimate(block))
-            self._waiting = block[len(decimated[-1]) * self.every :].copy()
-        return np.concatenate(decimated)

@@ -1,4 +1,4 @@
-"""Samples are put on a uniform grid, gaps are marked, long logs are split and decimated."""
+"""Samples are put on a uniform grid, gaps are marked, long logs are split."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robot_sysid.records import Measurement
 from robot_sysid.signals import resampling
 from robot_sysid.signals.resampling import (
-    Thinning,
     is_even,
     piece_notes,
     resample_uniformly,
@@ -153,41 +152,3 @@ def test_a_log_of_hours_keeps_the_minutes_that_move():
     assert always[0].time[0] == 0.0 and always[-1].time[-1] == time[-1]
     still = split_at_gaps(Measurement(time, 0.0 * q, None, q))
     assert [piece.time[0] for piece in still] == [piece.time[0] for piece in always]
-
-
-def thinning_of(every: int) -> Thinning:
-    """Return a thinning that makes one row of so many, of a log at 1 kHz."""
-    return Thinning(np.arange(100) / 1000.0, every * resampling.MOST_ROWS_KEPT)
-
-
-@given(st.lists(st.integers(1, 900), max_size=4))
-def test_thinning_does_not_depend_on_the_blocks(cuts):
-    time = np.arange(4000) / 1000.0
-    rows = np.column_stack((np.arange(4000), time, np.sin(3.0 * time)))
-    at_once = thinning_of(8).push(rows)
-    other = thinning_of(8)
-    blocks = np.split(rows, np.cumsum(cuts))
-    assert_close(
-        np.concatenate([other.push(block) for block in blocks]), at_once, atol=1e-12
-    )
-    assert 440 < len(at_once) < 500
-    assert_close(at_once[:, 2], np.sin(3.0 * at_once[:, 1]), atol=1e-4)
-    assert np.allclose(np.diff(at_once[:, 1]), 8e-3)
-
-
-@pytest.mark.parametrize("block_size", [4000, 2000, 1999])
-def test_thinning_does_not_reach_over_a_gap(block_size):
-    time = np.concatenate((np.arange(2000), 5000 + np.arange(2000))) / 1000.0
-    rows = np.column_stack((np.arange(4000), time, np.where(time < 3.0, 1.0, -1.0)))
-    thinning = thinning_of(8)
-    blocks = np.split(rows, range(block_size, 4000, block_size))
-    thinned = np.concatenate([thinning.push(block) for block in blocks])
-    assert_allclose(np.abs(thinned[:, 2]), 1.0, atol=1e-12)
-    assert not np.any((thinned[:, 1] > 2.0) & (thinned[:, 1] < 5.0))
-
-
-def test_the_thinning_factor_follows_the_number_of_rows():
-    assert [thinning_of(every).every for every in (1, 4)] == [1, 4]
-    time = np.arange(1000) / 1000.0
-    assert Thinning(time, 1e9).every == 1000 // resampling.LEAST_RATE
-    assert Thinning(np.arange(100) / 20.0, 1e9).every == 1
