@@ -36,8 +36,6 @@ from robot_sysid.records.file_access import refuse_special_file
 _FIRST_MESSAGES = 200
 """Messages of a topic from which its joints are listed: a second or more, in which each publisher
 of the topic has sent one."""
-_BLOCK = 10_000
-"""Messages that are in memory at a time."""
 Message = tuple[int, Sample]
 """(time of the header, or else of recording [ns since 1970], sample)."""
 
@@ -151,17 +149,11 @@ def _blocks(
         columns: indices.
     """
     with _open_bag(path) as bag:
-        total = max(1, sum(c.msgcount for c in _connections(bag, topic)))
-        messages = _read_messages(bag, topic)
-        count = 0
-        while batch := list(islice(messages, _BLOCK)):
-            cells = np.empty((len(batch), 1 + len(keys)))
-            for row, (stamp, sample) in zip(cells, batch):
-                row[0] = 1e-9 * (stamp - start)
-                row[1:] = [sample.get(key, np.nan) for key in keys]
-            lines = np.arange(count, count + len(batch)) + 1
-            count += len(batch)
-            yield Block(lines, cells[:, list(columns)], share_read=count / total)
+        total = sum(c.msgcount for c in _connections(bag, topic))
+        for number, (stamp, sample) in enumerate(_read_messages(bag, topic), 1):
+            numbers = [sample.get(key, np.nan) for key in keys]
+            row = np.array([[1e-9 * (stamp - start), *numbers]])
+            yield Block(np.array([number]), row[:, list(columns)], "", number / total)
 
 
 def _read_messages(bag: Any, topic: str) -> Iterator[Message]:

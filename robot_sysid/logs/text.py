@@ -59,12 +59,6 @@ class Dialect:
     header_line: int
     first_row: tuple[str, ...]
 
-    def cells(self, line: str) -> list[str]:
-        """Return the cells of a line, without an empty cell behind a trailing separator."""
-        cells = split_line(line, self.separator)
-        has_extra = len(cells) == len(self.titles) + 1 and not cells[-1]
-        return cells[:-1] if has_extra else cells
-
 
 def text_table(source: LogSource) -> LogTable:
     """Return a text file as a table."""
@@ -108,8 +102,8 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
     header_line, header_text = lines[0]
     _, row_text = lines[-1]
     separator = _find_separator(header_text)
-    titles = _drop_last_empty(split_line(header_text, separator))
-    row = _drop_last_empty(split_line(row_text, separator))
+    titles = _split_first(header_text, separator)
+    row = _split_first(row_text, separator)
     if _is_mostly_numbers(titles):
         header_line = 0
         row = titles
@@ -221,14 +215,15 @@ def _header_in_comment(comment: str, width: int) -> tuple[str, ...]:
     """Return the titles of ``width`` columns in a comment line; () where it does not hold them."""
     text = comment.lstrip("#% ")
     for separator in (_find_separator(text), " "):
-        titles = _drop_last_empty(split_line(text, separator))
+        titles = _split_first(text, separator)
         if len(titles) == width and not _is_mostly_numbers(titles):
             return titles
     return ()
 
 
-def _drop_last_empty(cells: Sequence[str]) -> tuple[str, ...]:
-    """Return the cells of a line without an empty cell behind a trailing separator."""
+def _split_first(line: str, separator: str) -> tuple[str, ...]:
+    """Return the cells of a header or first row, without an empty one behind a last separator."""
+    cells = split_line(line, separator)
     return tuple(cells[:-1] if len(cells) > 1 and not cells[-1] else cells)
 
 
@@ -270,8 +265,9 @@ def _read_row(dialect: Dialect, columns: Sequence[int], line: str) -> list[float
     ValueError, with the fault as it follows the line's number, where the row is not numbers.
     """
     titles = dialect.titles
-    texts = dialect.cells(line)
-    if len(texts) != len(titles):
+    texts = split_line(line, dialect.separator)
+    # A row may end in a separator.
+    if len(texts) != len(titles) and texts[len(titles) :] != [""]:
         raise ValueError(f": {len(texts)} cells instead of {len(titles)}")
     row = []
     for column in columns:
