@@ -1,7 +1,5 @@
 """Logs in the form of named arrays: NumPy's .npz, MATLAB's .mat, Parquet, and LeRobot data sets,
 which are folders with meta/info.json and Parquet files; ``hdf5`` reads HDF5 files.
-
-The reader of each form refuses files that unpack to more than ``table.refuse_bomb`` allows.
 """
 
 from __future__ import annotations
@@ -9,7 +7,6 @@ from __future__ import annotations
 import re
 import statistics
 import warnings
-import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -27,7 +24,6 @@ from robot_sysid.logs.table import (
     LogTable,
     as_input_errors,
     import_optional,
-    refuse_bomb,
 )
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array
@@ -96,40 +92,20 @@ def _dates_as_seconds(array: Any) -> Any:
 
 def npz_table(source: LogSource) -> LogTable:
     """Return an .npz file as a table: time (N,), q, qd, tau (N, n), by these or similar names."""
-    return arrays_table(source.path, "NumPy .npz", npz_arrays(source.path))
-
-
-def npz_arrays(path: Path) -> dict[str, Any]:
-    """Return the arrays of an .npz file; nothing in it is unpickled.
-
-    InputError where it holds no arrays or too much.
-    """
-    with path.open("rb") as stream:
-        with zipfile.ZipFile(stream) as archive:
-            names = archive.namelist()
-            unpacked = sum(member.file_size for member in archive.infolist())
-        if not any(name.endswith(".npy") for name in names):
-            raise InputError(f"{path} is an archive without arrays; unpack it")
-        refuse_bomb(path, unpacked, path.stat().st_size)
-        stream.seek(0)
-        return dict(np.load(stream))
+    # Nothing in it is unpickled.
+    with source.path.open("rb") as stream, np.load(stream) as content:
+        return arrays_table(source.path, "NumPy .npz", dict(content))
 
 
 def matlab_table(source: LogSource) -> LogTable:
-    """Return the arrays of a .mat file, also those in its structs, as a table.
-
-    InputError where it holds no arrays or too much.
-    """
+    """Return the arrays of a .mat file, also those in its structs, as a table."""
     from scipy.io import loadmat  # slow to import
 
-    path = source.path
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        content = loadmat(path, simplify_cells=True)
+        content = loadmat(source.path, simplify_cells=True)
     arrays = dict(_numeric_arrays("", content))
-    unpacked = sum(float(array.nbytes) for array in arrays.values())
-    refuse_bomb(path, unpacked, path.stat().st_size)
-    return arrays_table(path, "MATLAB .mat", arrays)
+    return arrays_table(source.path, "MATLAB .mat", arrays)
 
 
 def _numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
@@ -152,22 +128,15 @@ def parquet_table(source: LogSource) -> LogTable:
     path = source.path
     schema = import_optional("pyarrow.parquet", "parquet").read_schema(path)
     names = [f.name for f in schema if _NUMERIC_TYPE.fullmatch(str(f.type))]
-    return arrays_table(path, "Parquet", _read_parquet(path, [path], names))
+    return arrays_table(path, "Parquet", _read_parquet([path], names))
 
 
-def _read_parquet(
-    path: Path, files: Sequence[Path], columns: Sequence[str]
-) -> dict[str, Array]:
+def _read_parquet(files: Sequence[Path], columns: Sequence[str]) -> dict[str, Array]:
     """Return name to column, (N,) or (N, k) for lists, of Parquet files one after the other.
 
-    InputError where one of them cannot be read, or all unpack to too much; ``path``: of the log.
+    InputError where one of them cannot be read.
     """
     parquet = import_optional("pyarrow.parquet", "parquet")
-    unpacked = 0.0
-    for file in files:
-        with as_input_errors(file, "a Parquet file"):
-            unpacked += _unpacked_bytes(parquet.read_metadata(file), columns)
-    refuse_bomb(path, unpacked, sum(file.stat().st_size for file in files))
     arrays = []
     for file in files:
         with as_input_errors(file, "a Parquet file"):
@@ -184,21 +153,6 @@ def _arrow_array(column: Any) -> Array:
         return np.array(column.to_pylist(), dtype=float)
     values = column.to_numpy()
     return values if values.dtype.kind in "Mm" else np.asarray(values, float)
-
-
-def _unpacked_bytes(metadata: Any, columns: Sequence[str]) -> float:
-    """Return the memory that reading columns of a Parquet file takes at most [bytes]."""
-    # The size that a column states is too small where numbers are equal, and its pages may hold
-    # more than their numbers: the larger of two generous figures counts.
-    size = 0.0
-    # A column of lists is called by its name and a suffix such as ".list.element".
-    prefixes = tuple(map("{}.".format, columns))
-    for group in map(metadata.row_group, range(metadata.num_row_groups)):
-        for chunk in map(group.column, range(group.num_columns)):
-            if f"{chunk.path_in_schema}.".startswith(prefixes):
-                in_file = 2.0 * chunk.total_uncompressed_size
-                size += max(16.0 * chunk.num_values, in_file)
-    return size
 
 
 STATE = "observation.state"
@@ -244,7 +198,7 @@ def lerobot_table(source: LogSource) -> LogTable:
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{path} has no Parquet files in data/; {_DOWNLOAD}")
-    frames = _read_parquet(path, files, ["timestamp", "episode_index", *titles])
+    frames = _read_parquet(files, ["timestamp", "episode_index", *titles])
     episode_index = frames.pop("episode_index").astype(int)
     available = np.unique(episode_index).tolist()
     # An episode that is named twice counts once.

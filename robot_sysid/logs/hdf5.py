@@ -10,7 +10,7 @@ from typing import Any
 
 from robot_sysid.logs.arrays import array_blocks, arrays_table, can_be_column
 from robot_sysid.logs.column_map import ColumnChoices
-from robot_sysid.logs.table import LogSource, LogTable, import_optional, refuse_bomb
+from robot_sysid.logs.table import LogSource, LogTable, import_optional
 
 
 def hdf5_table(source: LogSource) -> LogTable:
@@ -37,8 +37,6 @@ def hdf5_table(source: LogSource) -> LogTable:
                 name: file[path] for name, path in paths.items() if path in file
             }
         columns = {name: data for name, data in datasets.items() if can_be_column(data)}
-        unpacked = sum(float(data.nbytes) for data in columns.values())
-        refuse_bomb(path, unpacked, path.stat().st_size)
         arrays = {name: data[()] for name, data in columns.items()}
         if is_aloha:
             return _aloha_table(path, arrays)

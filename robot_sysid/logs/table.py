@@ -4,9 +4,6 @@ A form's reader returns a ``LogTable``, which yields its rows in blocks. ``read_
 rows with an empty or NaN cell, rows that are not numbers and rows that are no later than the row
 before are left out, and a jump by a full turn is unwrapped. Each anomaly is counted, with its first
 line, for ``checks`` to judge.
-
-A compressed file of a few kilobytes may unpack to more than the computer's memory. Each form's
-reader therefore calls ``refuse_bomb`` with the size that the file states.
 """
 
 from __future__ import annotations
@@ -96,27 +93,6 @@ class LogSource:
     first_bytes: bytes
     joint_names: Sequence[str]
     options: LogOptions
-
-
-LARGEST = 8e8
-"""Largest recording of arrays that is unpacked [bytes]: three hours of seven joints at 1 kHz."""
-MAX_RATIO = 100
-"""Largest unpacked size of a recording over its packed size; real recordings have ten."""
-ALWAYS_ALLOWED = 10**8
-"""Unpacked size that is always allowed, however small the file is [bytes]."""
-
-
-def refuse_bomb(path: Path, unpacked_bytes: float, packed_bytes: float) -> None:
-    """Raise InputError where a file would unpack to too much, by the size of the file.
-
-    Every caller passes the sum over all arrays of a file, before any of them takes memory.
-    """
-    limit = min(LARGEST, max(ALWAYS_ALLOWED, MAX_RATIO * packed_bytes))
-    if unpacked_bytes > limit:
-        raise InputError(
-            f"{path} unpacks to {unpacked_bytes / 1e9:.3g} GB, more than the {limit / 1e9:.3g} GB "
-            "that are read of its size; split the recording, or save it without compression"
-        )
 
 
 def import_optional(module: str, extra: str) -> Any:

@@ -28,8 +28,6 @@ SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Ends of the names of model files."""
 _MAX_FILES = 200
 """Largest number of files of a model; none at hand has more than ten."""
-LARGEST_FILE = 100_000_000
-"""Size up to which a file is read [bytes]."""
 _COMMENT = re.compile(r"(<!--)(.*?)(-->|\Z)", re.DOTALL)
 """A comment: its begin, its text and its end."""
 _MASK = "\ue000"
@@ -198,15 +196,10 @@ def _included_path(include: Node, including: Path, document: ModelDocument) -> P
 
 
 def _read_bytes(path: Path) -> bytes:
-    """Return a model file's content; ModelError for too large a file, else InputError."""
+    """Return a model file's content, or raise InputError."""
     require_utf8(path)
     refuse_special_file(path, "pass a model file")
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            fault = f"more than the {LARGEST_FILE / 1e6:g} MB of a model file"
-            raise ModelError(
-                f"{path} has {fault}; pass one, and keep meshes in files of their own"
-            )
         return path.read_bytes()
     except IsADirectoryError:
         raise InputError(

@@ -40,8 +40,6 @@ _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
 """First line of a file that Git LFS leaves in the place of a large one."""
 _MAX_INTEGER_DIGITS = 300
 """Digits up to which an integer of a JSON file fits into a float, of at most 1.8e308."""
-_MAX_JSON_BYTES = 30_000_000
-"""Largest JSON file that is read: one of nothing but empty lists takes 0.7 GB of memory."""
 
 
 def models_in(files: Iterable[Path]) -> list[Path]:
@@ -84,12 +82,10 @@ def read_json(path: Path, remedy: str) -> Any:
         remedy: what the user should do where the file cannot be read; ends the message.
 
     Raises:
-        InputError: the file cannot be read, is no JSON, or is larger than 30 MB.
+        InputError: the file cannot be read, or is no JSON.
     """
     refuse_special_file(path, remedy)
     try:
-        if path.stat().st_size > _MAX_JSON_BYTES:
-            raise ValueError(f"it is larger than {_MAX_JSON_BYTES / 1e6:g} MB")
         return json.loads(
             path.read_text(encoding="utf-8-sig"), parse_int=_number_of_digits
         )

@@ -6,9 +6,9 @@ A log of any length leaves at most ``MAX_INSTANTS`` instants in report_data.npz.
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ import numpy as np
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.export import SCHEMA_VERSION
-from robot_sysid.logs.arrays import npz_arrays
 from robot_sysid.logs.table import as_input_errors
 from robot_sysid.records import (
     ITSELF,
@@ -59,7 +58,7 @@ def save_data(folder: Path, traces: Traces, result: str) -> None:
         name: np.asarray(getattr(traces, name)[chosen], np.float32)
         for name in SIGNAL_NAMES
     }
-    buffer = io.BytesIO()
+    buffer = BytesIO()
     np.savez_compressed(
         buffer,
         version=_VERSION,
@@ -80,8 +79,8 @@ def load_data(path: Path, result: str) -> Traces:
     Raises InputError if there is no such file, it is damaged, or of another version or run.
     """
     with as_input_errors(path, "the data of a report"):
-        content = npz_arrays(path)
-        if content["version"] != _VERSION or str(content["result"]) != result:
+        content = np.load(BytesIO(path.read_bytes()))
+        if content["version"] != _VERSION or content["result"] != result:
             raise InputError(f"{path} belongs to another run or version")
         signals = {name: content[name].astype(float) for name in SIGNAL_NAMES}
         truth = content["truth"]

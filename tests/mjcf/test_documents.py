@@ -169,15 +169,6 @@ def test_includes_are_not_followed_without_end(tmp_path):
         read_document(tmp_path / "0.xml")
 
 
-def test_a_file_that_is_too_large_is_not_read(tmp_path):
-    with (tmp_path / "m.xml").open("wb") as file:
-        file.truncate(5 * 10**9)
-    with pytest.raises(
-        ModelError, match="m.xml has more than the 100 MB of a model file"
-    ):
-        read_document(tmp_path / "m.xml")
-
-
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("mark", ["<!--", "<!DOCTYPE"])
 def test_marks_that_never_end_take_no_longer_than_their_length(tmp_path, mark):

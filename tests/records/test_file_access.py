@@ -228,13 +228,6 @@ def test_what_is_no_json_is_refused_in_one_line(tmp_path, text):
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_too_large_is_not_read(tmp_path):
-    with (tmp_path / "a.json").open("wb") as file:
-        file.truncate(5 * 10**9)
-    with pytest.raises(InputError, match="larger than 30 MB; do this"):
-        read_json(tmp_path / "a.json", "do this")
-
-
 def test_an_integer_beyond_all_floats_is_infinite(tmp_path):
     path = tmp_path / "a.json"
     path.write_text("\ufeff[1" + "0" * 400 + ', 3, {"a": null}]', encoding="utf-8")
