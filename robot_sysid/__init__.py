@@ -60,17 +60,9 @@ _NAMES = {
         "Motion",
         "Traces",
         "Validation",
-        "WrongLink",
     ),
-    "results.record": (
-        "BodyEstimate",
-        "JointEstimate",
-        "ModelFile",
-        "Payload",
-        "Quantity",
-        "Verdict",
-    ),
-    "results.parameter_table": ("BeforeAfter",),
+    "records.messages": ("Level", "Remark"),
+    "results.record": ("BodyEstimate", "ModelFile", "Payload", "Quantity", "Verdict"),
     "signals.process": ("LogPiece",),
 }
 """Module to the public names that it defines: functions, the types that they take and return, and

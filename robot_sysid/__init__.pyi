@@ -42,10 +42,9 @@ from robot_sysid.records.data import Measurement as Measurement
 from robot_sysid.records.data import Motion as Motion
 from robot_sysid.records.data import Traces as Traces
 from robot_sysid.records.data import Validation as Validation
-from robot_sysid.records.data import WrongLink as WrongLink
-from robot_sysid.results.parameter_table import BeforeAfter as BeforeAfter
+from robot_sysid.records.messages import Level as Level
+from robot_sysid.records.messages import Remark as Remark
 from robot_sysid.results.record import BodyEstimate as BodyEstimate
-from robot_sysid.results.record import JointEstimate as JointEstimate
 from robot_sysid.results.record import ModelFile as ModelFile
 from robot_sysid.results.record import Payload as Payload
 from robot_sysid.results.record import Quantity as Quantity

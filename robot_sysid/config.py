@@ -464,12 +464,6 @@ class PayloadOptions(OptionRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (self.empty and self.loaded):
-            missing = "--loaded LOG..." if self.empty else "--empty LOG..."
-            raise InputError(
-                f"{missing} is missing: a payload is found from the difference between logs "
-                "without and with it"
-            )
         letters = EMPTY * len(self.empty) + LOADED * len(self.loaded)
         if self.order is not None and sorted(self.order) != sorted(letters):
             raise InputError(
@@ -498,9 +492,11 @@ class PayloadConfig(LogConfig):
 
     estimation: LoadedOptions = LoadedOptions()
     payload: PayloadOptions = field(default_factory=PayloadOptions)
+
     written: ClassVar[tuple[str, ...]] = (*Config.written, file_access.CARD_NAME)
 
     def __post_init__(self) -> None:
+        self._require_both()
         super().__post_init__()
         is_exact = self.estimation.priors.scale in (0.0, (0.0,))
         if self.payload.known_mass is not None and is_exact:
@@ -508,3 +504,20 @@ class PayloadConfig(LogConfig):
                 "--known-mass estimates torque scales, and a prior of scale 0 leaves them no "
                 "room; choose one"
             )
+
+    def _require_both(self) -> None:
+        """Raise InputError, with what can be done with logs of one kind, unless both are there."""
+        payload = self.payload
+        if payload.empty and payload.loaded:
+            return
+        missing = "--loaded LOG..." if payload.empty else "--empty LOG..."
+        error = InputError(
+            f"{missing} is missing: a payload is weighed by the difference between logs without "
+            "and with it. Logs of one kind show the last link with all that is on it; identify "
+            "says what that is beyond the model, as far as the model's other links are right"
+        )
+        logs = payload.empty or payload.loaded
+        if logs:
+            words = (self.model.path, *logs)
+            error.command_lines = [["identify", *map(str, words)]]
+        raise error

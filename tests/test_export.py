@@ -20,10 +20,14 @@ from robot_sysid import export as module
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.errors import InputError
-from robot_sysid.export import FORMULAS, RESULT_NAMES, params_json_text, save
+from robot_sysid.export import RESULT_NAMES, save
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records.file_access import json_text
+from robot_sysid.results import content as rows
 from robot_sysid.results.cards import load_errors, number_groups
-from robot_sysid.results.record import Quantity, Verdict
+from robot_sysid.results.content import FORMULAS
+from robot_sysid.results.quantities import BEYOND
+from robot_sysid.results.record import BOUND, FILE, Quantity, Verdict
 from tests.results.test_written_model import checkpoints, payload_of, result_of
 from tests.support import results as made
 from tests.support import urdf
@@ -129,7 +133,7 @@ def test_a_result_that_is_not_trusted_gets_a_params_json_alone(
 ):
     payload = payload_of(robot, THETA) if with_payload else None
     doubtful = result_of(
-        robot, payload=payload, verdict=Verdict.TOO_WEAK, reasons=("so light",)
+        robot, payload=payload, remarks=(Verdict.TOO_WEAK.remark("so light"),)
     )
     output = save_result(robot, doubtful, out)
     assert names_in(out) == ["params.json"]
@@ -180,7 +184,7 @@ def test_an_old_model_goes_also_where_this_run_writes_none(robot, out, case):
     write_files(out, EARLIER)
     result = heavier(robot)
     if case == "not trusted":
-        result = replace(result, verdict=Verdict.TOO_WEAK)
+        result = replace(result, remarks=(Verdict.TOO_WEAK.remark(),))
     else:
         result = result_of(robot, -robot.prior.theta)
     progress = NoteRecorder()
@@ -208,7 +212,7 @@ def test_what_this_run_reads_stays_whatever_it_is_called(robot, out):
     )
     robot_in_out = load_robot_model(out / "updated_model.xml", joint="j2")
     (out / "link").symlink_to(out, target_is_directory=True)
-    weak = replace(heavier(robot_in_out), verdict=Verdict.TOO_WEAK)
+    weak = replace(heavier(robot_in_out), remarks=(Verdict.TOO_WEAK.remark(),))
     progress = NoteRecorder()
     save_result(robot_in_out, weak, out / "link", progress, inputs=[out / log])
     names = ["link", "params.json", log, "servo.json", "updated_model.xml"]
@@ -249,17 +253,32 @@ VALIDATOR = jsonschema.Draft202012Validator(schema("params"))
 
 def content_of(result, card=None, notes=()):
     """The params.json of a result, which is strict JSON and keeps to the schema."""
-    text = params_json_text(result, card, notes)
+    text = json_text(rows.content_of(result, card, notes))
     content = json.loads(text, parse_constant=pytest.fail)
     VALIDATOR.validate(content)
     return content
 
 
+def number(content, name, of, is_file=False):
+    """The only row with a name of a body or joint: the identified one, or the file's."""
+    rows = [
+        row for row in content["quantities"] if (row["name"], row["of"]) == (name, of)
+    ]
+    (row,) = [row for row in rows if (row["source"] == FILE) is is_file]
+    return row
+
+
 def assert_holds(content, expected):
-    """Check that values are equal, each by its path of keys and indices, ``links/0/mass``."""
+    """Check that values are equal, each by its path: ``file/before`` or ``mass of link6/value``."""
     for path, expected_value in expected.items():
         value = content
-        for key in path.split("/"):
+        first, *keys = path.split("/")
+        name, _, of = first.partition(" of ")
+        if of:
+            value = number(content, name, of)
+        else:
+            keys = [first, *keys]
+        for key in keys:
             value = value[int(key) if key.isdigit() else key]
         assert value == expected_value, path
 
@@ -272,7 +291,7 @@ def test_one_schema_holds_the_answer_to_every_question(result):
     assert list(content)[: len(SPECIFIED) + 1] == ["schema_version", *SPECIFIED]
     assert list(content) == schema("params")["required"]
     assert not VALIDATOR.is_valid({**content, "weight": 1.0})
-    del content["links"]
+    del content["quantities"]
     assert not VALIDATOR.is_valid(content)
 
 
@@ -281,13 +300,8 @@ def test_reading_back_gives_the_same_bits(tmp_path_factory, seed):
     theta = random_theta(np.random.default_rng(seed))
     path = tmp_path_factory.mktemp("p") / "params.json"
     result = made.found(made.estimate(values=np.append(theta, made.VALUES[10:])))
-    path.write_text(params_json_text(result), encoding="utf-8")
+    path.write_text(json_text(rows.content_of(result)), encoding="utf-8")
     assert_array_equal(made.theta_in(path), theta)
-    content = json.loads(path.read_text())
-    _, com, about_com = spatial.com_from_theta(theta)
-    assert_array_equal(content["center_of_mass"], com)
-    six = list(content["inertia_about_com"].values())
-    assert_array_equal(six, spatial.six_from_symmetric(about_com))
 
 
 def test_the_specified_keys_hold_the_terminal_link_and_the_others_what_the_run_was():
@@ -300,22 +314,20 @@ def test_the_specified_keys_hold_the_terminal_link_and_the_others_what_the_run_w
     }
     specified |= {"condition_number": 50, "n_base_params": 12}
     assert content == {**content, **specified}
-    assert_holds(content, {"known_to": approx(1e-3), "question": "link"})
+    assert_holds(content, {"question": "link", "failure": None})
     expected = {
-        "parameter_source/m": "from_model",
-        "links/0/source/m": "from_model",
-        "parameter_source/viscous[j6]": "identified",
+        "mass of link6/source": "model",
+        "viscous of j6/source": "data",
         "status": "TOO_WEAK",
-        "reasons": ["why"],
         "unidentifiable_combinations": ["mass"],
-        "known_to": None,
+        "mass of link6/error": None,
     }
-    result = made.found(made.without_mass(), reasons=("why",), verdict=Verdict.TOO_WEAK)
+    result = made.found(made.without_mass(), verdict=Verdict.TOO_WEAK)
     content = content_of(result)
     assert_holds(content, expected)
     assert list(content["valid"].values()) == [True, False, False]
     names = (*spatial.PARAMETER_NAMES, *(f"{name}x" for name in made.FRICTION))
-    frictionless = made.found(made.estimate(names=names), joints={})
+    frictionless = made.found(made.estimate(names=names), quantities=())
     assert content_of(frictionless)["viscous_friction"] is None
     origin = {"source": "simulation of the model itself", "seed": 1}
     origin |= {"duration": 15, "sample_rate": 1000}
@@ -326,50 +338,54 @@ def test_what_is_not_finite_is_null_everywhere():
     result = made.without_mass()
     identifiability = replace(result.identifiability, condition_number=np.inf)
     result = replace(result, identifiability=identifiability, rmse=np.float64("nan"))
-    sensors = {"zero[j6]": Quantity(0.0, np.nan)}
-    content = content_of(made.found(result, sensors=sensors))
-    zero = {"value": 0.0, "standard_error": None, "interval": [None, None]}
+    zero = Quantity("zero", "j6", "rad", None, 0.0, np.nan, BOUND)
+    found = made.found(result)
+    content = content_of(replace(found, quantities=(*found.quantities, zero)))
     expected = {
         "condition_number": None,
         "rmse": None,
-        "standard_errors/m": None,
-        "sensors": {"zero[j6]": zero},
-        "links/0/standard_errors/mass": None,
-        "links/0/standard_errors/com_x": None,
+        "zero of j6/error": None,
+        "zero of j6/value": 0.0,
+        "mass of link6/error": None,
+        "com_x of link6/error": None,
     }
     assert_holds(content, expected)
-    assert content["links"][0]["standard_errors"]["Ixx"] > 0.0
+    assert number(content, "Ixx", "link6")["error"] > 0.0
 
 
 def test_links_joints_and_the_file_stand_beside_the_models():
     content = content_of(made.whole(), notes=("another",))
     expected = {
-        "links/0/name": "link5",
-        "links/0/joint": "j5",
-        "links/0/in_the_file/mass": approx(3.0),
-        "links/1/name": "link6",
-        "links/1/mass": approx(2.0),
-        "links/1/model/mass": approx(1.0),
-        "links/1/in_the_file/mass": approx(1.8),
-        "links/1/error_budget/links/m": approx(0.8 * 2e-3),
+        "mass of link6/value": approx(2.0),
+        "mass of link6/model": approx(1.0),
+        "mass of link6/error": approx(2e-3),
+        "mass of link6/unit": "kg",
+        "mass of link6/reason": "the other links' parameters",
+        f"mass of {BEYOND}/value": approx(1.0),
         "file/before/relative_error": 0.27,
         "file/after/relative_error": 0.0025,
         "file/others/0/before/relative_error": 0.3,
         "file/others/0/after/rmse": 0.05,
         "file/gravity": [0.0, 0.1, -9.8],
         "file/kept": ["rotor inertia"],
-        "notes": ["a note", "another"],
-        "joints/j5/terms/coulomb/interval/0": approx(0.5 - 1.96 * 5e-4),
-        "joints/j5/terms/coulomb/interval/1": approx(0.5 + 1.96 * 5e-4),
-        "joints/j5/in_the_file/viscous/value": 0.25,
-        "couplings/j5+j6/terms/viscous/value": 0.05,
+        "coulomb of j5/error": approx(5e-4),
+        "viscous of j5+j6/value": 0.05,
+        "remarks/1/remedy": "weigh it",
     }
     assert_holds(content, expected)
-    assert len(content["links"]) == 2
-    thetas = np.array([np.zeros(10), made.THETA])
-    massless = made.model_file(thetas=thetas, validation_after=None)
-    content = content_of(made.whole(file=massless))
-    assert_holds(content, {"links/0/in_the_file": None, "file/after": None})
+    texts = [remark["text"] for remark in content["remarks"]]
+    assert texts[2:] == ["a note", "another"]
+    expected = {("mass", "link5"): 3.0, ("mass", "link6"): 1.8, ("viscous", "j5"): 0.25}
+    for key, value in expected.items():
+        assert number(content, *key, is_file=True)["value"] == approx(value)
+
+
+def test_every_number_has_one_row():
+    for result in (made.whole(), made.payload(), made.itself()):
+        keys = []
+        for row in content_of(result)["quantities"]:
+            keys.append((row["name"], row["of"], row["source"] == FILE))
+        assert len(set(keys)) == len(keys)
 
 
 def test_every_formula_is_the_column_of_its_term():
@@ -385,35 +401,30 @@ def test_every_formula_is_the_column_of_its_term():
 
 
 def test_a_payload_stands_between_the_link_without_and_with_it():
-    result = made.payload(known_mass=2.0, torque_scale={"j5": Quantity(1.02, 0.003)})
+    result = made.payload(known_mass=2.0, torque_scale={"j5": 1.02})
     content = content_of(result, number_groups(result.body))
     expected = {
         "question": "payload",
         "mass": 2.0,
-        "known_to": approx(0.01 / 1.2),
-        "payload/body/mass": 1.2,
-        "payload/link/mass": 0.8,
-        "payload/total/mass": 2.0,
+        "mass of payload/value": 1.2,
+        "mass of payload/error": approx(0.01),
+        "mass of payload/reason": "the torque scales",
+        "com_z of payload/error": approx(load_errors(made.body())[3]),
+        "mass of link6/value": 0.8,
+        "mass of link6 with payload/value": 2.0,
+        "torque_scale of j5/value": 1.02,
         "payload/flange/name": "site 'flange'",
         "payload/flange/terminal": "link6",
         "payload/recordings": {"empty": ["a.csv"], "loaded": ["b.csv", "c.csv"]},
-        "payload/scatter/0/mass": 1.19,
         "payload/known_mass": 2.0,
         "payload/card/kg": 1.2,
-        "payload/torque_scale/j5/value": 1.02,
-        "payload/body/standard_errors/m": approx(0.01),
-        "payload/body/standard_errors/com_z": approx(load_errors(made.body())[3]),
-        "payload/body/error_budget/noise/m": approx(0.006),
-        "payload/body/error_budget/torque scale/m": approx(0.008),
     }
     assert_holds(content, expected)
-    errors = content["payload"]["body"]["standard_errors"]
-    assert errors["m"] == errors["mass"]
     expected = {
-        "payload/body/standard_errors/Ixx": None,
-        "payload/body/source/Ixx": "from_model",
+        "Ixx of payload/error": None,
+        "Ixx of payload/source": "model",
         "valid/all_identified": False,
     }
     assert_holds(content_of(made.payload(made.body(shown=False))), expected)
-    expected = {"valid/physically_consistent": False, "known_to": None}
+    expected = {"valid/physically_consistent": False}
     assert_holds(content_of(made.payload(made.body(-1.0))), expected)

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from robot_sysid.cli import main
+from tests.support.params import motors, rows
 from tests.support.places import DATA, ROOT
 
 KUKA = DATA / "kuka_lwr4"
@@ -68,7 +69,8 @@ def test_kukas_file_predicts_its_other_runs(tmp_path, capsys, tested, limit):
     assert new_error == on_the_page("the URDF that robot-sysid writes", tested - 2)
     assert (code, params["status"]) == (0, "BETTER")
     assert (tmp_path / "updated_model.urdf").exists()
-    assert params["known_to"] > 0.5
+    mass = rows(params)[params["body_name"], "mass"]
+    assert mass["error"] > 0.5 * mass["value"]
     assert "the mass is not known (±" in capsys.readouterr().out
 
 
@@ -115,8 +117,8 @@ def test_tx40s_shared_motor_is_in_its_file(tx40):
     assert file_error(tx40 / "last.csv", tx40 / "out" / "updated_model.xml") < 6.0
     assert file_error(tx40 / "last.csv", tx40 / "out" / "updated_model.urdf") < 20.0
     params = json.loads((tx40 / "out" / "params.json").read_text())
-    assert list(params["couplings"]) == ["joint_5+joint_6"]
-    notes = " ".join(params["notes"])
+    assert motors(params) == ["joint_5+joint_6"]
+    notes = " ".join(remark["text"] for remark in params["remarks"])
     assert "updated_model.urdf lacks the motor that turns with joint_5" in notes
 
 
@@ -124,7 +126,7 @@ def test_tx40s_shared_motor_is_in_its_file(tx40):
 @pytest.mark.parametrize("run", [1, 2, 3])
 def test_where_sensors_sit_behind_the_gears_no_motor_is_found(tmp_path, run):
     log = KUKA / f"lwr4_hw{run}_200Hz.csv"
-    assert identified(tmp_path, KUKA / "kuka_lwr4.urdf", log)[1]["couplings"] == {}
+    assert motors(identified(tmp_path, KUKA / "kuka_lwr4.urdf", log)[1]) == []
 
 
 @pytest.mark.slow
@@ -134,8 +136,8 @@ def test_tx40s_motor_is_found_again_in_its_file(tx40, tmp_path):
     log = tx40 / "first.csv"
     code, params = identified(tmp_path, model, log)
     assert max(relative_errors(params["file"])) < 0.06
-    assert list(params["couplings"]) == ["joint_5+joint_6"]
-    assert not any("a motor turns" in note for note in params["notes"])
+    assert motors(params) == ["joint_5+joint_6"]
+    assert not any("a motor turns" in remark["text"] for remark in params["remarks"])
 
 
 @pytest.mark.slow

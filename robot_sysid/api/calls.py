@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Union
 
@@ -36,7 +36,7 @@ from robot_sysid.pipeline import stages
 from robot_sysid.pipeline.planning import design_motion, predict_plan
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Array, Measurement, RobotModel, checked_array
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import Progress, says
 from robot_sysid.records.option_fields import record_from
 
 if TYPE_CHECKING:
@@ -132,7 +132,13 @@ def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Res
     with _quietly() as notes:
         robot = load_arm(config, notes)
         result, _ = stages.identify(config, robot, notes)
-    fields = {**vars(result), "notes": tuple(notes.notes)}
+    remarks = []
+    for each in result.remarks:
+        text = python_words(each.text)
+        remarks.append(replace(each, text=text, remedy=python_words(each.remedy)))
+    texts = [remark.text for remark in remarks]
+    remarks += says(note for note in notes.notes if note not in texts)
+    fields = {**vars(result), "remarks": tuple(remarks)}
     return Result(**fields, config=config)
 
 

@@ -5,8 +5,7 @@ A result has its numbers as properties, can be written to files and can be plott
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from robot_sysid.api.keywords import in_python, python_words
 from robot_sysid.config import PlanConfig
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.export import Written, params_json_text, writable_folder
+from robot_sysid.export import Written, writable_folder
 from robot_sysid.model.compilation import lasting_folder
 from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.pipeline.planning import draft_plan
@@ -29,8 +28,9 @@ from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results import record
-from robot_sysid.results.parameter_table import BeforeAfter, parameter_rows
-from robot_sysid.results.result_lines import result_lines
+from robot_sysid.results.content import content_of
+from robot_sysid.results.lines import result_lines
+from robot_sysid.results.verdict import verdict_line
 from robot_sysid.results.written_model import spec_of
 from robot_sysid.trajectory import sample_count
 
@@ -47,8 +47,7 @@ def one_thread() -> AbstractContextManager[Any]:
 class Result(record.Result):
     """An identified arm or payload, from ``identify``, ``self_test`` or ``payload``.
 
-    It has all fields of ``results.record.Result``; ``notes`` are those that the command would have
-    printed, one sentence each.
+    It has all fields of ``results.record.Result``; ``remarks`` has those on logs, too.
 
     Attributes:
         config: the options that it was identified with.
@@ -96,39 +95,19 @@ class Result(record.Result):
         return dict(zip(self.estimate.names, errors.tolist()))
 
     @property
-    def friction(self) -> Mapping[str, Mapping[str, float]]:
-        """Joint name to friction term ("coulomb", "viscous", ...) to its coefficient.
-
-        For a simulation of the model itself, only the terminal joint's.
-        """
-        friction = {}
-        for joint, estimate in self.joints.items():
-            terms = estimate.terms
-            friction[joint] = {term: terms[term].value for term in terms}
-        return friction
-
-    @property
     def trustworthy(self) -> bool:
         """Whether the numbers may go into a model or a controller."""
         return self.verdict.is_trustworthy
 
-    @property
-    def failure(self) -> str | None:
-        """Why the result must not be used, or None."""
-        return python_words(super().failure or "") or None
-
-    @property
-    def rows(self) -> Sequence[BeforeAfter]:
-        """Rows of the table of parameters in the model and as identified."""
-        return parameter_rows(self)
-
     def lines(self) -> list[str]:
         """Return the lines that the command prints of this result, in Python's words."""
-        return list(map(python_words, result_lines(self, self.config.output.links)))
+        lines = result_lines(content_of(self), self.config.output.links)
+        return list(map(python_words, lines))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of params.json (see docs/formats.md), without cards."""
-        return dict(json.loads(params_json_text(self)))
+        content = content_of(self)
+        return {**content, "verdict": [verdict_line(content)], "next_step": None}
 
     def save(self, folder: str | Path) -> tuple[Path, ...]:
         """Write params.json, the data of a later report and, where trusted, the updated model.

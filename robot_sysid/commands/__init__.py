@@ -192,6 +192,7 @@ class Console(ConsoleOptions, Progress):
         super().__post_init__()
         self._bar: Any = None
         self._printed_at = 0.0
+        self._noted: set[str] = set()
         self.json_lines: list[str] = []
 
     @property
@@ -201,7 +202,7 @@ class Console(ConsoleOptions, Progress):
     def result(self, content: Mapping[str, Any] | str) -> None:
         """Print the result of a command where JSON is wanted; a text is JSON already."""
         if self.json:
-            from robot_sysid.results.record import json_text
+            from robot_sysid.records.file_access import json_text
 
             text = content if isinstance(content, str) else json_text(content)
             print_text(text, sys.stdout)
@@ -261,8 +262,11 @@ class Console(ConsoleOptions, Progress):
             self._bar = None
 
     def note(self, *messages: str) -> None:
-        """Print sentences the user should know."""
-        for message in filter(self._is_printed, messages):
+        """Print sentences the user should know, each once."""
+        for message in filter(self._is_printed, dict.fromkeys(messages)):
+            if message in self._noted:
+                continue
+            self._noted.add(message)
             if self._bar is not None:
                 self._bar.clear()
             print_line(f"note: {message}", sys.stderr)

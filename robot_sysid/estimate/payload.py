@@ -5,7 +5,7 @@ Shapes: k estimated parameters; a body has ten inertial parameters (``PARAMETER_
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,33 +14,32 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.file_fit import FileFit
-from robot_sysid.estimate.fit import Fit, fit
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.result import (
     body_estimate,
     common_result,
-    file_verdict,
     model_file,
     quantity,
     result_notes,
 )
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.estimate.trust import (
-    first,
+    judge_file,
     judge_known_mass,
     judge_payload,
     missed_friction,
 )
 from robot_sysid.records import Array, DataOrigin, Flange
-from robot_sysid.records.messages import Detail, with_error
+from robot_sysid.records.messages import Detail, Level, Remark, says, with_error
 from robot_sysid.results.body_errors import is_inertia_known, principal_moments
+from robot_sysid.results.quantities import body_quantities
 from robot_sysid.results.record import (
     PAYLOAD,
     BodyEstimate,
     ModelFile,
     Payload,
     Quantity,
-    RecordingPayload,
     Result,
     Verdict,
 )
@@ -81,7 +80,13 @@ def _body(fitted: Fit, names: Sequence[str], theta: Array) -> BodyEstimate:
 
 
 def payload_result(
-    fitted: Fit, weighed: Fit, file: FileFit | None, flange: Flange, origin: DataOrigin
+    fitted: Fit,
+    weighed: Fit,
+    file: FileFit | None,
+    flange: Flange,
+    origin: DataOrigin,
+    sentences: Sequence[str],
+    divided: Array,
 ) -> Result:
     """Return the result for a payload.
 
@@ -91,52 +96,65 @@ def payload_result(
         file: the fit of the arm's model file; None where none is written.
         flange: the frame in which the payload is stated.
         origin: where the recordings come from.
+        sentences: for the user so far.
+        divided: (n,) torque scales by which the torques were divided already.
     """
     robot = fitted.arm.robot
     known_mass = fitted.question.known_mass
     # Judged is the payload before bodies were made possible: that step hides a negative mass.
     free = _in_flange(weighed, flange, weighed.free)
     test = validation(weighed)
-    findings = list(judge_payload(robot, free, contradiction(weighed, flange), test))
+    remarks = list(judge_payload(robot, free, contradiction(weighed, flange), test))
     if known_mass is not None:
-        findings = list(judge_known_mass(findings, free.mass, known_mass))
-    status, reasons = first(findings, Verdict.OK)
+        remarks = list(judge_known_mass(remarks, free.mass, known_mass))
     values = fitted.free.copy()
     unknown_inertia = ""
-    if status.is_trustworthy:
+    if not remarks:
         values = fitted.values.copy()
         theta, unknown_inertia = written_payload(fitted)
         values[fitted.at(PAYLOAD_NAMES)] = theta
-    scatter = (
-        tuple(payloads_by_recording(weighed, flange)) if known_mass is None else ()
-    )
-    payload = _payload_record(fitted, flange, values, scatter)
+    payload = _payload_record(fitted, flange, values, divided)
     missed = "" if fitted.question.resting else missed_friction(fitted)
-    notes = [*robot.notes]
+    notes = [*robot.notes, *sentences]
     if unknown_inertia:
         payload = _without_inertia(payload)
-        status = Verdict.INERTIA_NOT_KNOWN if known_mass is None else status
         notes.append(Detail(unknown_inertia))
+        if known_mass is None:
+            remarks.append(Verdict.INERTIA_NOT_KNOWN.remark())
+    remarks += [Remark(Level.DOUBTS, "friction", missed)] if missed else []
     written: ModelFile | None = None
+    rows: list[Quantity] = []
     if file is not None:
-        verdict, reason = file_verdict(file)
-        if verdict.is_trustworthy:
-            written, file_notes = model_file(fitted, file)
+        judgement = judge_file(file.before, file.after)
+        if judgement.level is Level.SAYS:
+            written, rows, file_notes = model_file(fitted, file)
             notes += file_notes
         else:
             notes.append(
-                f"the written model is the arm's own with the payload on it: {reason}"
+                f"the written model is the arm's own with the payload on it: {judgement.text}"
             )
-    notes += result_notes(fitted, written, missed)
+    notes += result_notes(fitted, written)
+    common = common_result(fitted, origin, PAYLOAD)
+    of_payload = _payload_quantities(fitted, payload)
     return replace(
-        common_result(fitted, origin, PAYLOAD),
-        verdict=status,
-        reasons=reasons,
+        common,
+        remarks=(*remarks, *says(notes)),
+        quantities=(*of_payload, *common.quantities, *rows),
         payload=payload,
         file=written,
         validation=(validation(fitted),),
-        notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _payload_quantities(fitted: Fit, payload: Payload) -> list[Quantity]:
+    """Return the rows of a payload, of the link with it, and of torque scales by a known mass."""
+    rows = [*body_quantities(payload.body, PAYLOAD)]
+    rows += body_quantities(payload.total, f"{payload.total.name} with payload")
+    for joint, scale in payload.torque_scale.items():
+        value, error = quantity(fitted, f"scale[{joint}]")
+        error *= scale / (1.0 + value)
+        rows.append(Quantity("torque_scale", joint, "", 1.0, scale, error))
+    return rows
 
 
 def _in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimate:
@@ -148,40 +166,38 @@ def _in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimate:
     return body_estimate(fitted, "payload", combinations, to_flange @ values[at], None)
 
 
-def _link(fitted: Fit, values: Array, loaded: bool) -> BodyEstimate:
-    """Return the terminal link at parameters (k,), with or without the payload."""
-    arm = fitted.arm
+def _link_with(fitted: Fit, values: Array) -> BodyEstimate:
+    """Return the terminal link with the payload, at parameters (k,)."""
+    selection = np.eye(len(fitted.names))
     at = fitted.at(PARAMETER_NAMES)
-    combinations = np.eye(len(fitted.names))[at]
-    theta = values[at]
-    if loaded:
-        of_payload = fitted.at(PAYLOAD_NAMES)
-        combinations = combinations + np.eye(len(fitted.names))[of_payload]
-        theta = theta + values[of_payload]
-    model_theta = None if loaded else arm.robot.prior.theta
-    return body_estimate(fitted, arm.robot.body_name, combinations, theta, model_theta)
+    of_payload = fitted.at(PAYLOAD_NAMES)
+    combinations = selection[at] + selection[of_payload]
+    theta = values[at] + values[of_payload]
+    name = fitted.arm.robot.body_name
+    return body_estimate(fitted, name, combinations, theta, None)
 
 
 def _payload_record(
-    fitted: Fit, flange: Flange, values: Array, scatter: tuple[RecordingPayload, ...]
+    fitted: Fit, flange: Flange, values: Array, divided: Array
 ) -> Payload:
-    """Return the record of the payload, and of the terminal link without and with it."""
+    """Return the record of the payload, and of the terminal link without and with it.
+
+    ``divided``: (n,) torque scales by which the torques were divided already.
+    """
     known_mass = fitted.question.known_mass
     torque_scale = {}
     if known_mass:
-        for joint in fitted.arm.joints:
-            scale = quantity(fitted, f"scale[{joint}]")
-            torque_scale[joint] = Quantity(1.0 + scale.value, scale.error)
+        for joint, factor in zip(fitted.arm.joints, divided[fitted.arm.indices]):
+            scale = 1.0 + fitted.by_name[f"scale[{joint}]"]
+            torque_scale[joint] = float(factor * scale)
     recordings: dict[str, tuple[str, ...]] = {"empty": (), "loaded": ()}
     for name, is_loaded in _kinds(fitted).items():
         recordings["loaded" if is_loaded else "empty"] += (name,)
     return Payload(
         flange,
         _in_flange(fitted, flange, values),
-        _link(fitted, values, loaded=False),
-        _link(fitted, values, loaded=True),
+        _link_with(fitted, values),
         recordings,
-        scatter,
         torque_scale,
         known_mass,
     )
@@ -210,36 +226,6 @@ def _kinds(fitted: Fit) -> dict[str, bool]:
 def _blocks(fitted: Fit, names: Sequence[str]) -> list[int]:
     """Return the blocks of named logs."""
     return [k for k, log in enumerate(fitted.sums.logs) if log in names]
-
-
-def payloads_by_recording(fitted: Fit, flange: Flange) -> Iterator[RecordingPayload]:
-    """Yield the payload according to each recording, compared with those of the other kind.
-
-    The kinds are recordings without and with the payload. A recording that is the only one of its
-    kind gives no entry.
-    """
-    kinds = _kinds(fitted)
-    for name, is_loaded in kinds.items():
-        if list(kinds.values()).count(is_loaded) < 2:
-            continue
-        logs = [name, *(other for other in kinds if kinds[other] != is_loaded)]
-        alone = fit(
-            fitted.arm,
-            fitted.recordings,
-            fitted.point,
-            fitted.sums.only(_blocks(fitted, logs)),
-            fitted.equations.terms,
-            fitted.question,
-            noise=fitted.noise,
-            correlation=fitted.correlation,
-            possible=False,
-        )
-        body = _in_flange(alone, flange, alone.values)
-        mass = body.mass
-        com = body.first_moment / mass if mass else np.full(3, np.nan)
-        noise = float(body.budget["noise"][0])
-        error = float(body.errors[0])
-        yield RecordingPayload(name, is_loaded, mass, com, noise, error)
 
 
 def contradiction(fitted: Fit, flange: Flange) -> str:

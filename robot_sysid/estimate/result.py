@@ -6,8 +6,9 @@ inertial parameters (``PARAMETER_NAMES``).
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,19 +25,19 @@ from robot_sysid.estimate.options import FILE_FRICTION
 from robot_sysid.estimate.questions import CHANGES
 from robot_sysid.estimate.terms import (
     FRICTION,
+    FURTHER_FRICTION,
     LAST_LINK,
     LINKS,
     MOTORS,
     PAYLOAD,
     PAYLOAD_NAMES,
+    Term,
 )
 from robot_sysid.estimate.trust import (
     HARMLESS,
     UNEXPLAINED,
     UNUSUAL,
-    Judgement,
     find_misfits,
-    first,
     implausible_joints,
     implausible_link,
     judge_file,
@@ -49,17 +50,26 @@ from robot_sysid.records import (
     DataOrigin,
     Estimate,
     InertialParameters,
-    JointLimits,
     Validation,
-    WrongLink,
 )
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES
-from robot_sysid.records.messages import percent, with_error
+from robot_sysid.records.messages import Level, Remark, percent, says, term_unit
+from robot_sysid.results.quantities import (
+    BEYOND,
+    NOT_SHOWN,
+    PRIOR_SHARE,
+    body_quantities,
+    cause_text,
+    file_quantities,
+)
 from robot_sysid.results.record import (
+    BOUND,
+    DATA,
+    FILE,
     LINK,
+    MODEL,
     BodyEstimate,
-    JointEstimate,
     ModelFile,
     Quantity,
     Result,
@@ -84,10 +94,9 @@ def link_result(
 ) -> Result:
     """Return the result for an arm from recordings without a payload.
 
-    Its verdict is that of the first reason against the fit, the links or the model file; without
-    such a reason, that on the model file. Where too much torque is unexplained (``UNEXPLAINED``),
-    or the given friction model misses terms that the torques show, it is never better than
-    ``Verdict.TORQUES_ONLY``.
+    Its remarks are reasons against the fit, the links or the model file first. Where too much
+    torque is unexplained (``UNEXPLAINED``), or the given friction model misses terms that the
+    torques show, its verdict is never better than ``Verdict.TORQUES_ONLY``.
 
     Args:
         fitted: the fit of all terms.
@@ -102,83 +111,76 @@ def link_result(
     acceleration_error = max(errors, default=0.0)
     common = common_result(fitted, origin, LINK)
     *other_links, last_link = common.links.values()
-    findings = [*find_misfits(fitted, tests, acceleration_error)]
-    share, sentence = unexplained_share(fitted)
-    all_notes = [*robot.notes, *notes]
-    if share > UNUSUAL:
-        all_notes.append(sentence)
-    findings += implausible_link(robot, last_link)
-    findings += implausible_joints(robot, common.joints, fitted.torque)
-    written, file_notes = model_file(fitted, file)
-    all_notes += file_notes
-    judgement = file_verdict(file)
-    verdict, _ = judgement
-    if not verdict.is_trustworthy:
-        findings.append(judgement)
-    status, reasons = first(findings, verdict)
+    refusals = [*find_misfits(fitted, tests, acceleration_error)]
+    refusals += implausible_link(robot, last_link)
+    refusals += implausible_joints(robot, common.quantities, fitted.torque)
+    written, file_rows, file_notes = model_file(fitted, file)
+    judgement = judge_file(file.before, file.after)
     missed = missed_friction(fitted)
+    share, sentence = unexplained_share(fitted)
     doubts = [sentence] if share > UNEXPLAINED else []
     doubts += [missed] if missed else []
-    if doubts:
-        # A file that clearly predicts better is written all the same, for torques only.
-        if status is Verdict.BETTER:
-            status = Verdict.TORQUES_ONLY
-        else:
-            status, _ = first(findings, Verdict.UNEXPLAINED)
-        reasons = (*reasons, *doubts)
+    # A file that clearly predicts better is written all the same, for torques only.
+    is_better = judgement.about == Verdict.BETTER.name
+    verdict = Verdict.TORQUES_ONLY if is_better else Verdict.UNEXPLAINED
+    remarks = [*refusals, judgement, *map(verdict.remark, doubts)]
     # Links that took up the torque of missed friction say nothing of the model's.
-    contradicted = () if missed else tuple(wrong_links(other_links))
-    all_notes += map(_wrong_link_line, contradicted)
-    all_notes += result_notes(fitted, written, missed)
+    remarks += () if missed else wrong_links(other_links)
+    mass = float(written.thetas[-1, 0])
+    if abs(mass - last_link.mass) > 2.0 * last_link.errors[0]:
+        text = (
+            f"{last_link.name} weighs {mass:.4g} kg in the written model, not as identified: with "
+            "what a file can hold, that predicts torques best"
+        )
+        remarks.append(Remark(Level.DOUBTS, last_link.name, text))
+    bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
+    sentences = [*robot.notes, *notes]
+    if len(bodies) > 1:
+        sentences.append(
+            f"the mass of {last_link.name} is that of {' + '.join(bodies)}"
+        )
+    if UNUSUAL < share <= UNEXPLAINED:
+        sentences.append(sentence)
+    sentences += [*file_notes, *result_notes(fitted, written)]
     return replace(
         common,
-        verdict=status,
-        reasons=reasons,
-        wrong_links=contradicted,
+        remarks=(*remarks, *says(sentences)),
+        quantities=(*common.quantities, *beyond_model(last_link), *file_rows),
         file=written,
         validation=tests,
-        notes=tuple(dict.fromkeys(all_notes)),
     )
 
 
-def _wrong_link_line(link: WrongLink) -> str:
-    """Return a sentence for the user on a link of the model that the recordings contradict."""
-    moment = with_error(link.first_moment, link.error, "kg m")
-    return (
-        f"{link.name} of the model is probably wrong: its mass times the distance of its centre of "
-        f"mass is {moment}, in the model {link.first_moment_of_model:.3g}; the torques do not "
-        "separate mass and distance"
-    )
+def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
+    """Yield mass and centre of mass of what is on a link beyond its model.
 
-
-def file_verdict(file: FileFit) -> Judgement:
-    """Return (verdict, reason) on the written file compared with the given model."""
-    return judge_file(file.before, file.after)
+    It is the difference to the model, whose numbers count as exact.
+    """
+    if link.prior is None:
+        return
+    theta = link.theta - link.prior.theta
+    beyond = replace(link, theta=theta, prior=None)
+    yield from itertools.islice(body_quantities(beyond, BEYOND), 4)
 
 
 def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
     """Return a result with the fields that do not depend on whether a payload is identified.
 
-    Its verdict, ``Verdict.OK``, is a placeholder that callers replace.
+    Its quantities are those of links, joints, motors and sensors.
     """
     robot = fitted.arm.robot
-    joints: dict[str, JointEstimate] = {}
-    motors: dict[str, JointEstimate] = {}
-    for name, joint in joint_estimates(fitted):
-        (joints if name in robot.joint_names else motors)[name] = joint
+    links = {link.name: link for link in link_estimates(fitted)}
+    rows = itertools.chain(*(body_quantities(links[name], name) for name in links))
     signals = signals_of(fitted)
     scales = fitted.question.link_scales
     return Result(
         robot=robot,
         question=question,
         estimate=_estimate(fitted),
-        verdict=Verdict.OK,
+        quantities=(*rows, *joint_quantities(fitted), *sensors(fitted)),
         torques="chain" if len(fitted.arm.joints) == robot.n_joints else "terminal",
         data=origin,
-        links={link.name: link for link in link_estimates(fitted)},
-        joints=joints,
-        couplings=motors,
-        sensors=sensors(fitted),
+        links=links,
         friction_model="-".join(fitted.question.friction) or "none",
         cutoff=signals[0].cutoff if signals else None,
         link_scales={name: getattr(scales, name) for name in LINK_KINDS},
@@ -245,58 +247,61 @@ def link_estimates(fitted: Fit) -> Iterator[BodyEstimate]:
             )
 
 
-def quantity(fitted: Fit, name: str) -> Quantity:
-    """Return a named parameter with its standard error, NaN where it is held at a bound."""
-    if name in fitted.at_bound:
-        return Quantity(fitted.by_name[name], math.nan)
-    return Quantity(
-        fitted.by_name[name], float(fitted.errors[fitted.names.index(name)])
-    )
-
-
-def joint_estimates(fitted: Fit) -> Iterator[tuple[str, JointEstimate]]:
-    """Yield (name, friction and rotor inertia) of each chain joint, then of motors of several."""
-    arm = fitted.arm
-    terms: dict[str, dict[str, Quantity]] = {}
-    for term in fitted.equations.terms:
-        if term.cause in (FRICTION, MOTORS):
-            for name in term.names:
-                kind, owner = split_name(name)
-                terms.setdefault(owner, {})[kind] = quantity(fitted, name)
-    for joint in arm.robot.joint_names:
-        of_joint = terms.get(joint, {})
-        of_model = {
-            kind: arm.model[f"{kind}[{joint}]"]
-            for kind in ("coulomb", "viscous", "armature")
-        }
-        yield (
-            joint,
-            JointEstimate(
-                friction_model="-".join(fitted.question.friction)
-                if of_joint
-                else "none",
-                terms=of_joint,
-                model_terms=of_model,
-                noise=fitted.noise_per_joint.get(joint, math.nan),
-            ),
+def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
+    """Yield the parameters of terms, with the model's values where the arm has them."""
+    robot = fitted.arm.robot
+    cause_of = {name: term.cause for term in terms for name in term.names}
+    causes = fitted.budget(np.eye(len(fitted.names)))
+    shares = fitted.share()
+    for name, index in zip(cause_of, fitted.at([*cause_of])):
+        kind, owner = split_name(name)
+        error = float(fitted.errors[index])
+        reason = cause_text(max(causes, key=lambda cause: float(causes[cause][index])))
+        source = DATA if shares[index] >= PRIOR_SHARE else MODEL
+        if name in fitted.at_bound:
+            error = math.nan
+            source = BOUND
+            reason = "it would cross its bound"
+        elif math.isinf(error):
+            reason = NOT_SHOWN
+        # A joint's friction beyond its terms, which errors allow for, is none of these terms.
+        is_further = cause_of[name] == FURTHER_FRICTION
+        yield Quantity(
+            name=f"further_{kind}" if is_further else kind,
+            of=owner or "arm",
+            unit=term_unit(kind, owner in robot.slides),
+            model=fitted.arm.model.get(name),
+            value=fitted.by_name[name],
+            error=error,
+            source=source,
+            reason=reason,
         )
-    for motor in arm.motors:
-        if motor.name in terms:
-            of_model = {}
-            if motor.tendon is not None:
-                of_model = dict(zip(motor.terms, motor.model.tolist()))
-            of_motor = terms[motor.name]
-            yield motor.name, JointEstimate("-".join(of_motor), of_motor, of_model)
 
 
-def sensors(fitted: Fit) -> dict[str, Quantity]:
-    """Return name to estimate of all parameters that are neither of bodies nor of friction."""
+def quantity(fitted: Fit, name: str) -> tuple[float, float]:
+    """Return a named parameter and its standard error, NaN where it is held at a bound."""
+    error = float(fitted.errors[fitted.names.index(name)])
+    return fitted.by_name[name], math.nan if name in fitted.at_bound else error
+
+
+def joint_quantities(fitted: Fit) -> list[Quantity]:
+    """Return friction and rotor inertia of chain joints, and of motors that turn several."""
+    terms = [
+        each for each in fitted.equations.terms if each.cause in (FRICTION, MOTORS)
+    ]
+    owners = [
+        *fitted.arm.robot.joint_names,
+        *(motor.name for motor in fitted.arm.motors),
+    ]
+    rows = term_quantities(fitted, terms)
+    return sorted(rows, key=lambda row: owners.index(row.of))
+
+
+def sensors(fitted: Fit) -> Iterator[Quantity]:
+    """Yield all parameters that are neither of bodies nor of friction."""
     excluded = (LINKS, LAST_LINK, PAYLOAD, FRICTION, MOTORS)
-    values: dict[str, Quantity] = {}
-    for term in fitted.equations.terms:
-        if term.cause not in excluded:
-            values.update((name, quantity(fitted, name)) for name in term.names)
-    return values
+    terms = [each for each in fitted.equations.terms if each.cause not in excluded]
+    yield from term_quantities(fitted, terms)
 
 
 def _estimate(fitted: Fit) -> Estimate:
@@ -348,43 +353,42 @@ def _rows(fitted: Fit, names: Sequence[str]) -> Array:
     return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
 
 
-def model_file(fitted: Fit, file: FileFit) -> tuple[ModelFile, list[str]]:
-    """Return (contents of the model file, sentences for the user on what the file leaves out)."""
+def model_file(
+    fitted: Fit, file: FileFit
+) -> tuple[ModelFile, list[Quantity], list[str]]:
+    """Return (contents of the model file, their rows, sentences on what the file leaves out)."""
     robot = fitted.arm.robot
     thetas = file.fit.thetas
     theta_errors = np.zeros_like(thetas)
     for body in link_estimates(file.fit):
         theta_errors[robot.joint_names.index(str(body.joint))] = body.errors
-    joints = {}
+    joints: dict[str, dict[str, float]] = {}
     notes = []
-    for owner, terms in _file_terms(fitted, file):
-        if terms:
-            joints[owner] = terms
-        elif owner in robot.joint_names and FILE_FRICTION not in file.unchanged:
-            notes.append(
-                f"{owner} does not move fast enough in these logs: its friction and rotor inertia "
-                "are not identifiable, the model's values are kept"
-            )
+    rows: list[Quantity] = []
+    for link, theta in zip(robot.links, thetas):
+        if np.any(theta):
+            rows += file_quantities(theta, link.theta, link.body_name)
+    for row in _file_terms(fitted, file):
+        joints.setdefault(row.of, {})[row.name] = row.value
+        rows.append(row)
+    unseen = [joint for joint in robot.joint_names if joint not in joints]
+    if unseen and FILE_FRICTION not in file.unchanged:
+        notes.append(
+            f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "
+            "identifiable there, the model's values are kept"
+        )
     notes += _offset_notes(file)
     urdf = None
     if file.urdf is not None:
-        urdf, _ = model_file(fitted, file.urdf)
+        urdf, _, _ = model_file(fitted, file.urdf)
         omissions = [
             f"the motor that turns with {motor}" for motor in fitted.question.motors
         ]
-        rotors = [
-            name for name in robot.joint_names if "armature" in joints.get(name, {})
-        ]
-        if rotors:
-            is_all = len(rotors) == robot.n_joints
-            omissions.append(
-                f"the rotor inertia of {'all joints' if is_all else ', '.join(rotors)}"
-            )
+        if any("armature" in terms for terms in joints.values()):
+            omissions.append("rotor inertia")
         urdf = replace(urdf, omissions=tuple(omissions))
-        shares = []
-        for test in (file.after, file.urdf.after):
-            error = test.relative_error
-            shares.append("not known" if error is None else percent(error))
+        errors = file.after.relative_error, file.urdf.after.relative_error
+        shares = [percent(error or 0.0) for error in errors]
         notes.append(
             f"{MODEL_NAMES['urdf']} lacks {' and '.join(omissions)}, which no URDF can hold; its "
             "links take up the torque of what it lacks, so that their masses differ from the "
@@ -403,32 +407,32 @@ def model_file(fitted: Fit, file: FileFit) -> tuple[ModelFile, list[str]]:
         motors=motors if file.kind == "mjcf" else (),
         urdf_file=urdf,
     )
-    return written, notes
+    return written, rows, notes
 
 
-def _file_terms(
-    fitted: Fit, file: FileFit
-) -> Iterator[tuple[str, dict[str, Quantity]]]:
-    """Yield (joint or motor, its friction terms and rotor inertia in the model file).
+def _file_terms(fitted: Fit, file: FileFit) -> Iterator[Quantity]:
+    """Yield the friction terms and rotor inertia of joints and motors in the model file.
 
     A rotor is written, with its error, where it differs from the model's. The offset of a torque
     sensor is not friction, and is not written. What is written has to hold on another day, too: the
     errors of friction have its change (``CHANGES``) in them.
     """
-    for owner, joint in joint_estimates(file.fit):
-        terms = {}
-        for term, (value, error) in joint.terms.items():
-            if term != "offset":
-                terms[term] = Quantity(value, math.hypot(error, CHANGES * value))
+    for row in joint_quantities(file.fit):
+        if row.name not in ("offset", "armature"):
+            assert row.error is not None
+            error = math.hypot(row.error, CHANGES * row.value)
+            yield replace(row, error=error, source=FILE, reason="")
+    robot = fitted.arm.robot
+    for owner in (*robot.joint_names, *fitted.question.motors):
         name = f"armature[{owner}]"
         model_rotor = fitted.arm.model.get(name, 0.0)
         rotor = file.rotors.get(owner, model_rotor)
         if rotor != model_rotor:
             # Without an estimate of its own, the joint has the rotor of a motor that it shares.
-            is_own = name in fitted.names
-            error = quantity(fitted, name).error if is_own else math.nan
-            terms["armature"] = Quantity(rotor, error)
-        yield owner, terms
+            is_estimated = name in fitted.names
+            error = quantity(fitted, name)[1] if is_estimated else math.nan
+            unit = term_unit("armature", owner in robot.slides)
+            yield Quantity("armature", owner, unit, model_rotor, rotor, error, FILE)
 
 
 def _offset_notes(file: FileFit) -> Iterator[str]:
@@ -439,35 +443,34 @@ def _offset_notes(file: FileFit) -> Iterator[str]:
     for row, joint in enumerate(fitted.arm.joints):
         name = f"offset[{joint}]"
         if name in fitted.names:
-            offset = quantity(fitted, name)
-            if abs(offset.value) > _CLEAR * offset.error:
-                squares += offset.value**2 * float(np.sum(fitted.sums.counts[:, row]))
-                phrases.append(f"{joint} {offset.value:.2g} N·m")
+            offset, error = quantity(fitted, name)
+            if abs(offset) > _CLEAR * error:
+                squares += offset**2 * float(np.sum(fitted.sums.counts[:, row]))
+                phrases.append(f"{joint} {offset:.2g} N·m")
     squared = squares / float(np.sum(fitted.sums.squared_torque))
-    error = file.after.relative_error or 0.0
-    if squared > max(HARMLESS, error) ** 2:
+    share = file.after.relative_error or 0.0
+    if squared > max(HARMLESS, share) ** 2:
         yield (
             f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
             "that is larger in one direction: with it left in, the written file's torque error on "
-            f"held-out data is {percent(float(np.sqrt(squared + error**2)))}"
+            f"held-out data is {percent(float(np.sqrt(squared + share**2)))}"
         )
 
 
-def result_notes(fitted: Fit, file: ModelFile | None, missed: str) -> Iterator[str]:
+def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
     """Yield sentences for the user on friction, motors, encoder zeros and gravity."""
     left_out = fitted.question.options.left_out_terms
-    if missed:
-        yield missed
-    elif left_out:
+    if left_out:
         yield f"not estimated, as the friction model is given without: {', '.join(left_out)}"
     for motor in fitted.arm.motors:
         if motor.tendon is None and motor.name in fitted.question.motors:
             yield f"a motor turns with {motor.name}: the torques give clear evidence of it"
-    for name, zero in sensors(fitted).items():
+    for name in fitted.names:
         kind, joint = split_name(name)
-        if kind == "zero" and abs(zero.value) > max(_CLEAR * zero.error, _SMALL_ZERO):
+        zero, error = quantity(fitted, name)
+        if kind == "zero" and abs(zero) > max(_CLEAR * error, _SMALL_ZERO):
             yield (
-                f"the log reads {joint} {1e3 * zero.value:.1f} ± {1e3 * zero.error:.1g} mrad too "
+                f"the log reads {joint} {1e3 * zero:.1f} ± {1e3 * error:.1g} mrad too "
                 "large; the links are those of the true positions"
             )
     if file is not None and file.gravity is not None:
@@ -480,14 +483,12 @@ def result_notes(fitted: Fit, file: ModelFile | None, missed: str) -> Iterator[s
         )
 
 
-def traces_of(
-    fitted: Fit, file: FileFit | None, truth: InertialParameters | None = None
-) -> Traces:
+def traces_of(fitted: Fit, file: FileFit | None) -> Traces:
     """Return the measured torques, and the predictions of the written file and the given model.
 
     Without a file, the fit's predictions replace those of the file. Both predictions contain the
     estimated offsets of the torque sensors. With a payload, the second prediction is that of the
-    fit without the payload. ``truth`` are the true parameters of a simulated arm's terminal link.
+    fit without the payload.
     """
     shown = fitted if file is None else file.fit
     arm = fitted.arm
@@ -511,7 +512,6 @@ def traces_of(
             motion = rows.motion
             signals = {
                 "time": motion.time,
-                "q": motion.q[:, arm.indices],
                 "qd": motion.qd[:, arm.indices],
                 "measured": np.where(used, measured, np.nan),
                 "predicted": arm.torque(rows, shown.point, values),
@@ -520,25 +520,6 @@ def traces_of(
             }
             for name, signal in signals.items():
                 fields.setdefault(name, []).append(signal)
-    robot = arm.robot
-    limits = robot.limits
-    indices = arm.indices
     joined = {name: np.concatenate(signals) for name, signals in fields.items()}
-    return Traces(
-        joints=arm.joints,
-        is_slide=tuple(robot.is_slide[indices].tolist()),
-        limits=JointLimits(
-            limits.lower[indices],
-            limits.upper[indices],
-            limits.velocity[indices],
-            limits.torque[indices],
-        ),
-        time=joined["time"],
-        q=joined["q"],
-        qd=joined["qd"],
-        measured=joined["measured"],
-        predicted=joined["predicted"],
-        prior_prediction=joined["prior_prediction"],
-        friction=joined["friction"],
-        truth=truth,
-    )
+    is_slide = tuple(arm.robot.is_slide[arm.indices].tolist())
+    return Traces(joints=arm.joints, is_slide=is_slide, **joined)

@@ -16,9 +16,9 @@ import numpy as np
 from robot_sysid.estimate.fit import Fit, fit
 from robot_sysid.estimate.held_out import NOISE_EXPLAINS, is_clearly_lower, validation
 from robot_sysid.model.bodies import link_reach
-from robot_sysid.records import InertialParameters, RobotModel, Validation, WrongLink
-from robot_sysid.records.messages import percent, with_error
-from robot_sysid.results.record import BodyEstimate, JointEstimate, Verdict
+from robot_sysid.records import InertialParameters, RobotModel, Validation
+from robot_sysid.records.messages import Level, Remark, percent, with_error
+from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
 
 HARMLESS = 0.02
 """Held-out error, as a share of the torque, up to which the noise of the fit does not matter."""
@@ -68,25 +68,11 @@ of the torque at most."""
 # Standard errors from which a distance of a mass from zero, or of a size from its bound, is
 # significant (95 %).
 _SURE = 2.0
-Judgement = tuple[Verdict, str]
-"""A verdict and the reason for it, one sentence without a full stop."""
-
-
-def first(
-    findings: Iterable[Judgement], otherwise: Verdict
-) -> tuple[Verdict, tuple[str, ...]]:
-    """Return (verdict of the first of (verdict, reason) pairs, reasons of all pairs).
-
-    Without pairs, the verdict is ``otherwise``.
-    """
-    judged = list(findings)
-    verdict = judged[0][0] if judged else otherwise
-    return verdict, tuple(reason for _, reason in judged)
 
 
 def find_misfits(
     fitted: Fit, tests: Sequence[Validation], acceleration_error: float
-) -> Iterator[Judgement]:
+) -> Iterator[Remark]:
     """Yield reasons why the torques do not follow from the motion within their noise.
 
     A joint without data has no noise, a joint without torque no ratio of noise to torque; both are
@@ -99,10 +85,9 @@ def find_misfits(
     """
     noise = fitted.noise_per_joint
     if acceleration_error > COARSE:
-        yield (
-            Verdict.UNEXPLAINED,
+        yield Verdict.UNEXPLAINED.remark(
             "the positions are too coarse or too seldom to have accelerations: expected error "
-            f"{percent(acceleration_error)}",
+            f"{percent(acceleration_error)}"
         )
     for test in tests:
         if not test.is_informative or (test.relative_error or 0.0) <= HARMLESS:
@@ -111,10 +96,9 @@ def find_misfits(
         ratios = [errors[joint] / noise[joint] for joint in errors if joint in noise]
         ratio = float(np.sqrt(np.mean(np.square(ratios or [0.0]))))
         if ratio > NOISE_EXPLAINS:
-            yield (
-                Verdict.UNEXPLAINED,
+            yield Verdict.UNEXPLAINED.remark(
                 f"torques of {test.source} are predicted {ratio:.1f} times worse than the noise "
-                "of the fit allows",
+                "of the fit allows"
             )
     torque = fitted.torque
     shares = {joint: noise[joint] / torque[joint] for joint in noise if torque[joint]}
@@ -128,10 +112,9 @@ def find_misfits(
         sensor = max(noise[other] for other in others)
         is_odd = share > 1.0 or noise[joint] > sensor
         if is_odd and share > max(ODD_NOISE, ODD_JOINT * median):
-            yield (
-                Verdict.UNEXPLAINED,
+            yield Verdict.UNEXPLAINED.remark(
                 f"{percent(share)} of the torque of {joint} is unexplained, of the other "
-                f"joints' {percent(median)}",
+                f"joints' {percent(median)}"
             )
 
 
@@ -205,7 +188,7 @@ def missed_friction(fitted: Fit) -> str:
     )
 
 
-def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgement]:
+def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Remark]:
     """Yield reasons why this arm cannot have the estimated terminal link.
 
     Bounds on its centre of mass and radius of gyration follow from the extent of the link's
@@ -222,21 +205,21 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Judgemen
     distance = float(np.linalg.norm(link.com))
     where = f"on a link that reaches {reach:.2g} m"
     if distance - slack > reach + COM_BEYOND * arm:
-        yield (
-            Verdict.IMPLAUSIBLE,
-            f"the centre of mass is {distance:.2g} m away {where}",
+        yield Verdict.IMPLAUSIBLE.remark(
+            f"the centre of mass is {distance:.2g} m away {where}"
         )
     moment = float(link.principal_moments[-1])
     slack = _SURE * float(np.max(errors[4:10]))
     if moment - slack > link.mass * (reach + GYRATION_BEYOND * arm) ** 2:
         radius = np.sqrt(moment / link.mass)
-        yield Verdict.IMPLAUSIBLE, f"the radius of gyration is {radius:.2g} m {where}"
+        yield Verdict.IMPLAUSIBLE.remark(
+            f"the radius of gyration is {radius:.2g} m {where}"
+        )
     ratio = link.mass / robot.prior.mass
     if not np.isfinite(errors[0]) and not 1.0 / MOVED_UNSEEN <= ratio <= MOVED_UNSEEN:
-        yield (
-            Verdict.IMPLAUSIBLE,
+        yield Verdict.IMPLAUSIBLE.remark(
             f"these torques do not show the mass, yet the rest is only possible with "
-            f"{link.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg",
+            f"{link.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg"
         )
 
 
@@ -246,8 +229,8 @@ def _distance_of_ends(robot: RobotModel) -> float:
 
 
 def implausible_joints(
-    robot: RobotModel, joints: Mapping[str, JointEstimate], torque: Mapping[str, float]
-) -> Iterator[Judgement]:
+    robot: RobotModel, quantities: Iterable[Quantity], torque: Mapping[str, float]
+) -> Iterator[Remark]:
     """Yield reasons why this arm cannot have the estimated friction and rotor inertia.
 
     Dry friction is compared with the joint's torque limit and with the torques of the other joints
@@ -256,16 +239,18 @@ def implausible_joints(
 
     Args:
         robot: the arm with its model.
-        joints: name of each chain joint to its estimate.
+        quantities: identified numbers, among them those of its joints.
         torque: joint to the root mean square of its measured torque [N m].
     """
     inertia = robot.mass * robot.length**2
+    # Least values that the errors allow. A term at its bound has the error NaN, and no comparison
+    # with NaN is true.
+    least: dict[str, dict[str, float]] = {name: {} for name in robot.joint_names}
+    for row in quantities:
+        if row.of in least and row.error is not None:
+            least[row.of][row.name] = row.value - _SURE * row.error
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
-        # Least values that the errors allow. A term at its bound has the error NaN, and no
-        # comparison with NaN is true.
-        terms = {}
-        for term, figure in joints[name].terms.items():
-            terms[term] = figure.value - _SURE * figure.error
+        terms = least[name]
         dry = terms.get("coulomb", terms.get("sigmoid", 0.0))
         rotor = terms.get("armature", 0.0)
         others = [0.0]
@@ -275,19 +260,17 @@ def implausible_joints(
         strongest = DRY_FRICTION * max(others) or np.inf
         # A limit of zero means that the model states none.
         if dry > min(robot.limits.torque[index] or np.inf, strongest):
-            yield (
-                Verdict.IMPLAUSIBLE,
-                f"{name} would have {dry:.3g} N m of dry friction or more",
+            yield Verdict.IMPLAUSIBLE.remark(
+                f"{name} would have {dry:.3g} N m of dry friction or more"
             )
         if not slide and rotor > inertia > 0.0:
-            yield (
-                Verdict.IMPLAUSIBLE,
-                f"{name} would have a rotor of {rotor:.3g} kg m^2 or more",
+            yield Verdict.IMPLAUSIBLE.remark(
+                f"{name} would have a rotor of {rotor:.3g} kg m^2 or more"
             )
 
 
-def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
-    """Yield the links whose first moment in the model the recordings contradict.
+def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[Remark]:
+    """Yield a doubt on each link whose first moment in the model the recordings contradict.
 
     Mass and centre of mass of a link are confounded with each other and with those of neighbouring
     links; the first moment along the model's centre of mass, which makes the torque of the link's
@@ -306,12 +289,17 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[WrongLink]:
         deviation = abs(moment - expected)
         least = max(_SURE * error, LEAST_WRONG * expected)
         if np.all(link.is_determined[1:4]) and deviation > least:
-            yield WrongLink(link.name, expected, moment, error)
+            text = (
+                f"{link.name} of the model is probably wrong: its mass times the distance of its "
+                f"centre of mass is {with_error(moment, error, 'kg m')}, in the model "
+                f"{expected:.3g}; the torques do not separate mass and distance"
+            )
+            yield Remark(Level.DOUBTS, link.name, text)
 
 
 def judge_file(
     model: Validation, written: Validation, data: str = "held-out data"
-) -> Judgement:
+) -> Remark:
     """Return the verdict on a written file from its held-out error and that of the given model.
 
     What is clearly higher in paired blocks of time is worse, over all or at one joint. An error
@@ -325,17 +313,18 @@ def judge_file(
     old = model.relative_error
     new = written.relative_error
     if old is None or new is None:
-        return Verdict.NO_BETTER, "the measured torque is zero"
+        return Verdict.NO_BETTER.remark("the measured torque is zero")
     sentence = f"torque error of the model on {data}: {percent(old)} -> {percent(new)}"
     before = np.sum(model.blocks, axis=1)
     after = np.sum(written.blocks, axis=1)
     if new > WORST or (new > NEGLIGIBLE and is_clearly_lower(before, after)):
-        return Verdict.NO_BETTER, sentence
+        return Verdict.NO_BETTER.remark(sentence)
     worse = worse_joints(model, written)
     if worse:
-        return Verdict.NO_BETTER, f"{sentence}, but worse at {', '.join(worse)}"
+        reason = f"{sentence}, but worse at {', '.join(worse)}"
+        return Verdict.NO_BETTER.remark(reason)
     is_better = is_clearly_lower(after, before)
-    return (Verdict.BETTER if is_better else Verdict.AS_GOOD), sentence
+    return (Verdict.BETTER if is_better else Verdict.AS_GOOD).remark()
 
 
 def worse_joints(model: Validation, written: Validation) -> list[str]:
@@ -356,7 +345,7 @@ def worse_joints(model: Validation, written: Validation) -> list[str]:
 
 def judge_payload(
     robot: RobotModel, payload: BodyEstimate, contradicting: str, validation: Validation
-) -> Iterator[Judgement]:
+) -> Iterator[Remark]:
     """Yield reasons why a payload is not trustworthy.
 
     Args:
@@ -369,22 +358,21 @@ def judge_payload(
     error = float(payload.errors[0])
     sentence = f"the payload comes out as {with_error(mass, error, 'kg')}"
     if contradicting:
-        yield Verdict.DISAGREE, contradicting
+        yield Verdict.DISAGREE.remark(contradicting)
     if mass < -_SURE * error:
-        yield Verdict.SWAPPED, sentence
+        yield Verdict.SWAPPED.remark(sentence)
     elif not np.isfinite(error) or mass <= _SURE * error:
-        yield Verdict.NOT_SEEN, sentence
+        yield Verdict.NOT_SEEN.remark(sentence)
     elif (validation.relative_error or 0.0) > WORST_OF_PAYLOAD:
         share = percent(validation.relative_error or 0.0)
-        yield (
-            Verdict.UNEXPLAINED,
-            f"held-out torques are predicted with an error of {share}",
+        yield Verdict.UNEXPLAINED.remark(
+            f"held-out torques are predicted with an error of {share}"
         )
     else:
         yield from _far_payload(robot, payload)
 
 
-def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Judgement]:
+def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Remark]:
     """Yield a reason for each size of a payload that is too large for the reach of the arm.
 
     Sizes are the distance of the centre of mass from the flange, and the radius of gyration.
@@ -398,16 +386,15 @@ def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Jud
         ("radius of gyration is", gyration),
     ):
         if size > farthest:
-            yield (
-                Verdict.IMPLAUSIBLE,
+            yield Verdict.IMPLAUSIBLE.remark(
                 f"its {quantity} {size:.3g} m (from the flange); more than {farthest:.3g} m, "
-                "half the arm's reach, is not believed",
+                "half the arm's reach, is not believed"
             )
 
 
 def judge_known_mass(
-    findings: Sequence[Judgement], weighed: float, mass: float
-) -> Iterator[Judgement]:
+    findings: Sequence[Remark], weighed: float, mass: float
+) -> Iterator[Remark]:
     """Yield reasons why torque scales may not be taken from a known mass [kg].
 
     Args:
@@ -417,8 +404,8 @@ def judge_known_mass(
     """
     # An implausible size may come from the torque scales, which a known mass corrects.
     for finding in findings:
-        if finding[0] is not Verdict.IMPLAUSIBLE:
+        if finding.about != Verdict.IMPLAUSIBLE.name:
             yield finding
     if not mass / MOST_FACTOR < weighed < mass * MOST_FACTOR:
         reason = f"weighed with torques as they are, {mass:g} kg come out as {weighed:.4g} kg"
-        yield Verdict.WRONG_WEIGHT, reason
+        yield Verdict.WRONG_WEIGHT.remark(reason)

@@ -30,7 +30,7 @@ from robot_sysid.motion import LOADED
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
-from robot_sysid.results.record import Quantity, Result
+from robot_sysid.results.record import Result
 from robot_sysid.signals.rests import resting_poses
 
 LEAST_WITHIN = 0.15
@@ -97,17 +97,13 @@ def identify_payload(
     fitted, weighed, file = identify.identify_payload(
         robot, datasets, question, progress, config.estimation.keep
     )
-    result = payload_result(fitted, weighed, file, flange, origin_of(logs))
-    if config.log.torque_scale is not None and result.payload is not None:
-        # Those of the log before its torques were divided by scales.
-        factors = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)[0]
-        scales = {}
-        for joint, scale in result.payload.torque_scale.items():
-            factor = float(factors[robot.joint_names.index(joint)])
-            scales[joint] = Quantity(factor * scale.value, factor * scale.error)
-        payload = replace(result.payload, torque_scale=scales)
-        result = replace(result, payload=payload)
-    progress.note(*result.notes[len(robot.notes) :])
+    # Scales are those of the log before its torques were divided by known ones.
+    divided = np.ones(robot.n_joints)
+    if config.log.torque_scale is not None:
+        divided, _ = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
+    result = payload_result(
+        fitted, weighed, file, flange, origin_of(logs), notes, divided
+    )
     checkpoints = fitted.recordings[-1].motion
     traces = partial(traces_of, fitted, None)
     return replace(result, checkpoints=checkpoints, traces=traces)

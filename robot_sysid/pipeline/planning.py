@@ -20,8 +20,8 @@ from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
 from robot_sysid.records.messages import NextStep, Progress, percent
 from robot_sysid.records.option_fields import given_arguments, joint_values
+from robot_sysid.results.lines import clamping_lines
 from robot_sysid.results.next_steps import Words, step_after
-from robot_sysid.results.result_lines import clamping_lines
 from robot_sysid.results.verdict import UNKNOWN, plan_conditions, plan_verdict
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks

@@ -33,11 +33,10 @@ from robot_sysid.logs.reader import (
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel
-from robot_sysid.records.arm import InertialParameters
 from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import Level, Progress
 from robot_sysid.results.prediction import torque_error
-from robot_sysid.results.record import ModelTarget, Result, Verdict
+from robot_sysid.results.record import ModelTarget, Result
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.resampling import join_measurements, piece_notes, split_at_gaps
@@ -129,9 +128,7 @@ def identify_plant(
     stretches = split_at_gaps(run)
     pieces = [Piece(name, samples) for samples in stretches]
     notes = (*plant.notes, *piece_notes(run, stretches))
-    return _identify_pieces(
-        config, robot, pieces, origin, notes, progress, truth=plant.prior
-    )
+    return _identify_pieces(config, robot, pieces, origin, notes, progress)
 
 
 def _identify_pieces(
@@ -142,7 +139,6 @@ def _identify_pieces(
     notes: Sequence[str],
     progress: Progress,
     tests: Sequence[MeasurementLog] = (),
-    truth: InertialParameters | None = None,
 ) -> Result:
     """Low-pass recordings and identify an arm from them.
 
@@ -155,7 +151,6 @@ def _identify_pieces(
         notes: what reading them had to say, one sentence each.
         progress: receives stages and notes.
         tests: logs that only test the result; they get the cut-off of the others.
-        truth: parameters of a simulated arm's terminal link; None of a real one.
     """
     options = config.estimation
     recordings, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
@@ -177,14 +172,12 @@ def _identify_pieces(
     fitted, file = identify_link(robot, recordings, options, progress, keep)
     errors = [predicted(fitted, log, name) for name, log in test_recordings.items()]
     result = link_result(fitted, file, errors, origin, notes)
-    printed = {*robot.notes, *notes}
-    progress.note(*(note for note in result.notes if note not in printed))
     checkpoints = signals.motion(
         np.linspace(0, len(signals) - 1, CHECKPOINTS).astype(int)
     )
     all_tests = tuple(itertools.chain.from_iterable(test_recordings.values()))
     result = _with_file_tests(result, all_tests, checkpoints, config.model.mesh_dir)
-    traces = partial(traces_of, fitted, file, truth)
+    traces = partial(traces_of, fitted, file)
     return replace(result, checkpoints=checkpoints, traces=traces)
 
 
@@ -223,11 +216,9 @@ def _with_file_tests(
             error_after = torque_error(written, robot, dataset.signals, dataset.name)
             error_pairs.append((error_before, error_after))
     file = replace(file, other_validations=tuple(error_pairs))
-    verdict = result.verdict
-    reasons = list(result.reasons)
+    remarks = [*result.remarks]
     for before, after in error_pairs:
-        judgement, reason = judge_file(before, after, data=before.source)
-        if judgement is Verdict.NO_BETTER:
-            verdict = judgement
-            reasons.append(reason)
-    return replace(result, file=file, verdict=verdict, reasons=tuple(reasons))
+        judgement = judge_file(before, after, data=before.source)
+        if judgement.level is Level.REFUSES:
+            remarks.append(judgement)
+    return replace(result, file=file, remarks=tuple(remarks))

@@ -12,6 +12,7 @@ from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import given_arguments
 from robot_sysid.results.next_steps import step_after
 from robot_sysid.results.record import Result
+from robot_sysid.results.verdict import UNKNOWN
 
 _READING = ("columns", "units", "torque_scale", "torque_constants", "topic")
 """Keys of the options that hold for every log of the same arm."""
@@ -21,11 +22,13 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
     """Return what to do after an identification that may be used, or None for nothing more."""
     model = str(config.model.path)
     arm = given_arguments(config.model)
+    folder = config.output.output_dir
     if not result.is_measured:
-        folder = config.output.output_dir
         return step_after("self-test passed", model=model, options=arm, folder=folder)
     if not isinstance(config, PayloadConfig):
-        return None
+        if result.body.errors[0] < UNKNOWN * result.body.mass:
+            return None
+        return step_after("mass not known", model=model, options=arm, folder=folder)
     payload = config.payload
     empty = [str(log) for log in payload.empty if isinstance(log, Path)]
     if payload.known_mass is None or payload.save_torque_scale is None or not empty:

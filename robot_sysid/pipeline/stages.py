@@ -7,6 +7,7 @@ time.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,9 +44,10 @@ from robot_sysid.pipeline.run_words import step_after_run
 from robot_sysid.records import ITSELF, DataOrigin, Estimate, MotionPlan, RobotModel
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.file_access import atomic_files
-from robot_sysid.records.messages import Detail, Progress
+from robot_sysid.records.messages import Detail, Progress, says, term_unit
 from robot_sysid.records.option_fields import write_torque_scale
-from robot_sysid.results.record import LINK, JointEstimate, Quantity, Result, Verdict
+from robot_sysid.results.quantities import body_quantities, without_rounding
+from robot_sysid.results.record import LINK, Quantity, Result, Verdict
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
@@ -223,7 +225,9 @@ def write_results(
         step=step_after_run(config, result),
     )
     if scale_path is not None and written.failure is None and result.payload:
-        write_torque_scale(scale_path, result.payload.torque_scale)
+        rows = [row for row in result.quantities if row.name == "torque_scale"]
+        scales = {row.of: (row.value, row.error or 0.0) for row in rows}
+        write_torque_scale(scale_path, scales)
     if result.traces and (config.output.report or result.is_measured):
         from robot_sysid.report import runs
 
@@ -267,24 +271,28 @@ def run_self_test(
     information = collect_sysid_data(equations, tracked)
     progress.stage("Solving for parameters...")
     estimate = identify_parameters(information, equations.prior, possible=True)
-    terms = {}
-    model_terms = {}
+    rows = []
     for index in range(N_INERTIAL, len(equations.names)):
-        term, _ = split_name(equations.names[index])
+        term, joint = split_name(equations.names[index])
+        unit = term_unit(term, joint in robot.slides)
+        value = float(without_rounding(estimate.values[index], 1.0))
         # Without noise, the error is one of rounding: none is stated.
-        terms[term] = Quantity(float(estimate.values[index]), 0.0)
-        model_terms[term] = float(equations.prior[index])
-    return Result(
+        rows.append(
+            Quantity(term, joint, unit, float(equations.prior[index]), value, None)
+        )
+    verdict = self_test_verdict(estimate).remark()
+    result = Result(
         robot=robot,
         question=LINK,
         estimate=estimate,
-        verdict=self_test_verdict(estimate),
+        remarks=(verdict, *says(robot.notes)),
         torques=options.torques,
         data=DataOrigin(ITSELF, plan.duration, rate, seed),
-        joints={robot.terminal_joint: JointEstimate(model.name, terms, model_terms)},
-        notes=robot.notes,
+        friction_model=model.name,
         checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
     )
+    of_body = body_quantities(result.body, robot.body_name)
+    return replace(result, quantities=(*of_body, *rows))
 
 
 def self_test_verdict(estimate: Estimate) -> Verdict:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.arm import Array, InertialParameters, JointLimits, check_arrays
+from robot_sysid.records.arm import Array, InertialParameters, check_arrays
 
 
 @dataclass(frozen=True)
@@ -286,26 +286,6 @@ def validation_of(
     )
 
 
-@dataclass(frozen=True)
-class WrongLink:
-    """A link of the model that recordings contradict.
-
-    A first moment is mass times distance of the centre of mass from the link's joint [kg m], along
-    the direction that it has in the model.
-
-    Attributes:
-        name: the body's.
-        first_moment_of_model: in the model.
-        first_moment: according to the recordings.
-        error: standard error of ``first_moment``.
-    """
-
-    name: str
-    first_moment_of_model: float
-    first_moment: float
-    error: float
-
-
 ITSELF = "simulation of the model itself"
 """Description of the data of a self-test."""
 
@@ -329,40 +309,34 @@ class DataOrigin:
     files: tuple[str, ...] = ()
 
 
-SIGNAL_NAMES = ("q", "qd", "measured", "predicted", "prior_prediction", "friction")
+SIGNAL_NAMES = ("qd", "measured", "predicted", "prior_prediction", "friction")
 """The fields of ``Traces`` with one column per joint."""
 
 
 @dataclass(frozen=True)
 class Traces:
-    """Motion and torques of n joints at all K instants of a result's data, which figures draw.
+    """Speeds and torques of n joints at all K instants of a result's data, which figures draw.
 
     Attributes:
         joints: names, base to terminal.
         is_slide: (n,) whether a joint is a slide.
         time: (K,), which starts anew with each log [s].
-        q: (K, n) positions [rad].
         qd: (K, n) velocities [rad/s].
         measured: (K, n) torque [N m]; NaN where a sample was not used.
         predicted: (K, n) torque that the result predicts [N m].
         prior_prediction: (K, n) torque [N m] that the model predicts as its file has it; of a
             payload, torque of the arm without it.
         friction: (K, n) the part of ``predicted`` that is friction [N m].
-        limits: of the joints.
-        truth: what the terminal link of a simulated arm really is; None for a real arm.
     """
 
     joints: tuple[str, ...]
     is_slide: tuple[bool, ...]
     time: Array
-    q: Array
     qd: Array
     measured: Array
     predicted: Array
     prior_prediction: Array
     friction: Array
-    limits: JointLimits
-    truth: InertialParameters | None = None
 
     def __post_init__(self) -> None:
         shapes = {np.shape(getattr(self, name)) for name in SIGNAL_NAMES}

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import stat
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -349,3 +352,28 @@ def _refusals_as_input_errors(path: Path) -> Iterator[None]:
         raise InputError(
             f"cannot write {path}: {error_text(error)}; choose another folder"
         ) from None
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return strict JSON text: arrays as lists, numbers that are not finite as null."""
+    return json.dumps(strict_json(content), indent=2, allow_nan=False) + "\n"
+
+
+def strict_json(value: Any) -> Any:
+    """Return a value as strict JSON can hold it: records as dicts, enumerations by their values.
+
+    Numbers that are not finite become None. Fields that do not count in comparisons are left out.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        names = [entry.name for entry in fields(value) if entry.compare]
+        return strict_json({name: getattr(value, name) for name in names})
+    if isinstance(value, Mapping):
+        return dict(zip(map(str, value), map(strict_json, value.values())))
+    # An array or a number of NumPy.
+    if hasattr(value, "tolist"):
+        return strict_json(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return list(map(strict_json, value))
+    if isinstance(value, Enum):
+        return value.value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

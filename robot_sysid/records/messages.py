@@ -18,6 +18,8 @@ _TERM_UNITS: Mapping[str, tuple[str, str]] = {
     "armature": ("kg·m²", "kg"),
     "sqrt": ("N·m·√(s/rad)", "N·√(s/m)"),
     "zero": ("rad", "m"),
+    **dict.fromkeys(("tilt_1", "tilt_2"), ("rad", "rad")),
+    "delay": ("s", "s"),
 }
 """Friction term, speed parameter of one, or joint zero to its unit in a hinge and in a slide."""
 _MAX_DECIMALS = 6
@@ -159,6 +161,12 @@ class Remark:
         return "; ".join(filter(None, (self.text, self.remedy)))
 
 
+def says(sentences: Iterable[str]) -> Iterator[Remark]:
+    """Yield a remark that informs of each of several sentences, each once."""
+    for sentence in dict.fromkeys(sentences):
+        yield Remark(Level.SAYS, "", sentence)
+
+
 @dataclass(frozen=True)
 class NextStep:
     """What to do after a command, and the command that does it.
@@ -209,3 +217,11 @@ class Progress:
 
     def note(self, *messages: str) -> None:
         """Print notes, such as warnings, which do not stop the run."""
+
+    def remark(self, *remarks: Remark) -> None:
+        """Print what limits a result, then what informs; a verdict states what refuses it."""
+        for level in (Level.DOUBTS, Level.SAYS):
+            for each in remarks:
+                if each.level is level:
+                    # A detail stays one.
+                    self.note(type(each.text)(each.sentence))

@@ -10,7 +10,7 @@ import importlib.util
 import io
 import logging
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -25,13 +25,11 @@ COLOURS = {
     "grid": "#d3d7dc",
     "before": "#b3540a",
     "after": "#0b62a8",
-    "truth": "#0a7a5c",
     "measured": "#6b7178",
-    "other": "#8a3f9a",
 }
 """Name of a colour, a CSS variable of the page, to the colour that stands for it while matplotlib
-draws: text and axes, grid lines, the model before, identified values, the truth of a simulated arm,
-measured values, limits and all else."""
+draws: text and axes, grid lines, the model before, identified and
+measured values."""
 _WIDTH = 460.0
 """Width of every figure [px]: two fit side by side on a screen, one on a phone."""
 _STYLE: dict[str, Any] = {
@@ -95,13 +93,6 @@ def new_figure(height: float, rows: int = 1, columns: int = 1, **grid: Any) -> A
 
     canvas = Canvas(figsize=(_WIDTH / 72.0, height / 72.0))
     return canvas, canvas.subplots(rows, columns, squeeze=False, **grid)
-
-
-def name_rows(axes: Any, names: Sequence[str]) -> None:
-    """Name the rows 0, 1, 2, ... of axes, from the top down; long names are cut."""
-    texts = [name if len(name) <= 22 else f"{name[:21]}…" for name in names]
-    axes.set_yticks(range(len(texts)), texts)
-    axes.set_ylim(len(texts) - 0.5, -0.5)
 
 
 def add_legend(canvas: Canvas) -> None:

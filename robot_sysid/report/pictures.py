@@ -12,8 +12,7 @@ from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Flange, RobotModel
 from robot_sysid.report.drawing import Figure
-from robot_sysid.report.figures import versions_of
-from robot_sysid.report.runs import Run, body_in
+from robot_sysid.report.runs import Run
 from robot_sysid.report.studio import Colour, Studio, png_bytes
 
 _SIZE = (800, 620)
@@ -93,16 +92,17 @@ def _drawn_bodies(
     These are the terminal link with the payload, before it without, and the payload; of a run
     without a payload, the links.
     """
-    if run.is_payload:
-        payload, link, total = (body_in(entry).theta for entry in run.bodies.values())
+    if run.content["payload"] is not None:
+        payload, link, total = (run.theta(body, "value") for body in run.bodies)
+        assert payload is not None and link is not None and total is not None
         entry = run.content["payload"]["flange"]
         pose = (np.array(entry["rotation"]), np.array(entry["translation"]))
         yield robot.body_id, {"after": Flange("flange", *pose).from_flange(payload)}
         yield robot.body_id, {"before": link, "after": total}
         return
     ids = {link.body_name: link.body_id for link in robot.links}
-    for name in run.bodies:
-        versions = versions_of(run, name)
-        drawn = {key: theta for key, theta in versions.items() if key in _COLOURS}
-        if name in ids:
-            yield ids[name], drawn
+    for body in run.bodies:
+        drawn = {"before": run.theta(body, "model"), "after": run.theta(body, "value")}
+        if body in ids:
+            known = {key: theta for key, theta in drawn.items() if theta is not None}
+            yield ids[body], known

@@ -14,28 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError
-from robot_sysid.export import SCHEMA_VERSION
 from robot_sysid.logs.table import as_input_errors
-from robot_sysid.records import (
-    ITSELF,
-    SIGNAL_NAMES,
-    InertialParameters,
-    JointLimits,
-    Traces,
-)
+from robot_sysid.records import ITSELF, SIGNAL_NAMES, Array, Traces
 from robot_sysid.records.file_access import PARAMS_NAME, read_json, write_atomically
+from robot_sysid.results.content import SCHEMA_VERSION
 from robot_sysid.results.record import PAYLOAD
+from robot_sysid.results.table import ORIGIN, rows_of
 
 DATA_NAME = "report_data.npz"
 """Name of the file of a run's folder that holds its signals."""
 MAX_INSTANTS = 2000
 """Largest number of instants saved for drawing: more than a figure has pixels across."""
-_VERSION = 2
+_VERSION = 3
 """Version of the format of report_data.npz; a file of another version is not read."""
-_LIMITS = ("lower", "upper", "velocity", "torque")
-"""Fields of ``JointLimits``."""
 
 
 def save_data(folder: Path, traces: Traces, result: str) -> None:
@@ -66,9 +58,7 @@ def save_data(folder: Path, traces: Traces, result: str) -> None:
         joints=traces.joints,
         is_slide=traces.is_slide,
         time=time[chosen],
-        truth=np.zeros(0) if traces.truth is None else traces.truth.theta,
         **arrays,
-        **vars(traces.limits),
     )
     write_atomically(folder / DATA_NAME, buffer.getvalue())
 
@@ -83,14 +73,11 @@ def load_data(path: Path, result: str) -> Traces:
         if content["version"] != _VERSION or content["result"] != result:
             raise InputError(f"{path} belongs to another run or version")
         signals = {name: content[name].astype(float) for name in SIGNAL_NAMES}
-        truth = content["truth"]
         return Traces(
             joints=tuple(map(str, content["joints"])),
             is_slide=tuple(map(bool, content["is_slide"])),
             time=content["time"].astype(float),
             **signals,
-            limits=JointLimits(*(content[name].astype(float) for name in _LIMITS)),
-            truth=InertialParameters(truth.astype(float)) if len(truth) else None,
         )
 
 
@@ -111,45 +98,25 @@ class Run:
     missing: str = ""
 
     @property
-    def is_payload(self) -> bool:
-        """Whether the run identified a payload and not the arm's links."""
-        return bool(self.content["question"] == PAYLOAD)
+    def bodies(self) -> list[str]:
+        """Names of the bodies in the rows, first the one that was asked for."""
+        terminal = self.content["body_name"]
+        if self.content["payload"] is not None:
+            return [PAYLOAD, terminal, f"{terminal} with payload"]
+        rows = self.content["quantities"]
+        names = [row["of"] for row in rows if row["name"] == "Ixx"]
+        return list(dict.fromkeys([terminal, *names]))
 
-    @property
-    def is_self_test(self) -> bool:
-        """Whether the data are a simulation of the model itself: all errors are of rounding."""
-        return self.content["source"] == ITSELF
+    def theta(self, body: str, column: str) -> Array | None:
+        """Return the parameters (10,) of a body in a column of its rows; None where it has none.
 
-    @property
-    def bodies(self) -> dict[str, Mapping[str, Any]]:
-        """Name of each body to its entry in params.json, first the one that was asked for.
-
-        They are the payload, the link without it and with it; or all links, the terminal one first.
+        Args:
+            body: of ``bodies``.
+            column: "model" or "value".
         """
-        payload = self.content["payload"]
-        if payload is not None:
-            names = ("payload", "link without payload", "link with payload")
-            return dict(
-                zip(names, (payload["body"], payload["link"], payload["total"]))
-            )
-        links = self.content["links"]
-        if not links:
-            name = self.content["body_name"]
-            return {name: {**self.content, "standard_errors": {}}}
-        return {link["name"]: link for link in (links[-1], *links[:-1])}
-
-    @property
-    def log_names(self) -> str:
-        """File names of the logs, or what the data are a simulation of."""
-        names = [Path(log).name for log in self.content["logs"]]
-        return ", ".join(names) or str(self.content["source"])
-
-
-def body_in(entry: Mapping[str, Any]) -> InertialParameters:
-    """Return the inertial parameters of an entry."""
-    inertia = [entry["inertia_tensor"][name] for name in PARAMETER_NAMES[4:]]
-    theta = [entry["mass"], *entry["center_of_mass_moment"], *inertia]
-    return InertialParameters(np.array(theta, dtype=float))
+        rows = {row["name"]: row[column] for row in rows_of(self.content, body)}
+        theta = [rows[name] for name in ORIGIN]
+        return None if None in theta else np.array(theta, dtype=float)
 
 
 def fingerprint(folder: Path) -> str:
@@ -179,7 +146,7 @@ def load_run(folder: Path) -> Run:
             f"{remedy}"
         )
     run = Run(folder, content)
-    if run.is_self_test:
+    if content["source"] == ITSELF:
         return run
     try:
         return replace(run, traces=load_data(folder / DATA_NAME, fingerprint(folder)))

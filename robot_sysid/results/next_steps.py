@@ -11,10 +11,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Union
 
+from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.motion import PAYLOAD_ORDER
+from robot_sysid.records import ITSELF
 from robot_sysid.records.file_access import CARD_NAME, models_in
 from robot_sysid.records.messages import NextStep
-from robot_sysid.results.record import Result
+from robot_sysid.results.content import Content
 from robot_sysid.results.verdict import verdict_line
 
 _WEIGHED = (
@@ -51,6 +53,10 @@ STEPS: Mapping[str, tuple[str, str]] = {
         "payload {model} --empty {log} --loaded {weight} --known-mass 1 {options} "
         "--save-torque-scale torque_scale/torque_scale.json --output-dir torque_scale",
     ),
+    "mass not known": (
+        "Next, plan a motion that shows the mass better, and compare the ± that it promises",
+        "plan {model} {options} --output-dir {folder}/planned",
+    ),
     "torque scales known": (
         "Next, identify the arm with these torque scales, as in every later run",
         "identify {model} {log} {options} --torque-scale {scales}",
@@ -76,37 +82,40 @@ def step_after(state: str, **words: Words) -> NextStep:
     return NextStep(sentence.format(**words), tuple(command))
 
 
-def use_lines(path: Path) -> tuple[str, str]:
-    """Return the line that names the model file to use, and a line of Python that loads it.
+def use_lines(path: Path) -> tuple[str, str, str]:
+    """Return which model file to use, which MuJoCo loads it, and a line of Python that does.
 
-    ``path`` is that of the written file.
+    ``path`` is that of the written file, which has been compiled by the installed MuJoCo.
     """
     text = json.dumps(str(path), ensure_ascii=False)
-    return f"Use this file: {path}", f"  mujoco.MjModel.from_xml_path({text})"
+    return (
+        f"Use this file: {path}",
+        f"  mujoco.MjModel.from_xml_path({text})",
+        "It loads in every MuJoCo from 3.0 on that loads your model (checked with "
+        f"{MUJOCO_VERSION})",
+    )
 
 
 def last_lines(
-    result: Result, files: Sequence[Path], step: NextStep | None, failure: str | None
+    content: Content, files: Sequence[Path], step: NextStep | None
 ) -> tuple[str, ...]:
     """Return the last lines of the console: the verdict, which files to use, and the next step.
 
     Args:
-        result: of the identification.
+        content: of params.json.
         files: the written files, among them the model and a payload's card.
         step: the next step, or None.
-        failure: why a result that is usable in itself must not be used, or None.
     """
-    lines = [verdict_line(result, failure)]
-    if failure is not None:
+    lines = [verdict_line(content)]
+    if content["failure"] is not None:
         return tuple(lines)
     # A self-test writes back what its model says already.
-    if result.is_measured:
+    if content["source"] != ITSELF:
         for path in models_in(files)[:1]:
             lines += use_lines(path)
-    if result.payload is not None:
-        start = (
-            f"Copy into the controller, in the frame of {result.payload.flange.name}"
-        )
+    if content["payload"] is not None:
+        flange = content["payload"]["flange"]["name"]
+        start = f"Copy into the controller, in the frame of {flange}"
         lines += [f"{start}: {path}" for path in files if path.name == CARD_NAME]
     lines += step.lines() if step else ()
     return tuple(lines)

@@ -6,13 +6,10 @@ A body has ten inertial parameters in the order of ``PARAMETER_NAMES``: mass [kg
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +18,7 @@ from robot_sysid import records
 from robot_sysid.dynamics.friction import Coupling
 from robot_sysid.records import Array, InertialParameters, Motion, Traces, Validation
 from robot_sysid.records.file_access import MODEL_NAMES, AtomicFiles
-from robot_sysid.records.messages import number_text, with_error
+from robot_sysid.records.messages import Level, Remark
 
 LINK = "link"
 """Question for the inertia of the terminal link, and of every other link with it."""
@@ -30,26 +27,32 @@ PAYLOAD = "payload"
 
 
 class Verdict(Enum):
-    """How an identification ended; the value is a sentence on the cause and what to do."""
+    """What decides on the use of a result; the value says what it means, or what to do."""
 
-    OK = "all requested parameters are identified from the data"
-    PARTLY_FROM_MODEL = (
-        "some parameter combinations are not identifiable from these torques and keep the model's "
-        "values; use --torques chain, or a longer or wider motion, to identify more"
+    SWAPPED = (
+        "the loaded recordings weigh less than the empty ones: --empty and --loaded look swapped; "
+        "exchange them"
     )
-    INERTIA_NOT_KNOWN = (
-        "mass and centre of mass are identified; the inertia is not known, a ball of aluminium of "
-        "that mass stands in its place (joints that swing the payload faster and wider show it)"
+    DISAGREE = (
+        "the recordings contradict each other about the payload: one of them was made with "
+        "another payload, or with it turned or moved, or is listed on the wrong side"
     )
-    BETTER = "the written model predicts torques that were not fitted clearly better than before"
-    TORQUES_ONLY = (
-        "the written model predicts torques that were not fitted clearly better than before, but a "
-        "part of the torque follows from nothing that was fitted: use the model for torques of "
-        "motions like the log's, not for the numbers"
+    NOT_SEEN = (
+        "the payload's mass does not differ significantly from zero: move joints that lift it, "
+        "faster, wider or longer, or check that the loaded recordings were made with the payload"
     )
-    AS_GOOD = (
-        "the model predicted torques that were not fitted about as well as noise allows before, "
-        "and so does the written one"
+    WRONG_WEIGHT = (
+        "the known mass does not fit the recordings: weighed with torques as they are it comes "
+        "out far from what --known-mass says; check the weight, its unit (kg), and that nothing "
+        "else was changed between empty and loaded"
+    )
+    UNEXPLAINED = (
+        "the torques do not follow from the motion as far as noise would let them, so the log, its "
+        "units, its friction or the rest of the model are not what they are taken for"
+    )
+    IMPLAUSIBLE = (
+        "the result is not what a link of this arm can be, so the log, its units or the rest of "
+        "the model are not what they are taken for"
     )
     TOO_WEAK = (
         "the link's mass does not differ significantly from zero (it is less than two standard "
@@ -59,77 +62,91 @@ class Verdict(Enum):
         "torques that were not fitted are predicted no better than the model does already; check "
         "that the log belongs to this arm, its units and signs, or record a richer motion"
     )
-    IMPLAUSIBLE = (
-        "the result is not what a link of this arm can be, so the log, its units or the rest of "
-        "the model are not what they are taken for"
+    TORQUES_ONLY = (
+        "a part of the torque follows from nothing that was fitted: use the written model for "
+        "torques of motions like the log's, not for the numbers"
     )
-    UNEXPLAINED = (
-        "the torques do not follow from the motion as far as noise would let them, so the log, its "
-        "units, its friction or the rest of the model are not what they are taken for"
+    INERTIA_NOT_KNOWN = (
+        "mass and centre of mass are identified; the inertia is not known, a ball of aluminium of "
+        "that mass stands in its place (joints that swing the payload faster and wider show it)"
     )
-    SWAPPED = (
-        "the loaded recordings weigh less than the empty ones: --empty and --loaded look swapped; "
-        "exchange them"
+    PARTLY_FROM_MODEL = (
+        "some parameter combinations are not identifiable from these torques and keep the model's "
+        "values; use --torques chain, or a longer or wider motion, to identify more"
     )
-    NOT_SEEN = (
-        "the payload's mass does not differ significantly from zero: move joints that lift it, "
-        "faster, wider or longer, or check that the loaded recordings were made with the payload"
+    BETTER = "the written model predicts torques that were not fitted clearly better than before"
+    AS_GOOD = (
+        "the model predicted torques that were not fitted about as well as noise allows before, "
+        "and so does the written one"
     )
-    DISAGREE = (
-        "the recordings contradict each other about the payload: one of them was made with "
-        "another payload, or with it turned or moved, or is listed on the wrong side"
-    )
-    WRONG_WEIGHT = (
-        "the known mass does not fit the recordings: weighed with torques as they are it comes "
-        "out far from what --known-mass says; check the weight, its unit (kg), and that nothing "
-        "else was changed between empty and loaded"
-    )
+    OK = "all requested parameters are identified from the data"
 
     @property
-    def is_trustworthy(self) -> bool:
-        """Whether the result may go into a model or a controller."""
-        return self in (
+    def level(self) -> Level:
+        """Whether it forbids the use of a result, limits it, or only informs."""
+        if self is Verdict.TORQUES_ONLY:
+            return Level.DOUBTS
+        is_good = self in (
             Verdict.OK,
             Verdict.BETTER,
             Verdict.AS_GOOD,
             Verdict.PARTLY_FROM_MODEL,
             Verdict.INERTIA_NOT_KNOWN,
         )
+        return Level.SAYS if is_good else Level.REFUSES
+
+    @property
+    def is_trustworthy(self) -> bool:
+        """Whether the result may go into a model or a controller."""
+        return self.level is Level.SAYS
 
     @property
     def writes_model(self) -> bool:
         """Whether a model file is written; ``TORQUES_ONLY`` gets one for predicting torques."""
-        return self.is_trustworthy or self is Verdict.TORQUES_ONLY
+        return self.level is not Level.REFUSES
+
+    def remark(self, reason: str = "") -> Remark:
+        """Return the remark by which this verdict follows from a reason, one phrase."""
+        if reason:
+            return Remark(self.level, self.name, reason, self.value)
+        return Remark(self.level, self.name, self.value)
 
 
-HELD_NOTE = "held: kept at its bound or at the model's value, without an estimate"
-"""Explanation of ``Quantity.text`` of a number that was held."""
-_INTERVAL_ERRORS = 1.96
-"""Standard errors on each side of a value within which 95 % of a normal distribution lie."""
+DATA = "data"
+"""Source of a number that follows from the recordings more than from the model."""
+MODEL = "model"
+"""Source of a number that the recordings determine less than the model, or not at all."""
+BOUND = "bound"
+"""Source of a number that is held at its bound, without a standard error."""
+FILE = "file"
+"""Source of a number of the written model, fitted under the restrictions of its format."""
 
 
-class Quantity(NamedTuple):
-    """An estimated number and its standard error, all causes together.
+@dataclass(frozen=True)
+class Quantity:
+    """One number of a result: a row of params.json, of the console's tables and of the report.
 
-    The error is infinite where the data does not determine the number, and NaN where the number was
-    held at a bound.
+    Attributes:
+        name: what it is, such as "mass", "com_x", "Ixx_about_com", "coulomb" or "scale".
+        of: body, joint, motor or recording that has it; "arm" for what concerns all.
+        unit: of the three numbers.
+        model: the value in the original model; None where that has none.
+        value: the identified value.
+        error: standard error of ``value``, all causes together; infinite where the recordings do
+            not determine it, NaN where it is held at a bound, None of a simulation of the model
+            itself, which has rounding errors alone.
+        source: ``DATA``, ``MODEL``, ``BOUND`` or ``FILE``.
+        reason: the cause of most of the error, or why there is none.
     """
 
+    name: str
+    of: str
+    unit: str
+    model: float | None
     value: float
-    error: float
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Bounds (low, high) of the 95 % confidence interval, for an error that is normal."""
-        reach = _INTERVAL_ERRORS * self.error
-        return self.value - reach, self.value + reach
-
-    @property
-    def text(self) -> str:
-        """The number with its standard error, or with "(held)" where it was held at a bound."""
-        if math.isnan(self.error):
-            return f"{number_text(self.value)} (held)"
-        return with_error(*self)
+    error: float | None
+    source: str = DATA
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -163,29 +180,15 @@ class BodyEstimate(InertialParameters):
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return np.where(self.is_determined, errors, np.inf)
 
-    @property
-    def mass_causes(self) -> dict[str, float]:
-        """Cause, noise first, to the standard error of the mass due to it alone [kg]."""
-        return {cause: float(errors[0]) for cause, errors in self.budget.items()}
+    def largest_cause(self, index: int = 0) -> str:
+        """Return the cause of the largest part of a parameter's error; "" where that is not known.
 
-
-@dataclass(frozen=True)
-class JointEstimate:
-    """Friction and rotor inertia of one joint, or of a motor that turns with several.
-
-    Attributes:
-        friction_model: names of the friction terms joined by "-"; "none" where friction is not
-            estimated.
-        terms: friction term ("coulomb", ...) to its value.
-        model_terms: terms that a model file holds, as in ``ModelFile.joints``, to their values in
-            the model.
-        noise: standard deviation of the joint's torque noise after filtering [N m]; NaN if unknown.
-    """
-
-    friction_model: str
-    terms: Mapping[str, Quantity]
-    model_terms: Mapping[str, float] = field(default_factory=dict)
-    noise: float = float("nan")
+        ``index``: of the parameter, 0 for the mass.
+        """
+        causes = {cause: float(errors[index]) for cause, errors in self.budget.items()}
+        if not np.all(np.isfinite([self.errors[index], *causes.values()])):
+            return ""
+        return max(causes, key=lambda cause: causes[cause], default="")
 
 
 @dataclass(frozen=True)
@@ -210,7 +213,7 @@ class ModelFile:
 
     thetas: Array
     errors: Array
-    joints: Mapping[str, Mapping[str, Quantity]]
+    joints: Mapping[str, Mapping[str, float]]
     gravity: Array | None
     validation_before: Validation
     validation_after: Validation | None
@@ -222,48 +225,24 @@ class ModelFile:
 
 
 @dataclass(frozen=True)
-class RecordingPayload:
-    """The payload as one recording alone determines it, against all recordings of the other kind.
-
-    Attributes:
-        name: name of the recording.
-        is_loaded: whether it was made with the payload.
-        mass: mass of the payload [kg].
-        com: (3,) the payload's centre of mass in the flange frame [m]; NaN where the mass is zero.
-        noise_error: standard error of the mass due to noise alone [kg].
-        error: standard error of the mass, all causes together [kg].
-    """
-
-    name: str
-    is_loaded: bool
-    mass: float
-    com: Array
-    noise_error: float
-    error: float
-
-
-@dataclass(frozen=True)
 class Payload:
     """A payload that the arm carries in some recordings and not in others.
 
     Attributes:
         flange: the frame in which the payload is stated.
         body: the payload in the FLANGE frame, inertia about that frame's origin.
-        link: the terminal link without the payload, in the terminal body's frame.
         total: the terminal link with the payload, in the terminal body's frame.
         recordings: "empty" and "loaded" to the names of the recordings.
-        scatter: the payload according to each recording alone.
-        torque_scale: joint to the torque scale that follows from ``known_mass``.
+        torque_scale: joint to the torque scale that follows from ``known_mass``, what the log reads
+            over what is there.
         known_mass: the payload's weight as the user states it [kg]; None where it is unknown.
     """
 
     flange: records.Flange
     body: BodyEstimate
-    link: BodyEstimate
     total: BodyEstimate
     recordings: Mapping[str, tuple[str, ...]]
-    scatter: tuple[RecordingPayload, ...] = ()
-    torque_scale: Mapping[str, Quantity] = field(default_factory=dict)
+    torque_scale: Mapping[str, float] = field(default_factory=dict)
     known_mass: float | None = None
 
 
@@ -275,17 +254,13 @@ class Result:
         question: ``LINK`` or ``PAYLOAD``.
         robot: the arm, as its model describes it.
         estimate: all parameters, the terminal link's first (of a payload: without it).
-        verdict: how the identification ended.
         torques: "chain" or "terminal": the joints whose torques were fitted.
         data: where the data comes from.
-        reasons: what is wrong with the result, one phrase each.
+        quantities: every identified number, once, and every number of the written file: of bodies,
+            joints, motors that turn several joints (``joint_5+joint_6``), sensors and recordings.
+        remarks: what the user should know; the verdict follows from the first of the highest level.
         links: name of the body to every link with mass, base to terminal; empty of the model's own
             simulation.
-        joints: chain joint to its friction and rotor inertia.
-        couplings: sum of joint speeds, such as ``joint_5+joint_6``, to the motor that turns with
-            it.
-        sensors: nuisance parameter to its value: torque scales ("scale[joint]"), zeros, drifts,
-            tilt, delay.
         file: the numbers of the written model; None where only the terminal link or the payload is
             written into the original.
         payload: None of the question ``LINK``.
@@ -295,8 +270,6 @@ class Result:
         cutoff: cut-off of the low-pass [Hz]; None of a simulation and of resting poses.
         link_scales: "mass", "centre_of_mass" and "inertia" to the factor by which the prior
             standard deviation of the other links was widened.
-        wrong_links: links of the model that the recordings contradict.
-        notes: remarks for the user, one sentence each.
         checkpoints: motion on which a written model has to reproduce the predicted torque.
         traces: computes the measured and predicted torques that a report draws.
     """
@@ -304,24 +277,39 @@ class Result:
     question: str
     robot: records.RobotModel
     estimate: records.Estimate
-    verdict: Verdict
     torques: str
     data: records.DataOrigin
-    reasons: tuple[str, ...] = ()
+    quantities: tuple[Quantity, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     links: Mapping[str, BodyEstimate] = field(default_factory=dict)
-    joints: Mapping[str, JointEstimate] = field(default_factory=dict)
-    couplings: Mapping[str, JointEstimate] = field(default_factory=dict)
-    sensors: Mapping[str, Quantity] = field(default_factory=dict)
     file: ModelFile | None = None
     payload: Payload | None = None
     validation: tuple[Validation, ...] = ()
     friction_model: str | None = None
     cutoff: float | None = None
     link_scales: Mapping[str, float] = field(default_factory=dict)
-    wrong_links: tuple[records.WrongLink, ...] = ()
-    notes: tuple[str, ...] = ()
     checkpoints: Motion | None = None
     traces: Callable[[], Traces] | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict of the first remark of the highest level that has one; else ``OK``."""
+        for level in Level:
+            for remark in self.remarks:
+                if remark.level is level and remark.about in Verdict.__members__:
+                    return Verdict[remark.about]
+        return Verdict.OK
+
+    def quantity(self, name: str, of: str, source: str = "") -> Quantity | None:
+        """Return a number by its name and what has it; None where there is none.
+
+        It is the identified number, and with the source ``FILE`` that of the written model.
+        """
+        for row in self.quantities:
+            is_file = row.source == FILE
+            if (row.name, row.of, is_file) == (name, of, source == FILE):
+                return row
+        return None
 
     @property
     def model_kind(self) -> str:
@@ -366,19 +354,13 @@ class Result:
         )
 
     @property
-    def relative_mass_error(self) -> float | None:
-        """Standard error of the mass of ``body`` over that mass; None where it is not known."""
-        error = float(self.body.errors[0])
-        mass = self.body.mass
-        is_known = self.is_measured and np.isfinite(error) and mass > 0.0
-        return error / mass if is_known else None
-
-    @property
     def failure(self) -> str | None:
         """Why the result must not be used; None where it may."""
-        if self.verdict.writes_model:
+        refusals = [each for each in self.remarks if each.level is Level.REFUSES]
+        if not refusals:
             return None
-        return "; ".join((*self.reasons, self.verdict.value))
+        texts = dict.fromkeys(each.text for each in refusals)
+        return "; ".join(filter(None, (*texts, refusals[0].remedy)))
 
 
 @dataclass(frozen=True)
@@ -398,32 +380,3 @@ class ModelTarget:
     checkpoints: Motion
     rmse: float
     mesh_dir: Path | None = None
-
-
-def json_text(content: Mapping[str, Any]) -> str:
-    """Return strict JSON text: arrays as lists, numbers that are not finite as null."""
-    return json.dumps(_strict(content), indent=2, allow_nan=False) + "\n"
-
-
-def _strict(value: Any) -> Any:
-    """Return a value as strict JSON can hold it: records as dicts, quantities with an interval.
-
-    Numbers that are not finite become None. Fields that do not count in comparisons are left out.
-    """
-    if isinstance(value, Quantity):
-        entry = {
-            "value": value.value,
-            "standard_error": value.error,
-            "interval": value.interval,
-        }
-        return _strict(entry)
-    if is_dataclass(value) and not isinstance(value, type):
-        names = [entry.name for entry in fields(value) if entry.compare]
-        return _strict({name: getattr(value, name) for name in names})
-    if isinstance(value, Mapping):
-        return dict(zip(map(str, value), map(_strict, value.values())))
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _strict(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return list(map(_strict, value))
-    return None if isinstance(value, float) and not math.isfinite(value) else value

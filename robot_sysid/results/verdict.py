@@ -1,4 +1,4 @@
-"""The verdict on a result in one line, and its limitations: for console, report and params.json.
+"""The verdict in one line: for console, report and params.json.
 
 The line says whether to use the result, how much better it is than the model before, and what
 limits it. What to do next is in ``next_steps``.
@@ -8,54 +8,35 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
-from robot_sysid.records import Validation
+from robot_sysid.records import ITSELF
 from robot_sysid.records.messages import percent
-from robot_sysid.results.record import BodyEstimate, Result, Verdict
+from robot_sysid.results.content import Content
+from robot_sysid.results.record import PAYLOAD, Verdict
 
 UNKNOWN = 0.5
 """Relative standard error from which on a mass is not known: two such errors reach zero."""
-WORSE = 1.5
-"""Held-out error over fitted error above which the model limits the prediction, not noise, which
-differs by percents only between stretches of hundreds of samples."""
-PRIOR_SHARE = 0.5
-"""Share of a value that comes from the data below which the model's prior dominates."""
 _USE_TEXTS = {
-    Verdict.TORQUES_ONLY: "Only for torques of motions like the log's, not for the numbers",
-    Verdict.AS_GOOD: "Usable, but the model was about as good before",
-    Verdict.PARTLY_FROM_MODEL: "Usable (not identifiable, model's values kept: {unseen})",
-    Verdict.INERTIA_NOT_KNOWN: "Usable for mass and centre of mass (the inertia is not known)",
+    Verdict.TORQUES_ONLY.name: "Only for torques of motions like the log's, not for the numbers",
+    Verdict.AS_GOOD.name: "Usable, but the model was about as good before",
+    Verdict.PARTLY_FROM_MODEL.name: "Usable (not identifiable, model's values kept: {unseen})",
+    Verdict.INERTIA_NOT_KNOWN.name: "Usable for mass and centre of mass (the inertia is not known)",
 }
-"""Verdict to the sentence on the result's use, where that is not "Usable"."""
-_CAUSE_TEXTS = {
-    "links": "the other links' parameters",
-    "torque scale": "the torque scales",
-    "common torque scale": "the common scale of torques and masses",
-}
-"""Cause of error, as in params.json, to its name in a sentence, where that is another one."""
+"""Name of a verdict to the sentence on the result's use, where that is not "Usable"."""
 
 
-def verdict_line(result: Result, failure: str | None = None) -> str:
-    """Return one line: whether to use a result, how good it is, and what limits it.
-
-    Args:
-        result: result to judge.
-        failure: why a result that is usable in itself must not be used; None where there is no such
-            reason.
-    """
-    failure = refusal(result) or failure
-    if failure is not None:
-        return f"Not usable: {failure}"
-    unseen = ", ".join(result.estimate.identifiability.unidentifiable)
-    if not result.is_measured:
+def verdict_line(content: Content) -> str:
+    """Return one line: whether to use a result, how good it is, and what limits it."""
+    if content["failure"] is not None:
+        return f"Not usable: {content['failure']}"
+    unseen = ", ".join(content["unidentifiable_combinations"])
+    if content["source"] == ITSELF:
         use = (
             "Self-test passed: the model's own numbers came back from its own simulation, which "
             "says nothing of the real arm"
         )
         return use + (f" (not identifiable: {unseen})" if unseen else "")
-    use = _USE_TEXTS.get(result.verdict, "Usable").format(unseen=unseen)
-    return f"{use}: {'; '.join(_improvements(result))}"
+    use = _USE_TEXTS.get(content["status"], "Usable").format(unseen=unseen)
+    return f"{use}: {'; '.join(_improvements(content))}"
 
 
 def plan_verdict(failure: str | None, shortfall: str, conditions: Sequence[str]) -> str:
@@ -106,83 +87,36 @@ def plan_conditions(
     return conditions
 
 
-def refusal(result: Result) -> str | None:
-    """Return why neither a model nor a card is written, or None where the result may be used."""
-    if result.failure is None:
-        return None
-    missing = "no model was"
-    if result.payload is not None:
-        missing = "no model and no card were"
-        if result.payload.known_mass is not None:
-            missing = "no torque scales were"
-    return f"{missing} written: {result.failure}"
-
-
-def before_after_text(before: Validation, after: Validation | None) -> str:
+def before_after_text(before: Content, after: Content | None) -> str:
     """Return the relative errors of two models as text, such as "27 % -> 0.3 %".
 
     An error that is not known is left out, "not known" stands for both.
     """
-    errors = [test.relative_error for test in (before, after) if test is not None]
+    errors = [test["relative_error"] for test in (before, after) if test is not None]
     texts = [percent(error) for error in errors if error is not None]
     return " -> ".join(texts) or "not known"
 
 
-def _improvements(result: Result) -> Iterator[str]:
+def _improvements(content: Content) -> Iterator[str]:
     """Yield phrases on the torque error before and after, and on the error of the mass."""
-    if result.file is not None:
-        shares = before_after_text(
-            result.file.validation_before, result.file.validation_after
-        )
+    file = content["file"]
+    payload = content["payload"]
+    if file is not None:
         # A payload is part of both models: the change is that of links and friction.
-        load = "" if result.payload is None else " with the payload"
+        load = "" if payload is None else " with the payload"
+        shares = before_after_text(file["before"], file["after"])
         yield f"torque error{load} on held-out data {shares}"
-    if result.payload is not None and result.payload.known_mass is not None:
+    if payload is not None and payload["known_mass"] is not None:
         yield "torque scales follow from the known mass"
         return
-    share = result.relative_mass_error
-    mass = "the mass is not identifiable by itself"
-    if share is not None:
-        mass = f"the mass is known to {percent(share)}"
-        if share >= UNKNOWN:
-            mass = f"the mass is not known (± {percent(share)})"
-    cause = largest_cause(result.body)
-    yield f"{mass}, limited by {cause_text(cause)}" if cause else mass
-
-
-def cause_text(cause: str) -> str:
-    """Return the name of a cause of error as it stands in a sentence."""
-    return _CAUSE_TEXTS.get(cause, cause)
-
-
-def largest_cause(body: BodyEstimate) -> str:
-    """Return the cause of the largest part of a mass's error, or "" where that is not known."""
-    causes = body.mass_causes
-    if not np.all(np.isfinite([body.errors[0], *causes.values()])):
-        return ""
-    return max(causes, key=lambda cause: causes[cause], default="")
-
-
-def limitations(result: Result) -> Iterator[str]:
-    """Yield sentences on torques that are predicted worse than the fitted ones.
-
-    There is none of the model's own simulation.
-    """
-    if not result.is_measured:
+    of = content["body_name"] if payload is None else PAYLOAD
+    rows = [row for row in content["quantities"] if row["of"] == of]
+    row = next((row for row in rows if row["name"] == "mass"), None)
+    if row is None or row["error"] is None or row["value"] <= 0.0:
+        yield "the mass is not identifiable by itself"
         return
-    estimate = result.estimate
-    # The residual of exact data may be far below the least noise that a fit assumes.
-    joint_noise = list(estimate.noise_per_joint.values()) or [0.0]
-    noise = np.sqrt(np.mean(np.square(joint_noise)))
-    for test in result.validation:
-        if test.rmse > max(WORSE * estimate.rmse, noise):
-            reason = "the model misses something that motion shows"
-            if not test.is_informative:
-                reason = (
-                    "as expected, because the fitted logs hold too little of this motion (some "
-                    "joints hardly move in them); fit a log that moves like it"
-                )
-            yield (
-                f"torques of {test.source} are predicted {test.rmse / estimate.rmse:.1f} "
-                f"times worse than the fitted ones: {reason}"
-            )
+    share = row["error"] / row["value"]
+    mass = f"the mass is known to {percent(share)}"
+    if share >= UNKNOWN:
+        mass = f"the mass is not known (± {percent(share)})"
+    yield f"{mass}, limited by {row['reason']}" if row["reason"] else mass

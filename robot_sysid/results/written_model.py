@@ -44,7 +44,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.messages import Detail, with_error
 from robot_sysid.results import verification
-from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Quantity, Result
+from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Result
 
 _MOMENTS = [4, 7, 9]
 """Indices of Ixx, Iyy and Izz in theta."""
@@ -205,10 +205,10 @@ def _links_without_payload(result: Result) -> tuple[Array, Array]:
     return thetas, errors
 
 
-def _numbers(terms: Mapping[str, Quantity]) -> dict[str, float]:
+def _numbers(terms: Mapping[str, float]) -> dict[str, float]:
     """Return the values of friction terms that a file holds by their names in MJCF."""
     names = _MJCF_ATTRIBUTES
-    return {names[term]: terms[term].value for term in names if term in terms}
+    return {names[term]: terms[term] for term in names if term in terms}
 
 
 def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange]:

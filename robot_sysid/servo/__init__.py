@@ -30,9 +30,9 @@ from robot_sysid.records import (
     file_access,
 )
 from robot_sysid.records.messages import Progress, with_error
+from robot_sysid.results.lines import folder_text
 from robot_sysid.results.next_steps import use_lines
-from robot_sysid.results.record import ModelTarget, Quantity, json_text
-from robot_sysid.results.result_lines import folder_text
+from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo.commands import check_commands
 from robot_sysid.servo.fit import (
@@ -148,7 +148,7 @@ class ServoIdentification:
             "schema": SERVO_SCHEMA,
             "torque": "none measured; from position error",
             "meaning": WITHOUT_TORQUE,
-            "delay": Quantity(self.fit.delay, self.fit.delay_error),
+            "delay": {"value": self.fit.delay, "standard_error": self.fit.delay_error},
             "joints": self.joint_numbers,
             "joint_names": self.robot.joint_names,
             "rollout": {
@@ -298,7 +298,7 @@ def run_servo(
             )
         result = replace(result, notes=(*result.notes, *notes))
         written.append(folder / file_access.SERVO_NAME)
-        files.write(written[-1], json_text(result.json_content()))
+        files.write(written[-1], file_access.json_text(result.json_content()))
         read = [*filter(None, input_files), *read_document(robot.path).contents]
         notes += remove_earlier(files, folder, written, read)
     progress.note(*notes)

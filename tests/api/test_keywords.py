@@ -55,7 +55,7 @@ def test_help_says_type_unit_and_default():
             lambda: rs.identify(5, "l"),
             "a model is the path of an MJCF or URDF file, or a",
         ),
-        (lambda: rs.payload("m", [], "b"), "empty LOG... is missing: a payload is fou"),
+        (lambda: rs.payload("m", [], "b"), "empty LOG... is missing: a payload is wei"),
         (lambda: rs.plan("m", static=True), "static is for resting poses of for payl"),
         (
             lambda: rs.read_log("l", 5),

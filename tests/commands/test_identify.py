@@ -14,7 +14,7 @@ from robot_sysid.api.results import one_thread
 from robot_sysid.cli import main
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
-from tests.support import arms, schemas, servo_logs
+from tests.support import arms, params, schemas, servo_logs
 from tests.support.command_line import words_of
 from tests.support.measured_logs import JOINT, log_of, plan_of, true_arm
 
@@ -95,24 +95,28 @@ def test_every_link_is_written_and_printed(command, arm_file, logs, plant):
     out = command.run("identify", *options).out
     folder = arm_file(HEAVY).parent / "sysid_output"
     content = result_in(folder)
-    assert content["status"] == "BETTER" and content["reasons"] == []
-    assert [link["name"] for link in content["links"]] == ["link0", "link1", "link2"]
-    for link, true in zip(content["links"], plant.links):
-        error = link["standard_errors"]["m"]
-        assert link["mass"] == pytest.approx(true.theta[0], rel=0.05, abs=2.0 * error)
-    assert set(content["joints"]) == set(plant.joint_names)
-    coulomb = content["joints"]["joint2"]["terms"]["coulomb"]
-    assert coulomb["value"] == pytest.approx(0.3, abs=5.0 * coulomb["standard_error"])
+    assert content["status"] == "BETTER" and content["failure"] is None
+    numbers = params.rows(content)
+    in_the_file = params.written(content)
+    for name, true in zip(("link0", "link1", "link2"), plant.links):
+        row = numbers[name, "mass"]
+        bound = 2.0 * row["error"]
+        assert row["value"] == pytest.approx(true.theta[0], rel=0.05, abs=bound)
+    coulomb = numbers["joint2", "coulomb"]
+    assert coulomb["value"] == pytest.approx(0.3, abs=5.0 * coulomb["error"])
     written = load_robot_model(folder / "updated_model.xml")
-    for mine, link in zip(written.links, content["links"]):
-        assert mine.theta[0] == pytest.approx(link["in_the_file"]["mass"], rel=1e-6)
+    for link in written.links:
+        mass = in_the_file[link.body_name, "mass"]
+        assert link.theta[0] == pytest.approx(mass, rel=1e-6)
     assert written.friction.coulomb == pytest.approx(0.3, abs=0.02)
     (pair,) = content["file"]["others"]
     assert (
         pair["after"]["relative_error"] < 0.05 < 0.2 < pair["before"]["relative_error"]
     )
     assert f"Torque error of the model on {second}: " in out
-    assert "  Mass " in out and "  Friction " in out and "Before -> after" not in out
+    assert out.count("Before -> after") == 1
+    for title in ("link0 mass", "link2 mass", "joint0 Coulomb friction"):
+        assert out.count(f"  {title} ") == 1
     assert "\nUsable: torque error on held-out data " in out
     assert "Use this file: sysid_output/updated_model.xml\n" in out
 

@@ -11,11 +11,7 @@ from numpy.testing import assert_allclose
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimate.identify import identify_payload
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.estimate.payload import (
-    contradiction,
-    payload_result,
-    payloads_by_recording,
-)
+from robot_sysid.estimate.payload import contradiction, payload_result
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.rows import Poses, Recording
 from robot_sysid.records import Flange, Measurement
@@ -32,7 +28,7 @@ def result_of(recordings, kept=(), **question):
     """Return (result of recordings with a payload, the fit of its file)."""
     question = Question(EstimationOptions(), loaded=True, **question)
     fits = identify_payload(ROBOT, recordings, question, Progress(), kept)
-    return payload_result(*fits, FLANGE, ORIGIN), fits[-1]
+    return payload_result(*fits, FLANGE, ORIGIN, (), np.ones(4)), fits[-1]
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +47,13 @@ def test_a_payload_is_given_in_the_flange_frame_with_its_errors(result_and_file)
     theta = body.theta
     assert np.max(np.abs(theta - FLANGE.to_flange(PAYLOAD)) / body.errors) < 4.0
     assert body.errors[0] < 0.03 and result.body is body
-    difference = payload.total.theta - payload.link.theta
+    difference = payload.total.theta - result.links["link3"].theta
     assert_allclose(FLANGE.to_flange(difference), theta, atol=1e-12)
     names = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
-    assert payload.recordings == names and len(payload.scatter) == 4
-    assert payload.torque_scale == {} and "drift[joint0]" not in result.sensors
+    assert payload.recordings == names
+    assert payload.torque_scale == {} and result.quantity("drift", "joint0") is None
+    row = result.quantity("mass", "payload")
+    assert (row.value, row.error) == (body.mass, pytest.approx(body.errors[0]))
 
 
 @pytest.mark.parametrize("factor", [0.94, 1.06])
@@ -73,9 +71,8 @@ def test_a_refused_payload_has_one_error_of_its_mass(recordings):
     swapped = [replace(log, is_loaded=not log.is_loaded) for log in recordings]
     result, _ = result_of(swapped)
     body = result.payload.body
-    (reason,) = result.reasons
     assert result.verdict is Verdict.SWAPPED
-    assert reason.endswith(with_error(body.mass, body.errors[0], "kg"))
+    assert result.remarks[0].text.endswith(with_error(body.mass, body.errors[0], "kg"))
 
 
 def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
@@ -88,14 +85,15 @@ def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
     assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.verdict.is_trustworthy
     expected = spatial.aluminium_ball(theta[0], theta[1:4] / theta[0])
     assert_allclose(theta, expected, atol=1e-12)
-    difference = payload.total.theta - payload.link.theta
+    difference = payload.total.theta - result.links["link3"].theta
     carried = [file.fit.by_name[f"{name}(payload)"] for name in spatial.PARAMETER_NAMES]
     for body in (difference, np.array(carried)):
         assert_allclose(FLANGE.to_flange(body), theta, atol=1e-12)
     for body in (payload.body, payload.total):
         assert np.all(np.isinf(body.errors) == (np.arange(10) >= 4))
-    notes = [note for note in result.notes if "differ significantly from zero" in note]
-    assert len(notes) == 1 and notes[0].count("±") == 3
+    texts = [remark.text for remark in result.remarks]
+    (note,) = [text for text in texts if "differ significantly from zero" in text]
+    assert note.count("±") == 3
 
 
 def test_the_given_model_of_the_file_is_judged_with_its_own_rotors(
@@ -119,11 +117,12 @@ def test_a_known_mass_identifies_scales_unless_the_weight_contradicts_it(
     payload = result.payload
     assert result.verdict is Verdict.OK and payload.known_mass == 1.2
     assert result.body.mass == pytest.approx(1.2, rel=1e-4)
-    assert payload.scatter == ()
-    for name, scale in payload.torque_scale.items():
-        assert abs(scale.value - 1.0) < 3.0 * scale.error, name
+    rows = [result.quantity("torque_scale", joint) for joint in payload.torque_scale]
+    for row in rows:
+        assert row.value == payload.torque_scale[row.of]
+        assert abs(row.value - 1.0) < 3.0 * row.error, row.of
     # Joints along gravity show nothing of it.
-    assert min(scale.error for scale in payload.torque_scale.values()) < 0.01
+    assert min(row.error for row in rows) < 0.01
 
 
 def test_resting_poses_show_mass_and_centre_of_mass_and_no_inertia():
@@ -140,27 +139,14 @@ def test_resting_poses_show_mass_and_centre_of_mass_and_no_inertia():
         recordings.append(Recording(name, Poses(poses, q == q), is_loaded))
     result, _ = result_of(recordings, resting=True)
     assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.cutoff is None
-    notes = "the payload's inertia is not identifiable from these torques"
-    assert notes in result.notes
+    note = "the payload's inertia is not identifiable from these torques"
+    assert note in [remark.text for remark in result.remarks]
     found = result.body.theta[:4]
     assert_allclose(found, FLANGE.to_flange(PAYLOAD)[:4], rtol=0.1, atol=0.01)
     assert np.all(np.isinf(result.payload.body.errors[4:]))
 
 
 # ---- recordings compared
-
-
-def test_every_recording_has_the_common_payload_within_its_errors(payload_fit):
-    mass = payload_fit.by_name["m(payload)"]
-    payloads = list(payloads_by_recording(payload_fit, FLANGE))
-    assert [payload.name for payload in payloads] == ["log0", "log3", "log1", "log2"]
-    assert [payload.is_loaded for payload in payloads] == [False, False, True, True]
-    # The centre of mass is given in the flange frame, 5 cm further out.
-    com = PAYLOAD[1:4] / PAYLOAD[0] - FLANGE.translation
-    for payload in payloads:
-        assert abs(payload.mass - mass) < 3.0 * payload.noise_error
-        assert payload.noise_error < payload.error < 0.1
-        assert payload.com == pytest.approx(com, abs=0.01)
 
 
 def half_turn(theta):

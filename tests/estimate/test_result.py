@@ -16,7 +16,7 @@ from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordi
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.result import link_result, traces_of
 from robot_sysid.records import Measurement
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import Level, Progress
 from robot_sysid.results.record import LINK, Verdict
 from tests.support import arms
 from tests.support.core_fits import BASIC, ORIGIN, filter_logs
@@ -62,20 +62,20 @@ def test_all_logs_pass_the_lowest_cutoff_that_one_requires(plant, robot, noisy):
 
 def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
     assert result.question == LINK
-    assert result.verdict is Verdict.BETTER and not result.reasons
+    assert result.verdict is Verdict.BETTER and result.failure is None
     assert list(result.links) == ["link0", "link1", "link2"]
     assert [link.joint for link in result.links.values()] == list(plant.joint_names)
     first, _, last = result.links.values()
     error = np.abs(last.theta - plant.prior.theta)
-    assert np.max(error / last.errors) < 4.0 and result.relative_mass_error < 0.25
+    assert np.max(error / last.errors) < 4.0 and last.errors[0] < 0.25 * last.mass
     assert first.data_share[0] < 0.3 and last.data_share[9] > 0.9
-    for name, joint in result.joints.items():
-        assert set(joint.terms) == set(BASIC.split("-"))
-        assert joint.terms["coulomb"].value == pytest.approx(0.3, abs=0.05)
-        assert joint.noise == pytest.approx(0.1 * np.sqrt(2.0 * 8.0 / 200.0), rel=0.3)
-        sensors = {f"{term}[{name}]" for term in ("scale", "zero", "load")}
-        assert sensors <= set(result.sensors)
     estimate = result.estimate
+    for name in plant.joint_names:
+        rows = {row.name: row for row in result.quantities if row.of == name}
+        assert rows.keys() >= {*BASIC.split("-"), "scale", "zero", "further_load"}
+        assert rows["coulomb"].value == pytest.approx(0.3, abs=0.05)
+        noise = estimate.noise_per_joint[name]
+        assert noise == pytest.approx(0.1 * np.sqrt(2.0 * 8.0 / 200.0), rel=0.3)
     assert estimate.names[:10] == spatial.PARAMETER_NAMES
     assert len(estimate.identifiability.identified) == 10 + 4 * 3
     assert result.validation[0].rmse < 1.5 * estimate.rmse
@@ -96,9 +96,11 @@ def test_unexplained_torque_is_noted(robot, noisy, share, verdict, is_noted):
     result = result_of(robot, replace(noisy, tau=noisy.tau + torque))
     assert result.verdict is verdict and result.failure is None
     message = "explained by neither the model nor noise"
-    notes = tuple(note for note in result.notes if message in note)
-    assert len(notes) == is_noted
-    assert result.reasons == (notes if verdict is Verdict.TORQUES_ONLY else ())
+    remarks = [remark for remark in result.remarks if message in remark.text]
+    assert len(remarks) == is_noted
+    for remark in remarks:
+        is_doubt = verdict is Verdict.TORQUES_ONLY
+        assert remark.level is (Level.DOUBTS if is_doubt else Level.SAYS)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -112,11 +114,14 @@ def test_sensor_parameters_are_the_deviation_from_the_model(plant, seed):
     log = arm.log(plan_of(plant, seed, 20.0), np.zeros(10), rng)
     result = result_of(plant, log)
     truth = arm.sensors()
-    assert truth.keys() <= result.sensors.keys()
-    for name, (value, error) in result.sensors.items():
-        # Friction terms without a true value may be there and are not.
-        assert abs(value - truth.get(name, 0.0)) < 4.0 * error, name
-    assert {"delay", *TILT_NAMES} <= result.sensors.keys()
+    sensors = {}
+    for row in result.quantities:
+        name = row.name.removeprefix("further_")
+        sensors[name if row.of == "arm" else f"{name}[{row.of}]"] = row
+    assert truth.keys() <= sensors.keys()
+    for name, value in truth.items():
+        assert abs(sensors[name].value - value) < 4.0 * sensors[name].error, name
+    assert {"delay", *TILT_NAMES} <= sensors.keys()
 
 
 def test_a_resting_joint_keeps_the_models_numbers_and_an_offset_is_noted(
@@ -125,14 +130,13 @@ def test_a_resting_joint_keeps_the_models_numbers_and_an_offset_is_noted(
     plan = plan_of(plant).scale_amplitudes(np.array([1.0, 1.0, 0.0]))
     log = log_of(plant, plan, noise_torque=0.05)
     resting = result_of(robot, replace(log, tau=log.tau + [0.0, 1.0, 0.0]))
-    joint = resting.joints["joint2"]
-    assert joint.friction_model == "none" and not joint.terms
+    assert resting.quantity("coulomb", "joint2") is None
     assert "joint2" not in resting.file.joints
-    notes = "\n".join(resting.notes)
-    assert "joint2 does not move fast enough" in notes
+    notes = "\n".join(remark.text for remark in resting.remarks)
+    assert "these logs move joint2 too slowly" in notes
     _, text = notes.split("no model file holds an offset of a torque sensor (joint1 ")
     assert float(text.split()[0]) == pytest.approx(1.0, abs=0.1)
-    assert not any("torque sensor" in note for note in result.notes)
+    assert not any("torque sensor" in remark.text for remark in result.remarks)
 
 
 def test_a_log_with_its_joints_reversed_is_refused(robot, noisy):
@@ -156,10 +160,10 @@ def test_numbers_that_take_up_friction_left_out_are_not_called_usable(
     )
     result = result_of(arms.robot_of(xml), log, friction_model="coulomb-viscous")
     assert result.verdict is verdict and result.failure is None
-    notes = tuple(text for text in result.notes if re.search(note, text))
-    assert len(notes) == 1
-    assert result.reasons[-1:] == (() if verdict is Verdict.BETTER else notes)
-    assert not result.wrong_links
+    (remark,) = [each for each in result.remarks if re.search(note, each.text)]
+    is_doubt = verdict is not Verdict.BETTER
+    assert remark.level is (Level.DOUBTS if is_doubt else Level.SAYS)
+    assert not any("probably wrong" in each.text for each in result.remarks)
 
 
 @pytest.mark.parametrize("options", [{"no_friction": True}, {"torques": "terminal"}])

@@ -11,7 +11,8 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.estimate import trust
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import Validation
-from robot_sysid.results.record import BodyEstimate, JointEstimate, Quantity, Verdict
+from robot_sysid.records.messages import Level
+from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
 from tests.support import arms
 from tests.support.core_fits import fit_logs
 
@@ -53,6 +54,13 @@ def prediction(relative_error, spread=SPREAD, **joints):
     return Validation("parts", 100, 0.1, relative_error, {}, joints, blocks=blocks)
 
 
+def first(remarks):
+    """The verdict of the first remark, OK where there is none, and all sentences."""
+    remarks = list(remarks)
+    verdict = Verdict[remarks[0].about] if remarks else OK
+    return verdict, tuple(remark.text for remark in remarks)
+
+
 def judge_link(*args, **numbers):
     return trust.implausible_link(SEVEN, (body_at if args else body)(*args, **numbers))
 
@@ -70,10 +78,9 @@ def judge_joint(**terms):
     """Return the reasons against the last joint's friction and rotor."""
     sizes = (9.0, 40.0, 5.0, 20.0, 1.0, 4.0, 0.5)
     torque = dict(zip(SEVEN.joint_names, sizes))
-    joints = {name: JointEstimate("some", {}) for name in SEVEN.joint_names}
-    figures = {term: Quantity(value, 0.1) for term, value in terms.items()}
-    joints[SEVEN.joint_names[-1]] = JointEstimate("some", figures)
-    return trust.implausible_joints(SEVEN, joints, torque)
+    last = SEVEN.joint_names[-1]
+    rows = [Quantity(term, last, "", None, size, 0.1) for term, size in terms.items()]
+    return trust.implausible_joints(SEVEN, rows, torque)
 
 
 @pytest.mark.parametrize(
@@ -109,14 +116,18 @@ def judge_joint(**terms):
         (judge_known_mass(0.3), WRONG_WEIGHT, "0.3 kg"),
         (judge_known_mass(2.1), WRONG_WEIGHT, "2.1 kg"),
         # A finding that the known mass puts right is no reason to refuse it; another is.
-        (judge_known_mass(0.8, (IMPLAUSIBLE, "far")), OK, ""),
-        (judge_known_mass(-1.0, (Verdict.SWAPPED, "less")), Verdict.SWAPPED, "less"),
+        (judge_known_mass(0.8, IMPLAUSIBLE.remark("far")), OK, ""),
+        (
+            judge_known_mass(-1.0, Verdict.SWAPPED.remark("less")),
+            Verdict.SWAPPED,
+            "less",
+        ),
     ],
 )
 def test_each_implausible_estimate_is_refused_with_its_reason(
     findings, verdict, message
 ):
-    judgement, reasons = trust.first(findings, OK)
+    judgement, reasons = first(findings)
     assert judgement is verdict
     assert judgement.is_trustworthy == (verdict is OK) == (not reasons)
     assert message in " ".join(reasons)
@@ -144,12 +155,12 @@ def test_each_implausible_estimate_is_refused_with_its_reason(
     ],
 )
 def test_a_file_is_compared_with_the_model_before(model, file, verdict):
-    assert trust.judge_file(model, file)[0] is verdict
+    assert trust.judge_file(model, file).about == verdict.name
 
 
 def judge_fit(fitted, *tests, acceleration=0.0):
     """Return (verdict, reasons) of a fit and of its errors in other rows."""
-    return trust.first(trust.find_misfits(fitted, tests, acceleration), OK)
+    return first(trust.find_misfits(fitted, tests, acceleration))
 
 
 @pytest.mark.parametrize(
@@ -214,7 +225,6 @@ def test_a_link_is_named_whose_first_moment_is_clearly_wrong(distance, error, is
     link = replace(body_at(distance, error), prior=body_at(0.1))
     named = list(trust.wrong_links([link]))
     assert len(named) == is_named
-    for wrong in named:
-        assert wrong.first_moment_of_model == pytest.approx(0.1)
-        assert wrong.first_moment == pytest.approx(0.15)
-        assert wrong.error == pytest.approx(0.01)
+    for remark in named:
+        assert (remark.level, remark.about) == (Level.DOUBTS, link.name)
+        assert "0.150 ± 0.010 kg m, in the model 0.1;" in remark.text

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import pytest
 
 from robot_sysid.commands import identify, motors
 from robot_sysid.records.messages import NextStep
+from robot_sysid.results.content import content_of
 from robot_sysid.results.next_steps import STEPS, last_lines, step_after, use_lines
 from tests.support import results as made
 
@@ -35,23 +37,27 @@ def test_the_command_of_every_state_is_taken(state):
 
 def test_the_last_lines_name_the_files_that_were_written():
     step = NextStep("Next, plan", ("robot-sysid", "plan", "it's.xml"))
-    verdict, *lines = last_lines(
-        made.found(), [Path("o ut/updated_model.urdf")], step, None
-    )
+    found = content_of(made.found())
+    verdict, *lines = last_lines(found, [Path("o ut/updated_model.urdf")], step)
     assert verdict.startswith("Usable: ")
     assert lines == [
         "Use this file: o ut/updated_model.urdf",
         '  mujoco.MjModel.from_xml_path("o ut/updated_model.urdf")',
+        "It loads in every MuJoCo from 3.0 on that loads your model (checked with "
+        f"{mujoco.__version__})",
         "Next, plan:",
         "  robot-sysid plan 'it'\"'\"'s.xml'",
     ]
-    card = last_lines(made.payload(), [Path("out/payload_card.txt")], None, None)[1]
+    card = last_lines(content_of(made.payload()), [Path("out/payload_card.txt")], None)[
+        1
+    ]
     frame = "in the frame of site 'flange'"
     assert card == f"Copy into the controller, {frame}: out/payload_card.txt"
-    refused = last_lines(made.found(), [Path("a.xml")], step, "the disk is gone")
+    refused = content_of(made.found(), failure="the disk is gone")
+    refused = last_lines(refused, [Path("a.xml")], step)
     assert refused == ("Not usable: the disk is gone",)
 
 
 def test_a_path_with_quotes_is_python_too():
-    _, load = use_lines(Path('a "b".xml'))
+    _, load, _ = use_lines(Path('a "b".xml'))
     assert load == '  mujoco.MjModel.from_xml_path("a \\"b\\".xml")'

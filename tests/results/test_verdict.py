@@ -1,21 +1,20 @@
-"""The verdict in one line, and what limits a result."""
+"""The verdict in one line."""
 
 from __future__ import annotations
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
 
-from robot_sysid.records.messages import Detail
+from robot_sysid.results.content import content_of
 from robot_sysid.results.record import Verdict
-from robot_sysid.results.verdict import (
-    WORSE,
-    limitations,
-    plan_conditions,
-    plan_verdict,
-    verdict_line,
-)
+from robot_sysid.results.verdict import plan_conditions, plan_verdict
+from robot_sysid.results.verdict import verdict_line as line_of
 from tests.support import results as made
+
+
+def verdict_line(result, failure=None):
+    """The verdict of a result in one line."""
+    return line_of(content_of(result, failure=failure))
+
 
 BETTER = "Usable: torque error on held-out data 27 % -> 0.25 %; "
 
@@ -66,7 +65,7 @@ def test_the_verdict_states_use_and_limit(result, verdict):
 
 
 def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
-    result = made.found(verdict=Verdict.TORQUES_ONLY, reasons=("because",))
+    result = made.found(verdict=Verdict.TORQUES_ONLY)
     assert verdict_line(result).startswith(
         "Only for torques of motions like the log's, not for the numbers: "
     )
@@ -75,10 +74,7 @@ def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
 
 @pytest.mark.parametrize("verdict", [v for v in Verdict if not v.writes_model])
 def test_a_result_that_is_not_usable_has_one_sentence_with_the_reason(verdict):
-    for result in (
-        made.found(verdict=verdict, reasons=("because",)),
-        made.payload(verdict=verdict),
-    ):
+    for result in (made.found(verdict=verdict), made.payload(verdict=verdict)):
         sentence = verdict_line(result)
         assert (
             sentence.startswith("Not usable: no model ") and verdict.value in sentence
@@ -104,27 +100,3 @@ def test_a_plan_is_usable_once_what_was_not_checked_is(
     verdict = plan_verdict(None, "", conditions)
     assert all(phrase in verdict for phrase in phrases)
     assert verdict.startswith("Usable once ") is bool(phrases)
-
-
-def limitations_of(result=None, **changes):
-    """The sentences on what limits a made-up result with these changes."""
-    return tuple(limitations(made.found(result, **changes)))
-
-
-@given(st.floats(0.5, 5.0))
-@example(3.0)
-def test_a_prediction_worse_than_the_fit_is_reported(factor):
-    errors = (0.03, 0.03 * factor)
-    sentences = limitations_of(validation=tuple(map(made.validation_of, errors)))
-    assert len(sentences) == (errors[1] > WORSE * 0.03)
-    phrase = f"torques of other.csv are predicted {factor:.1f} times worse"
-    for sentence in sentences:
-        assert phrase in sentence and not isinstance(sentence, Detail)
-
-
-@given(st.floats(1.0, 1e6))
-def test_a_prediction_within_the_noise_is_not_worse_than_an_exact_fit(factor):
-    fit = made.estimate(rmse=1e-9)
-    within_noise = made.validation_of(1e-9 * factor)
-    assert not limitations_of(fit, validation=(within_noise,))
-    assert limitations_of(fit, validation=(made.validation_of(0.05),))

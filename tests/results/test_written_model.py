@@ -117,9 +117,7 @@ def payload_of(robot, theta, flange_position=None, link=None):
     link = robot.prior.theta if link is None else link
     total = body_estimate(link + flange.from_flange(theta))
     names = {"empty": ("a",), "loaded": ("b", "c")}
-    return record.Payload(
-        flange, body_estimate(theta), body_estimate(link), total, names
-    )
+    return record.Payload(flange, body_estimate(theta), total, names)
 
 
 def result_of(robot, theta=None, file=None, payload=None, **changes):
@@ -127,7 +125,7 @@ def result_of(robot, theta=None, file=None, payload=None, **changes):
     theta = robot.prior.theta if theta is None else theta
     identifiability = records.Identifiability(10, 10, 5.0, 2.0, (True,) * 10, ())
     estimate = records.Estimate(PARAMETER_NAMES, theta, identifiability, 1e-4, {})
-    fields = {"robot": robot, "verdict": record.Verdict.OK, "joints": {}, "links": {}}
+    fields = {"robot": robot, "verdict": record.Verdict.OK, "links": {}}
     fields |= {"file": file, "payload": payload, **changes}
     return made.found(estimate, **fields)
 
@@ -200,7 +198,7 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
     if with_file:  # what it says of the terminal link counts, not what the payload does
         thetas[0] += random_theta(rng, 0.3)
         thetas[-1] = link = link + random_theta(rng, 0.1)
-        friction = {"coulomb": record.Quantity(0.25, 0.01)}
+        friction = {"coulomb": 0.25}
         joints = dict.fromkeys(robot.joint_names, friction)
         file = file_of(robot, thetas, joints, TURNED)
     result = result_of(robot, file=file, payload=payload)
@@ -257,7 +255,7 @@ def new_joints(robot, rng):
     joints = {}
     for joint in robot.joint_names:
         values = rng.uniform(0.1, 2.0, 3)
-        joints[joint] = {t: record.Quantity(x, 0.01) for t, x in zip(TERMS, values)}
+        joints[joint] = dict(zip(TERMS, values))
     return joints
 
 
@@ -275,7 +273,7 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
         if np.any(theta):
             assert_same_theta(link.theta, theta)
     for term, field in TERMS.items():
-        expected = [joints[joint][term].value for joint in robot.joint_names]
+        expected = [joints[joint][term] for joint in robot.joint_names]
         assert_array_equal(
             getattr(reloaded.mj_model, f"dof_{field}")[robot.dof_index], expected
         )
@@ -304,7 +302,7 @@ def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, f
             "armature": factor * robot.armature[index],
             "viscous": factor * robot.friction.viscous[index],
         }
-        joints[name] = {t: record.Quantity(x, 0.01) for t, x in values.items()}
+        joints[name] = values
     written = write_and_compile(
         robot, result_of(robot, file=file_of(robot, joints=joints))
     )
@@ -330,7 +328,7 @@ def test_nonlinear_damping_of_the_model_stays(tmp_path, place):
     joints = new_joints(robot, np.random.default_rng(7))
     result = result_of(robot, file=file_of(robot, joints=joints))
     reloaded = load_robot_model(write_and_compile(robot, result).path)
-    expected = [joints[joint]["viscous"].value for joint in robot.joint_names]
+    expected = [joints[joint]["viscous"] for joint in robot.joint_names]
     assert_array_equal(reloaded.friction.viscous, expected)
     assert_array_equal(reloaded.nonlinear_damping, [(0.3, 0.2)] * robot.n_joints)
 
@@ -368,7 +366,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     terms = file.joints["joint1-2*joint2"]
     assert model.ntendon == max(robot.mj_model.ntendon, 1) + (source == SLACK)
     for term in terms:
-        assert getattr(model, f"tendon_{TERMS[term]}")[-1] == terms[term].value
+        assert getattr(model, f"tendon_{TERMS[term]}")[-1] == terms[term]
     assert model.tendon_stiffness[-1] == 0.0
 
     # What the file takes is the torque of what was identified.
@@ -380,7 +378,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     transmission = np.vstack((np.eye(3), RATIOS))
     owners = (*robot.joint_names, "joint1-2*joint2")
     for owner, ratios in zip(owners, transmission):
-        values = {term: q.value for term, q in file.joints[owner].items()}
+        values = dict(file.joints[owner])
         speed = motion.qd @ ratios
         torque = values["coulomb"] * np.sign(speed) + values["viscous"] * speed
         torque += values.get("armature", 0.0) * (motion.qdd @ ratios)
@@ -391,7 +389,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     file = with_motor(reloaded, np.random.default_rng(8))
     path = write_and_compile(reloaded, result_of(reloaded, file=file)).path
     (motor,) = motors_of(load_robot_model(path), "chain")[0]
-    assert_array_equal(motor.model[0], file.joints[motor.name]["coulomb"].value)
+    assert_array_equal(motor.model[0], file.joints[motor.name]["coulomb"])
 
 
 def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
@@ -400,9 +398,9 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
         write_files(tmp_path, {"arm.urdf": urdf.robot(urdf.serial(links))})
     )
     motor = coupling(robot, np.array([1.0, 1.0]))
-    terms = {"coulomb": record.Quantity(0.5, 0.1)}
+    terms = {"coulomb": 0.5}
     links_file = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
-    rotor = {"armature": record.Quantity(0.1, 0.01)}
+    rotor = {"armature": 0.1}
     file = replace(
         links_file,
         joints={motor.name: terms, "l1_l2": rotor},

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robot_sysid import cli
+from robot_sysid.results.quantities import BEYOND
+from tests.support.params import rows
 from tests.support.places import EXAMPLE, MODELS
 
 FAST = 400.0
@@ -90,18 +92,11 @@ def rehearse(arm: Arm, trajectory: Path, rate: float, folder: Path) -> list[Esti
 
 def estimates(result: dict) -> Iterator[Estimate]:
     """Yield rotors, friction and masses of the arm out of params.json."""
-    for joint, details in result["joints"].items():
-        for term in ("armature", "viscous", "coulomb"):
-            number = details["terms"].get(term)
-            if number is not None and number["standard_error"]:
-                truth = details["model"].get(term, 0.0)
-                value = number["value"], number["standard_error"]
-                yield Estimate(f"{term} of {joint}", truth, *value)
-    for link in result["links"]:
-        error = link["standard_errors"]["m"]
-        yield Estimate(
-            f"mass of {link['name']}", link["model"]["mass"], link["mass"], error
-        )
+    for (owner, name), row in rows(result).items():
+        is_wanted = name in ("armature", "viscous", "coulomb", "mass")
+        if is_wanted and row["error"] and owner != BEYOND:
+            truth = row["model"] or 0.0
+            yield Estimate(f"{name} of {owner}", truth, row["value"], row["error"])
 
 
 def model(arm: Arm) -> list[object]:

@@ -8,14 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.export import params_json_text
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import DataOrigin, JointLimits
+from robot_sysid.records import DataOrigin
 from robot_sysid.records.data import Traces
+from robot_sysid.records.file_access import json_text
 from robot_sysid.report.page import REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run, save_data
 from robot_sysid.results.cards import card_text, number_groups
-from robot_sysid.results.record import Quantity, Verdict
+from robot_sysid.results.content import content_of
+from robot_sysid.results.record import Verdict
+from robot_sysid.results.verdict import verdict_line
 from tests.support import arms
 from tests.support import results as made
 
@@ -41,17 +43,15 @@ def on_arm(result, path):
 def link_result(path):
     """A result about every link of the arm in a file."""
     result = made.whole()
-    first, last = result.links.values()
-    last = replace(last, data_share=np.array([1.0] * 8 + [0.4, 0.9]))
     pair = result.file.other_validations[0]
     odd = tuple(replace(validation, source=ODD) for validation in pair)
     file = replace(result.file, other_validations=(odd,))
-    return on_arm(replace(result, links=made.by_name(first, last), file=file), path)
+    return on_arm(replace(result, file=file), path)
 
 
 def payload_result(path, verdict=Verdict.OK):
     """A result about a payload on that arm."""
-    scales = {"$x^{1}&": Quantity(1.1, 0.01)}
+    scales = {"$x^{1}&": 1.1}
     recordings = {"empty": ("a.csv",), "loaded": ("<s>b</s>.csv", "c.csv")}
     options = {"torque_scale": scales, "recordings": recordings, "verdict": verdict}
     return on_arm(made.payload(**options), path)
@@ -70,11 +70,9 @@ def traces(result):
     predicted = 3.0 * q + friction
     measured = predicted + 0.05 * rng.normal(size=q.shape)
     measured[np.abs(qd) < 0.1] = np.nan
-    full = np.full(len(names), 2.0)
-    limits = JointLimits(-full, full, 3.0 * full, np.full(len(names), np.inf))
     torques = (measured, predicted, 0.8 * predicted, friction)
     is_slide = (False,) * len(names)
-    return Traces(names, is_slide, time, q, qd, *torques, limits, made.ARM.prior)
+    return Traces(names, is_slide, time, qd, *torques)
 
 
 def fingerprint(folder):
@@ -91,7 +89,8 @@ def saved(folder, result):
         card = number_groups(payload.body)
         text = card_text(payload, card, result.robot)
         (folder / "payload_card.txt").write_text(text, encoding="utf-8")
-    text = params_json_text(result, card)
+    content = content_of(result, card)
+    text = json_text({**content, "verdict": [verdict_line(content)]})
     (folder / "params.json").write_text(text, encoding="utf-8")
     return folder
 

@@ -22,17 +22,18 @@ from robot_sysid.records import (
     RobotModel,
     SubtreeBody,
     Validation,
-    WrongLink,
 )
+from robot_sysid.records.messages import Level, Remark, says, term_unit
+from robot_sysid.results.quantities import BEYOND, body_quantities, file_quantities
 from robot_sysid.results.record import (
+    BOUND,
+    FILE,
     LINK,
     PAYLOAD,
     BodyEstimate,
-    JointEstimate,
     ModelFile,
     Payload,
     Quantity,
-    RecordingPayload,
     Result,
     Verdict,
 )
@@ -82,17 +83,28 @@ def estimate(**changes) -> Estimate:
 
 
 def found(result: Estimate | None = None, **changes) -> Result:
-    """Everything around it, of measured data: the terminal link and the joints as in it."""
+    """Everything around it, of measured data: the terminal link and the joints as in it.
+
+    A ``verdict`` among the changes is its remark.
+    """
     result = result or estimate()
+    if "verdict" in changes:
+        verdict = changes.pop("verdict")
+        reason = "because" if verdict.level is not Level.SAYS else ""
+        changes.setdefault("remarks", (verdict.remark(reason),))
+    links = {} if result.standard_errors is None else by_name(terminal(result))
+    links = changes.get("links", links)
+    rows = [row for link in links.values() for row in body_quantities(link, link.name)]
+    rows += [row for joint in JOINTS for row in joint_rows(result, joint)]
     defaults = Result(
         question=LINK,
         robot=ARM,
         estimate=result,
-        verdict=Verdict.BETTER,
+        remarks=(Verdict.BETTER.remark(),),
         torques="chain",
         data=DataOrigin("log arm.csv", 15.0, 1000.0),
-        links={} if result.standard_errors is None else by_name(terminal(result)),
-        joints={joint: joint_of(result, joint) for joint in JOINTS},
+        quantities=tuple(rows),
+        links=links,
         friction_model="coulomb-viscous",
     )
     return replace(defaults, **changes)
@@ -119,28 +131,32 @@ def terminal(result: Estimate) -> BodyEstimate:
     )
 
 
-def joint_of(result: Estimate, joint: str) -> JointEstimate:
+def joint_rows(result: Estimate, joint: str) -> list[Quantity]:
     """The friction of a joint as an estimate has it."""
-    terms = {}
+    rows = []
     for name in result.names:
         term, _, owner = name.partition("[")
         if owner == f"{joint}]":
-            error = result.error(name) or 0.0
-            terms[term] = Quantity(result.value(name), error)
-    model = "-".join(terms) or "none"
-    return JointEstimate(model, terms, MODEL_FRICTION[joint], noise=0.03)
+            model = MODEL_FRICTION[joint].get(term)
+            value, error = result.value(name), result.error(name)
+            rows.append(
+                Quantity(term, joint, term_unit(term, False), model, value, error)
+            )
+    return rows
 
 
 def itself(result: Estimate | None = None, **changes) -> Result:
     """The model's own simulation, of which most is not asked."""
     full = result or estimate()
     fit = full.names, full.values, full.identifiability, full.rmse, full.rmse_per_joint
+    exact = replace(terminal(full), covariance=np.zeros((10, 10)), budget={})
+    rows = [*body_quantities(exact, "link6"), *joint_rows(Estimate(*fit), "j6")]
     defaults = found(
         Estimate(*fit),
         data=DataOrigin(ITSELF, 15.0, 1000.0, 1),
         verdict=Verdict.OK,
         links={},
-        joints={},
+        quantities=tuple(rows),
         friction_model=None,
     )
     return replace(defaults, **changes)
@@ -199,15 +215,18 @@ def payload(
     payload_record = Payload(
         flange=Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
         body=own or body(),
-        link=body(0.8, name="link6"),
         total=body(2.0, name="link6"),
         recordings={"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
-        scatter=(RecordingPayload("b.csv", True, 1.19, np.zeros(3), 0.01, 0.02),),
     )
     for name in vars(payload_record).keys() & changes.keys():
         payload_record = replace(payload_record, **{name: changes.pop(name)})
-    result = found(result, question=PAYLOAD, verdict=Verdict.OK, payload=payload_record)
-    return replace(result, **changes)
+    rows = [*body_quantities(payload_record.body, PAYLOAD)]
+    rows += body_quantities(body(0.8, name="link6"), "link6")
+    rows += body_quantities(payload_record.total, "link6 with payload")
+    for joint, scale in payload_record.torque_scale.items():
+        rows.append(Quantity("torque_scale", joint, "", 1.0, scale, 0.004))
+    changes = {"verdict": Verdict.OK, "quantities": tuple(rows), **changes}
+    return found(result, question=PAYLOAD, payload=payload_record, **changes)
 
 
 def model_file(**changes) -> ModelFile:
@@ -215,9 +234,7 @@ def model_file(**changes) -> ModelFile:
     file = ModelFile(
         thetas=np.array([1.5 * THETA, 0.9 * THETA]),
         errors=np.full((2, 10), 1e-3),
-        joints={
-            "j5": {"coulomb": Quantity(0.45, 0.01), "viscous": Quantity(0.25, 0.02)}
-        },
+        joints={"j5": {"coulomb": 0.45, "viscous": 0.25}},
         gravity=np.array([0.0, 0.1, -9.8]),
         validation_before=validation_of(1.5, "fifths of arm.csv", 0.27),
         validation_after=validation_of(0.02, "fifths of arm.csv", 0.0025),
@@ -232,23 +249,29 @@ def model_file(**changes) -> ModelFile:
 def whole(**changes) -> Result:
     """A result of which nothing is missing."""
     first = replace(terminal(estimate()), name="link5", joint="j5")
-    elbow = replace(joint_of(estimate(), "j5"))
+    last = terminal(estimate())
+    beyond = replace(last, theta=0.5 * THETA, prior=None)
     bodies = (SubtreeBody(6, "link6", THETA, True),)
+    file = model_file()
+    rows = [*body_quantities(first, "link5"), *body_quantities(last, "link6")]
+    rows += [row for joint in JOINTS for row in joint_rows(estimate(), joint)]
+    rows += [
+        Quantity("viscous", "j5+j6", "N·m·s/rad", None, 0.05, 0.002),
+        Quantity("scale", "j5", "", None, 1.01, 0.004),
+        Quantity("zero", "j6", "rad", None, 0.0, float("nan"), BOUND),
+        Quantity("delay", "arm", "s", None, 0.0032, 2e-5),
+        Quantity("tilt_1", "arm", "rad", None, 0.0, np.radians(0.03)),
+        *[*body_quantities(beyond, BEYOND)][:4],
+        *file_quantities(file.thetas[0], THETA, "link5"),
+        *file_quantities(file.thetas[1], 0.5 * THETA, "link6"),
+        Quantity("coulomb", "j5", "N", 0.3, 0.45, 0.01, FILE),
+        Quantity("viscous", "j5", "N·s/m", 0.1, 0.25, 0.02, FILE),
+    ]
     result = found(
         robot=replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
-        links=by_name(first, terminal(estimate())),
-        joints={"j5": elbow, "j6": joint_of(estimate(), "j6")},
-        couplings={
-            "j5+j6": JointEstimate("viscous", {"viscous": Quantity(0.05, 0.002)})
-        },
-        sensors={
-            "scale[j5]": Quantity(1.01, 0.004),
-            "zero[j6]": Quantity(0.0, float("nan")),
-            "delay": Quantity(0.0032, 2e-5),
-            "tilt_1": Quantity(0.0, np.radians(0.03)),
-            "tilt_2": Quantity(0.0, np.radians(0.04)),
-        },
-        file=model_file(),
+        links=by_name(first, last),
+        quantities=tuple(rows),
+        file=file,
         validation=(
             validation_of(0.02, "fifths of arm.csv", 0.0022),
             validation_of(0.03, relative=0.012),
@@ -256,9 +279,11 @@ def whole(**changes) -> Result:
         friction_model="per joint",
         cutoff=8.0,
         link_scales={"mass": 4.0, "centre_of_mass": 1.0, "inertia": 2.0},
-        wrong_links=(WrongLink("link3", 3.96, 2.8, 0.3),),
-        reasons=("because",),
-        notes=("a note",),
+        remarks=(
+            Verdict.BETTER.remark(),
+            Remark(Level.DOUBTS, "link3", "link3 is wrong", "weigh it"),
+            *says(("a note",)),
+        ),
     )
     return replace(result, **changes)
 

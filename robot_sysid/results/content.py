@@ -1,0 +1,137 @@
+"""The content of params.json: the table of a result behind the keys of the specification.
+
+Console and report are views of it. It is strict JSON in full precision: numbers that are not finite
+are null. ``inertia_tensor`` is about the body ORIGIN; the torque that friction takes is the sum of
+all terms' values times ``friction_formulas``, with ``qd`` the joint's speed and ``load`` the torque
+its gear transmits (that of the links alone).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.records.file_access import strict_json
+from robot_sysid.records.messages import says
+from robot_sysid.results.record import Result
+from robot_sysid.results.written_model import versions
+
+SCHEMA_VERSION = 5
+"""Version of the format of params.json; readers refuse other versions."""
+FORMULAS = {
+    "coulomb": "sign(qd)",
+    "viscous": "qd",
+    "offset": "1",
+    "sqrt": "sign(qd) * sqrt(abs(qd))",
+    "fading_fast": "sign(qd) * exp(-abs(qd) / 0.04)",
+    "fading": "sign(qd) * exp(-abs(qd) / 0.13)",
+    "fading_slow": "sign(qd) * exp(-abs(qd) / 0.4)",
+    "stribeck": "sign(qd) * exp(-(qd / 0.1)**2)",
+    "load": "sign(qd) * abs(load)",
+    "sigmoid": "tanh(qd / 0.05)",
+}
+"""Friction term to its torque per unit of its coefficient."""
+Content = Mapping[str, Any]
+"""Key to value of params.json, or column to value of one of its rows."""
+
+
+def content_of(
+    result: Result,
+    card: Content | None = None,
+    notes: Sequence[str] = (),
+    failure: str | None = None,
+) -> dict[str, Any]:
+    """Return the content of params.json but for the verdict and the next step.
+
+    Args:
+        result: of the identification.
+        card: numbers of the payload's card; None where none is written.
+        notes: remarks on the written files, one sentence each.
+        failure: why a result that is usable in itself must not be used; None for no such reason.
+    """
+    estimate = result.estimate
+    identifiability = estimate.identifiability
+    robot = result.robot
+    joint = robot.terminal_joint
+    payload = result.payload
+    body = estimate.inertial if payload is None else payload.total
+    is_identified = not identifiability.unidentifiable
+    if payload is not None:
+        is_identified = bool(np.all(payload.body.is_determined))
+    file = result.file
+    content = {
+        "schema_version": SCHEMA_VERSION,
+        "joint_name": joint,
+        "mass": body.mass,
+        "center_of_mass_moment": body.first_moment,
+        "inertia_tensor": dict(zip(PARAMETER_NAMES[4:], body.theta[4:])),
+        "coulomb_friction": estimate.value(f"coulomb[{joint}]"),
+        "viscous_friction": estimate.value(f"viscous[{joint}]"),
+        "rmse": estimate.rmse,
+        "condition_number": identifiability.condition_number,
+        "n_base_params": identifiability.rank,
+        "question": result.question,
+        "body_name": robot.body_name,
+        "status": result.verdict.name,
+        "failure": refusal(result) or failure,
+        "valid": {
+            "physically_consistent": result.body.is_consistent,
+            "all_identified": is_identified,
+            "trustworthy": result.verdict.is_trustworthy,
+        },
+        "verdict": (),
+        "next_step": None,
+        "remarks": [*result.remarks, *says(notes)],
+        "quantities": result.quantities,
+        "friction_formulas": FORMULAS,
+        "file": file
+        and {
+            "name": result.model_name,
+            "before": file.validation_before,
+            "after": file.validation_after,
+            "others": [{"before": b, "after": a} for b, a in file.other_validations],
+            "gravity": file.gravity,
+            "kept": file.unchanged,
+        },
+        "payload": payload
+        and {
+            "flange": payload.flange,
+            "recordings": payload.recordings,
+            "known_mass": payload.known_mass,
+            "card": card,
+        },
+        "validation": result.validation,
+        "torques": result.torques,
+        "friction_model": result.friction_model,
+        "cutoff": result.cutoff,
+        "link_scales": result.link_scales,
+        "unidentifiable_combinations": identifiability.unidentifiable,
+        "condition_number_scaled": identifiability.scaled_condition_number,
+        "rmse_per_joint": estimate.rmse_per_joint,
+        "noise_per_joint": estimate.noise_per_joint,
+        "samples_per_joint": estimate.samples,
+        "source": result.data.description,
+        "logs": result.data.files,
+        "model": {"path": str(robot.path), "sha256": robot.sha256},
+        "joint_names": robot.joint_names,
+        "seed": result.data.seed,
+        "duration": result.data.duration,
+        "sample_rate": result.data.sample_rate,
+        "versions": versions(),
+    }
+    return {key: strict_json(value) for key, value in content.items()}
+
+
+def refusal(result: Result) -> str | None:
+    """Return why neither a model nor a card is written, or None where the result may be used."""
+    if result.failure is None:
+        return None
+    missing = "no model was"
+    if result.payload is not None:
+        missing = "no model and no card were"
+        if result.payload.known_mass is not None:
+            missing = "no torque scales were"
+    return f"{missing} written: {result.failure}"

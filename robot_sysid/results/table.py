@@ -1,0 +1,207 @@
+"""Tables of the rows of params.json, and what they say in words: for console, report and Python.
+
+A row is an entry of ``quantities``. Numbers have as many digits as make two of their error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from robot_sysid.records.messages import aligned_lines, number_text, percent, with_error
+from robot_sysid.results.content import FORMULAS, Content
+from robot_sysid.results.quantities import BEYOND, BODY_NAMES
+from robot_sysid.results.record import BOUND, DATA, FILE, MODEL, PAYLOAD
+
+_AXES = ("xx", "xy", "xz", "yy", "yz", "zz")
+_LABELS = dict(
+    zip(
+        BODY_NAMES,
+        (
+            "mass",
+            *map("centre of mass {}".format, "xyz"),
+            *map("inertia {} about CoM".format, _AXES),
+            *map("CoM moment {}".format, "xyz"),
+            *map("inertia {}".format, _AXES),
+        ),
+    ),
+    coulomb="Coulomb friction",
+    viscous="viscous friction",
+    armature="rotor inertia",
+    torque_scale="torque scale",
+    offset="friction offset",
+    stribeck="Stribeck friction",
+    scale="error of the torque scale",
+    zero="encoder zero",
+    delay="delay of the torque",
+    tilt_1="tilt of the base, first axis",
+    tilt_2="tilt of the base, second axis",
+)
+"""Name of a quantity to its label in a table; further terms are "friction TERM"."""
+CENTRAL = BODY_NAMES[:10]
+"""Names of mass, centre of mass and inertia about it."""
+ORIGIN = (BODY_NAMES[0], *BODY_NAMES[10:])
+"""Names of mass, first moments and inertia about the origin of the body's frame."""
+HEADINGS = ("", "model", "identified", "±", "in the file", "unit", "change")
+"""Headings of a table, in the order of ``cells``."""
+_WITHIN = "within ±"
+"""Cell of a change that is smaller than the standard error."""
+_MAX_RELATIVE_CHANGE = 10.0
+"""Relative change beyond which the change itself is stated, not a percentage."""
+SIGNIFICANT = 2.0
+"""Standard errors from which a change is stated in words (95 %)."""
+
+
+def label(row: Content) -> str:
+    """Return what a row is, in words."""
+    name = row["name"]
+    words = name.replace("_", " ")
+    return _LABELS.get(name, f"friction {name}" if name in FORMULAS else words)
+
+
+def rows_of(content: Content, of: str) -> list[Content]:
+    """Return the identified rows of a body or joint."""
+    rows = content["quantities"]
+    return [row for row in rows if row["of"] == of and row["source"] != FILE]
+
+
+def file_rows(content: Content) -> dict[tuple[str, str], Content]:
+    """Return (what has it, name) to each row of the written model."""
+    rows = content["quantities"]
+    return {(row["of"], row["name"]): row for row in rows if row["source"] == FILE}
+
+
+def body_rows(content: Content, of: str) -> list[Content]:
+    """Return the ten rows of a body: about its centre of mass, or else about its origin.
+
+    What the recordings do not determine is left out but for the mass.
+    """
+    rows = {row["name"]: row for row in rows_of(content, of)}
+    if "Ixx" not in rows:
+        return []
+    names = CENTRAL if is_shown(rows["com_x"]) else ORIGIN
+    mass, *others = (rows[name] for name in names)
+    if content["question"] == PAYLOAD or names is CENTRAL:
+        others = [row for row in others if is_shown(row)]
+    return [mass, *others]
+
+
+def friction_rows(content: Content, owner: str) -> list[Content]:
+    """Return the identified friction and rotor inertia of a joint, or of a motor of several."""
+    terms = (*FORMULAS, "armature")
+    return [row for row in rows_of(content, owner) if row["name"] in terms]
+
+
+def is_shown(row: Content) -> bool:
+    """Return whether the recordings determine a number at all."""
+    return row["source"] != MODEL or row["error"] is not None
+
+
+def change(row: Content) -> str:
+    """Return how a value has changed, with "prior" where most of it comes from the model."""
+    if not is_shown(row):
+        return "not identifiable"
+    if row["source"] == BOUND:
+        return "at its bound"
+    difference = _difference(row)
+    if row["source"] != MODEL:
+        return difference
+    is_prior_alone = difference in ("", "none", _WITHIN)
+    return "prior" if is_prior_alone else f"{difference}, prior"
+
+
+def _difference(row: Content) -> str:
+    """Return a change as a percentage where that is below 1000 %, else as a number."""
+    before, after, error = row["model"], row["value"], row["error"]
+    if before is None:
+        return ""
+    difference = after - before
+    # Models are written to 1e-9.
+    if abs(difference) <= 1e-9 * abs(before):
+        return "none"
+    if error is not None and abs(difference) <= error:
+        return _WITHIN
+    sign = "+" if difference > 0.0 else ""
+    if before * after > 0.0 and abs(difference / before) <= _MAX_RELATIVE_CHANGE:
+        ratio = difference / before
+        return f"{'+' if ratio > 0.0 else ''}{percent(ratio)}"
+    return f"{sign}{number_text(difference, error)}"
+
+
+def cells(row: Content, title: str, written: Content | None = None) -> tuple[str, ...]:
+    """Return a row as text, one cell per heading.
+
+    Args:
+        row: the identified number.
+        title: of the first cell.
+        written: the number in the written model, shown where it prints otherwise; or None.
+    """
+    error = row["error"]
+    before = "" if row["model"] is None else number_text(row["model"], error)
+    after = number_text(row["value"], error)
+    in_file = "" if written is None else number_text(written["value"], error)
+    in_file = "" if in_file == after else in_file
+    plus_minus = "" if error is None else number_text(error, error)
+    return (title, before, after, plus_minus, in_file, row["unit"], change(row))
+
+
+def shown_columns(rows: Iterable[Sequence[str]], title: str) -> list[tuple[str, ...]]:
+    """Return headings and rows of cells without empty columns; ``title`` is above the first."""
+    columns = zip((title, *HEADINGS[1:]), *rows)
+    return list(zip(*(column for column in columns if any(column[1:]))))
+
+
+def table_lines(rows: Iterable[Sequence[str]], title: str = "") -> list[str]:
+    """Return rows of cells as aligned lines under their headings, see ``shown_columns``."""
+    lines = aligned_lines(shown_columns(rows, title), HEADINGS[1:5])
+    return list(map("  {}".format, lines))
+
+
+def all_cells(content: Content) -> Iterator[tuple[str, ...]]:
+    """Yield every row of links, joints and motors, with the written number where it differs."""
+    written = file_rows(content)
+    owners = dict.fromkeys(row["of"] for row in content["quantities"])
+    for owner in owners:
+        rows = [] if owner == BEYOND else body_rows(content, owner)
+        for row in (*rows, *friction_rows(content, owner)):
+            title = f"{owner} {label(row)}"
+            yield cells(row, title, written.get((owner, row["name"])))
+
+
+def beyond_line(content: Content) -> str:
+    """Return what is bolted to the terminal link beyond the model; "" where that is not asked."""
+    rows = rows_of(content, BEYOND)
+    if not rows:
+        return ""
+    mass, *com = rows
+    link = content["body_name"]
+    if not is_shown(mass):
+        return f"These torques do not show whether anything is bolted to {link} beyond the model"
+    text = with_error(abs(mass["value"]), mass["error"], "kg")
+    if abs(mass["value"]) < SIGNIFICANT * mass["error"]:
+        more = with_error(mass["value"], mass["error"], "kg")
+        return f"Bolted on beyond the model: nothing that the torques show ({more} on {link})"
+    if mass["value"] < 0.0:
+        return (
+            f"Bolted on beyond the model: nothing; {link} is {text} lighter than in it"
+        )
+    position = ""
+    if all(map(is_shown, com)):
+        listed = ", ".join(with_error(row["value"], row["error"]) for row in com)
+        position = f", centre of mass [{listed}] m in the frame of {link}"
+    return f"Bolted on beyond the model: {text}{position}"
+
+
+def largest_changes(content: Content, count: int = 4) -> str:
+    """Return the changes of masses, friction and rotors that stand out most from their errors."""
+    changes = []
+    for row in content["quantities"]:
+        names = ("mass", "coulomb", "viscous", "armature")
+        is_wanted = row["name"] in names and row["source"] == DATA and row["error"]
+        if is_wanted and row["model"] is not None:
+            size = abs(row["value"] - row["model"]) / row["error"]
+            if size >= SIGNIFICANT:
+                text = f"{label(row)} of {row['of']} {change(row)}"
+                unit = "" if text.endswith("%") else f" {row['unit']}"
+                changes.append((size, f"{text}{unit}"))
+    largest = sorted(changes, reverse=True)[:count]
+    return ", ".join(text for _, text in largest)
