@@ -25,7 +25,6 @@ from mujoco import rollout
 from benchmarks.arm_results import result_of_logs
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.records import Measurement
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 from tests.support.core_fits import BASIC, NOISE_ONLY
@@ -84,7 +83,7 @@ def truth(rng) -> dict:
 def record_log(model, robot, seed: int, seconds: float):
     """Return (time, q, held torque) of a controlled motion of the true arm, as sensors read it."""
     rng = np.random.default_rng(seed)
-    plan = generate_excitation_trajectory(robot, rng, seconds, ArmTorque(robot))[0]
+    plan = generate_excitation_trajectory(robot, rng, seconds)
     plan = plan.scale_amplitudes(np.array([3.0] * 6 + [1.0]))
     clock = np.arange(0.0, seconds, STEP)
     motion = plan.evaluate(clock)

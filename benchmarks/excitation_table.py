@@ -27,7 +27,6 @@ from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import (
     TrajectoryOptions,
     generate_excitation_trajectory,
@@ -129,10 +128,9 @@ def line(path, joint, seeds):
     problem = build_problem(robot, LimitOptions())
     prior = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, options, motion, prior)
-    torque = ArmTorque(robot)
     rows = []
     for rng in map(np.random.default_rng, range(5)):
-        plan = generate_excitation_trajectory(robot, rng, 15.0, torque)[0]
+        plan = generate_excitation_trajectory(robot, rng, 15.0)
         rows.append(left_by(design, plan))
     sines = np.median(rows, axis=0)
     exact = Criterion(problem, prior, 1e12)

@@ -29,7 +29,6 @@ from robot_sysid.estimate.questions import Question
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support.core_fits import ORIGIN
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
@@ -48,7 +47,7 @@ SPEED_SHARE = 0.9
 
 def trajectory(robot, rng, wide):
     """Return a random trajectory within the limits."""
-    plan = generate_excitation_trajectory(robot, rng, torque=ArmTorque(robot))[0]
+    plan = generate_excitation_trajectory(robot, rng)
     if not wide:
         return plan
     qd = plan.evaluate(np.arange(0.0, plan.duration, 0.01)).qd

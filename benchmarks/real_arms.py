@@ -133,7 +133,7 @@ def draw_arm(
 ) -> RealArm:
     """Return one arm with one log of it."""
     rng = np.random.default_rng([seed, DEVIATIONS.index(deviation)])
-    plan, _ = generate_excitation_trajectory(robot, rng, duration)
+    plan = generate_excitation_trajectory(robot, rng, duration)
     motion = plan.evaluate(np.arange(round(RATE * duration)) / RATE)
     exact = next(iter(simulate_inverse(robot, iter([motion]))))
 

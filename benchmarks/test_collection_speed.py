@@ -35,7 +35,7 @@ def recorded_arm(request):
     if path is not None and not path.exists():
         pytest.skip("the public models are not here")
     robot = arms.robot_of(arms.SEVEN) if path is None else load_robot_model(path)
-    plan, _ = generate_excitation_trajectory(robot, np.random.default_rng(0))
+    plan = generate_excitation_trajectory(robot, np.random.default_rng(0))
     wrench_regressor(np.zeros((1, 6)), np.zeros((1, 6)))
     return robot, list(simulate_inverse(robot, motion_chunks(plan, 1000.0)))
 

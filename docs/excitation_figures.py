@@ -22,7 +22,6 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, MotionPlan, RobotModel
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import TrajectoryOptions, generate_excitation_trajectory
 
 HERE = Path(__file__).resolve().parent
@@ -90,10 +89,7 @@ def main(folder: Path) -> None:
     problem = build_problem(robot, LimitOptions())
     prior = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, ExcitationOptions(), TrajectoryOptions(), prior)
-    torque = ArmTorque(robot)
-    sines = generate_excitation_trajectory(
-        robot, np.random.default_rng(SEED), 15.0, torque
-    )[0]
+    sines = generate_excitation_trajectory(robot, np.random.default_rng(SEED), 15.0)
     optimal = design_excitation(design, np.random.default_rng(SEED))
     plans: dict[str, MotionPlan] = {"random sinusoids": sines, "optimal, D": optimal}
     draw_trajectories(robot, plans, folder / "excitation_trajectories.png")

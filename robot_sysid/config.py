@@ -240,9 +240,9 @@ class MotionConfig(Config):
         is_from_file = self.trajectory.file is not None
         if is_timed and is_from_file:
             raise InputError("--trajectory and --duration exclude each other")
-        if self.poses.sets_its_time and (is_timed or is_from_file):
+        if self.poses.static and (is_timed or is_from_file):
             raise InputError(
-                "--static and --for friction exclude --trajectory and --duration; choose one"
+                "--static excludes --trajectory and --duration; choose one"
             )
 
     @property
@@ -253,7 +253,7 @@ class MotionConfig(Config):
     @property
     def is_designed(self) -> bool:
         """Whether the motion is found by a search."""
-        is_free = self.trajectory.file is None and not self.poses.sets_its_time
+        is_free = self.trajectory.file is None and not self.poses.static
         return is_free and self.excitation.kind == "optimal"
 
     def with_seed(self: AnyMotionConfig) -> AnyMotionConfig:
@@ -267,7 +267,7 @@ class MotionConfig(Config):
 
     def _is_random(self) -> bool:
         """Return whether the run draws a motion or noise, so that it needs a seed."""
-        return self.trajectory.file is None and self.poses.purpose != "friction"
+        return self.trajectory.file is None
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""

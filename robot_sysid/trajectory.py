@@ -37,12 +37,8 @@ LONGEST_FADE = 2.5
 """Longest time in which the window rises, and in which it falls [s]."""
 _SPEED_CHECK_HZ = 50.0
 """Rate at which speeds are compared with their limits."""
-_TORQUE_CHECK_HZ = 25.0
-"""Rate at which torques are compared with their limits."""
 _FEWEST_CHECKS = 256
-"""Fewest samples of such a comparison."""
-_SMALLEST_FACTOR = 2.0**-30
-"""Smallest factor of the amplitudes that the search for a motion within the torque limits tries."""
+"""Fewest samples of that comparison."""
 CHUNK = 2048
 """Samples of a motion that are evaluated at a time."""
 
@@ -164,18 +160,13 @@ def generate_excitation_trajectory(
     robot: RobotModel,
     rng: np.random.Generator,
     duration: float = TrajectoryOptions.duration,
-    torque: TorqueFunction | None = None,
-) -> tuple[SineTrajectory, tuple[str, ...]]:
+) -> SineTrajectory:
     """Draw a random trajectory that moves the terminal joint widely and the others a little.
 
     Args:
-        robot: the arm; its limits are obeyed.
+        robot: the arm; its limits of positions and speeds are obeyed.
         rng: source of randomness.
         duration: length [s].
-        torque: joint torques (N, n) along a motion; None leaves torque limits unchecked.
-
-    Returns:
-        (trajectory, notes): notes name limits that made it smaller or that cannot be met.
     """
     fade = min(LONGEST_FADE, 0.25 * duration)
     center, reach = _center_and_reach(robot)
@@ -185,9 +176,12 @@ def generate_excitation_trajectory(
     # between samples a 0.6 Hz motion exceeds its sampled peak by less than 0.1 %, which the 1 %
     # reserve covers. A short motion is mostly window, and still gets 64 samples per rise.
     total = np.sum(np.abs(shape.amplitude), axis=1)
-    speed = _peak(shape, _SPEED_CHECK_HZ, lambda motion: motion.qd)
-    factor = np.minimum(reach / total, 0.99 * robot.limits.velocity / speed)
-    return _fit_torque(shape.scale_amplitudes(factor), robot, torque)
+    times = sample_times(duration, max(_SPEED_CHECK_HZ, _FEWEST_CHECKS / duration))
+    peaks = [np.max(np.abs(shape.evaluate(time).qd), axis=0) for time in times]
+    factor = np.minimum(
+        reach / total, 0.99 * robot.limits.velocity / np.max(peaks, axis=0)
+    )
+    return shape.scale_amplitudes(factor)
 
 
 def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
@@ -226,51 +220,3 @@ def _draw_sinusoids(
     phase = rng.uniform(0.0, 2.0 * np.pi, size=slots.shape)
     weight = np.where(is_used, rng.uniform(0.4, 1.0, size=slots.shape), 0.0)
     return frequency, phase, weight
-
-
-def _peak(plan: MotionPlan, rate: float, quantity: TorqueFunction) -> Array:
-    """Return the largest absolute value (n,) of a quantity along a plan sampled at a rate [Hz]."""
-    times = sample_times(plan.duration, max(rate, _FEWEST_CHECKS / plan.duration))
-    peaks = [np.max(np.abs(quantity(plan.evaluate(time))), axis=0) for time in times]
-    return np.max(peaks, axis=0)
-
-
-def _fit_torque(
-    trajectory: SineTrajectory, robot: RobotModel, torque: TorqueFunction | None
-) -> tuple[SineTrajectory, tuple[str, ...]]:
-    """Return the motion with amplitudes scaled down until ``TORQUE_MARGIN`` of the torque limits is
-    kept, and notes for the user on that and on limits that no motion keeps.
-
-    The factor, one for all joints, is found by bisection of its logarithm. The motion stays as it
-    is without ``torque``, the joint torques (N, n) along a motion, and without torque limits.
-    """
-    if torque is None or not np.any(np.isfinite(robot.limits.torque)):
-        return trajectory, ()
-    limits = TORQUE_MARGIN * robot.limits.torque
-
-    def load_share(factor: float) -> Array:
-        """Return the peak torques (n,) over their limits with amplitudes times a factor."""
-        scaled = trajectory.scale_amplitudes(factor)
-        return _peak(scaled, _TORQUE_CHECK_HZ, torque) / limits
-
-    # A joint whose weight and dry friction alone exceed its limit cannot be helped by a smaller
-    # motion; it is named in a note and left out of the search.
-    is_hopeless = load_share(_SMALLEST_FACTOR) > 1.0
-    notes = tuple(
-        f"even the smallest motion takes more than the torque limit of {robot.limits.torque[j]:g} "
-        f"at joint {robot.joint_names[j]}; this motion does not keep it"
-        for j in np.flatnonzero(is_hopeless)
-    )
-    if not np.any(load_share(1.0)[~is_hopeless] > 1.0):
-        return trajectory, notes
-    low = np.log2(_SMALLEST_FACTOR)
-    high = 0.0
-    for _ in range(12):
-        middle = 0.5 * (low + high)
-        if np.any(load_share(2.0**middle)[~is_hopeless] > 1.0):
-            high = middle
-        else:
-            low = middle
-    factor = float(2.0**low)
-    note = f"motion scaled to {100.0 * factor:.2g} % to stay within the torque limits"
-    return trajectory.scale_amplitudes(factor), (*notes, note)

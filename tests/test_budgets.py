@@ -25,16 +25,16 @@ BUDGETS = {
     "robot_sysid/logs": 16288,
     "robot_sysid/mjcf": 7916,
     "robot_sysid/model": 8206,
-    "robot_sysid/motion": 20521,
-    "robot_sysid/pipeline": 6197,
+    "robot_sysid/motion": 19315,
+    "robot_sysid/pipeline": 6158,
     "robot_sysid/records": 8643,
     "robot_sysid/report": 5080,
     "robot_sysid/results": 12317,
     "robot_sysid/servo": 5208,
     "robot_sysid/signals": 4990,
     "robot_sysid/simulation": 4000,
-    "robot_sysid": 10051,
-    "tests": 221724,
+    "robot_sysid": 9746,
+    "tests": 220992,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -64,7 +64,8 @@ def test_every_option_of_a_command_is_accepted_in_some_run_and_kept(config_class
             assert sample.option.key in ("torque_from", "motor_type"), sample.option.key
 
 
-PLAN_MESSAGE = "--static and --for friction exclude --trajectory and --duration"
+AT_REST = {"for_": "payload", "static": True}
+PLAN_MESSAGE = "--static excludes --trajectory and --duration"
 
 
 @pytest.mark.parametrize(
@@ -78,8 +79,8 @@ PLAN_MESSAGE = "--static and --for friction exclude --trajectory and --duration"
         (SelfTestConfig, {**FILE, "duration": 3.0}, "--trajectory and --duration ex"),
         (SelfTestConfig, LOG, "unknown option 'measurements'"),
         (PlanConfig, {"static": True}, "--static is for resting poses of --for pay"),
-        (PlanConfig, {**FILE, "for_": "friction"}, PLAN_MESSAGE),
-        (PlanConfig, {"for_": "friction", "duration": 3.0}, PLAN_MESSAGE),
+        (PlanConfig, {**FILE, **AT_REST}, PLAN_MESSAGE),
+        (PlanConfig, {**AT_REST, "duration": 3.0}, PLAN_MESSAGE),
         (IdentifyConfig, {**LOG, "frictio_model": "x"}, "unknown option 'frictio_mod"),
         (IdentifyConfig, {**LOG, "friction_model": "glue"}, "unknown friction term"),
         (

@@ -64,7 +64,7 @@ def test_contacts_and_joint_limits_do_not_push():
 def test_a_torque_that_is_not_finite_stops_the_run_with_time_joint_and_cause():
     robot = robot_of(arms.SEVEN)
     robot.mj_model.body_mass[robot.body_id] = np.nan
-    plan, _ = generate_excitation_trajectory(robot, np.random.default_rng(0), 2.0)
+    plan = generate_excitation_trajectory(robot, np.random.default_rng(0), 2.0)
     message = r"joint joint\d .* at \d\.\d{3} s.*<inertial>"
     with pytest.raises(SimulationError, match=message) as caught:
         list(simulate_inverse(robot, motion_chunks(plan, 100.0)))

@@ -110,7 +110,7 @@ def load(model, joint=None):
 
 def excitation(robot, duration=15.0):
     rng = np.random.default_rng(0)
-    return generate_excitation_trajectory(robot, rng, duration, ArmTorque(robot))[0]
+    return generate_excitation_trajectory(robot, rng, duration)
 
 
 def with_heavier_link(robot):

@@ -39,7 +39,7 @@ from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
-from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
+from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 Array = NDArray[np.float64]
@@ -217,7 +217,7 @@ class NoiseStudy:
 def random_plan(robot: RobotModel, seed: int) -> MotionPlan:
     """Return the trajectory the command line would draw with this seed."""
     rng = np.random.default_rng(seed)
-    return generate_excitation_trajectory(robot, rng, torque=ArmTorque(robot))[0]
+    return generate_excitation_trajectory(robot, rng)
 
 
 def cramer_rao_bound(information: SquareRootInformation, noise: Array) -> Array:

@@ -198,7 +198,7 @@ def draw_sweep() -> Picture:
     from robot_sysid.trajectory import generate_excitation_trajectory
 
     robot = load_robot_model(HERE / "model" / GUESS)
-    plan, _ = generate_excitation_trajectory(robot, np.random.default_rng(0))
+    plan = generate_excitation_trajectory(robot, np.random.default_rng(0))
     studio = _arm(GUESS, (1400, 1000))
     empty = studio.empty()
     copies = plan.evaluate(np.linspace(2.0, 13.0, 12)).q

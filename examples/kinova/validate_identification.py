@@ -27,7 +27,7 @@ from robot_sysid.dynamics.friction import FrictionModel
 from robot_sysid.estimate.triangles import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, MotionPlan, RobotModel
-from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
+from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.solver import identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
@@ -43,9 +43,7 @@ def main() -> int:
     """Run the five cases, print what each found, and return the exit code."""
     guess = load_robot_model(MODELS / "kinova_fullinertia_guess.xml")
     truth = load_robot_model(MODELS / "kinova_fullinertia.xml")
-    plan, _ = generate_excitation_trajectory(
-        guess, np.random.default_rng(0), torque=ArmTorque(guess)
-    )
+    plan = generate_excitation_trajectory(guess, np.random.default_rng(0))
     passed = [
         own_simulation(guess, plan),
         terminal_torque_only(guess, truth, plan),

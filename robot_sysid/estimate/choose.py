@@ -30,9 +30,10 @@ from robot_sysid.estimate.questions import (
     is_stated,
 )
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import LINKS, ArmTerms, Prior, Term, independent
+from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.messages import Progress
 
 CLEAR = 15.0
 """Least gain in the log marginal likelihood at which something is named: a motor that turns two
@@ -43,12 +44,19 @@ _ROUNDS = 3
 """Linearisations of a question with a payload, whose torque scales multiply it."""
 _SAME = 1.0 - 1e-9
 """Cosine between the ratios of two motors above which they are one."""
+_SILENT = Progress()
+"""Shows nothing."""
 
 
 def solved(
-    robot: RobotModel, recordings: Sequence[Recording], question: Question
+    robot: RobotModel,
+    recordings: Sequence[Recording],
+    question: Question,
+    progress: Progress = _SILENT,
 ) -> Fit:
     """Return the fit of a question with all that the data decides about it.
+
+    ``progress`` is advanced after every pass over the rows and every fit.
 
     Raises:
         InputError: no joint moves fast enough for its equations to be used.
@@ -65,6 +73,14 @@ def solved(
             robot, options.torques, motors, friction, question.loaded, question.drifts
         )
 
+    # Each round has a pass for residuals and one for sums, which begin with a pass.
+    n_steps = 1 + 2 * (_ROUNDS if question.loaded else 2)
+
+    def advance(step: int) -> None:
+        """Show that so many steps are done."""
+        progress.advance("Solving the equations", step, n_steps, f"step {step}")
+
+    advance(0)
     arm = arm_of((*stated, *offered))
     question = replace(question, motors=tuple(motor.name for motor in stated))
     point = arm.start()
@@ -88,7 +104,8 @@ def solved(
         )
 
     current = fitted()
-    for _ in range(_ROUNDS if question.loaded else 2):
+    for step in range(1, n_steps, 2):
+        advance(step)
         question = replace(question, dry=dry_friction(current))
         noise = current.noise
         correlation = correlation_times(current.residuals())
@@ -98,6 +115,7 @@ def solved(
             question = replace(question, motors=tuple(motor.name for motor in motors))
             arm = arm_of(motors)
             offered = ()
+        advance(step + 1)
         point = current.next_point()
         sums = arm.sums(recordings, point)
         current = fitted()
@@ -105,7 +123,9 @@ def solved(
     if evidence is not None:
         question = replace(question, link_scales=average_scales(evidence))
     noise = current.noise
-    return fitted(possible=True)
+    current = fitted(possible=True)
+    advance(n_steps)
+    return current
 
 
 def dry_friction(fitted: Fit) -> tuple[float, ...]:
@@ -133,43 +153,30 @@ def choose_motors(
     present = [motor for motor in arm.motors if motor.name in question.motors]
     current = fitted
 
-    def solve(terms: Sequence[Term], like: Fit, correlation: Array) -> Fit:
-        """Return the fit of terms, the noise estimated anew from that of a similar fit."""
-        return fit(
-            arm,
-            current.recordings,
-            current.point,
-            current.sums,
-            terms,
-            question,
-            noise=like.noise,
-            correlation=correlation,
-            possible=False,
-        )
+    def white_gain(motor: Coupling) -> float:
+        """Return the gain by one more motor, the noise as it is."""
+        return current.gain(_motor_term(current, motor))
 
     while True:
         best, gain = None, CLEAR
         names = [motor.name for motor in present]
-        trials: list[tuple[float, int, Coupling, Term]] = []
-        for motor in offered:
-            if motor.name not in names:
-                prior = _motor_prior(current, motor)
-                term = replace(arm.terms[motor.name], prior=prior)
-                trials.append((current.gain(term), len(trials), motor, term))
+        others = [motor for motor in offered if motor.name not in names]
         terms = current.equations.terms
-        for _, _, motor, term in sorted(trials)[-2:]:
-            wider = solve([*terms, term], current, current.correlation)
+        for motor in sorted(others, key=white_gain)[-2:]:
+            term = _motor_term(current, motor)
+            wider = current.refit([*terms, term])
             correlation = correlation_times(wider.residuals())
             correlation = np.minimum(correlation, current.correlation)
-            wider = solve([*terms, term], wider, correlation)
+            wider = replace(wider, correlation=correlation).refit([*terms, term])
             # Evidence knows no bounds: negative friction or rotors, which no motor has, add to it.
             at = wider.at(term.names)
             errors = np.sqrt(np.diag(wider.inverse)[at])
             if not np.any(wider.free[at] > CLEARLY_THERE * errors):
                 continue
-            before = solve(terms, current, correlation)
-            if wider.log_evidence - before.log_evidence > gain:
-                gain = wider.log_evidence - before.log_evidence
+            before = replace(current, correlation=correlation).refit(terms)
+            motor_gain = wider.log_evidence - before.log_evidence
+            if motor_gain > gain:
+                gain = motor_gain
                 best = motor, wider
         if best is None:
             return tuple(present)
@@ -177,28 +184,29 @@ def choose_motors(
         current = best[1]
 
 
-def _motor_prior(fitted: Fit, motor: Coupling) -> Prior:
-    """Return the prior of a motor's parameters: as large as those of the joints that it turns.
+def _motor_term(fitted: Fit, motor: Coupling) -> Term:
+    """Return the term of a motor, its prior as large as the parameters of the joints that it turns.
 
     They make at least a share ``LEAST_DRY`` of a joint's root mean square torque.
     """
     arm = fitted.arm
-    squares = fitted.sums.squares
-    torques = np.sum(fitted.sums.squared_torque, axis=0)
+    sums = fitted.sums
+    squares = sums.squares
+    torques = np.sum(sums.squared_torque, axis=0)
     sizes = []
-    for name in arm.terms[motor.name].names:
-        term = name.partition("[")[0]
-        index = fitted.sums.names.index(name)
+    term = arm.terms[motor.name]
+    for name in term.names:
+        kind = name.partition("[")[0]
+        index = sums.names.index(name)
         size = 1e-9
         for joint in np.flatnonzero(motor.ratios):
-            own = f"{term}[{arm.robot.joint_names[joint]}]"
+            own = f"{kind}[{arm.robot.joint_names[joint]}]"
             size = max(size, abs(fitted.by_name.get(own, 0.0)))
-            if squares[joint, index] > 0.0:
-                size = max(
-                    size, LEAST_DRY * np.sqrt(torques[joint] / squares[joint, index])
-                )
+            square = squares[joint, index]
+            if square > 0.0:
+                size = max(size, LEAST_DRY * np.sqrt(torques[joint] / square))
         sizes.append(size)
-    return independent(sizes)
+    return replace(term, prior=independent(sizes))
 
 
 def link_evidence(fitted: Fit) -> LinkEvidence | None:
@@ -208,22 +216,21 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
     """
     arm = fitted.arm
     equations = fitted.equations
-    found = [k for k, term in enumerate(equations.terms) if term.cause == LINKS]
+    causes = [term.cause for term in equations.terms]
     stated = is_stated(arm)
-    if not found or not np.any(stated):
+    if LINKS not in causes or not np.any(stated):
         return None
-    span = equations.spans[found[0]]
-    prior = equations.terms[found[0]].prior
+    span = equations.spans[causes.index(LINKS)]
+    prior = equations.terms[causes.index(LINKS)].prior
     assert prior is not None
     normal = equations.data(fitted.weights) + equations.prior
     # The links' own prior does not count; that of placeholders does.
-    rows = prior.rows.copy()
     own = np.repeat(stated, N_INERTIAL)
-    rows = rows[own]
-    at = np.append(np.arange(span.start, span.stop), len(normal) - 1)
+    rows = prior.rows[own]
+    columns = np.arange(span.start, span.stop)
+    at = np.append(columns, len(normal) - 1)
     normal[np.ix_(at, at)] -= rows.T @ rows
-    keep = np.arange(span.start, span.stop)[own]
-    curvature, pull = eliminate(normal, keep)
+    curvature, pull = eliminate(normal, columns[own])
     mean = prior.mean[own]
     links = [arm.others[k] for k in np.flatnonzero(stated)]
     thetas = tuple(tuple(body) for body in mean.reshape(-1, N_INERTIAL))
@@ -297,7 +304,13 @@ def motors_of(
         motor = coupling(robot, ratios, tendon)
         if np.any(motor.model):
             stated.append(motor)
-    return tuple(stated), tuple(_missing(neighbours(robot), stated))
+    axes = [motor.ratios / np.linalg.norm(motor.ratios) for motor in stated]
+    offered = []
+    for motor in neighbours(robot):
+        axis = motor.ratios / np.linalg.norm(motor.ratios)
+        if all(abs(axis @ other) <= _SAME for other in axes):
+            offered.append(motor)
+    return tuple(stated), tuple(offered)
 
 
 def neighbours(robot: RobotModel) -> Iterator[Coupling]:
@@ -307,14 +320,3 @@ def neighbours(robot: RobotModel) -> Iterator[Coupling]:
             ratios = np.zeros(robot.n_joints)
             ratios[joint : joint + 2] = 1.0, sign
             yield coupling(robot, ratios)
-
-
-def _missing(
-    motors: Iterator[Coupling], present: Sequence[Coupling]
-) -> Iterator[Coupling]:
-    """Yield the motors whose ratios are not parallel to those of any present one."""
-    for motor in motors:
-        direction = motor.ratios / np.linalg.norm(motor.ratios)
-        others = [other.ratios / np.linalg.norm(other.ratios) for other in present]
-        if all(abs(direction @ other) <= _SAME for other in others):
-            yield motor

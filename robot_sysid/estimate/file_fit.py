@@ -136,12 +136,11 @@ def _known_offsets(fitted: Fit) -> Term:
     """
     term = fitted.arm.terms["offset"]
     torque = np.array([fitted.torque[joint] for joint in fitted.arm.joints])
-    is_clear = np.zeros(len(term.names), dtype=bool)
-    for k, name in enumerate(term.names):
-        if name in fitted.names:
-            index = fitted.names.index(name)
-            error = fitted.errors[index]
-            is_clear[k] = abs(fitted.values[index]) > CLEAR_ROTOR * error
+    errors = dict(zip(fitted.names, fitted.errors))
+    is_clear = []
+    for name in term.names:
+        least = CLEAR_ROTOR * errors.get(name, np.inf)
+        is_clear.append(abs(fitted.by_name[name]) > least)
     known = OFFSET * torque * bool(np.any(is_clear))
     return replace(term, prior=independent(np.where(is_clear, 1e3 * torque, known)))
 

@@ -423,6 +423,22 @@ class Fit:
         gain = 0.5 * (factor.T @ pull) @ moved - 0.5 * np.linalg.slogdet(inner)[1]
         return float(gain), factor @ moved
 
+    def refit(self, terms: Sequence[Term]) -> Fit:
+        """Return the fit of other terms to the question, from this noise on; bodies may be
+        impossible.
+        """
+        return fit(
+            self.arm,
+            self.recordings,
+            self.point,
+            self.sums,
+            terms,
+            self.question,
+            noise=self.noise,
+            correlation=self.correlation,
+            possible=False,
+        )
+
     @property
     def thetas(self) -> Array:
         """All links (n, 10), those that are held included; zero for one without mass."""

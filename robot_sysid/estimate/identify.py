@@ -111,7 +111,7 @@ def identify_link(
         InputError: no joint moves fast enough for its equations to be used.
     """
     progress.stage("Solving for parameters...")
-    fitted = solved(robot, recordings, Question(options))
+    fitted = solved(robot, recordings, Question(options), progress)
     progress.stage(Detail("Fitting the model file..."))
     return fitted, fit_file(fitted, unchanged)
 
@@ -128,9 +128,9 @@ def identify_payload(
     The first two are one where no mass is known.
     """
     progress.stage(Detail("Estimating arm, friction and payload together..."))
-    weighed = solved(robot, recordings, replace(question, known_mass=None))
+    weighed = solved(robot, recordings, replace(question, known_mass=None), progress)
     if question.known_mass is not None:
-        return solved(robot, recordings, question), weighed, None
+        return solved(robot, recordings, question, progress), weighed, None
     if question.options.torques != "chain" or question.resting:
         return weighed, weighed, None
     progress.stage(Detail("Fitting the model file..."))

@@ -243,17 +243,17 @@ class PoseOptions(OptionRecord):
     """The purpose of a plan, and the resting poses of a static one.
 
     Attributes:
-        purpose: "link", "payload", "friction", "arm" or "weight".
+        purpose: "link", "payload", "arm" or "weight".
         static: whether a payload is identified in resting poses.
     """
 
     purpose: str = option(
         "link",
-        "what the motion is to identify: the terminal link, a payload by difference, friction "
-        "alone (each joint slowly back and forth at constant speeds), all links and rotors, or the "
-        "weight of an arm whose model may be far off: slowly, with half of the torque",
+        "what the motion is to identify: the terminal link, a payload by difference, all links, "
+        "friction and rotors, or the weight of an arm whose model may be far off: slowly, with "
+        "half of the torque",
         flag="--for",
-        choices=("link", "payload", "friction", "arm", WEIGHT),
+        choices=("link", "payload", "arm", WEIGHT),
     )
     static: bool = option(
         False,
@@ -270,8 +270,3 @@ class PoseOptions(OptionRecord):
     def target(self) -> str:
         """What an estimate is to identify: "link", "arm" or "payload" (``PriorKnowledge``)."""
         return self.purpose if self.purpose in ("arm", "payload") else "link"
-
-    @property
-    def sets_its_time(self) -> bool:
-        """Whether poses or sweeps, and not ``--duration``, determine how long the motion is."""
-        return self.static or self.purpose == "friction"

@@ -8,14 +8,12 @@ fit of these rows has with the terms and priors of the identification, without a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.dynamics.equations import split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
-from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import motors_of
 from robot_sysid.estimate.fit import Fit, expected
 from robot_sysid.estimate.identify import Piece, low_pass_recordings
@@ -284,27 +282,3 @@ def _payload_recordings(processed: Recording) -> tuple[Recording, ...]:
         is_loaded = letter == LOADED
         recordings.append(replace(processed, is_loaded=is_loaded, order=position))
     return tuple(recordings)
-
-
-def friction_lines(
-    problem: ExcitationProblem,
-    plan: MotionPlan,
-    rate: float,
-    options: EstimationOptions,
-) -> Iterator[str]:
-    """Yield a line per friction term with its expected standard error at each joint, for an
-    identification from one recording at a rate [Hz]; nothing where the motion cannot be processed.
-    """
-    try:
-        fitted = expected_fit(problem, plan, rate, options, PoseOptions())
-    except InputError:
-        return
-    errors = dict(zip(fitted.names, fitted.errors))
-    for term, unit in (("coulomb", "N·m"), ("viscous", "N·m·s/rad")):
-        listed = []
-        for joint in problem.joint_names:
-            name = f"{term}[{joint}]"
-            if name in errors:
-                listed.append(f"{joint} {errors[name]:.2g}")
-        title = f"{term.capitalize()} friction will be known to ±"
-        yield f"{title} {', '.join(listed)} {unit}"

@@ -20,7 +20,6 @@ from robot_sysid.records.option_fields import (
     given_options,
     require_countable,
 )
-from robot_sysid.simulator import ArmTorque
 
 # A random motion that nothing plays imports nothing that checks and designs.
 if TYPE_CHECKING:
@@ -148,12 +147,11 @@ def _plan_at_full_speed(
                 f"limits of {robot.path}"
             )
         return saved.plan
-    if problem is not None and request.poses.sets_its_time:
-        from robot_sysid.motion.static import design_poses, design_sweeps
+    if problem is not None and request.poses.static:
+        from robot_sysid.motion.static import design_poses
 
-        progress.stage("Looking for room to move slowly in...")
-        is_static = request.poses.static
-        return design_poses(problem, rng) if is_static else design_sweeps(problem)
+        progress.stage("Looking for poses to rest in...")
+        return design_poses(problem, rng)
     _require_possible(request, options.duration)
     verb = "Designing" if request.is_designed else "Generating"
     sampling = f"{options.duration:.1f}s, {options.sample_rate:g} Hz"
@@ -162,12 +160,7 @@ def _plan_at_full_speed(
     rate = options.sample_rate
     duration = (trajectory.sample_count(options.duration, rate) - 1) / rate
     if problem is None:
-        torque = ArmTorque(robot)
-        plan, notes = trajectory.generate_excitation_trajectory(
-            robot, rng, duration, torque
-        )
-        progress.note(*notes)
-        return plan
+        return trajectory.generate_excitation_trajectory(robot, rng, duration)
     if request.is_designed:
         from robot_sysid.motion.expected_errors import prior_knowledge
         from robot_sysid.motion.search import Design, design_excitation
@@ -180,7 +173,7 @@ def _plan_at_full_speed(
     qpos = robot.reference_qpos.copy()
     qpos[robot.qpos_index] = problem.rest
     arm = replace(robot, reference_qpos=qpos)
-    plan, _ = trajectory.generate_excitation_trajectory(arm, rng, duration)
+    plan = trajectory.generate_excitation_trajectory(arm, rng, duration)
     plan, factor = scale_to_limits(problem, plan, rate)
     if factor < 1.0:
         progress.note(

@@ -25,6 +25,9 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+from operator import attrgetter
 
 import numpy as np
 
@@ -86,6 +89,8 @@ _WORST = 1e6
 SHRINK_FACTORS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
 """Factors by which a random motion is scaled, tried in turn until it keeps torque limits and
 touches nothing."""
+SEARCHING = "Searching for the best motion"
+"""Label of the search's progress."""
 clock = time.monotonic
 """Returns the machine's time [s]."""
 
@@ -122,8 +127,7 @@ class Design:
         self.problem = problem
         self.options = options
         self.duration = motion.duration
-        self._periods = max(1, math.ceil(self.duration / LONGEST_PERIOD))
-        base = self._periods / self.duration
+        base = math.ceil(self.duration / LONGEST_PERIOD) / self.duration
         # A quotient that rounding puts just below a whole number counts as that number.
         count = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         self.size = 2 * count + 1
@@ -138,7 +142,7 @@ class Design:
         # In these units a step changes the speed equally in all harmonics: L-BFGS needs fewer.
         self.unit = 1.0 / np.maximum(1.0, self._waves[0] / base)
         self.grid = (np.arange(points) + 0.5) * self.duration / points
-        functions = self._series(np.zeros(self.size), np.eye(self.size), self.duration)
+        functions = self._series(np.zeros(self.size), np.eye(self.size))
         on_grid = functions.evaluate(self.grid)
         self.on_grid: Series = on_grid.q, on_grid.qd, on_grid.qdd
         # Each point of the coarse grid stands for several samples of the recording: it has as much
@@ -147,23 +151,14 @@ class Design:
         samples = motion.duration * motion.sample_rate / n_points
         self.criterion = Criterion(problem, knowledge, samples)
 
-    def _series(self, center: Array, x: Array, duration: float) -> SineTrajectory:
+    def _series(self, center: Array, x: Array) -> SineTrajectory:
         """Return the series with coefficients x (n, M) about a position (n,)."""
         frequency, phase = (np.tile(row, (len(center), 1)) for row in self._waves)
-        return SineTrajectory(center, x, frequency, phase, duration, self._fade)
+        return SineTrajectory(center, x, frequency, phase, self.duration, self._fade)
 
     def trajectory(self, x: Array) -> SineTrajectory:
         """Return the trajectory of the free coefficients x (n, M)."""
-        return self._series(self.problem.rest, x, self.duration)
-
-    def keeps_limits(self, x: Array) -> bool:
-        """Return whether the trajectory of coefficients x (n, M) keeps all limits.
-
-        Of one that repeats itself two periods are checked, which hold all that it does.
-        """
-        duration = self.duration * min(1.0, 2.0 / self._periods)
-        plan = self._series(self.problem.rest, x, duration)
-        return keeps_limits(self.problem, plan)
+        return self._series(self.problem.rest, x)
 
     def motion(self, x: Array) -> Series:
         """Return q, qd and qdd (N, n) of the free coefficients x (n, M) on the grid."""
@@ -324,7 +319,7 @@ def _update_feasible(design: Design, candidate: Candidate) -> Candidate:
         score = design.criterion_of(x)
         if not score < candidate.feasible_score:
             break
-        if design.keeps_limits(x):
+        if keeps_limits(design.problem, design.trajectory(x)):
             return replace(candidate, feasible_x=x, feasible_score=score)
     return candidate
 
@@ -340,7 +335,7 @@ def design_excitation(
     Args:
         design: the arm, its limits and what is minimised.
         rng: source of randomness; a seed is drawn from it.
-        progress: is advanced after every trajectory and round; None to show nothing.
+        progress: is advanced after every trajectory and iteration; None to show nothing.
 
     Raises:
         InputError: no drawn trajectory keeps all limits; names the limit that is in the way.
@@ -348,36 +343,46 @@ def design_excitation(
     """
     progress = progress or Progress()
     options = design.options
-    deadline = clock() + (options.time_budget or np.inf)
+    # Nobody knows how many rounds follow the first: each counts half of the one before it.
+    n_steps = options.draws + (STARTS + 2) * options.iterations
+    begin = clock()
+    done = 0.0
+
+    def is_late(step: float) -> bool:
+        """Show that one more step, or a share of it, is done; return whether time is used up."""
+        nonlocal done
+        done += step
+        elapsed = clock() - begin
+        used = elapsed / (options.time_budget or np.inf)
+        share = min(max(done / n_steps, used), 1.0)
+        progress.advance(SEARCHING, share, 1.0, f"{elapsed:.0f} s")
+        return used > 1.0
+
+    def tick(step: float) -> None:
+        """Count an iteration of a round; raise TimeoutError where time is used up."""
+        if is_late(step):
+            raise TimeoutError
+
     seed = int(rng.integers(2**62))
     draws = []
     for number in range(options.draws):
         draws.append(draw_trajectory(design, seed, number))
-        progress.advance("Drawing random trajectories", number + 1, options.draws, "")
-        if np.isfinite(draws[-1].score) and clock() > deadline:
+        if is_late(1.0) and np.isfinite(draws[-1].score):
             break
-    candidates: list[Candidate] = []
-    for draw in sorted(draws, key=lambda draw: draw.score):
-        if np.isfinite(draw.score) and len(candidates) < STARTS:
-            start = first_candidate(design, draw.x)
-            if np.isfinite(start.feasible_score):
-                candidates.append(start)
+    starts = (
+        first_candidate(design, draw.x)
+        for draw in sorted(draws, key=attrgetter("score"))
+    )
+    feasible = (start for start in starts if np.isfinite(start.feasible_score))
+    candidates = list(islice(feasible, STARTS))
     if not candidates:
-        raise InputError(_infeasibility(draws, design))
-
-    def require_time() -> None:
-        """Raise TimeoutError where the time budget is used up."""
-        if clock() > deadline:
-            raise TimeoutError
-
+        raise InputError(_infeasibility(draws))
     try:
         for number, start in enumerate(candidates):
-            candidates[number] = improve(design, start, require_time)
+            candidates[number] = improve(design, start, partial(tick, 1.0))
         for number in range(1, options.rounds):
-            previous = min(candidates, key=lambda candidate: candidate.feasible_score)
-            text = f"round {number} of at most {options.rounds}"
-            progress.advance("Improving the best", number, options.rounds, text)
-            best = improve(design, previous, require_time)
+            previous = min(candidates, key=attrgetter("feasible_score"))
+            best = improve(design, previous, partial(tick, 0.5 ** (number - 1)))
             candidates = [best]
             gain = previous.feasible_score - best.feasible_score
             # A round may only adapt the multipliers: the motion that breaks limits then leads, and
@@ -385,29 +390,26 @@ def design_excitation(
             lead = best.feasible_score - best.score
             if gain < LEAST_GAIN and lead < LARGEST_LEAD:
                 break
-        progress.advance("Improving the best", 1.0, 1.0, "")
     except (KeyboardInterrupt, TimeoutError):
         progress.note(
             "the search was ended early, so that another run may find another trajectory; this is "
             "the best one until then"
         )
-    best = min(candidates, key=lambda candidate: candidate.feasible_score)
+    progress.advance(SEARCHING, 1.0, 1.0, "")
+    best = min(candidates, key=attrgetter("feasible_score"))
     return design.trajectory(best.feasible_x)
 
 
-def _infeasibility(draws: list[Draw], design: Design) -> str:
+def _infeasibility(draws: list[Draw]) -> str:
     """Return an error message on drawn trajectories of which none can be used.
 
-    It names the limit that stops most of them. Where no limit stops any of them, it says that none
-    determines every direction of the link's parameters that these joints can show.
+    It names the limit that stops most of them, if any is stopped.
     """
     reasons = [draw.obstacle for draw in draws if draw.obstacle]
     if not reasons:
-        # ``visible`` (10, r) has a column per direction that the joints can show.
-        n_invisible = 10 - design.criterion.visible.shape[1]
         return (
-            "no drawn trajectory shows all that these joints could show of the link "
-            f"({n_invisible} directions do not show in principle); use a longer --duration"
+            "no drawn trajectory shows all that these joints could show of the link; use a longer "
+            "--duration"
         )
     names, counts = np.unique(reasons, return_counts=True)
     worst = int(np.argmax(counts))

@@ -1,4 +1,4 @@
-"""Motions that are slow, or at rest: starts, resting poses for payloads, sweeps for friction.
+"""Motions that are slow, or at rest: starts, and resting poses for payloads.
 
 A new motion starts at rest as the model has it, or where the motors can hold the arm.
 
@@ -6,11 +6,6 @@ At rest a payload's torque is linear in [m, hx, hy, hz]. Out of many poses withi
 are picked one by one that make det(sum_k Y_k^T Y_k) largest (a greedy D-optimal design; Pukelsheim,
 "Optimal Design of Experiments", 2006, ch. 12). Each is then approached from below and from above,
 in all joints at once, so that dry friction holds the arm once from either side.
-
-For friction alone one joint after the other goes slowly back and forth. At constant speed nothing
-but friction and gravity acts on it, and gravity is the same on the way there and back. The speeds
-are a geometric series, because friction bends most where it is slow; they go up and down again, so
-that friction that changes with time does not look like one of speed.
 """
 
 from __future__ import annotations
@@ -25,9 +20,9 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.motion.trajectories import PEAK_OF_RAMP, LineTrajectory, straight_way
+from robot_sysid.motion.trajectories import LineTrajectory, straight_way
 from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.messages import count_text, torque_unit
+from robot_sysid.records.messages import torque_unit
 from robot_sysid.trajectory import TORQUE_MARGIN
 
 N_POSES = 1000
@@ -55,28 +50,16 @@ _TINY = 1e-6
 """Information before the first pose is selected, times the unit matrix: the information of a single
 pose is singular, so that its determinant alone could not be compared."""
 
-SLOWEST = 0.02
-"""Speed of the first sweep [rad/s]."""
-FASTEST = 1.0
-"""Speed of the fastest sweep [rad/s]; lower where limits ask for it."""
-SPEEDS = 6
-"""Number of speeds of a joint's sweeps."""
-CRUISE = 0.8
-"""How long each speed is held at a time [s] where the joint's range allows it."""
 SHARE = 0.8
-"""Share of the limits of speed and acceleration that poses and sweeps use."""
-SHORTEST_RAMP = 0.15
-"""Least time in which a speed rises [s]: 30 samples at the 200 Hz of ``expected_errors``."""
-WIDEST = 1.0
-"""Farthest that a sweep takes a joint from its rest position [rad]."""
-LEAST_RANGE = 0.02
-"""Range below which a joint is not swept [rad]."""
-_STEP = 0.01
-"""Step with which a joint's free range is searched [rad]."""
+"""Share of the limits of speed and acceleration that a motion between poses uses."""
+PEAK_SPEED = 140.0 / 64.0
+"""Largest derivative of ``smooth_step``."""
+PEAK_ACCELERATION = 7.52
+"""Largest second derivative of ``smooth_step``."""
 _MOST_SMALLER = 8
-"""How often a motion that breaks a limit is made slower, sweeps smaller too: to 6 %."""
+"""How often a motion that breaks a limit is made slower: to 6 %."""
 _SMALLER = 0.7
-"""By which factor a motion is made slower or smaller each time."""
+"""By which factor a motion is made slower each time."""
 
 
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
@@ -227,10 +210,15 @@ def design_poses(
         dwells += [0.0, DWELL, 0.0, DWELL]
     points.append(problem.rest)
     dwells.append(0.0)
+    lines = np.abs(np.diff(points, axis=0))
     share = SHARE
     for _ in range(_MOST_SMALLER):
-        speeds = np.full(len(points) - 1, share / SHARE * GENTLE)
-        plan = _along_lines(problem, np.array(points), speeds, share, np.array(dwells))
+        velocity = np.minimum(share * problem.limits.velocity, share / SHARE * GENTLE)
+        acceleration = share * problem.limits.acceleration
+        by_speed = PEAK_SPEED * lines / velocity
+        by_acceleration = np.sqrt(PEAK_ACCELERATION * lines / acceleration)
+        moves = np.max((by_speed, by_acceleration), axis=(0, 2))
+        plan = LineTrajectory(np.array(points), moves, np.array(dwells))
         if keeps_limits(problem, plan):
             break
         share *= _SMALLER
@@ -289,124 +277,3 @@ def pose_line(plan: MotionPlan) -> str:
         f"{len(plan.rests)} poses, each approached from both sides, {plan.duration:.0f} s; mean "
         "torques of their rests are used"
     )
-
-
-def design_sweeps(problem: ExcitationProblem) -> LineTrajectory:
-    """Return a motion that sweeps every joint with a free range, so small that it keeps all limits.
-
-    Where even the smallest one breaks a limit, that one is returned.
-
-    Raises:
-        InputError: no joint has a free range.
-    """
-    joints = range(problem.n_joints)
-    ranges = np.array([_free_range(problem, joint) for joint in joints])
-    share = 1.0
-    for _ in range(_MOST_SMALLER):
-        plan = _sweep_joints(problem, share * ranges, share)
-        if keeps_limits(problem, plan):
-            break
-        share *= _SMALLER
-    return plan
-
-
-def sweep_lines(problem: ExcitationProblem, plan: MotionPlan) -> list[str]:
-    """Return which joints are swept, how fast, and which are not swept, in lines."""
-    assert isinstance(plan, LineTrajectory)
-    fastest = np.max(np.abs(plan.speeds), axis=0)
-    names = problem.joint_names
-    swept = []
-    unswept = []
-    for name, speed in zip(names, fastest):
-        if speed > 0.0:
-            swept.append(f"{name} {speed:.2g}")
-        else:
-            unswept.append(name)
-    lines = [
-        f"{count_text(len(swept), 'joint')} swept at constant speeds, in {plan.duration:.0f} s; "
-        f"fastest in rad/s: {', '.join(swept)}."
-    ]
-    if unswept:
-        lines.append(
-            f"No room to sweep {', '.join(unswept)}: nothing is learnt of their friction."
-        )
-    return lines
-
-
-def _free_range(problem: ExcitationProblem, joint: int) -> Array:
-    """Return how far (2,) a joint may move down (negative) and up while the others rest [rad]."""
-    free_range = np.zeros(2)
-    ends = (problem.limits.lower[joint], problem.limits.upper[joint])
-    for side, (sign, end) in enumerate(zip((-1.0, 1.0), ends)):
-        farthest = min(abs(end - problem.rest[joint]), WIDEST)
-        steps = np.arange(0.0, max(farthest, _STEP), _STEP)
-        poses = np.tile(problem.rest, (len(steps), 1))
-        poses[:, joint] += sign * steps
-        # Number of feasible poses up to the first one that is not.
-        is_feasible = _is_feasible(problem, poses)
-        n_free = int(np.sum(np.logical_and.accumulate(is_feasible)))
-        free_range[side] = sign * max(n_free - 1, 0) * _STEP
-    return free_range
-
-
-def _sweep_joints(
-    problem: ExcitationProblem, ranges: Array, share: float
-) -> LineTrajectory:
-    """Return the sweeps of all joints within ranges (n, 2) around the start [rad], at a share of
-    the full speed and acceleration; a joint with a range below ``LEAST_RANGE`` is not swept.
-
-    Raises:
-        InputError: no joint has a range that is wide enough.
-    """
-    points = [problem.rest]
-    speeds = [0.0]
-    for joint, (down, up) in enumerate(ranges):
-        if up - down < LEAST_RANGE:
-            continue
-        direction = np.eye(problem.n_joints)[joint]
-        fastest = SHARE * share * min(problem.limits.velocity[joint], FASTEST / SHARE)
-        rising = np.geomspace(min(SLOWEST, 0.5 * fastest), fastest, SPEEDS)
-        for speed in (*rising, *rising[::-1]):
-            # Around the start where the range allows it.
-            half = 0.5 * min(speed * CRUISE, up - down)
-            middle = np.clip(0.0, down + half, up - half)
-            ends = (middle - half, middle + half, middle - half)
-            points += [problem.rest + end * direction for end in ends]
-            speeds += [speed] * len(ends)
-        points.append(problem.rest)
-        speeds.append(fastest)
-    if len(points) == 1:
-        raise InputError(
-            "no joint has room to be swept at rest; widen the limits, or choose another rest "
-            "position with --keyframe"
-        )
-    is_moved = np.any(np.diff(points, axis=0) != 0.0, axis=1)
-    kept = np.array(points)[np.append(True, is_moved)]
-    rates = np.array(speeds[1:])[is_moved]
-    return _along_lines(problem, kept, rates, SHARE * share, np.zeros(len(kept)))
-
-
-def _along_lines(
-    problem: ExcitationProblem,
-    points: Array,
-    speeds: Array,
-    share: float,
-    dwells: Array,
-) -> LineTrajectory:
-    """Return the motion along lines between points (P, n), with rests ``dwells`` (P,) [s] there.
-
-    The fastest joint of each line moves at a speed (P - 1,) [rad/s or m/s], or slower where a share
-    of a speed limit is less; a line that is too short for its speed takes the time of its ramps.
-    ``share`` is that of the limits of speed and acceleration, too.
-    """
-    lines = np.abs(np.diff(points, axis=0))
-    length = np.max(lines, axis=1)
-    limits = problem.limits
-    # Of the fastest joint, where another one reaches its limit; at most a million times its own.
-    part = np.maximum(lines / length[:, None], 1e-6)
-    speeds = np.minimum(speeds, share * np.min(limits.velocity / part, axis=1))
-    acceleration = share * np.min(limits.acceleration / part, axis=1)
-    ramps = np.maximum(PEAK_OF_RAMP * speeds / acceleration, SHORTEST_RAMP)
-    # Speed v over a length s takes s / v + ramp; where ramps do not fit, the line is ramps alone.
-    moves = np.maximum(length / speeds + ramps, 2.0 * ramps)
-    return LineTrajectory(points, moves, dwells, ramps)

@@ -1,6 +1,6 @@
 """Motions along straight lines, and trajectories of any kind at any speed and as files.
 
-Poses and sweeps follow straight lines in joint space; poses rest, sweeps keep their speed.
+Poses are reached along straight lines in joint space.
 
 A JSON file holds what a trajectory is made of, so it is small, its derivatives are exact, and
 loading it gives back every bit. A CSV file of samples is for other programs and is not read back.
@@ -19,10 +19,8 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, MotionPlan, check_arrays
 from robot_sysid.records.file_access import atomic_file, read_json
-from robot_sysid.trajectory import Series, SineTrajectory, motion_chunks
+from robot_sysid.trajectory import SineTrajectory, motion_chunks, smooth_step
 
-PEAK_OF_RAMP = 1.875
-"""Largest derivative of the rise of a line's speed from 0 to 1 in unit time: 30 / 16."""
 REST_TOLERANCE = 1e-6
 """Speed [rad/s] and acceleration [rad/s^2] up to which the end of a trajectory counts as at rest;
 rounding leaves a thousandth of it."""
@@ -40,28 +38,21 @@ class LineTrajectory:
         points: (P, n) joint positions at the ends of the lines [rad or m].
         moves: (P - 1,) how long the way from each point to the next takes [s].
         dwells: (P,) how long the arm stays in each point [s].
-        ramps: (P - 1,) time in which the speed on each way rises smoothly to a constant speed, and
-            again in which it falls to zero, at most half of the way's time [s].
 
     Raises:
-        InputError: there are fewer than two points, a way takes no time, a stay is negative, or two
-            ramps take longer than their way.
+        InputError: there are fewer than two points, a way takes no time, or a stay is negative.
     """
 
     points: Array
     moves: Array
     dwells: Array
-    ramps: Array
 
     def __post_init__(self) -> None:
         count = len(self.points)
-        way = (count - 1,)
-        check_arrays(self, points=(None, None), moves=way, dwells=(count,), ramps=way)
-        has_times = np.all(self.ramps > 0.0) and np.all(self.dwells >= 0.0)
-        if count < 2 or not has_times or np.any(2.0 * self.ramps > self.moves):
+        check_arrays(self, points=(None, None), moves=(count - 1,), dwells=(count,))
+        if count < 2 or np.any(self.moves <= 0.0) or np.any(self.dwells < 0.0):
             raise InputError(
-                "moves between poses take time, their ramps fit into them twice, and rests are not "
-                "negative"
+                "moves between poses take time, and rests are not negative"
             )
 
     @property
@@ -79,11 +70,6 @@ class LineTrajectory:
         """Poses in which the arm rests (K, n); it does twice in each, one rest after the other."""
         return self.points[self.dwells > 0.0][::2]
 
-    @property
-    def speeds(self) -> Array:
-        """Velocity of each joint (P - 1, n) between the ramps of each line [rad/s]."""
-        return np.diff(self.points, axis=0) / (self.moves - self.ramps)[:, None]
-
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration of all joints at times (N,) [s]; velocities
         and accelerations are exact derivatives.
@@ -92,10 +78,11 @@ class LineTrajectory:
         arrived = np.searchsorted(self.arrivals, time, side="right")
         line = np.clip(arrived - 1, 0, len(self.moves) - 1)
         length = self.moves[line]
-        elapsed = np.clip(time - self.arrivals[line] - self.dwells[line], 0.0, length)
-        step = self.speeds[line]
-        series = _cruise(elapsed, length, self.ramps[line])
-        q, qd, qdd = (factor[:, None] * step for factor in series)
+        elapsed = time - self.arrivals[line] - self.dwells[line]
+        w, dw, ddw = smooth_step(np.clip(elapsed / length, 0.0, 1.0))
+        way = np.diff(self.points, axis=0)[line]
+        factors = (w, dw / length, ddw / length**2)
+        q, qd, qdd = (factor[:, None] * way for factor in factors)
         return Motion(time, self.points[line] + q, qd, qdd)
 
 
@@ -105,35 +92,10 @@ def straight_way(begin: Array, end: Array) -> LineTrajectory:
     """
     distance = np.max(np.abs(end - begin))
     seconds = np.array([max(1.0, float(distance))])
-    points = np.stack((begin, end))
-    return LineTrajectory(points, seconds, np.zeros(2), 0.5 * seconds)
+    return LineTrajectory(np.stack((begin, end)), seconds, np.zeros(2))
 
 
-def _cruise(elapsed: Array, length: Array, ramp: Array) -> Series:
-    """Return distance [s], speed and its derivative [1/s], (N,) each, along lines at unit speed.
-
-    The speed rises as 10 x^3 - 15 x^4 + 6 x^5 does from 0 to 1, and falls likewise at the end.
-
-    Args:
-        elapsed: (N,) time since the start of each line [s].
-        length: (N,) time that the line takes [s].
-        ramp: (N,) time in which the speed rises, and in which it falls [s].
-    """
-    from_end = np.minimum(elapsed, length - elapsed)
-    x = np.minimum(from_end / ramp, 1.0)
-    is_falling = elapsed > from_end
-    speed = x**3 * (10.0 + x * (6.0 * x - 15.0))
-    slope = 30.0 * (x * (1.0 - x)) ** 2
-    # The integral of the speed over the ramp, then the way at unit speed.
-    distance = ramp * x**4 * (2.5 + x * (x - 3.0)) + np.maximum(from_end - ramp, 0.0)
-    return (
-        np.where(is_falling, length - ramp - distance, distance),
-        speed,
-        np.where(is_falling, -slope, slope) / ramp,
-    )
-
-
-_KINDS = {"sines": SineTrajectory, "lines": LineTrajectory}
+_KINDS = {"sines": SineTrajectory, "poses": LineTrajectory}
 """Type of a trajectory in files to its class."""
 
 
@@ -156,7 +118,7 @@ def at_speed(plan: MotionPlan, speed: float) -> MotionPlan:
             "full speed and can only be slowed down"
         )
     numbers = _numbers(plan)
-    for name in {"duration", "fade", "moves", "dwells", "ramps"} & set(numbers):
+    for name in {"duration", "fade", "moves", "dwells"} & set(numbers):
         numbers[name] = numbers[name] / speed
     if "frequency_hz" in numbers:
         numbers["frequency_hz"] = speed * numbers["frequency_hz"]
@@ -186,7 +148,7 @@ def save_trajectory(
 
     Args:
         path: of the file, or an open text file.
-        plan: a sum of sinusoids, poses or sweeps.
+        plan: a sum of sinusoids, or poses.
         joint_names: names of its joints, in the order of its columns.
         sha256: checksum of the model file that it was made for; "" is not written.
     """

@@ -79,7 +79,8 @@ def predict_plan(
 ) -> tuple[Prediction | None, list[str]]:
     """Return the errors to expect of an identification from a checked motion, and printed lines.
 
-    There is no prediction of friction sweeps. The lines state limits and expected errors.
+    There is no prediction where the motion cannot be processed like a log. The lines state limits
+    and expected errors.
     """
     from robot_sysid.motion import expected_errors, static
     from robot_sysid.motion.prediction import error_lines, limit_lines, motion_lines
@@ -92,18 +93,14 @@ def predict_plan(
     assert problem is not None and check is not None
     prediction = None
     lines = [*limit_lines(problem, plan, check)]
-    if poses.purpose == "friction":
-        lines += static.sweep_lines(problem, plan)
-        lines += expected_errors.friction_lines(problem, plan, rate, config.estimation)
-    else:
-        if poses.static:
-            lines.append(static.pose_line(plan))
-        options = config.estimation
-        try:
-            prediction = expected_errors.predict(problem, plan, rate, options, poses)
-            lines += error_lines(prediction)
-        except InputError as error:
-            lines.append(f"What errors it will leave cannot be predicted: {error}")
+    if poses.static:
+        lines.append(static.pose_line(plan))
+    options = config.estimation
+    try:
+        prediction = expected_errors.predict(problem, plan, rate, options, poses)
+        lines += error_lines(prediction)
+    except InputError as error:
+        lines.append(f"What errors it will leave cannot be predicted: {error}")
     lines += motion_lines(problem, plan, check)
     return prediction, lines
 
@@ -203,7 +200,7 @@ def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
     """
     from robot_sysid.motion.prediction import LARGE_SHARE
 
-    if config.poses.purpose in ("friction", WEIGHT):
+    if config.poses.purpose == WEIGHT:
         return ""
     if prediction is None:
         return "the errors that it will leave cannot be predicted"

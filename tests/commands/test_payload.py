@@ -14,7 +14,6 @@ from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms, schemas
 from tests.support.params import rows
@@ -44,9 +43,7 @@ def record_logs(models, swapped=False):
     empty, loaded = (
         load_robot_model(path) for path in (models[::-1] if swapped else models)
     )
-    plan = generate_excitation_trajectory(
-        empty, np.random.default_rng(1), 15.0, ArmTorque(empty)
-    )[0]
+    plan = generate_excitation_trajectory(empty, np.random.default_rng(1), 15.0)
     paths = []
     for number, plant in enumerate((empty, loaded, loaded, empty)):
         rng = np.random.default_rng([1, number])

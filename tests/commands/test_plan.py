@@ -86,15 +86,14 @@ def test_ctrl_c_without_a_terminal_keeps_the_best_motion(
     command, arm_file, monkeypatch
 ):
     path = arm_file(arms.THREE)
-    lines = []
 
     def interrupt(console, line):
-        lines.append(line)
-        raise KeyboardInterrupt
+        (share,) = re.findall(r"Searching for the best motion: (\d+) %, \d+ s", line)
+        if int(share) > 30:
+            raise KeyboardInterrupt
 
     monkeypatch.setattr(Console, "_print_progress", interrupt)
     printed = command.run("plan", path, SHORT)
-    assert len(lines) == 1 and re.match("Improving the best: .* %", lines[0])
     assert "the search was ended early" in printed.err
     assert load_trajectory(path.parent / "sysid_output" / "trajectory.json")
 
@@ -147,7 +146,6 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
 @pytest.mark.parametrize(
     "purpose",
     [
-        "--for friction",
         "--for arm --excitation-time-budget 0.05 --seed 1",
         "--for payload --static --seed 1",
     ],

@@ -218,7 +218,7 @@ def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     """A light arm with much dry friction, which acts until the very end of its creep to rest."""
     robot = arms.robot_of(arms.serial_arm(axes, joint=JOINT))
     rng = np.random.default_rng(0)
-    plan, _ = generate_excitation_trajectory(robot, rng, 12.0, ArmTorque(robot))
+    plan = generate_excitation_trajectory(robot, rng, 12.0)
     motion = next(motion_chunks(plan, 200.0))
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.q.shape)
     log = Measurement(

@@ -78,7 +78,7 @@ def plant_with(robot, theta, friction):
 
 def measure(plant, seed, rate=RATE, duration=DURATION):
     """One chunk of noise-free measurements along an excitation trajectory of the plant."""
-    plan, _ = generate_excitation_trajectory(plant, default_rng(seed), duration)
+    plan = generate_excitation_trajectory(plant, default_rng(seed), duration)
     return list(simulate_inverse(plant, motion_chunks(plan, rate)))
 
 

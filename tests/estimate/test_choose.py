@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robot_sysid.estimate.choose import dry_friction, link_evidence, motors_of
+from robot_sysid.estimate.choose import dry_friction, link_evidence, motors_of, solved
 from robot_sysid.estimate.links import (
     LinkEvidence,
     LinkScales,
@@ -25,6 +25,7 @@ from tests.support import arms
 from tests.support.arms import SEEDS, rigid_bodies
 from tests.support.core_fits import BASIC, NO_PRIORS, filter_logs, fit_recordings
 from tests.support.measured_logs import XML, log_of, plan_of
+from tests.support.notes import NoteRecorder
 from tests.support.payload_logs import (
     TrueArm,
     add_noise,
@@ -244,3 +245,12 @@ def test_the_prior_of_links_widens_where_the_models_are_wrong(plant):
     )
     assert wide.mass > narrow.mass
     assert wide.centre_of_mass > 1.5 * narrow.centre_of_mass
+
+
+@pytest.mark.parametrize("setting", ["loaded", "resting", "drifts"])
+def test_progress_grows_to_its_end_whatever_is_asked(recordings, setting):
+    progress = NoteRecorder()
+    question = Question(EstimationOptions(), **{setting: True})
+    solved(ROBOT, recordings, question, progress)
+    assert progress.shares[0] == 0.0 and progress.shares[-1] == 1.0
+    assert np.all(np.diff(progress.shares) > 0.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from functools import cache
 
@@ -18,7 +17,7 @@ from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import LINKS, SCALES
 from robot_sysid.motion import PoseOptions
-from robot_sysid.motion.expected_errors import friction_lines, predict, prior_knowledge
+from robot_sysid.motion.expected_errors import predict, prior_knowledge
 from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.static import design_poses
 from robot_sysid.signals.resampling import join_measurements
@@ -106,17 +105,6 @@ def test_the_search_minimises_the_predicted_errors(options):
     covariance = link_covariance(criterion, (motion.q, motion.qd, motion.qdd))
     ratio = predict_errors(options).errors / np.sqrt(np.diag(covariance))
     assert np.all((ratio > 0.99) & (ratio < 1.5)) and np.median(ratio) < 1.25
-
-
-def test_predicted_friction_errors_equal_reported_errors():
-    fitted = identify_recording(USUAL, 0)
-    errors = dict(zip(fitted.names, np.sqrt(np.diag(fitted.inverse))))
-    lines = friction_lines(PROBLEM, PLAN, RATE, USUAL)
-    for term, line in zip(("coulomb", "viscous"), lines):
-        predictions = re.findall(r"(joint\d) ([\d.e-]+)", line)
-        assert len(predictions) == 4
-        for joint, error in predictions:
-            assert abs(float(error) / errors[f"{term}[{joint}]"] - 1.0) < 0.4
 
 
 def test_payload_errors_come_from_the_difference_of_recordings():

@@ -43,7 +43,7 @@ def report(problem, plan):
 
 def sines(xml, seed=0):
     """Return random sinusoids of 2 s."""
-    return generate_excitation_trajectory(robot(xml), default_rng(seed), 2.0)[0]
+    return generate_excitation_trajectory(robot(xml), default_rng(seed), 2.0)
 
 
 def test_the_stated_tool_speed_is_that_of_the_fastest_point():

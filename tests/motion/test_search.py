@@ -25,7 +25,6 @@ from robot_sysid.motion.search import (
     design_excitation,
     draw_trajectory,
 )
-from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
 from tests.support import arms, witness
 from tests.support.arms import SEEDS
@@ -43,6 +42,7 @@ from tests.support.excitation_arms import (
     robot,
     slope,
 )
+from tests.support.notes import NoteRecorder
 
 ARMS = (
     arms.SLIDE_IN_CHAIN,
@@ -170,53 +170,36 @@ def test_the_grid_is_fine_enough_for_the_band(xml):
         assert np.max(np.abs(ratio - 1.0)) < 0.03
 
 
-@pytest.mark.parametrize("scale", [0.5, 1.0])
-def test_two_periods_hold_all_that_a_long_motion_does(scale):
+def test_a_long_motion_repeats_itself_within_the_band():
     design = make_design(arms.THREE, duration=200.0)
-    x = scale * draw_trajectory(design, 0, 0).x
-    assert design.keeps_limits(x) == keeps_limits(design.problem, design.trajectory(x))
     time = np.linspace(0.0, 50.0, 101)
-    motion = design.trajectory(x).evaluate(np.append(50.0 + time, 100.0 + time))
+    plan = design.trajectory(draw_trajectory(design, 0, 0).x)
+    motion = plan.evaluate(np.append(50.0 + time, 100.0 + time))
     assert np.allclose(*np.split(motion.q, 2), atol=1e-9)
     assert design.top_frequency_hz == pytest.approx(0.6)
     assert make_design(arms.THREE, duration=2.0).top_frequency_hz == 1.5
 
 
-class RecordedProgress(Progress):
-    """A progress listener that records what it is told and then runs a callback."""
-
-    def __init__(self, then=lambda label: None):
-        self.done = []
-        self.notes = []
-        self._then = then
-
-    def advance(self, label, done, total, text):
-        self.done.append(done / total)
-        self._then(label)
-
-    def note(self, *messages):
-        self.notes += messages
-
-
 def test_rounds_improve_the_objective_and_report_progress():
-    progress = RecordedProgress()
-    design = make_design(arms.THREE, rounds=3, iterations=20)
     scores = []
     for rounds, iterations in ((1, 0), (3, 20)):
+        progress = NoteRecorder()
         design = make_design(arms.THREE, rounds=rounds, iterations=iterations)
         plan = run_search(design, 3, progress)
         motion = plan.evaluate(design.grid[INFORMATION_POINTS])
         scores.append(design.criterion.evaluate((motion.q, motion.qd, motion.qdd)))
+        shares = progress.shares
+        assert np.all(np.diff(shares) >= 0.0) and shares[-1] == 1.0
     assert scores[1] < scores[0] - 0.1
-    assert progress.done[0] < 0.2 and progress.done[-1] == 1.0
+    assert shares[0] < 0.1 and 0.6 < shares[-2] < 1.0
 
 
 def test_an_interruption_keeps_the_best_trajectory():
-    def interrupt(label):
-        if label == "Improving the best":
+    def interrupt(share):
+        if 0.5 < share < 1.0:
             raise KeyboardInterrupt
 
-    progress = RecordedProgress(interrupt)
+    progress = NoteRecorder(interrupt)
     design = make_design(arms.THREE, rounds=50)
     plan = run_search(design, 3, progress)
     assert any("ended early" in note for note in progress.notes)
@@ -228,7 +211,7 @@ def test_an_interruption_before_the_first_result_is_raised():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_search(make_design(arms.THREE), 3, RecordedProgress(interrupt))
+        run_search(make_design(arms.THREE), 3, NoteRecorder(interrupt))
 
 
 class Ticking:
@@ -250,7 +233,7 @@ def test_the_time_budget_ends_a_search_in_the_middle_of_a_job(step):
     design = make_design(
         arms.THREE, time_budget=0.5, draws=20, rounds=50, iterations=1000
     )
-    progress = RecordedProgress()
+    progress = NoteRecorder()
     plan = run_search(design, 3, progress, clock)
     assert any("ended early" in note for note in progress.notes)
     assert keeps_limits(design.problem, plan)

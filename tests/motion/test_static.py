@@ -1,4 +1,4 @@
-"""Start poses, resting poses and sweeps keep all limits and have the stated shape."""
+"""Start poses and resting poses keep all limits and have the stated shape."""
 
 from __future__ import annotations
 
@@ -142,49 +142,3 @@ def test_each_pose_is_approached_from_both_sides(poses):
         steps = np.diff(poses.points, axis=0)
         assert_allclose(steps[first - 1], static.APPROACH)
         assert_allclose(steps[second - 1], -static.APPROACH)
-
-
-@pytest.fixture(scope="module")
-def sweeping():
-    """The problem of an arm of two joints for sweeps."""
-    return build(robot_of(arms.serial_arm((Z, Y))))
-
-
-@pytest.fixture(scope="module")
-def sweeps(sweeping):
-    """Sweeps of each joint."""
-    return static.design_sweeps(sweeping)
-
-
-@pytest.mark.slow
-def test_all_limits_are_kept_and_the_ends_are_at_rest(sweeping, sweeps):
-    assert check_limits(sweeping, sweeps).failure is None
-    ends = sweeps.evaluate(np.array([0.0, sweeps.duration]))
-    assert_allclose(ends.q, np.tile(sweeping.rest, (2, 1)), atol=1e-12)
-    assert_allclose(ends.qd, 0.0, atol=1e-12)
-
-
-def test_one_joint_moves_at_a_time_both_ways_at_every_speed(sweeps):
-    speeds = sweeps.speeds
-    assert np.all(np.count_nonzero(speeds, axis=1) == 1)
-    for joint_speeds in speeds.T:
-        distinct = np.round(joint_speeds[joint_speeds != 0.0], 9)
-        both = set(distinct[distinct > 0.0]) & set(-distinct[distinct < 0.0])
-        assert len(both) >= static.SPEEDS and max(both) == pytest.approx(static.FASTEST)
-
-
-def test_a_joint_without_range_is_not_swept_and_named(sweeping):
-
-    def narrow(is_narrow):
-        """Return the problem with ranges of 10 mrad for certain joints (2,)."""
-        limits = sweeping.limits
-        upper = np.where(is_narrow, sweeping.rest + 0.005, limits.upper)
-        lower = np.where(is_narrow, sweeping.rest - 0.005, limits.lower)
-        return replace(sweeping, limits=replace(limits, lower=lower, upper=upper))
-
-    problem = narrow([True, False])
-    sweeps = static.design_sweeps(problem)
-    assert not np.any(sweeps.speeds[:, 0])
-    assert "No room to sweep joint0" in " ".join(static.sweep_lines(problem, sweeps))
-    with pytest.raises(InputError, match="no joint has room"):
-        static.design_sweeps(narrow([True, True]))

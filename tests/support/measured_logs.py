@@ -7,7 +7,6 @@ import numpy as np
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import PlantSimulation
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 
@@ -37,7 +36,7 @@ def guess_model(robot, scale=0.6):
 def plan_of(robot, seed=1, duration=DURATION):
     """Return a random trajectory on which every joint moves widely."""
     rng = np.random.default_rng(seed)
-    plan = generate_excitation_trajectory(robot, rng, duration, ArmTorque(robot))[0]
+    plan = generate_excitation_trajectory(robot, rng, duration)
     return plan.scale_amplitudes(np.array([3.0, 3.0, 1.0]))
 
 

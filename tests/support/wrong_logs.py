@@ -59,8 +59,7 @@ def truth_of(
         played: the motion of the log; None for the one that the seed gives.
     """
     rng = np.random.default_rng(seed)
-    no_torque = lambda motion: np.zeros_like(motion.q)  # noqa: E731
-    plan = generate_excitation_trajectory(robot, rng, DURATION, no_torque)[0]
+    plan = generate_excitation_trajectory(robot, rng, DURATION)
     played = played or plan
     time = np.arange(round(rate * played.duration)) / rate
     motion = played.evaluate(time)
