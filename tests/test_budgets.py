@@ -21,11 +21,11 @@ BUDGETS = {
     "robot_sysid/damiao": 33959,
     "robot_sysid/diagnosis": 17176,
     "robot_sysid/dynamics": 5986,
-    "robot_sysid/estimate": 28684,
+    "robot_sysid/estimate": 28137,
     "robot_sysid/logs": 16288,
     "robot_sysid/mjcf": 7916,
     "robot_sysid/model": 8206,
-    "robot_sysid/motion": 19315,
+    "robot_sysid/motion": 19311,
     "robot_sysid/pipeline": 6158,
     "robot_sysid/records": 8643,
     "robot_sysid/report": 5080,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4990,
     "robot_sysid/simulation": 4000,
     "robot_sysid": 9746,
-    "tests": 220992,
+    "tests": 220666,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -319,7 +319,7 @@ def test_the_specified_keys_hold_the_terminal_link_and_the_others_what_the_run_w
         "mass of link6/source": "model",
         "viscous of j6/source": "data",
         "status": "TOO_WEAK",
-        "unidentifiable_combinations": ["mass"],
+        "unidentifiable": ["mass"],
         "mass of link6/error": None,
     }
     result = made.found(made.without_mass(), verdict=Verdict.TOO_WEAK)

@@ -1,4 +1,4 @@
-"""Identifiability: rank, condition numbers, unidentifiable combinations, base parameters.
+"""Identifiability: rank, condition numbers, unidentifiable and base parameters.
 
 Columns are scaled first, so that units do not decide about rank: one scale for the mass, one for
 the three first moments, one for the six inertias, one for each further parameter. Parameters of
@@ -6,10 +6,6 @@ one unit share a scale, because a column that is short beside the others of its 
 identified: an axis that is off by a hair shows the first moment along it at a millionth of the
 others, and scaling that up would turn rounding into an estimate. A column that is nothing but
 rounding noise is set to zero.
-
-A null space has many bases. The reported basis is sparse: first directions within the first moment
-or within the inertia alone, then mixed ones, each group in reduced row echelon form. A single
-parameter that cannot be identified therefore always is a direction of its own.
 """
 
 from __future__ import annotations
@@ -151,7 +147,7 @@ def analyse_identifiability(
         condition_number=_condition(visible[:, interest]),
         scaled_condition_number=_condition((visible / length)[:, interest]),
         identified=space.is_identified,
-        unidentifiable=describe(space.null, space.scale, names),
+        unidentifiable=describe(space.null, names),
     )
 
 
@@ -165,8 +161,6 @@ def _condition(matrix: Array) -> float:
     return float(singular[0] / singular[rank - 1]) if rank else float("inf")
 
 
-# Relative difference within which weights count as equally large.
-_SAME = 5e-4
 # Phrases for single parameters, by the name before "[joint]".
 _SINGLE = {
     "m": "mass",
@@ -178,100 +172,17 @@ _SINGLE = {
 }
 
 
-def describe(null: Array, scale: Array, names: Sequence[str]) -> tuple[str, ...]:
-    """Return one phrase per invisible direction, such as "mass" or "hx - 0.5*m".
+def describe(null: Array, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the parameters that are not identified by themselves, in words, such as "mass".
+
+    Of several, sums may be identified: the last joint's torque alone shows Ixx - Iyy, and neither.
 
     Args:
-        null: (p, d) orthonormal basis of the invisible scaled coordinates.
-        scale: (p,) parameters = scale * scaled coordinates.
-        names: (p,) parameter names, the ten inertial ones first.
-    """
-    phrases = []
-    for vector in readable_basis(null):
-        row = vector * scale
-        # The first parameter whose weight is the largest but for rounding begins the phrase.
-        first = int(np.argmax(np.abs(row) > (1.0 - _SAME) * np.max(np.abs(row))))
-        phrase = _single(names[first])
-        if np.count_nonzero(row) > 1:
-            phrase = in_words(row / row[first], first, names)
-        phrases.append(phrase)
-    return tuple(phrases)
-
-
-def in_words(weights: Array, first: int, names: Sequence[str]) -> str:
-    """Return a combination of parameters as text, such as "hx - 0.5*m".
-
-    Args:
-        weights: (p,) of the parameters; the one at ``first`` is one.
-        first: index of the parameter that the text begins with.
+        null: (p, d) orthonormal basis of the invisible directions.
         names: (p,) parameter names.
     """
-    text = names[first]
-    for index in np.flatnonzero(weights).tolist():
-        weight = float(weights[index])
-        if index != first:
-            size = f"{abs(weight):.4g}*".removeprefix("1*")
-            text += f" {'-' if weight < 0.0 else '+'} {size}{names[index]}"
-    return text
-
-
-def readable_basis(null: Array) -> list[Array]:
-    """Return d unit vectors (p,) that span a null space and have few non-zero entries.
-
-    They are in the order of the first parameter that each one contains.
-
-    Args:
-        null: (p, d) orthonormal basis of the null space, in scaled coordinates.
-    """
-    size, dimension = null.shape
-    basis: list[Array] = []
-    # Vectors within few parameters first; one that depends on previous ones leaves the rank as it
-    # is and is left out.
-    for group in (_FIRST_MOMENT, _INERTIA, range(10), range(size)):
-        for candidate in _row_echelon(_within(null, group)):
-            extended = np.array([*basis, candidate])
-            rank = np.linalg.matrix_rank(extended, _TOLERANCE)
-            if len(basis) < min(dimension, rank):
-                basis.append(candidate)
-    return sorted(basis, key=lambda v: int(np.flatnonzero(v)[0]))
-
-
-def _within(null: Array, group: Sequence[int]) -> Array:
-    """Return a basis (p, e) of the e-dimensional part of a null space that is zero outside a group.
-
-    Args:
-        null: (p, d) orthonormal basis of the null space.
-        group: indices of the parameters that may be non-zero.
-    """
-    # Not setdiff1d, which imports numpy.ma.
-    outside = [k for k in range(len(null)) if k not in group]
-    _, singular, directions = np.linalg.svd(null[outside])
-    # Directions beyond the last singular value are in the null space of null[outside], too.
-    padded = np.zeros(null.shape[1])
-    padded[: len(singular)] = singular
-    basis = null @ directions[padded < _TOLERANCE].T
-    basis[outside] = 0.0
-    return basis
-
-
-def _row_echelon(basis: Array) -> list[Array]:
-    """Return at most e unit vectors (p,) that span the columns of ``basis`` (p, e).
-
-    They are the rows of the reduced row echelon form of ``basis`` transposed. Each pivot is the
-    largest remaining entry; its row is exchanged with row k. Pivots below ``_TOLERANCE`` are
-    rounding.
-    """
-    rows = basis.T.copy()
-    for k in range(len(rows)):
-        largest = np.argmax(np.abs(rows[k:]))
-        pivot_row, column = divmod(int(largest), rows.shape[1])
-        rows[[k, k + pivot_row]] = rows[[k + pivot_row, k]]
-        if abs(rows[k, column]) >= _TOLERANCE:
-            rows[k] /= rows[k, column]
-            others = np.arange(len(rows)) != k
-            rows[others] -= np.outer(rows[others, column], rows[k])
-    rows[np.abs(rows) < _TOLERANCE] = 0.0
-    return [row / np.linalg.norm(row) for row in rows if np.any(row)]
+    is_hidden = np.linalg.norm(null, axis=1) >= _TOLERANCE
+    return tuple(_single(name) for name, hidden in zip(names, is_hidden) if hidden)
 
 
 def _single(name: str) -> str:

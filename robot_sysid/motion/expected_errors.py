@@ -31,7 +31,7 @@ from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
 from robot_sysid.model.bodies import usual_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, PoseOptions
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
-from robot_sysid.motion.prediction import Prediction, invisible_combinations
+from robot_sysid.motion.prediction import Prediction, unidentifiable
 from robot_sysid.motion.problem import ExcitationProblem, motion_of_samples
 from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Array, Measurement, MotionPlan
@@ -184,7 +184,7 @@ def predict(
         errors=fitted.errors[at],
         by_cause=by_cause,
         link_mass_errors=link_errors,
-        invisible=invisible_combinations(problem, Criterion(problem, knowledge)),
+        invisible=unidentifiable(problem, Criterion(problem, knowledge)),
     )
 
 

@@ -63,11 +63,8 @@ class Prediction:
         return math.hypot(*(centre for _, centre in self.by_cause.values()))
 
 
-def invisible_combinations(
-    problem: ExcitationProblem, criterion: Criterion
-) -> tuple[str, ...]:
-    """Return, in words, the combinations of the terminal link's parameters that no motion of these
-    joints identifies.
+def unidentifiable(problem: ExcitationProblem, criterion: Criterion) -> tuple[str, ...]:
+    """Return, in words, the terminal link's parameters that no motion of these joints identifies.
 
     ``criterion.visible`` (10, r) spans the r combinations that a motion can identify, in units of
     ``problem.scale``.
@@ -78,7 +75,7 @@ def invisible_combinations(
     space = left[:, len(singular) :]
     if not space.shape[1]:
         return ()
-    return tuple(describe(space, problem.scale, spatial.PARAMETER_NAMES))
+    return tuple(describe(space, spatial.PARAMETER_NAMES))
 
 
 def limit_lines(

@@ -166,7 +166,7 @@ class Identifiability:
             than full rank.
         scaled_condition_number: likewise, after scaling each column to unit length.
         identified: (p,) whether the data alone determines a parameter.
-        unidentifiable: descriptions of the combinations that it does not, for instance "mass".
+        unidentifiable: those that it does not, in words, for instance "mass".
     """
 
     rank: int

@@ -108,7 +108,7 @@ def content_of(
         "friction_model": result.friction_model,
         "cutoff": result.cutoff,
         "link_scales": result.link_scales,
-        "unidentifiable_combinations": identifiability.unidentifiable,
+        "unidentifiable": identifiability.unidentifiable,
         "condition_number_scaled": identifiability.scaled_condition_number,
         "rmse_per_joint": estimate.rmse_per_joint,
         "noise_per_joint": estimate.noise_per_joint,

@@ -28,7 +28,7 @@ def verdict_line(content: Content) -> str:
     """Return one line: whether to use a result, how good it is, and what limits it."""
     if content["failure"] is not None:
         return f"Not usable: {content['failure']}"
-    unseen = ", ".join(content["unidentifiable_combinations"])
+    unseen = ", ".join(content["unidentifiable"])
     if content["source"] == ITSELF:
         use = (
             "Self-test passed: the model's own numbers came back from its own simulation, which "

@@ -10,19 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import (
     TERMINAL_FRICTION,
     Equations,
     friction_per_joint,
 )
-from robot_sysid.estimate.identifiability import (
-    analyse_identifiability,
-    readable_basis,
-    visible_space,
-)
+from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
 from robot_sysid.estimate.triangles import InformationAccumulator
 from robot_sysid.records import Measurement
 from tests.support import arms
@@ -55,7 +50,7 @@ def test_last_joint_alone_shows_seven_of_ten_parameters_and_its_friction():
     information = terminal_information(np.random.default_rng(0), np.zeros(12))
     identifiability = analyse_information(information)
     assert (identifiability.rank, identifiability.n_parameters) == (9, 12)
-    hidden = ("mass", "first moment along z", "Ixx + Iyy")
+    hidden = ("mass", "first moment along z", "inertia Ixx", "inertia Iyy")
     assert identifiability.unidentifiable == hidden
     expected = tuple(k not in {0, 3, 4, 7} for k in range(12))
     assert identifiability.identified == expected
@@ -122,35 +117,6 @@ def test_the_unit_of_torque_does_not_decide_what_is_visible(
     assert identifiability.rank == expected.rank
     assert identifiability.identified == expected.identified
     assert conditions(identifiability) == pytest.approx(conditions(expected), rel=1e-6)
-
-
-# --- in words -----------------------------------------------------------------------------------
-
-NAMES = (*spatial.PARAMETER_NAMES, "coulomb[tool]", "viscous[tool]", "offset[X]")
-
-
-@given(
-    arms.SEEDS,
-    st.permutations(range(len(NAMES))),
-    st.lists(st.integers(1, 4), max_size=6),
-)
-def test_a_sparse_basis_is_found_again_however_it_was_turned(seed, order, sizes):
-    """Directions that share no parameter: of all bases of their space this one is the sparse."""
-    rng = np.random.default_rng(seed)
-    sparse = []
-    for indices in np.split(order, np.cumsum(sizes))[: len(sizes)]:
-        if len(indices):
-            direction = np.zeros(len(NAMES))
-            signs = rng.choice([-1.0, 1.0], len(indices))
-            direction[indices] = signs * rng.uniform(0.2, 1.0, len(indices))
-            sparse.append(direction / np.linalg.norm(direction))
-    sparse = np.array(sparse).reshape(-1, len(NAMES))
-    turn = np.linalg.qr(rng.normal(size=(len(sparse), len(sparse))))[0]
-    basis = np.array(readable_basis(sparse.T @ turn)).reshape(-1, len(NAMES))
-    first_parameter = [np.flatnonzero(direction)[0] for direction in sparse]
-    expected = sparse[np.argsort(first_parameter)]
-    signs = np.sign(np.sum(basis * expected, axis=1))[:, None]
-    assert_allclose(basis, signs * expected, rtol=0.0, atol=1e-9)
 
 
 # --- against MuJoCo alone -----------------------------------------------------------------------
@@ -261,7 +227,7 @@ def assert_same(information, visibility):
         return
     is_identified = np.linalg.norm(visibility.null, axis=1) < 1e-6
     assert_array_equal(identifiability.identified, is_identified)
-    assert len(identifiability.unidentifiable) == visibility.null.shape[1]
+    assert len(identifiability.unidentifiable) == np.count_nonzero(~is_identified)
     space = visible_space(information.equations()[0])
     hidden = space.scale[:, None] * space.null / visibility.scale[:, None]
     hidden /= np.linalg.norm(hidden, axis=0)
