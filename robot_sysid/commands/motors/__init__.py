@@ -42,20 +42,11 @@ from robot_sysid.errors import InputError, SysidError
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import NextStep, Remark
-from robot_sysid.records.option_fields import (
-    OptionRecord,
-    option,
-    options_of,
-    record_from,
-)
+from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
 _CODES = (0, 1, 2, 3, 130)
 """Exit codes that a motors command may have, for its help."""
-_WARNING = (
-    "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that it "
-    "sinks when it is disabled."
-)
 
 
 @dataclass(frozen=True)
@@ -213,21 +204,10 @@ def build_parser(command: str, full: bool = True) -> Parser:
     """
     spec = COMMANDS[command]
     is_run = command in _PLAYED
-    main = list(_MAIN)
-    if not is_run:
-        main = ["interface", "channel", "fd"]
-        for records in spec.groups.values():
-            for record in records:
-                main += options_of(record)
     example = f"{PROGRAM} motors {command} {spec.example}"
-    parser = Parser(
-        f"motors {command}",
-        example,
-        spec.description,
-        None if full else main,
-        codes=_CODES,
-    )
-    if command in _PLAYED:
+    main = _MAIN if is_run and not full else None
+    parser = Parser(f"motors {command}", example, spec.description, main, codes=_CODES)
+    if is_run:
         parser.add_argument(
             "trajectory",
             metavar="TRAJECTORY",
@@ -236,35 +216,22 @@ def build_parser(command: str, full: bool = True) -> Parser:
             nargs="?" if command == "check" else None,
         )
     if is_run or command == "map":
-        _add_arm_options(parser, command)
+        arm = parser.add("arm", PosedModelOptions)
+        needs_model = command in ("simulate", "map")
+        text = "MJCF or URDF of the arm"
+        arm.add_argument(
+            "--model", metavar="MODEL", type=Path, required=needs_model, help=text
+        )
     parser.add("bus", BusAddress, BusTiming)
     for title, records in spec.groups.items():
         parser.add(title, *records)
-    if command in _PLAYED:
+    if is_run:
+        text = "how each joint's motor is mounted (see: motors map)"
+        arm.add_argument("--joint-map", metavar="FILE", type=Path, help=text)
         # By default only the model limits the motion.
         no_limits = dict.fromkeys(LIMITS)
         parser.add("limits", LimitOptions, only=LIMITS, defaults=no_limits)
     return parser.add_console_options()
-
-
-def _add_arm_options(parser: Parser, command: str) -> None:
-    """Add to a command's parser the options that say which arm the motors drive."""
-    help_text = "of the arm"
-    group = parser.add("arm", PosedModelOptions)
-    if command != "map":
-        help_text = (
-            "MJCF or URDF of the arm; the trajectory is checked against its limits"
-        )
-        group.add_argument(
-            "--joint-map",
-            metavar="FILE",
-            type=Path,
-            help="how each joint's motor is mounted (see: motors map)",
-        )
-    is_required = command in ("simulate", "map")
-    group.add_argument(
-        "--model", metavar="MODEL", type=Path, required=is_required, help=help_text
-    )
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -345,7 +312,7 @@ def _play_on(
     preflight.require_no_stop(checks, "not played")
     session.require_free(plan)
     if is_real and not record_from(PlayChoices, session.values).yes:
-        if not confirm(_WARNING, "; give --yes"):
+        if not confirm():
             raise InputError("not confirmed; nothing was moved")
         # The arm may have moved or been touched in the meantime.
         inspection = inspect_bus(link)

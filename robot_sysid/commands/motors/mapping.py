@@ -187,14 +187,13 @@ def _find_motor(
         )
         end = read_positions()
         turns = {can_id: end[can_id] - start[can_id] for can_id in can_ids}
-        first, *others = sorted(can_ids, key=lambda can_id: -abs(turns[can_id]))
-        largest = abs(turns[first])
-        if largest > _LEAST_TURN:
-            if not others or largest > _CLEAR_RATIO * abs(turns[others[0]]):
-                return first, 1 if turns[first] > 0.0 else -1
-            complaint = "several motors turned; "
-        else:
-            complaint = "no motor turned far enough; "
+        sizes = sorted(map(abs, turns.values()))
+        for can_id, turn in turns.items():
+            if abs(turn) > max(
+                _LEAST_TURN, _CLEAR_RATIO * max(sizes[:-1], default=0.0)
+            ):
+                return can_id, 1 if turn > 0.0 else -1
+        complaint = "no motor, or several, turned clearly; "
     raise HardwareAbort(
         f"it cannot be told which motor drives {name}; nothing was written"
     )

@@ -38,15 +38,22 @@ def ask(prompt: str) -> str:
     raise InputError("not confirmed: standard input has ended")
 
 
-def confirm(question: str, hint: str = "") -> bool:
-    """Return whether a person answers a question with yes.
+_WARNING = (
+    "The arm will move. Keep clear of it, keep the emergency stop at hand, and remember that it "
+    "sinks when it is disabled. Type yes: "
+)
 
-    Raises:
-        InputError: standard input is no terminal; ``hint`` ends the message.
+
+def confirm() -> bool:
+    """Return whether a person agrees that the arm moves.
+
+    InputError where standard input is no terminal.
     """
     if not sys.stdin.isatty():
-        raise InputError(f"nobody can confirm: standard input is no terminal{hint}")
-    return ask(f"{question} Type yes: ").strip().lower() == "yes"
+        raise InputError(
+            "nobody can confirm: standard input is no terminal; give --yes"
+        )
+    return ask(_WARNING).strip().lower() == "yes"
 
 
 class Session(MotorRun):
