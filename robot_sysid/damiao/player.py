@@ -185,8 +185,6 @@ class Player:
         self._n_recorded = 0
         # Positions and commanded torques (2, n) of the cycles in which the joints stand still.
         self._standing_states: list[Array] = []
-        # Torque (n,) that was commanded at the moment of the last samples [N m].
-        self._motor_torque: Array
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
         """Enable the motors, play a trajectory of ``duration`` [s], rest, park, return a report.
@@ -351,54 +349,45 @@ class Player:
         The gain, which scales stiffness and torque, rises to 1 in the first cycles of a run.
         """
         n_steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
-        if n_steps > _LEAST_LIFT_STEPS:
-            self._gain = min(self._gain + 1.0 / n_steps, 1.0)
-        else:
-            self._gain = 1.0
-        command = self._command_for(reference)
-        # A motor makes no torque before its first command.
-        zero = 0.0 * command.torque
-        acted = self._command or command._replace(kp=zero, kd=zero, torque=zero)
-        replies = self._exchange(command, acted)
+        rise = 1.0 / n_steps if n_steps > _LEAST_LIFT_STEPS else 1.0
+        self._gain = min(self._gain + rise, 1.0)
+        result = self._exchange(reference)
         self._reference = reference
-        return replies, acted
+        return result
 
     def _exchange(
-        self,
-        command: MitCommand,
-        acted: MitCommand,
-        joints: Mask | None = None,
-        braking: bool = False,
-    ) -> Replies:
-        """Send one command, pass the arm's state to observer and follower, and return the replies.
+        self, reference: Reference, joints: Mask | None = None, braking: bool = False
+    ) -> tuple[Replies, MitCommand]:
+        """Command a reference, and pass the arm's state to observer and follower.
 
-        The command, the time of the replies, and the positions and torques of the arm are stored.
-        ``acted`` is the command in force when the replies are sampled. ``joints`` (n,) are whether
-        each joint is commanded; None means all. If ``braking``, a command beyond the bounds is
-        limited to them, not refused, and motors whose answers are missing are commanded too.
+        Returns the replies, and the command that was in force when they were sampled. The command,
+        the time of the replies, and the positions and torques of the arm are stored.
+        ``joints`` (n,) are whether each joint is commanded; None means all. If ``braking``, a
+        command beyond the bounds is limited to them, not refused, and motors whose answers are
+        missing are commanded too.
         """
+        position, velocity, torque = reference
+        command = MitCommand(
+            position, velocity, self._gain * self._kp, self._kd, self._gain * torque
+        )
+        # A motor makes no torque before its first command.
+        zero = 0.0 * torque
+        acted = self._command or command._replace(kp=zero, kd=zero, torque=zero)
         until = self._clock.now() + _REPLY_SHARE * self._settings.period
         replies = self._session.exchange(command, until, joints, braking)
         self._observer.update(replies)
         self._command = replies.command
         q, qd = self._session.believed_motion
-        self._motor_torque = acted.motor_torque(q, qd)
+        motor_torque = acted.motor_torque(q, qd)
         if self._follower is not None:
             is_trusted = self._observer.trusted_joints
             trusted_q, trusted_qd = np.where(is_trusted, [q, qd], np.nan)
-            self._follower.follow(trusted_q, trusted_qd, self._motor_torque)
+            self._follower.follow(trusted_q, trusted_qd, motor_torque)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
         if self._standing and np.all(np.isfinite(q)):
-            self._standing_states.append(np.stack([q, self._motor_torque]))
-        return replies
-
-    def _command_for(self, reference: Reference) -> MitCommand:
-        """Return the command for a reference; stiffness and torque are scaled while gains rise."""
-        position, velocity, torque = reference
-        return MitCommand(
-            position, velocity, self._gain * self._kp, self._kd, self._gain * torque
-        )
+            self._standing_states.append(np.stack([q, motor_torque]))
+        return replies, acted
 
     def _stop_gently(self) -> None:
         """Brake the motors that still answer, and hold the arm until it is at rest.
@@ -481,9 +470,7 @@ class Player:
         """Send a stop's reference, within the bounds of commands, to all motors but failed ones."""
         # A motor that does not answer may still obey, so only failed ones are left out.
         is_driven = ~self._observer.failed
-        command = self._command_for(target)
-        acted = self._command or command
-        replies = self._exchange(command, acted, is_driven, braking=True)
+        replies, acted = self._exchange(target, is_driven, braking=True)
         if self._recorder:
             time = self._clock.now() - self._origin
             self._recorder.write(time, self._origin, replies, acted, mark="# stop: ")

@@ -16,7 +16,7 @@ import numpy as np
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, peak_torques
-from robot_sysid.damiao.protocol import ENABLED, Frame
+from robot_sysid.damiao.protocol import ENABLED, Feedback, Frame
 from robot_sysid.damiao.safety.guards import (
     NO_STATUS,
     CommandBounds,
@@ -274,7 +274,9 @@ class MotorSession:
         self._link.send(request)
         this_motor = np.arange(self.n_joints) == j
         until = self.clock.now() + _CONFIRM_TIMEOUT
-        feedback = self._collect(this_motor, until).feedback
+        came, _, feedback = self._receive(this_motor, until)
+        if not came[j]:
+            return NO_STATUS, np.nan
         return int(feedback.status[j]), float(feedback.position[j])
 
     def exchange(
@@ -302,7 +304,9 @@ class MotorSession:
         self._outstanding.surplus[:] = 0
         self._foreign[:] = 0
         motors = np.ones(self.n_joints, bool) if joints is None else joints
-        self._count_late_answers()
+        # Answers that have come since the last exchange are counted, but not used.
+        while (frame := self._link.receive(self.clock.now())) is not None:
+            self._answering_joint(frame)
         now = self.clock.now()
         last = np.where(
             np.isnan(self.sent_position), command.position, self.sent_position
@@ -323,16 +327,19 @@ class MotorSession:
         for j in np.flatnonzero(commanded).tolist():
             self._sent_data[j] = packed[j].tobytes()
             self._link.send(Frame(self.joints[j].can_id, self._sent_data[j]))
-        return self._collect(
-            commanded, until, command=self._command, acted=acted, believe=True
+        came, time, feedback = self._receive(commanded, until)
+        believed, jump = self._filter.believe(came, time, feedback, acted)
+        return Replies(
+            answered=believed,
+            time=time,
+            feedback=hide_answers(feedback, believed),
+            requested=commanded,
+            command=self._command,
+            doubted=came & ~believed,
+            jump=jump,
+            surplus=self._outstanding.surplus.copy(),
+            foreign=self._foreign.copy(),
         )
-
-    def _count_late_answers(self) -> None:
-        """Count the frames that have come since the last exchange; their content is not used."""
-        while (frame := self._link.receive(self.clock.now())) is not None:
-            self._note_foreign(frame)
-            if (sender := self._sender(frame)) is not None:
-                self._outstanding.take_answer(sender)
 
     def _put_in_force(
         self, packed: protocol.Bytes, commanded: Mask, now: float
@@ -386,106 +393,57 @@ class MotorSession:
             try:
                 self._link.drain()
                 self.switch_off(running)
-                replies = self._collect(running, self.clock.now() + _CONFIRM_TIMEOUT)
-                running &= ~replies.answered | (replies.feedback.status == ENABLED)
+                until = self.clock.now() + _CONFIRM_TIMEOUT
+                came, _, feedback = self._receive(running, until)
+                running &= ~came | (feedback.status == ENABLED)
             except BaseException:
                 # Whatever a driver raises, SystemExit and KeyboardInterrupt included: it may
                 # recover, and the other motors still listen.
                 self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
             self.unconfirmed = tuple(self.joints[j] for j in np.flatnonzero(running))
 
-    def _collect(
-        self,
-        motors: Mask,
-        until: float,
-        command: protocol.MitCommand | None = None,
-        acted: protocol.MitCommand | None = None,
-        believe: bool = False,
-    ) -> Replies:
-        """Wait for the replies of motors and return them.
+    def _receive(self, motors: Mask, until: float) -> tuple[Mask, Array, Feedback]:
+        """Wait for the answers of motors, at most until a time in the clock [s].
 
-        Args:
-            motors: whether an answer of each motor (n,) is waited for.
-            until: time in the clock at which the waiting ends [s].
-            command: command that the replies answer, in joint space; None for other requests.
-            acted: command in force when the samples were taken, in joint space; None if unknown.
-            believe: whether ``SampleFilter`` judges the replies.
+        Returns whether each joint's answer came (n,), the time (n,) of its sample [s], and the
+        feedback in joint space, fields (n,), which means nothing where no answer came. ``motors``
+        (n,) says whose answers are waited for.
         """
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
-        received = np.full(self.n_joints, np.nan)
-        sent = np.full(self.n_joints, np.nan)
+        # Time (n,) at which each command was on the bus, and at which each answer came [s].
+        sent, received = np.full((2, self.n_joints), np.nan)
         missing = int(np.count_nonzero(motors))
         while missing and (frame := self._link.receive(until)) is not None:
-            missing -= self._take(frame, motors, raw, received, sent)
-        came = np.isfinite(received)
+            if frame.echo and frame.id in self._by_command:
+                sent[self._by_command[frame.id]] = frame.time
+            j = self._answering_joint(frame)
+            if j is not None and motors[j] and np.isnan(received[j]):
+                raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
+                received[j] = frame.time
+                missing -= 1
         decoded = protocol.decode_feedback(raw, self.scaling, half_step=True)
         q, qd, tau = self._mounting.inverse.signals(
             decoded.position, decoded.velocity, decoded.torque
         )
         feedback = replace(decoded, position=q, velocity=qd, torque=tau)
-        stamps = np.where(came & np.isfinite(sent), sent, received)
-        believed = came
-        jump = np.zeros(self.n_joints)
-        if believe:
-            believed, jump = self._filter.believe(came, stamps, feedback, acted)
-        return Replies(
-            answered=believed,
-            time=stamps,
-            feedback=hide_answers(feedback, believed),
-            requested=motors,
-            command=command,
-            doubted=came & ~believed,
-            jump=jump,
-            surplus=self._outstanding.surplus.copy(),
-            foreign=self._foreign.copy(),
-        )
+        came = np.isfinite(received)
+        return came, np.where(came & np.isfinite(sent), sent, received), feedback
 
-    def _take(
-        self,
-        frame: Frame,
-        motors: Mask,
-        raw: protocol.Bytes,
-        received: Array,
-        sent: Array,
-    ) -> bool:
-        """Store and count a received frame; return whether it is an answer that was waited for.
+    def _answering_joint(self, frame: Frame) -> int | None:
+        """Count a received frame; return the joint (its index) that answers by it, or None.
 
-        Args:
-            frame: received frame: an answer, an echo of a command, or a frame of another program.
-            motors: whether an answer of each motor (n,) is waited for.
-            raw: gets an answer's data (n, 8).
-            received: gets the time (n,) at which an answer came [s]; NaN before.
-            sent: gets the time (n,) at which a command was on the bus [s].
+        A frame to a motor that this session did not send is another program's. In feedback the
+        motor's arbitration id, and the lowest four bits of its CAN id in the data, must match.
         """
+        if frame.echo:
+            return None
         commanded = self._by_command.get(frame.id)
-        if frame.echo and commanded is not None:
-            sent[commanded] = frame.time
-        self._note_foreign(frame)
-        j = self._sender(frame)
-        if j is None:
-            return False
-        is_timely = self._outstanding.take_answer(j)
-        counts = is_timely or self._takes_any_answer
-        if not motors[j] or np.isfinite(received[j]) or not counts:
-            return False
-        raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
-        received[j] = frame.time
-        return True
-
-    def _note_foreign(self, frame: Frame) -> None:
-        """Count a frame to a motor of this session that this session did not send."""
-        j = self._by_command.get(frame.id)
-        if j is not None and not frame.echo and frame.data != self._sent_data.get(j):
-            self._foreign[j] += 1
-
-    def _sender(self, frame: Frame) -> int | None:
-        """Return the index of the joint whose motor sent a feedback frame; None for other frames.
-
-        The motor's arbitration id, and the lowest four bits of its CAN id in the data, must match.
-        """
-        if frame.echo or len(frame.data) != 8:
-            return None
+        if commanded is not None and frame.data != self._sent_data.get(commanded):
+            self._foreign[commanded] += 1
         j = self._by_reply.get(frame.id)
-        if j is None or frame.data[0] & 0xF != self.joints[j].can_id & 0xF:
+        if j is None or len(frame.data) != 8:
             return None
-        return j
+        if frame.data[0] & 0xF != self.joints[j].can_id & 0xF:
+            return None
+        is_timely = self._outstanding.take_answer(j)
+        return j if is_timely or self._takes_any_answer else None
