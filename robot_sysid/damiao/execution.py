@@ -315,8 +315,7 @@ def _open_recorder(
     played = plan.trajectory
     registers = [motor.registers for motor in motors]
     head = recording_header(played.joints, registers, plan.settings, played.path.name)
-    names = [f"j{j}" for j in range(played.n_joints)]
     centring = Centring(plan.settings.period, plan.inertia)
     return MeasurementRecorder(
-        *(recording.record, head, names, aside, centring, recording.overwrite)
+        *(recording.record, head, played.n_joints, aside, centring, recording.overwrite)
     )

@@ -167,7 +167,7 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
     return HoldingCheck(
         joints,
         holding_torque,
-        robot.friction.largest_dry,
+        torque_doubt(joints) + robot.friction.largest_dry,
         source=f"the model {robot.path.name} needs",
         is_model=True,
         watch=partial(MovedZeroCheck, robot, joints),

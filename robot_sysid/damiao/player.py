@@ -322,7 +322,7 @@ class Player:
             time = min(deadline - origin, length)
             target = reference(time)
             self._stop_if_asked()
-            replies, acted = self._cycle(target)
+            replies, acted = self._exchange(target)
             if record:
                 self._n_recorded += 1
                 self._on_progress(time)
@@ -343,29 +343,21 @@ class Player:
         if failure is not None:
             raise HardwareAbort(f"cannot record: {error_text(failure)}")
 
-    def _cycle(self, reference: Reference) -> tuple[Replies, MitCommand]:
-        """Command a reference; return the replies and the command in force at their samples.
-
-        The gain, which scales stiffness and torque, rises to 1 in the first cycles of a run.
-        """
-        n_steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
-        rise = 1.0 / n_steps if n_steps > _LEAST_LIFT_STEPS else 1.0
-        self._gain = min(self._gain + rise, 1.0)
-        result = self._exchange(reference)
-        self._reference = reference
-        return result
-
     def _exchange(
         self, reference: Reference, joints: Mask | None = None, braking: bool = False
     ) -> tuple[Replies, MitCommand]:
         """Command a reference, and pass the arm's state to observer and follower.
 
-        Returns the replies, and the command that was in force when they were sampled. The command,
-        the time of the replies, and the positions and torques of the arm are stored.
-        ``joints`` (n,) are whether each joint is commanded; None means all. If ``braking``, a
-        command beyond the bounds is limited to them, not refused, and motors whose answers are
-        missing are commanded too.
+        Returns the replies, and the command that was in force when they were sampled. Reference and
+        command, the time of the replies, and the positions and torques of the arm are stored. The
+        gain, which scales stiffness and torque, rises to 1 in the first cycles of a run. ``joints``
+        (n,) are whether each joint is commanded; None means all. If ``braking``, a command beyond
+        the bounds is limited to them, not refused, and motors whose answers are missing are
+        commanded too.
         """
+        n_steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
+        rise = 1.0 / n_steps if n_steps > _LEAST_LIFT_STEPS else 1.0
+        self._gain = min(self._gain + rise, 1.0)
         position, velocity, torque = reference
         command = MitCommand(
             position, velocity, self._gain * self._kp, self._kd, self._gain * torque
@@ -376,6 +368,7 @@ class Player:
         until = self._clock.now() + _REPLY_SHARE * self._settings.period
         replies = self._session.exchange(command, until, joints, braking)
         self._observer.update(replies)
+        self._reference = reference
         self._command = replies.command
         q, qd = self._session.believed_motion
         motor_torque = acted.motor_torque(q, qd)

@@ -40,6 +40,7 @@ import numpy as np
 
 from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.damiao.safety.guards import Replies
+from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
@@ -112,8 +113,6 @@ class Aside:
             self.failure = error
 
 
-_MEASURED = ("pos", "vel", "tau")
-"""Titles of a joint's measured columns, after the joint's label."""
 _COMMANDS = ("cmd_pos", "cmd_vel", "cmd_tau", "cmd_mean")
 """Titles of the command in force at the sample, and of what was added to ``tau``."""
 _EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
@@ -130,7 +129,7 @@ class MeasurementRecorder:
     Args:
         path: file to write.
         head: comment lines, without the leading "# ".
-        labels: label of each of the n joints, with which the titles of its columns begin.
+        n_joints: number n of joints.
         aside: runs the actions that write.
         centring: corrects sampled torques to mean torques.
         overwrite: replace an existing file; otherwise it raises InputError.
@@ -140,17 +139,16 @@ class MeasurementRecorder:
         self,
         path: Path,
         head: Sequence[str],
-        labels: Sequence[str],
+        n_joints: int,
         aside: Aside,
         centring: Centring,
         overwrite: bool = False,
     ) -> None:
         self._aside = aside
         self._centring = centring
-        columns = ["time"]
-        for signals in (_MEASURED, _EXTRA):
-            for label in labels:
-                columns += [f"{label}_{signal}" for signal in signals]
+        columns = ["time", *trajectory_columns(n_joints)]
+        for j in range(n_joints):
+            columns += [f"j{j}_{signal}" for signal in _EXTRA]
         lines = [f"# {line}" for line in head]
         lines.append(",".join(columns))
         try:
@@ -217,8 +215,8 @@ class MeasurementRecorder:
     ) -> str:
         """Return the line of a cycle in the file; arguments as for ``write``.
 
-        Its cells are in the order of the titles: the time, ``_MEASURED`` of each joint, ``_EXTRA``
-        of each joint.
+        Its cells are in the order of the titles: the time, position, velocity and torque of each
+        joint, ``_EXTRA`` of each joint.
         """
         feedback = replies.feedback
         centre = self._centring.torques(replies, acted)

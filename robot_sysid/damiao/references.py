@@ -11,6 +11,7 @@ torque, and the joint of a weak motor would fall. So ``CarriedStop`` keeps this 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, Optional
 
 import numpy as np
@@ -202,44 +203,30 @@ the joint), or None.
 """
 
 
+@dataclass
 class HoldingCheck:
     """Compares the torques that hold an arm still with the expected ones.
 
-    Args:
+    Attributes:
         joints: the n joints of the arm, base to terminal.
         torque: returns the torque (n,) [N m] that should hold the arm in a pose (n,) [rad].
-        doubt: dry friction (n,) [N m], or 0 where unknown; ``torque_doubt`` is added.
+        doubt: torque (n,) that friction alone may explain [N m].
         source: begin of the phrase that states the expected torque: "the model arm.xml needs".
         is_model: whether a model of the arm gives the expected torque in every pose.
         watch: returns a new check of the motion of one run; None where there is none.
-
-    Attributes:
-        torque: as given.
-        doubt: torque (n,) that friction alone may explain [N m].
-        is_model: as given.
-        watch: as given.
     """
 
-    def __init__(
-        self,
-        joints: Sequence[DamiaoJoint],
-        torque: Callable[[Array], Array],
-        doubt: Array | float,
-        source: str,
-        is_model: bool = False,
-        watch: Callable[[], MotionCheck] | None = None,
-    ) -> None:
-        self.torque = torque
-        self._joints = joints
-        self._source = source
-        self.watch = watch
-        self.doubt = doubt + torque_doubt(joints)
-        self.is_model = is_model
+    joints: Sequence[DamiaoJoint]
+    torque: Callable[[Array], Array]
+    doubt: Array
+    source: str
+    is_model: bool = False
+    watch: Callable[[], MotionCheck] | None = None
 
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) [rad] does not show how they turn."""
         is_bare = np.abs(self.torque(q)) <= _LOADED * self.doubt
-        joints = zip(self._joints, is_bare)
+        joints = zip(self.joints, is_bare)
         return [joint for joint, bare in joints if bare and not joint.verified]
 
     def __call__(self, q: Array, tau: Array) -> None:
@@ -256,7 +243,7 @@ class HoldingCheck:
         is_missing = (size > _LOADED * self.doubt) & (along < _BARE * self.doubt)
         for j in np.flatnonzero(is_opposite | is_missing).tolist():
             raise HardwareAbort(
-                f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m but {self._source} "
+                f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N m but {self.source} "
                 f"{expected[j]:.1f} N m in this pose: a motor turns the other way than its joint, "
                 "sits at another one, or has another zero; see 'motors map'"
             )
@@ -282,12 +269,12 @@ class FileHolding(HoldingCheck):
         acceleration = np.max(np.abs(trajectory.qdd), axis=1)
         row = int(np.argmin(np.where(is_near, acceleration, np.inf)))
         torque = trajectory.tau[row]
+        doubt = torque_doubt(trajectory.joints)
         source = "the trajectory feeds forward"
-        super().__init__(trajectory.joints, lambda q: torque, doubt=0.0, source=source)
+        super().__init__(trajectory.joints, lambda q: torque, doubt, source)
         self._is_at_rest = acceleration[row] < _GENTLE
         self._first = q[0]
-        peaks = np.abs(trajectory.tau).max(axis=0)
-        self._carries_arm = bool(np.any(peaks > self.doubt))
+        self._carries_arm = bool(np.any(np.abs(trajectory.tau) > doubt))
 
     def __call__(self, q: Array, tau: Array) -> None:
         """Compare the torques tau (n,) [N m] of an arm that is held still at q (n,) [rad].
@@ -302,7 +289,7 @@ class FileHolding(HoldingCheck):
             is_loaded = np.abs(tau) > _LOADED * self.doubt
             for j in np.flatnonzero(is_loaded).tolist():
                 raise HardwareAbort(
-                    f"{self._joints[j].label} holds the arm with {tau[j]:.1f} N m, and the "
+                    f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N m, and the "
                     "trajectory never feeds forward what carries an arm: its torque lacks gravity"
                 )
         if self._is_at_rest:
@@ -414,10 +401,15 @@ class CarriedStop:
         # Where the joints should be now (n,) [rad].
         goal = position - self._offset
         self._relieve(time, goal)
-        relief_torque = self._relief * self._kp * self._offset
-        holding_torque = self._lift(goal) + self._damping_torque(velocity)
-        torque = self._carrying_torque(time) + holding_torque - relief_torque
-        self._note_motion(time)
+        # The feed-forward torque is blended from the last one to that at rest.
+        share = min(time / max(self.duration, _BLEND_TIME), 1.0)
+        torque = self._begin.torque + share * (self._fed - self._begin.torque)
+        difference = np.nan_to_num(velocity - self._qd)
+        torque = torque + (self._lift(goal) + _ADDED_DAMPING * self._kd * difference)
+        torque = torque - self._relief * self._kp * self._offset
+        is_moving = np.abs(np.nan_to_num(self._qd)) > _REST_SPEED
+        if time < self.duration or np.any(is_moving):
+            self._moved_at = time
         self.last = Reference(position, velocity, torque)
         return self.last
 
@@ -431,23 +423,12 @@ class CarriedStop:
         position = np.clip(position, self._range.lower, self._range.upper)
         return position, self._velocity * share_left
 
-    def _carrying_torque(self, time: float) -> Array:
-        """Return the feed-forward torque (n,), blended from the last one to that at rest [N m]."""
-        last_torque = self._begin.torque
-        share = min(time / max(self.duration, _BLEND_TIME), 1.0)
-        return last_torque + share * (self._fed - last_torque)
-
     def _lift(self, goal: Array) -> Array:
         """Return the torque (n,) [N m] that pulls joints back to paths ending at ``goal`` (n,)."""
         displacement = self._displacement(goal)
         leaving_speed = -np.sign(displacement) * np.nan_to_num(self._qd)
         share = _STEADY + _LEAVING * np.tanh(leaving_speed / _SPEED_SCALE)
         return np.asarray(self._stiffening * displacement * share)
-
-    def _damping_torque(self, velocity: Array) -> Array:
-        """Return the torque (n,) [N m] that damps motion relative to ``velocity`` (n,) [rad/s]."""
-        difference = np.nan_to_num(velocity - self._qd)
-        return np.asarray(_ADDED_DAMPING * self._kd * difference)
 
     def _displacement(self, goal: Array) -> Array:
         """Return the displacement (n,) [rad] that moves the joints back to their paths.
@@ -476,12 +457,6 @@ class CarriedStop:
         self._has_moved |= np.abs(np.nan_to_num(goal - self._q)) > _RELIEF_MOVED
         less = (1.0 - self._relief) * min(passed / _RELIEF_TIME, 1.0)
         self._relief = np.where(self._has_moved, self._relief, self._relief + less)
-
-    def _note_motion(self, time: float) -> None:
-        """Store ``time`` [s] as the last time of motion if the reference or a joint moves."""
-        is_moving = np.abs(np.nan_to_num(self._qd)) > _REST_SPEED
-        if time < self.duration or np.any(is_moving):
-            self._moved_at = time
 
     @property
     def is_done(self) -> bool:

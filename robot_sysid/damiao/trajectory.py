@@ -13,8 +13,6 @@ The export clamps values to the motors' limits and reports the share of samples 
 
 from __future__ import annotations
 
-import contextlib
-import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -281,12 +279,15 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
             f"{path}, line {title_number}: expected the columns time,j0_pos,j0_vel,j0_tau,... for "
             f"{n} joints"
         )
-    width = 1 + 3 * n
-    rows = []
-    for line_number, line in enumerate(lines[title_number:], start=title_number + 1):
-        if line.strip():
-            rows.append(_numbers(line, width, path, line_number))
-    table = np.array(rows).reshape(-1, width)
+    rows = [line for line in lines[title_number:] if line.strip()]
+    try:
+        table = np.loadtxt(rows, delimiter=",", ndmin=2) if rows else np.empty((0, 1))
+    except ValueError as error:
+        raise InputError(f"{path}, below line {title_number}: {error}") from None
+    if rows and table.shape[1] != len(titles) or not np.all(np.isfinite(table)):
+        raise InputError(
+            f"{path}, below line {title_number}: expected {len(titles)} finite numbers per line"
+        )
     time = table[:, 0].copy()
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
         raise InputError(f"{path}: time does not increase after {time[row]:g} s")
@@ -294,19 +295,6 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     qd = table[:, 2::3]
     tau = table[:, 3::3]
     return DamiaoTrajectory(path, tuple(joints), time, q, qd, tau)
-
-
-def _numbers(line: str, width: int, path: Path, number: int) -> list[float]:
-    """Return the ``width`` numbers in a line of a file; text after a # is left out.
-
-    InputError names the file's ``path`` and the ``number`` of the line.
-    """
-    with contextlib.suppress(ValueError):
-        row = [float(cell) for cell in line.partition("#")[0].split(",")]
-        # Python takes 1_0 for 10.
-        if len(row) == width and "_" not in line and math.isfinite(sum(row)):
-            return row
-    raise InputError(f"{path}, line {number}: expected {width} finite numbers")
 
 
 def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:

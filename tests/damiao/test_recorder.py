@@ -36,9 +36,8 @@ def recorder_for(path, types=("DM4340",), overwrite=False):
         registers.append({number: values[number] for number in REQUIRED})
     settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
     head = recording_header(joints, registers, settings, "swing.csv")
-    labels = [f"j{j}" for j in range(len(joints))]
     arguments = Aside(threaded=False), Centring(settings.period), overwrite
-    return MeasurementRecorder(path, head, labels, *arguments)
+    return MeasurementRecorder(path, head, len(joints), *arguments)
 
 
 @given(

@@ -230,7 +230,9 @@ def test_a_load_is_judged_from_twice_the_torque_that_friction_hides(loads, is_ju
     """In units of that torque: below, a joint that carries nothing is no fault."""
     joints = (DamiaoJoint("DM4310", 1, 0x11, "elbow"),)
     torque = loads * torque_doubt(joints)
-    check = HoldingCheck(joints, lambda q: torque, 0.0, "the model needs")
+    check = HoldingCheck(
+        joints, lambda q: torque, torque_doubt(joints), "the model needs"
+    )
     q = np.zeros(1)
     assert check.unverified_joints(q) == ([] if is_judged else list(joints))
     check(q, torque)

@@ -7,7 +7,7 @@ import pytest
 
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand
-from robot_sysid.damiao.references import HoldingCheck
+from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.guards import NO_STATUS
 from robot_sysid.damiao.safety.observer import Observer
 from robot_sysid.damiao.settings import PlaySettings
@@ -25,7 +25,9 @@ def gravity(q):
     return LOAD * np.cos(q)
 
 
-HOLDING = HoldingCheck(JOINTS, gravity, 0.0, "the model needs", is_model=True)
+HOLDING = HoldingCheck(
+    JOINTS, gravity, torque_doubt(JOINTS), "the model needs", is_model=True
+)
 
 
 def complete_settings(**settings):
