@@ -27,7 +27,7 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     encode_mit,
 )
-from robot_sysid.damiao.references import FileHolding
+from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.settings import Plan, PlaySettings, RecordingOptions
 from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
 from robot_sysid.damiao.trajectory import (
@@ -92,7 +92,7 @@ def _ignore(message: object) -> None:
 def play(link: GuardedLink, plan: Plan):
     """Inspect the motors and play a plan on them."""
     inspection = inspect_bus(link)
-    holding = FileHolding(plan.trajectory)
+    holding = file_holding(plan.trajectory)
     return run(link, plan, inspection, StopRequest(), _ignore, _ignore, holding)
 
 

@@ -34,10 +34,10 @@ FACTORS = {
     SCALE: {"base": 1.3, "elbow": 1.2, "wrist": 1.1},
     CONSTANTS: {"base": 0.1},
 }
-MAP = """joint,bus,can_id,master_id,direction,offset
-base,can0,1,0x11,+1,0.0
-elbow,can0,2,0x12,-1,0.785
-wrist,can1,3,19,1,
+MAP = """joint,can_id,master_id,direction,offset
+base,1,0x11,+1,0.0
+elbow,2,0x12,-1,0.785
+wrist,3,19,1,
 """
 
 

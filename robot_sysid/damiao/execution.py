@@ -27,8 +27,8 @@ from robot_sysid.damiao.player import Player, PlayReport, StopRequest
 from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, refuse_harmful
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.references import (
-    FileHolding,
     HoldingCheck,
+    file_holding,
     trajectory_reference,
 )
 from robot_sysid.damiao.session import MotorSession
@@ -128,7 +128,7 @@ class MotorRun:
         path = self.values.get("joint_map")
         if path is not None:
             rows = read_joint_map(Path(path))
-            return map_joints(joints, rows, self.address.channel, names)
+            return map_joints(joints, rows, names)
         if not names:
             return tuple(joints)
         return tuple(replace(joint, name=name) for joint, name in zip(joints, names))
@@ -181,7 +181,7 @@ class MotorRun:
     def holding(self, plan: Plan) -> HoldingCheck:
         """Return the check of holding torques against those of the model, or else of the file."""
         if self.robot is None:
-            return FileHolding(plan.trajectory)
+            return file_holding(plan.trajectory)
         from robot_sysid.damiao.model_check import gravity_check
 
         return gravity_check(self.robot, plan.trajectory.joints)

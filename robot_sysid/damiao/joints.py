@@ -16,9 +16,9 @@ Quantities of motors appear only in this module and in frames; all other code is
 A joint map is a small CSV file; only the columns ``joint``, ``can_id`` and ``direction`` are
 required::
 
-    joint,bus,can_id,master_id,direction,offset,verified
-    shoulder,can0,1,0x11,+1,0.0,hand
-    elbow,can0,2,0x12,-1,0.785,
+    joint,can_id,master_id,direction,offset,verified
+    shoulder,1,0x11,+1,0.0,hand
+    elbow,2,0x12,-1,0.785,
 
 ``verified`` is ``hand`` where somebody turned the joint by hand and saw that this motor turned with
 it in this direction, else empty.
@@ -140,7 +140,6 @@ class DamiaoJoint:
         can_id: CAN id of frames to the motor, 1 to 15.
         master_id: CAN id of frames from the motor.
         name: name of the joint in the model, or "".
-        bus: name of the motor's bus in a joint map, or "".
         direction: 1, or -1 where the motor turns opposite to the joint.
         offset: position of the motor where the joint is at zero [rad].
         verified: how the mounting was verified: ``BY_HAND``, or "" where it was not.
@@ -150,7 +149,6 @@ class DamiaoJoint:
     can_id: int
     master_id: int
     name: str = ""
-    bus: str = ""
     direction: int = 1
     offset: float = 0.0
     verified: str = ""
@@ -274,7 +272,7 @@ class Mounting:
         return middle - pmax, middle + pmax
 
 
-_COLUMNS = ["joint", "bus", "can_id", "master_id", "direction", "offset", "verified"]
+_COLUMNS = ["joint", "can_id", "master_id", "direction", "offset", "verified"]
 """All columns of a joint map file, in the order in which they are written."""
 _REQUIRED_COLUMNS = ("joint", "can_id", "direction")
 """Columns without which a joint map file is refused."""
@@ -307,10 +305,8 @@ def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
     for name, count in Counter(row.name for row in rows).items():
         if count > 1:
             raise InputError(f"{path} names {name} twice")
-    for bus in dict.fromkeys(row.bus for row in rows):
-        ids = [(row.can_id, row.master_id) for row in rows if row.bus == bus]
-        for problem in id_problems(ids):
-            raise InputError(f"{path}: {problem}")
+    for problem in id_problems([(row.can_id, row.master_id) for row in rows]):
+        raise InputError(f"{path}: {problem}")
     return tuple(rows)
 
 
@@ -318,7 +314,7 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
     """Write joints to a joint map file in the CSV format of this module, one row per joint."""
     lines = [",".join(_COLUMNS)]
     for row in rows:
-        ids = f"{row.name},{row.bus},{row.can_id},{row.master_id:#x}"
+        ids = f"{row.name},{row.can_id},{row.master_id:#x}"
         lines.append(f"{ids},{row.direction:+d},{row.offset:.4f},{row.verified}")
     write_atomically(path, "\n".join(lines) + "\n")
 
@@ -326,7 +322,6 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
 def map_joints(
     joints: Sequence[DamiaoJoint],
     rows: Sequence[DamiaoJoint],
-    bus: str | None,
     names: Sequence[str] = (),
 ) -> tuple[DamiaoJoint, ...]:
     """Return the joints of a trajectory, base to terminal, with ids and mounting of a joint map.
@@ -334,11 +329,10 @@ def map_joints(
     Args:
         joints: joints of the trajectory, base to terminal; only their motor types are used.
         rows: joints of the map; without ``names`` one per joint, in the order of ``joints``.
-        bus: name of the open bus; None where none is opened.
         names: joint names of the model, base to terminal, which select rows of the map by name.
 
     Raises:
-        InputError: the map does not cover the joints, or has them on another bus or on several.
+        InputError: the map does not cover the joints.
     """
     row_by_name = {row.name: row for row in rows}
     for name in names:
@@ -351,18 +345,6 @@ def map_joints(
         raise InputError(
             f"joints of the joint map: {len(selected)}, of the trajectory: {len(joints)}; give one "
             "line per joint, base to terminal, or --model to choose them by name"
-        )
-    if len({row.bus for row in selected}) > 1:
-        raise InputError(
-            "the joint map has these joints on several buses; play one bus"
-        )
-    # With one bus, the name in the map is ignored, because the system may have renamed the adapter;
-    # with several it must match, so that the motion of one arm is never played on the other.
-    map_bus = selected[0].bus
-    has_several_buses = len({row.bus for row in rows}) > 1
-    if has_several_buses and bus is not None and map_bus not in ("", bus):
-        raise InputError(
-            f"the joint map puts {selected[0].name} on {map_bus}; open it with --channel {map_bus}"
         )
     mounted = []
     for joint, row in zip(joints, selected):
@@ -386,7 +368,6 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
             can_id=can_id,
             master_id=int(cells.get("master_id") or str(can_id + MASTER_ID_OFFSET), 0),
             name=cells["joint"],
-            bus=cells.get("bus", ""),
             direction=int(cells["direction"]),
             offset=float(cells.get("offset") or 0.0),
             verified=cells.get("verified", ""),
@@ -397,6 +378,6 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
     except ValueError:
         pass
     raise InputError(
-        f"{where}: expected a row as elbow,can0,2,0x12,-1,0,{BY_HAND}: name, bus, ids, "
+        f"{where}: expected a row as elbow,2,0x12,-1,0,{BY_HAND}: name, ids, "
         f"direction +1 or -1, offset, verified {BY_HAND} or nothing"
     )

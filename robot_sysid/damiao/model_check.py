@@ -169,6 +169,5 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
         holding_torque,
         torque_doubt(joints) + robot.friction.largest_dry,
         source=f"the model {robot.path.name} needs",
-        is_model=True,
         watch=partial(MovedZeroCheck, robot, joints),
     )

@@ -203,7 +203,13 @@ the joint), or None.
 """
 
 
-@dataclass
+_NEAR = 0.1
+"""Distance from a pose in which its torque holds the arm [rad]: 2 N m at 20 N m/rad."""
+_GENTLE = 0.5
+"""Acceleration below which a torque is that at rest [rad/s^2]: 1 N m at 2 kg m^2."""
+
+
+@dataclass(frozen=True)
 class HoldingCheck:
     """Compares the torques that hold an arm still with the expected ones.
 
@@ -212,16 +218,25 @@ class HoldingCheck:
         torque: returns the torque (n,) [N m] that should hold the arm in a pose (n,) [rad].
         doubt: torque (n,) that friction alone may explain [N m].
         source: begin of the phrase that states the expected torque: "the model arm.xml needs".
-        is_model: whether a model of the arm gives the expected torque in every pose.
         watch: returns a new check of the motion of one run; None where there is none.
+        pose: pose (n,) [rad] near which the torque is known; None where in every pose.
+        is_at_rest: whether the torque is that of an arm at rest.
+        carries_arm: whether the torque may carry an arm that has weight.
     """
 
     joints: Sequence[DamiaoJoint]
     torque: Callable[[Array], Array]
     doubt: Array
     source: str
-    is_model: bool = False
     watch: Callable[[], MotionCheck] | None = None
+    pose: Array | None = None
+    is_at_rest: bool = True
+    carries_arm: bool = True
+
+    @property
+    def is_model(self) -> bool:
+        """Whether a model of the arm gives the expected torque in every pose."""
+        return self.pose is None
 
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) [rad] does not show how they turn."""
@@ -232,16 +247,26 @@ class HoldingCheck:
     def __call__(self, q: Array, tau: Array) -> None:
         """Compare the torques tau (n,) [N m] of an arm that is held still at q (n,) [rad].
 
-        HardwareAbort where a joint has a torque opposite to the expected one, or far less of it. A
-        joint is only judged where more torque is expected than friction may explain.
+        HardwareAbort where a joint has a torque opposite to the expected one, or far less of it,
+        and where one is loaded although the expected torque never carries an arm. A joint is only
+        judged where more torque is expected than friction may explain.
         """
+        if self.pose is not None and np.any(np.abs(q - self.pose) > _NEAR):
+            return
+        is_loaded = np.abs(tau) > _LOADED * self.doubt
+        if not self.carries_arm:
+            for j in np.flatnonzero(is_loaded).tolist():
+                raise HardwareAbort(
+                    f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N m, and the "
+                    "trajectory never feeds forward what carries an arm: its torque lacks gravity"
+                )
         expected = self.torque(q)
         size = np.abs(expected)
         # Torque in the direction of the expected one.
         along = np.sign(expected) * tau
-        is_opposite = (size > self.doubt) & (along < -self.doubt)
-        is_missing = (size > _LOADED * self.doubt) & (along < _BARE * self.doubt)
-        for j in np.flatnonzero(is_opposite | is_missing).tolist():
+        is_wrong = (size > self.doubt) & (along < -self.doubt)
+        is_wrong |= (size > _LOADED * self.doubt) & (along < _BARE * self.doubt)
+        for j in np.flatnonzero(is_wrong & self.is_at_rest).tolist():
             raise HardwareAbort(
                 f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N m but {self.source} "
                 f"{expected[j]:.1f} N m in this pose: a motor turns the other way than its joint, "
@@ -249,51 +274,28 @@ class HoldingCheck:
             )
 
 
-_NEAR = 0.1
-"""Distance from the first point in which its torque holds the arm [rad]: 2 N m at 20 N m/rad."""
-_GENTLE = 0.5
-"""Acceleration below which a torque is that at rest [rad/s^2]: 1 N m at 2 kg m^2."""
-
-
-class FileHolding(HoldingCheck):
-    """Holding torques of an arm near a trajectory's first point, from the trajectory's own torque.
+def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
+    """Return the check of an arm near a trajectory's first point, by the trajectory's own torque.
 
     The expected torque is the feed-forward torque of the row with the least acceleration near the
     first point. Where this row still accelerates, nothing is compared. A trajectory whose torque
     never exceeds any joint's doubt cannot carry an arm that has weight.
     """
-
-    def __init__(self, trajectory: DamiaoTrajectory) -> None:
-        q = trajectory.q
-        is_near = np.all(np.abs(q - q[0]) <= _NEAR, axis=1)
-        acceleration = np.max(np.abs(trajectory.qdd), axis=1)
-        row = int(np.argmin(np.where(is_near, acceleration, np.inf)))
-        torque = trajectory.tau[row]
-        doubt = torque_doubt(trajectory.joints)
-        source = "the trajectory feeds forward"
-        super().__init__(trajectory.joints, lambda q: torque, doubt, source)
-        self._is_at_rest = acceleration[row] < _GENTLE
-        self._first = q[0]
-        self._carries_arm = bool(np.any(np.abs(trajectory.tau) > doubt))
-
-    def __call__(self, q: Array, tau: Array) -> None:
-        """Compare the torques tau (n,) [N m] of an arm that is held still at q (n,) [rad].
-
-        HardwareAbort where a joint has a torque opposite to the fed-forward one, or far less of it,
-        and where a joint is loaded although the trajectory never feeds forward enough to carry an
-        arm. More than 0.1 rad from the first point nothing is compared.
-        """
-        if np.any(np.abs(q - self._first) > _NEAR):
-            return
-        if not self._carries_arm:
-            is_loaded = np.abs(tau) > _LOADED * self.doubt
-            for j in np.flatnonzero(is_loaded).tolist():
-                raise HardwareAbort(
-                    f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N m, and the "
-                    "trajectory never feeds forward what carries an arm: its torque lacks gravity"
-                )
-        if self._is_at_rest:
-            super().__call__(q, tau)
+    q = trajectory.q
+    is_near = np.all(np.abs(q - q[0]) <= _NEAR, axis=1)
+    acceleration = np.max(np.abs(trajectory.qdd), axis=1)
+    row = int(np.argmin(np.where(is_near, acceleration, np.inf)))
+    torque = trajectory.tau[row]
+    doubt = torque_doubt(trajectory.joints)
+    return HoldingCheck(
+        trajectory.joints,
+        lambda q: torque,
+        doubt,
+        source="the trajectory feeds forward",
+        pose=q[0],
+        is_at_rest=bool(acceleration[row] < _GENTLE),
+        carries_arm=bool(np.any(np.abs(trajectory.tau) > doubt)),
+    )
 
 
 _RELIEF_TIME = 0.3

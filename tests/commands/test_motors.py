@@ -76,7 +76,7 @@ def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
     out = succeed(capsys, "check", trajectory, *CAN0)
     assert "ready to play" in out
     assert re.search(
-        r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms +40 +31/29 +status 0", out
+        r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms .* 31/29 +status 0", out
     )
     assert only_asks(bus.wire.sent)
     assert [m.status for m in bus.motors] == [DISABLED] * 2
@@ -283,21 +283,11 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
     assert np.all(np.isfinite(recording.joint_values("pos")))
 
 
-def test_a_map_of_joints_on_two_buses_is_refused(capsys, trajectory, tmp_path):
-    path = tmp_path / "map.csv"
-    rows = [map_line(f"joint{k}", f"can{k}", 1, 0x11) for k in range(2)]
-    write_joint_map(path, rows)
-    err = fail(capsys, 2, "check", trajectory, "--joint-map", path)
-    assert "has these joints on several buses" in err
-
-
 def test_a_map_names_the_joints_in_what_is_said_about_motors(
     capsys, bus, trajectory, tmp_path
 ):
     table = tmp_path / "map.csv"
-    write_joint_map(
-        table, [map_line("hip", "", 1, 0x11), map_line("knee", "", 2, 0x12)]
-    )
+    write_joint_map(table, [map_line("hip", 1, 0x11), map_line("knee", 2, 0x12)])
     fault("watchdog", 1, 0.0)(bus)
     code, out, _ = run(capsys, "check", trajectory, *CAN0, "--joint-map", table)
     assert code == 1 and "[STOP] motor 2 (joint knee) has no watchdog" in out

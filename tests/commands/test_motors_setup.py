@@ -148,8 +148,8 @@ def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
 
 def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
     bus.arm.mechanism.q[:] = [0.25, -0.5]
-    out = succeed(capsys, "monitor", *CAN0, "--for", "1")
-    assert out.count("motor 1 ") == 5 and " 0.250 " in out and "-0.500" in out
+    out = succeed(capsys, "monitor", *CAN0, "--for", "1", "--every", "0.3")
+    assert out.count("0x11") == 4 and " 0.250 " in out and "-0.500" in out
     assert only_asks(bus.wire.sent)
 
 

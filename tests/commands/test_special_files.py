@@ -111,7 +111,7 @@ def files(tmp_path_factory):
     rows = np.column_stack((measured.time, measured.q, measured.tau))
     log_files.write(folder / "log.csv", rows)
     names = load_robot_model(folder / "two.xml").joint_names
-    rows = [map_line(joint, "", k, 0x10 + k) for k, joint in enumerate(names, start=1)]
+    rows = [map_line(joint, k, 0x10 + k) for k, joint in enumerate(names, start=1)]
     write_joint_map(folder / "map.csv", rows)
     path = trajectory_file(folder, swing(2, duration=0.5, amplitude=0.05)).path
     path.rename(folder / "motion.csv")

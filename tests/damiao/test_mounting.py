@@ -14,7 +14,7 @@ from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.preflight import bus_checks, stops
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, TIMEOUT
-from robot_sysid.damiao.references import FileHolding
+from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
 from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing, trajectory_file
@@ -142,21 +142,13 @@ def test_the_recording_of_the_example_gives_the_true_link_back(monkeypatch):
 
 def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
     joints = damiao_joints(["DM4340"] * 2, 2)
-    rows = [map_line("a", "", 1, 17, 1), map_line("b", "", 2, 18, -1)]
-    assert [j.direction for j in map_joints(joints, rows, "can0")] == [1, -1]
-    assert [j.name for j in map_joints(joints, rows, "can0", ["b", "a"])] == ["b", "a"]
+    rows = [map_line("a", 1, 17, 1), map_line("b", 2, 18, -1)]
+    assert [j.direction for j in map_joints(joints, rows)] == [1, -1]
+    assert [j.name for j in map_joints(joints, rows, ["b", "a"])] == ["b", "a"]
     with pytest.raises(InputError, match="no line for c; it has a, b"):
-        map_joints(joints, rows, "can0", ["a", "c"])
+        map_joints(joints, rows, ["a", "c"])
     with pytest.raises(InputError, match="joint map: 2, of the trajectory: 1;"):
-        map_joints(joints[:1], rows, "can0")
-    far = [replace(row, bus="can7") for row in rows]
-    # One adapter may have got another name since.
-    assert len(map_joints(joints, far, "can0")) == 2
-    both = [*far, map_line("c", "can1", 1, 17, 1), map_line("d", "can1", 2, 18, 1)]
-    with pytest.raises(InputError, match="open it with --channel can7"):
-        map_joints(joints, both, "can0", ["a", "b"])
-    with pytest.raises(InputError, match="on several buses"):
-        map_joints(joints, both, "can7", ["a", "c"])
+        map_joints(joints[:1], rows)
 
 
 def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):
@@ -188,7 +180,7 @@ def test_without_a_model_the_file_says_what_holds_the_arm(tmp_path, bend, held):
     qdd = 1.5 * bend(3 * np.pi * time)[:, None]
     qd = np.vstack([[[0.0]], np.cumsum(0.5 * (qdd[1:] + qdd[:-1]), axis=0)]) / 50
     q = np.vstack([[[0.0]], np.cumsum(0.5 * (qd[1:] + qd[:-1]), axis=0)]) / 50
-    check = FileHolding(trajectory_file(tmp_path, (time, q, qd, 5.0 - 8.0 * qdd)))
+    check = file_holding(trajectory_file(tmp_path, (time, q, qd, 5.0 - 8.0 * qdd)))
     check(q[0] + 0.2, np.array([0.1]))
     check(q[0], np.array([held or -5.0]))
     with (

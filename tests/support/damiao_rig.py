@@ -14,7 +14,7 @@ from robot_sysid.damiao.execution import MotorRun, run
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import bus_checks
-from robot_sysid.damiao.references import FileHolding
+from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.settings import (
     Permissions,
     Plan,
@@ -147,9 +147,9 @@ def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
     return time, q, qd, INERTIA * qdd + GRAVITY * np.sin(q)
 
 
-def map_line(name, bus, can_id, master_id, *mounted):
+def map_line(name, can_id, master_id, *mounted):
     """A line of a joint map."""
-    return DamiaoJoint("", can_id, master_id, name, bus, *mounted)
+    return DamiaoJoint("", can_id, master_id, name, *mounted)
 
 
 @cache
@@ -283,7 +283,7 @@ class Rig:
     def run(self, settle=0.5):
         """Inspect, play, record; keep error or report; then let the arm be for a while."""
         inspection = inspect_bus(self.link)
-        others = self._phase, lambda time: None, FileHolding(self.plan.trajectory)
+        others = self._phase, lambda time: None, file_holding(self.plan.trajectory)
         try:
             self.checks = bus_checks(self.plan, inspection)
             self.plan.recording.require_free()

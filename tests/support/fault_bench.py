@@ -23,7 +23,7 @@ from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.references import FileHolding
+from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.damiao.trajectory import (
@@ -348,7 +348,7 @@ class BenchRun:
 
     def _played(self):
         guarded = GuardedLink(self.link, self.clock, self.setup.timing.fd)
-        holding = FileHolding(self.plan.trajectory)
+        holding = file_holding(self.plan.trajectory)
         if self.setup.model_is_given:
             robot = robot_of(self.setup.belief)
             holding = gravity_check(robot, self.plan.trajectory.joints)

@@ -76,7 +76,7 @@ def check(session: Session) -> int:
             rate = record_from(PlaySettings, session.values).rate
             checks += preflight.general_checks(inspection, rate, session.timing)
         joints = plan.trajectory.joints if plan else ()
-        console.stage(*motor_table(inspection, joints))
+        console.stage(*motor_table(inspection.motors.values(), joints))
     console.stage(*check_lines(checks))
     faults = len(preflight.stops(checks))
     if faults:
@@ -307,7 +307,7 @@ def _play_on(
     console = session.console
     inspection = inspect_bus(link)
     checks = [*checks, *session.inspection_checks(plan, inspection, real=is_real)]
-    table = motor_table(inspection, plan.trajectory.joints)
+    table = motor_table(inspection.motors.values(), plan.trajectory.joints)
     console.stage(*table, *check_lines(checks))
     preflight.require_no_stop(checks, "not played")
     session.require_free(plan)

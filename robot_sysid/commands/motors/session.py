@@ -12,11 +12,10 @@ import numpy as np
 from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.adapters import BusAddress
-from robot_sysid.damiao.bus import InspectedMotor, Inspection
+from robot_sysid.damiao.bus import InspectedMotor
 from robot_sysid.damiao.execution import MotorRun
 from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
 from robot_sysid.damiao.player import PlayReport
-from robot_sysid.damiao.protocol import Feedback
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.errors import InputError
 from robot_sysid.model import PosedModelOptions
@@ -95,43 +94,48 @@ class Session(MotorRun):
         return (*arguments, *command_arguments(values, *_RECORDS))
 
 
-# Headings of ``motor_table``, of which ``_motor_row`` makes the rows.
 _HEADINGS = (
-    *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog", "gear"),
-    *("degC", "state"),
+    *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog"),
+    *("rad", "rad/s", "N m", "degC", "state"),
 )
 
 
 def motor_table(
-    inspection: Inspection, joints: Sequence[DamiaoJoint] = ()
+    motors: Iterable[InspectedMotor], joints: Sequence[DamiaoJoint] = ()
 ) -> list[str]:
-    """Return the lines of a table of the inspected motors: headings, then one row per motor.
+    """Return the lines of a table of inspected motors: headings, then one row per motor.
 
-    Args:
-        inspection: answers of the motors.
-        joints: joints of the trajectory, with whose motor types the motors are compared.
+    ``joints`` are those of the trajectory, with whose motor types the motors are compared.
     """
     joint_by_id = {joint.can_id: joint for joint in joints}
     rows: list[tuple[str, ...]] = [_HEADINGS]
-    for can_id, motor in inspection.motors.items():
-        rows.append(_motor_row(motor, joint_by_id.get(can_id)))
-    return aligned_lines(rows)
-
-
-def state_table(states: Iterable[tuple[InspectedMotor, Feedback | None]]) -> list[str]:
-    """Return the lines of a table: headings, then position, velocity, torque and state per motor.
-
-    ``states`` are pairs of a motor and its feedback, which is None where the motor did not answer.
-    """
-    rows: list[tuple[str, ...]] = [
-        ("motor", "position", "velocity", "torque", "degC", "state")
-    ]
-    for motor, state in states:
-        cells = ["?"] * 3
+    for motor in motors:
+        registers = motor.registers
+        mode = int(registers.get(protocol.CTRL_MODE, 0))
+        replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
+        if len(motor.reply_ids) != 1:
+            replies += f" (x{len(motor.reply_ids)})"
+        watchdog = 1e3 * protocol.TIMEOUT_UNIT * registers.get(protocol.TIMEOUT, 0.0)
+        measured, heat, status = ["?"] * 3, "?", "does not tell"
+        state = motor.feedback
         if state is not None:
-            measured = state.position, state.velocity, state.torque
-            cells = [f"{values[0]:8.3f}" for values in measured]
-        rows.append((motor.name, *cells, *_heat_and_status(state)))
+            signals = state.position, state.velocity, state.torque
+            measured = [f"{values[0]:.3f}" for values in signals]
+            heat = f"{state.temperature_mos[0]}/{state.temperature_rotor[0]}"
+            status = protocol.status_text(int(state.status[0]))
+        rows.append(
+            (
+                str(motor.can_id),
+                replies,
+                protocol.MODES.get(mode, "?"),
+                *(f"{value or np.nan:g}" for value in motor.limits),
+                _type_name(motor.limits, joint_by_id.get(motor.can_id)),
+                f"{watchdog:g} ms",
+                *measured,
+                heat,
+                status,
+            )
+        )
     return aligned_lines(rows)
 
 
@@ -153,37 +157,6 @@ def run_lines(report: PlayReport) -> Iterator[str]:
     if np.any(report.missed):
         missed = ", ".join(str(count) for count in report.missed)
         yield f"unanswered commands per joint: {missed}"
-
-
-def _motor_row(motor: InspectedMotor, joint: DamiaoJoint | None) -> tuple[str, ...]:
-    """Return a motor's cells for ``motor_table``; ``joint`` is the one that it should drive."""
-    registers = motor.registers
-    mode = int(registers.get(protocol.CTRL_MODE, 0))
-    replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
-    if len(motor.reply_ids) != 1:
-        replies += f" (x{len(motor.reply_ids)})"
-    watchdog = registers.get(protocol.TIMEOUT, 0.0)
-    return (
-        str(motor.can_id),
-        replies,
-        protocol.MODES.get(mode, "?"),
-        *(f"{value or np.nan:g}" for value in motor.limits),
-        _type_name(motor.limits, joint),
-        f"{1e3 * watchdog * protocol.TIMEOUT_UNIT:g} ms",
-        f"{registers.get(protocol.GR, np.nan):g}",
-        *_heat_and_status(motor.feedback),
-    )
-
-
-def _heat_and_status(feedback: Feedback | None) -> tuple[str, str]:
-    """Return the texts of a motor's two temperatures [deg C] and of its status.
-
-    Without any feedback they say that both are unknown.
-    """
-    if feedback is None:
-        return "?", "does not tell"
-    heat = f"{feedback.temperature_mos[0]}/{feedback.temperature_rotor[0]}"
-    return heat, protocol.status_text(int(feedback.status[0]))
 
 
 def _type_name(limits: tuple[float, ...], joint: DamiaoJoint | None) -> str:

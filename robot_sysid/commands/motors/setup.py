@@ -8,11 +8,11 @@ motors does any of this.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
-from robot_sysid.commands.motors.session import Session, motor_table, state_table
+from robot_sysid.commands.motors.session import Session, motor_table
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import (
     GuardedLink,
@@ -83,7 +83,7 @@ class MonitorOptions(OptionRecord):
         None, "end after this time", "S [s] > 0", flag="--for", default_text="Ctrl-C"
     )
 
-    interval: float = option(0.2, "time between two looks", "S [s] > 0", flag="--every")
+    interval: float = option(1.0, "time between two looks", "S [s] > 0", flag="--every")
 
 
 class MotorSetup:
@@ -193,7 +193,7 @@ def setup(session: Session) -> int:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     with session.open_guarded(refuse_motion) as link:
         inspection = inspect_bus(link)
-        session.console.stage(*motor_table(inspection))
+        session.console.stage(*motor_table(inspection.motors.values()))
         if changes:
             motor = _motor_to_change(inspection, options)
             for line in MotorSetup(link, motor).apply(options):
@@ -252,29 +252,17 @@ def monitor(session: Session) -> int:
 
     It ends with Ctrl-C or after the lifetime of the options. The code is 1 if no motor answers.
     """
+    options = record_from(MonitorOptions, session.values)
     with session.open_guarded(refuse_motion) as link:
         motors = list(inspect_bus(link).motors.values())
         if not motors:
             return _conclude_listing(session, count=0)
+        clock = link.clock
+        client = RegisterClient(link)
+        end = clock.now() + (options.lifetime or float("inf"))
         with contextlib.suppress(KeyboardInterrupt):
-            _print_states(link, motors, session)
+            while clock.now() < end:
+                motors = [replace(m, feedback=client.state_of(m)) for m in motors]
+                session.console.stage(*motor_table(motors))
+                clock.sleep_until(clock.now() + options.interval)
     return 0
-
-
-def _print_states(
-    link: GuardedLink, motors: Sequence[InspectedMotor], session: Session
-) -> None:
-    """Print a table of motors' states at every interval, each over the last one."""
-    options = record_from(MonitorOptions, session.values)
-    client = RegisterClient(link)
-    clock = link.clock
-    end = clock.now() + (options.lifetime or float("inf"))
-    while True:
-        states = [(motor, client.state_of(motor)) for motor in motors]
-        lines = state_table(states)
-        session.console.stage(*lines)
-        following = clock.now() + options.interval
-        if following > end:
-            return
-        clock.sleep_until(following)
-        session.console.move_up(len(lines))

@@ -25,9 +25,7 @@ def gravity(q):
     return LOAD * np.cos(q)
 
 
-HOLDING = HoldingCheck(
-    JOINTS, gravity, torque_doubt(JOINTS), "the model needs", is_model=True
-)
+HOLDING = HoldingCheck(JOINTS, gravity, torque_doubt(JOINTS), "the model needs")
 
 
 def complete_settings(**settings):
