@@ -149,8 +149,14 @@ class Result(record.Result):
                 "a self-test has no torques to draw: all are the model's own"
             )
         traces = self.traces()
-        figure, grid = _axes(len(traces.joints))
-        axes = grid[:, 0]
+        try:
+            from matplotlib.figure import Figure
+        except ImportError:
+            hint = install_hint("matplotlib", "report")
+            raise InputError(f"plot() {hint}") from None
+        count = len(traces.joints)
+        figure = Figure(figsize=(8.0, 1.6 * count + 0.6), layout="constrained")
+        axes = figure.subplots(count, sharex=True, squeeze=False)[:, 0]
         # Blue and orange of Okabe and Ito, safe for colour-blind readers.
         dots: Any = {"ls": "none", "marker": ".", "ms": 2, "color": "#0072B2"}
         line: Any = {"lw": 1, "color": "#D55E00"}
@@ -170,23 +176,6 @@ class Result(record.Result):
         usable = "usable" if self.trustworthy else "only for torques"
         usable = f"not to be used: {self.failure}" if self.failure else usable
         return f"<Result {self.body.name} of {self.robot.path.name}: {mass}, {usable}>"
-
-
-_DRAWN_RATE = 100.0
-"""Samples per second of a drawn motion, whose fastest swing takes a second [Hz]."""
-
-
-def _axes(rows: int, columns: int = 1) -> tuple[Any, Any]:
-    """Return a matplotlib Figure and its axes (rows, columns), which share the time axis.
-
-    InputError if matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError(f"plot() {install_hint('matplotlib', 'report')}") from None
-    figure = Figure(figsize=(8.0, 1.6 * rows + 0.6), layout="constrained")
-    return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
 
 
 @dataclass(frozen=True, repr=False)
@@ -245,33 +234,6 @@ class PlanResult:
             return draft_plan(
                 files, config.plan_file, self.robot, self.checked.plan, rate
             )
-
-    def plot(self) -> Any:
-        """Return a matplotlib Figure: position, speed and acceleration of each joint over time,
-        with the limits of positions and speeds [rad, rad/s, rad/s^2; m of slides].
-
-        Raises:
-            InputError: matplotlib is not installed.
-        """
-        motion = self.sampled(_DRAWN_RATE)
-        limits = self.robot.limits
-        bounds = (limits.lower, limits.upper), (-limits.velocity, limits.velocity)
-        figure, axes = _axes(self.robot.n_joints, columns=3)
-        for joint, row in enumerate(axes):
-            for axis, values in zip(row, (motion.q, motion.qd, motion.qdd)):
-                axis.plot(motion.time, values[:, joint], lw=1, color="#0072B2")
-            for axis, pair in zip(row, bounds):
-                limit_pair = np.array([pair[0][joint], pair[1][joint]])
-                for limit in limit_pair[np.isfinite(limit_pair)].tolist():
-                    axis.axhline(limit, lw=1, ls="--", color="#D55E00")
-            unit = "m" if self.robot.is_slide[joint] else "rad"
-            row[0].set_ylabel(f"{self.robot.joint_names[joint]} [{unit}]")
-        titles = ("position", "speed, per s", "acceleration, per s²")
-        for axis, title in zip(axes[0], titles):
-            axis.set_title(title, fontsize="medium")
-        for axis in axes[-1]:
-            axis.set_xlabel("time [s]")
-        return figure
 
     def __str__(self) -> str:
         return "\n".join(self.prediction)
