@@ -26,8 +26,8 @@ from robot_sysid.results.lines import (
     folder_text,
     more_lines,
 )
-from robot_sysid.results.next_steps import last_lines
 from robot_sysid.results.record import ModelTarget, Result, Verdict
+from robot_sysid.results.verdict import last_lines
 from robot_sysid.results.written_model import write_model
 
 if TYPE_CHECKING:

@@ -1,23 +1,13 @@
-"""What to do after a command: the file to use, and one command for each state that needs another.
-
-Nothing is suggested after a result that may be used, because what another recording would show is
-not known before it is planned.
-"""
+"""What to do after a command: a sentence and one command for each state that needs another."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Union
 
-from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.motion import PAYLOAD_ORDER
-from robot_sysid.records import ITSELF
-from robot_sysid.records.file_access import CARD_NAME, models_in
 from robot_sysid.records.messages import NextStep
-from robot_sysid.results.content import Content
-from robot_sysid.results.verdict import verdict_line
 
 _WEIGHED = (
     "payload {model} --empty {folder}/empty.csv {folder}/empty_again.csv --loaded "
@@ -80,42 +70,3 @@ def step_after(state: str, **words: Words) -> NextStep:
         filled = part.format(**words)
         command.append(str(Path(filled)) if "{folder}" in part else filled)
     return NextStep(sentence.format(**words), tuple(command))
-
-
-def use_lines(path: Path) -> tuple[str, str, str]:
-    """Return which model file to use, which MuJoCo loads it, and a line of Python that does.
-
-    ``path`` is that of the written file, which has been compiled by the installed MuJoCo.
-    """
-    text = json.dumps(str(path), ensure_ascii=False)
-    return (
-        f"Use this file: {path}",
-        f"  mujoco.MjModel.from_xml_path({text})",
-        "It loads in every MuJoCo from 3.0 on that loads your model (checked with "
-        f"{MUJOCO_VERSION})",
-    )
-
-
-def last_lines(
-    content: Content, files: Sequence[Path], step: NextStep | None
-) -> tuple[str, ...]:
-    """Return the last lines of the console: the verdict, which files to use, and the next step.
-
-    Args:
-        content: of params.json.
-        files: the written files, among them the model and a payload's card.
-        step: the next step, or None.
-    """
-    lines = [verdict_line(content)]
-    if content["failure"] is not None:
-        return tuple(lines)
-    # A self-test writes back what its model says already.
-    if content["source"] != ITSELF:
-        for path in models_in(files)[:1]:
-            lines += use_lines(path)
-    if content["payload"] is not None:
-        flange = content["payload"]["flange"]["name"]
-        start = f"Copy into the controller, in the frame of {flange}"
-        lines += [f"{start}: {path}" for path in files if path.name == CARD_NAME]
-    lines += step.lines() if step else ()
-    return tuple(lines)

@@ -1,15 +1,19 @@
-"""The verdict in one line: for console, report and params.json.
+"""The last lines: the verdict, which files to use, and the next step; also those of a plan.
 
-The line says whether to use the result, how much better it is than the model before, and what
-limits it. What to do next is in ``next_steps``.
+The verdict says in one line whether to use the result, how much better it is than the model before,
+and what limits it.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
+from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.records import ITSELF
-from robot_sysid.records.messages import percent
+from robot_sysid.records.file_access import CARD_NAME, models_in
+from robot_sysid.records.messages import NextStep, percent
 from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD, Verdict
 
@@ -120,3 +124,42 @@ def _improvements(content: Content) -> Iterator[str]:
     if share >= UNKNOWN:
         mass = f"the mass is not known (± {percent(share)})"
     yield f"{mass}, limited by {row['reason']}" if row["reason"] else mass
+
+
+def use_lines(path: Path) -> tuple[str, str, str]:
+    """Return which model file to use, which MuJoCo loads it, and a line of Python that does.
+
+    ``path`` is that of the written file, which has been compiled by the installed MuJoCo.
+    """
+    text = json.dumps(str(path), ensure_ascii=False)
+    return (
+        f"Use this file: {path}",
+        f"  mujoco.MjModel.from_xml_path({text})",
+        "It loads in every MuJoCo from 3.0 on that loads your model (checked with "
+        f"{MUJOCO_VERSION})",
+    )
+
+
+def last_lines(
+    content: Content, files: Sequence[Path], step: NextStep | None
+) -> tuple[str, ...]:
+    """Return the last lines of the console: the verdict, which files to use, and the next step.
+
+    Args:
+        content: of params.json.
+        files: the written files, among them the model and a payload's card.
+        step: the next step, or None.
+    """
+    lines = [verdict_line(content)]
+    if content["failure"] is not None:
+        return tuple(lines)
+    # A self-test writes back what its model says already.
+    if content["source"] != ITSELF:
+        for path in models_in(files)[:1]:
+            lines += use_lines(path)
+    if content["payload"] is not None:
+        flange = content["payload"]["flange"]["name"]
+        start = f"Copy into the controller, in the frame of {flange}"
+        lines += [f"{start}: {path}" for path in files if path.name == CARD_NAME]
+    lines += step.lines() if step else ()
+    return tuple(lines)

@@ -31,8 +31,8 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.lines import folder_text
-from robot_sysid.results.next_steps import use_lines
 from robot_sysid.results.record import ModelTarget
+from robot_sysid.results.verdict import use_lines
 from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo.commands import check_commands
 from robot_sysid.servo.fit import (

@@ -10,7 +10,8 @@ import pytest
 from robot_sysid.commands import identify, motors
 from robot_sysid.records.messages import NextStep
 from robot_sysid.results.content import content_of
-from robot_sysid.results.next_steps import STEPS, last_lines, step_after, use_lines
+from robot_sysid.results.next_steps import STEPS, step_after
+from robot_sysid.results.verdict import last_lines, use_lines
 from tests.support import results as made
 
 WORDS = {
