@@ -82,26 +82,23 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _write_columns_draft(error: SysidError) -> str:
-    """Write the columns file that an error suggests; one that exists is not replaced.
+    """Write the columns file that puts a log right; one that exists has the same text.
 
     Returns:
         The end of the message, which says what the file is; "" where there is none.
     """
-    if not isinstance(error, ColumnsError) or not error.draft:
+    if not isinstance(error, ColumnsError):
         return ""
-    text = "lists the columns: fill in its lines, then run"
-    if error.is_correction:
-        text = "has the columns put right: read it, and go on with it"
     try:
         with open(error.name, "x", encoding="utf-8") as file:
             file.write(error.draft)
     except FileExistsError:
-        text = "was there already and is not replaced; to use it, run"
+        pass
     except OSError:
         error.options = ()
         error.command_lines = ()
         return ""
-    return f". {error.name} {text}:"
+    return f". {error.name} has the columns put right: read it, and go on with it:"
 
 
 def _remedies(error: SysidError, name: str, arguments: Sequence[str]) -> Iterator[str]:

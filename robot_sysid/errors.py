@@ -4,7 +4,7 @@
 
     SysidError                 exit code 1: ran, but the result is not trustworthy
     ├── InputError             exit code 2: bad input or usage
-    │   ├── ColumnsError       it is not known which column of a log is what
+    │   ├── ColumnsError       columns of a log contradict the model
     │   └── ModelError         the model file cannot be used as it is
     │       └── AmbiguousJointError   several joints could be the terminal one
     ├── SimulationError        non-finite values while simulating
@@ -88,25 +88,17 @@ def prefix_input_errors(recording: str) -> Iterator[None]:
 
 
 class ColumnsError(InputError):
-    """The columns of a log cannot be told from their titles, or are wrong.
+    """The columns of a log contradict the model, and others put it right.
 
     Attributes:
-        draft: text of a columns file for the user to complete; "" where there is none.
+        draft: text of a columns file with the columns put right.
         name: file name to write the draft to.
-        is_correction: whether the draft puts columns right that contradict the model.
     """
 
-    def __init__(
-        self,
-        message: str,
-        draft: str = "",
-        name: str = "columns.txt",
-        is_correction: bool = False,
-    ) -> None:
-        super().__init__(message, options=[("--columns", name)] if draft else ())
+    def __init__(self, message: str, draft: str, name: str) -> None:
+        super().__init__(message)
         self.draft = draft
         self.name = name
-        self.is_correction = is_correction
 
 
 class ModelError(InputError):

@@ -46,22 +46,6 @@ def test_bad_files_exit_2_with_one_line_and_nothing_written(arm, command):
     assert "is a folder" in command.refused(arm.parent)
 
 
-def test_a_log_that_is_not_understood_leaves_a_columns_file_and_never_over_another(
-    arm, command
-):
-    arm.with_name("run.csv").write_text("time,q0,q1,A,B\n" + "0,0,0,0,0\n" * 20)
-    message = command.run("log", "run.csv", arm, code=2).err
-    assert "run.csv: the log needs one torque column for each" in message
-    assert message.endswith(
-        f"  robot-sysid identify {arm} run.csv --columns run_columns.txt\n"
-    )
-    columns_file = arm.with_name("run_columns.txt")
-    assert "torque = ?, ?" in columns_file.read_text()
-    columns_file.write_text("mine")
-    message = command.run("log", "run.csv", arm, code=2).err
-    assert "was there already" in message and columns_file.read_text() == "mine"
-
-
 BAD_OPTIONS = [
     ("--duration 0", "--duration must be positive"),
     ("--duration long", "argument --duration: invalid float value"),
@@ -298,7 +282,9 @@ def test_corrected_columns_take_the_place_of_those_in_use(
     monkeypatch, tmp_path, capsys
 ):
     def refuse(arguments, name):
-        raise ColumnsError("wrong", "a = b", "new.txt", is_correction=True)
+        error = ColumnsError("wrong", "a = b", "new.txt")
+        error.options = (("--columns", "new.txt"),)
+        raise error
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("robot_sysid.commands.identify.main", refuse)

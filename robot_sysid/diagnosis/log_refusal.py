@@ -13,7 +13,7 @@ from pathlib import Path
 from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs.column_map import Column
-from robot_sysid.logs.reader import MeasurementLog, columns_file_name
+from robot_sysid.logs.reader import MeasurementLog
 
 _PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
 """Titles that no columns file takes for a number, a factor, a key or a comment."""
@@ -31,7 +31,7 @@ def refuse_for(log: MeasurementLog, finding: Finding) -> InputError:
             reason = f"{log.path}: {finding.text}"
             draft = _add_lines(log.options.columns, lines, reason)
             name = _free_name(log.path, draft)
-            error = ColumnsError(text, draft, name, is_correction=True)
+            error = ColumnsError(text, draft, name)
             error.options = ((*options, "--columns", name),)
             error.command = finding.command
             return error
@@ -102,12 +102,12 @@ def _add_lines(path: Path | None, lines: dict[str, str], reason: str) -> str:
 
 def _free_name(log: Path, text: str) -> str:
     """Return the name of a columns file for a log, numbered where something else has it."""
-    name = columns_file_name(log)
-    path = Path(name)
+    name = f"{log.stem}_columns"
+    path = Path(f"{name}.txt")
     number = 1
     while path.exists() and not (
         path.is_file() and path.read_text("utf-8", errors="replace") == text
     ):
         number += 1
-        path = Path(f"{Path(name).stem}_{number}.txt")
+        path = Path(f"{name}_{number}.txt")
     return str(path)

@@ -18,8 +18,7 @@ The file of ``--columns`` declares columns that titles do not determine, as ``ke
 Keys: time, position, velocity, acceleration (accepted but not used), torque, joint_time (a time
 stamp of each joint's own), command (commanded position of a servo), units (rad, deg; s, ms, us, ns)
 and rate (samples per second, for a log without a time column). ``#3`` is the third column, for a
-log without titles. ``blank_columns`` is such a file with all lines to fill in, for a log whose
-columns are not recognised.
+log without titles.
 """
 
 from __future__ import annotations
@@ -111,30 +110,6 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
             f"cannot read the columns file {str(path)!r}: {getattr(error, 'strerror', 'no UTF-8')}"
         ) from error
     return parse_columns(text, path, joint_names)
-
-
-def blank_columns(
-    titles: Sequence[str], joint_names: Sequence[str], driven: str
-) -> str:
-    """Return a columns file that lists a log's columns and has all lines to fill in.
-
-    Args:
-        titles: of all columns of the log.
-        joint_names: (n,) of the chain, base to terminal.
-        driven: the quantity that is needed beside positions, "torque" or "command".
-    """
-    numbered = [f"#   #{k} {' '.join(t.split())}" for k, t in enumerate(titles, 1)]
-    blanks = ", ".join("?" * len(joint_names))
-    lines = [
-        "# Which column is what: put titles or numbers of the log's columns in the place of ?,",
-        "# and leave out the lines that the titles say. The columns are",
-        *numbered,
-        f"# One for each of the joints {', '.join(joint_names)}:",
-        f"time = ?\nposition = {blanks}\n{driven} = {blanks}\nvelocity = none",
-        "# units = deg, ms: where they are not rad and s, and no title says so",
-        "# rate = 200: samples per second, in place of time, of evenly spaced rows\n",
-    ]
-    return "\n".join(lines)
 
 
 def parse_columns(text: str, path: Path, joint_names: Sequence[str]) -> ColumnChoices:

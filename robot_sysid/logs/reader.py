@@ -18,13 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.errors import ColumnsError, InputError
+from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays
 from robot_sysid.logs.checks import check_log
 from robot_sysid.logs.column_map import (
     ColumnChoices,
     ColumnMap,
-    blank_columns,
     parse_units,
     read_columns_file,
     recognise_columns,
@@ -170,14 +169,13 @@ def _map_columns(
 ) -> ColumnMap:
     """Return the column of each quantity of a log, declared or recognised.
 
-    ``path`` is the log's, for messages. ColumnsError where columns are missing.
+    ``path`` is the log's, for messages. InputError where columns are missing.
     """
     choices = parse_units(options.units) if options.units else ColumnChoices()
     if options.columns:
         declared = read_columns_file(Path(options.columns), robot.joint_names)
         choices = choices.over(declared)
     choices = choices.over(table.choices)
-    is_declared = bool(choices.columns or choices.time or choices.rate)
     currents = options.torque_constants is not None
     try:
         return recognise_columns(
@@ -185,20 +183,9 @@ def _map_columns(
         )
     except InputError as error:
         fault = f"{path}: {error}"
-        if error.options:
-            raise InputError(fault, error.options, error.command) from None
-        # A blank file does not suit a user who has declared columns already.
-        draft = ""
-        if not is_declared:
-            driven = "command" if options.commanded else "torque"
-            draft = blank_columns(table.titles, robot.joint_names, driven)
-        name = columns_file_name(path)
-        raise ColumnsError(f"{fault}; {_REMEDY}", draft, name) from None
-
-
-def columns_file_name(path: Path) -> str:
-    """Return the name of the columns file that is suggested for a log."""
-    return f"{path.stem}_columns.txt"
+        if not error.options:
+            fault += f"; {_REMEDY}"
+        raise InputError(fault, error.options, error.command) from None
 
 
 def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
@@ -233,7 +220,10 @@ _FOLDERS: Mapping[str, tuple[str, TableReader]] = {
     "meta/info.json": ("a LeRobot data set", arrays.lerobot_table),
 }
 """A file in a folder to the folder's form and the form's reader."""
-_REMEDY = "say which column is what with --columns FILE"
+_REMEDY = (
+    "say which column is what with --columns FILE, of lines such as 'position = A, B, C' with a "
+    "title for each joint"
+)
 """What to do where columns are not recognised."""
 _READING_OPTIONS = ("columns", "units", "topic", "episode")
 """Fields of options that change what is read from a log."""

@@ -180,28 +180,3 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
     ]
     scales = [entry["value"] for entry in content.values()]
     np.testing.assert_allclose(scales, PER_NM, rtol=0.05)
-
-
-def test_columns_that_are_not_known_are_filled_in_with_the_command_that_is_named(
-    folder, command
-):
-    titles, rows = (folder / "log.csv").read_text().split("\n", 1)
-    titles = titles.replace("time", "Zeit").replace("_position", "_Winkel")
-    (folder / "bare.csv").write_text(f"{titles}\n{rows}")
-    arguments = "--accept friction --columns bare_columns.txt"
-    for _ in range(2):
-        refused = command.run("log bare.csv arm.xml --accept friction", code=2)
-        message, line = refused.err.splitlines()
-        assert "Columns: Zeit, joint0_Winkel" in message
-        assert line == f"  robot-sysid identify arm.xml bare.csv {arguments}"
-        # The file that exists is not written over.
-        text = (folder / "bare_columns.txt").read_text()
-        (folder / "bare_columns.txt").write_text(
-            text.replace("time = ?", "time = Zeit").replace("?, ?, ?, ?", "#2, #3, #4, #5", 1)
-            .replace("torque = ?, ?, ?, ?\n", "")
-        )  # fmt: skip
-    printed = command.run(f"log bare.csv arm.xml {arguments}")
-    assert printed.out.endswith(
-        "  robot-sysid identify arm.xml bare.csv --columns bare_columns.txt "
-        "--accept friction\n"
-    )

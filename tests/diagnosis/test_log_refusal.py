@@ -104,7 +104,7 @@ def test_a_weighing_takes_the_file_that_turns_signs_round(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     scales = ("--torque-scale", "0.1,0.2,0.3")
     error = refusal(PLAIN, CORRECTIONS[0], tmp_path, payload=scales)
-    assert error.command == "payload" and error.is_correction
+    assert error.command == "payload"
     assert error.options == ((*scales, "--columns", "run_columns.txt"),)
 
 

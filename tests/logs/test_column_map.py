@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from itertools import product
 from operator import attrgetter
 
@@ -269,17 +268,6 @@ def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     columns = recognise("q1,q2,q3,qd1,qd2,qd3", choices=read_choices(tmp_path, text))
     assert where(columns) == ([0, 1, 2], [3, 4, 5])
     assert columns.velocity == () and columns.time is None and columns.rate == 100.0
-
-
-def test_a_blank_columns_file_is_filled_in_and_read(tmp_path):
-    titles = ["X", "Y", "Z", "A", "B", "C", "Zeit", "tau3"]
-    text = column_map.blank_columns(titles, JOINTS, "torque")
-    assert "#   #1 X\n" in text and "#   #8 tau3\n" in text
-    for value in ("#7", "#4, #5, #6", "#1, #2, #3"):
-        text = re.sub(r"= \?[?, ]*", f"= {value}", text, count=1)
-    columns = recognise(",".join(titles), choices=read_choices(tmp_path, text))
-    assert where(columns) == ([3, 4, 5], [0, 1, 2])
-    assert columns.time is not None and columns.time.index == 6
 
 
 @pytest.mark.parametrize(
