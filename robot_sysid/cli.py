@@ -28,6 +28,7 @@ from robot_sysid.errors import (
     SysidError,
     handle_stop_signals,
 )
+from robot_sysid.records.option_fields import suggestion
 
 UNFINISHED = "interrupted; no unfinished file is left"
 """Message of an interrupted command whose module has no message ``INTERRUPTED``."""
@@ -125,13 +126,9 @@ def _remedies(error: SysidError, name: str, arguments: Sequence[str]) -> Iterato
 
 def _refuse_misspelt_command(word: str) -> None:
     """Raise InputError where a word resembles a subcommand and is no file."""
-    from difflib import get_close_matches
-
-    matches = get_close_matches(word, COMMANDS, n=1, cutoff=0.75)
-    if matches and not os.path.exists(word):
-        raise InputError(
-            f"there is no file and no command {word}: did you mean {matches[0]}?"
-        )
+    hint = suggestion(word, COMMANDS)
+    if hint and not os.path.exists(word):
+        raise InputError(f"there is no file and no command {word}: {hint}")
 
 
 @contextlib.contextmanager

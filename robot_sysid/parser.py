@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.model.bodies import arm_links, subtree_bodies
 from robot_sysid.model.chain import (
@@ -109,7 +108,7 @@ def robot_from_compiled(
         notes=compiled.notes,
     )
     refuse_cad_units(robot)
-    notes = [*robot.notes, *_mending_notes(robot, compiled.inertia_increases)]
+    notes = [*robot.notes]
     if joint is None:
         notes += _jaw_notes(mj_model, terminal)
     if keyframe_id is None and mj_model.nkey:
@@ -142,44 +141,6 @@ def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
 def _keyframe_names(mj_model: Any) -> list[str]:
     """Return the names of a model's keyframes in their order, "#0" for a nameless one with id 0."""
     return [mj_model.key(index).name or f"#{index}" for index in range(mj_model.nkey)]
-
-
-_ROUNDING = 1e-5
-"""Share of a link's largest moment of inertia by which six digits can make a flat body impossible,
-and by which moments are raised without a word."""
-
-
-def _mending_notes(robot: RobotModel, increases: Mapping[str, float]) -> Iterator[str]:
-    """Yield a sentence on links whose impossible moments of inertia were raised, if any.
-
-    ModelError where the arm moves such a link, so that its inertia counts.
-
-    ``increases``: link to what was added to its moments of inertia [kg m^2].
-    """
-    model = robot.mj_model
-    raised = []
-    for name, increase in increases.items():
-        if increase > _ROUNDING * np.max(model.body(name).inertia):
-            raised.append(name)
-    moved = subtree(model, robot.links[0].body_id)
-    of_arm = [name for name in raised if model.body(name).id in moved]
-    if of_arm:
-        remedies = ", ".join(
-            f"add {increases[name]:g} to ixx, iyy and izz of link '{name}'"
-            for name in of_arm
-        )
-        raise ModelError(
-            f"{robot.path}: no body has the moments of inertia that links of the arm have here, "
-            f"and MuJoCo refuses them; correct their <inertia>, or {remedies} [kg m^2], which is "
-            "the nearest possible"
-        )
-    if raised:
-        listed = "', '".join(raised)
-        yield (
-            f"no body has the moments of inertia of link '{listed}', and MuJoCo refuses them; the "
-            "arm moves none of these links, so the nearest possible ones are used, in a written "
-            "model too"
-        )
 
 
 def _jaw_notes(mj_model: Any, terminal: int) -> Iterator[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Callable, NoReturn
 
 from robot_sysid.commands import PROGRAM, Console, ConsoleOptions, print_line
-from robot_sysid.errors import EXIT_CODES, InputError
+from robot_sysid.errors import EXIT_CODES, InputError, prefix_input_errors
 from robot_sysid.records import option_fields as options
 from robot_sysid.records.file_access import read_toml
 
@@ -84,21 +84,12 @@ class Parser(argparse.ArgumentParser):
                 self.error(f"argument {argument[:-3]}: expected a value, not --")
         namespace, unknown = self.parse_known_args(args, namespace)
         if unknown:
-            suggestion = self._suggestion(unknown)
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{suggestion}")
+            flags = [flag for action in self._actions for flag in action.option_strings]
+            flag = unknown[0].split("=")[0]
+            hint = options.suggestion(flag, flags) if flag.startswith("-") else ""
+            fault = f"unrecognized arguments: {' '.join(unknown)}"
+            self.error(f"{fault}; {flag}: {hint}" if hint else fault)
         return namespace
-
-    def _suggestion(self, arguments: Sequence[str]) -> str:
-        """Return "; --x: did you mean --y?" for the first option with a similar flag, or ""."""
-        from difflib import get_close_matches
-
-        flags = [flag for action in self._actions for flag in action.option_strings]
-        for argument in arguments:
-            flag = argument.split("=")[0]
-            matches = get_close_matches(flag, flags, 1) if flag.startswith("-") else ()
-            if matches:
-                return f"; {flag}: did you mean {matches[0]}?"
-        return ""
 
     def parse_with_file(self, path: Path, arguments: Sequence[str]) -> dict[str, Any]:
         """Return the options of a TOML file, replaced by those of the command line.
@@ -114,11 +105,8 @@ class Parser(argparse.ArgumentParser):
             action.required = False
         content = read_toml(path)
         known = {action.dest for action in self._actions} - {*_NOT_IN_FILE}
-        for key in content:
-            if key not in known:
-                raise InputError(
-                    f"{path}: {self.prog} has no option {key}; leave it out"
-                )
+        with prefix_input_errors(f"{path}: {self.prog}"):
+            options.refuse_unknown(content, known)
         given = vars(self.parse_args(arguments))
         # A positional argument that was not given is None, or an empty list of many.
         given = {k: value for k, value in given.items() if value not in (None, [])}

@@ -12,7 +12,7 @@ import robot_sysid
 from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.config import FolderOptions, SelfTestConfig
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.records.file_access import draft_folder, temporary_folder
+from robot_sysid.records.file_access import temporary_folder
 from robot_sysid.records.option_fields import record_from
 
 EXAMPLES = ("kinova",)
@@ -85,8 +85,8 @@ def _copy_example(source: Path, folder: Path) -> None:
     ignored = shutil.ignore_patterns("__pycache__", "images")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with draft_folder(folder) as draft:
-            shutil.copytree(source, draft, ignore=ignored, dirs_exist_ok=True)
+        with temporary_folder(folder.parent) as parent:
+            draft = shutil.copytree(source, parent / folder.name, ignore=ignored)
             _record_logs(draft / "model", draft)
             os.rename(draft, folder)
     except OSError as error:

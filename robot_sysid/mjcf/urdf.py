@@ -35,6 +35,9 @@ _MINIMUM_INERTIA = 1e-9
 """Moments of inertia that such a link gets [kg m^2]."""
 _SMALLEST_MOMENT = 1e-14
 """Principal moment of inertia below which MuJoCo takes it for none [kg m^2]."""
+_ROUNDING = 1e-5
+"""Share of a link's largest moment of inertia by which six digits can make a flat body impossible,
+and by which moments are raised without a word."""
 _LEAST_SHARE = 1e-6
 """Smallest principal moment that a mended inertia gets, as a share of its largest."""
 LARGEST = 1e12
@@ -46,9 +49,6 @@ def make_compilable(
 ) -> tuple[str, ...]:
     """Make a URDF one that MuJoCo can compile, and return notes on what was changed.
 
-    Impossible moments of inertia are raised, see ``inertia_increases``, without a note, as only the
-    arm tells whether it matters.
-
     Args:
         mesh_dir: folder of the meshes; default as the file says.
 
@@ -58,7 +58,13 @@ def make_compilable(
     """
     notes = list(_use_absolute_meshes(document, mesh_dir))
     document.set_compiler({"fusestatic": "false", "strippath": "false"})
-    raise_inertias(document)
+    raised = raise_inertias(document)
+    if raised:
+        listed = "', '".join(raised)
+        notes.append(
+            f"no body has the moments of inertia of link '{listed}', and MuJoCo refuses them: the "
+            "nearest possible ones are used, in a written model too"
+        )
     inertias = link_inertias(document)
     for link in document.root.findall("link"):
         angles = _floats(get(link.find("inertial/origin"), "rpy"))
@@ -211,17 +217,27 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
     return increases
 
 
-def raise_inertias(document: ModelDocument, excluded: Collection[Node] = ()) -> None:
-    """Add the increases of ``inertia_increases`` to the file's links, but for the excluded ones."""
+def raise_inertias(
+    document: ModelDocument, excluded: Collection[Node] = ()
+) -> list[str]:
+    """Add the increases of ``inertia_increases`` to the file's links, but for the excluded ones.
+
+    Returns the names of links whose moments were raised by more than rounding.
+    """
+    raised = []
     increases = inertia_increases(document)
     for link in document.root.findall("link"):
         increase = increases.get(str(link.get("name")), 0.0)
         node = link.find("inertial/inertia")
         if node is None or not increase or link in excluded:
             continue
+        moments = []
         for name in ("ixx", "iyy", "izz"):
-            moment = float(node.get(name) or 0.0) + increase
-            node.set(name, format_number(moment))
+            moments.append(float(node.get(name) or 0.0) + increase)
+            node.set(name, format_number(moments[-1]))
+        if increase > _ROUNDING * max(moments):
+            raised.append(str(link.get("name")))
+    return raised
 
 
 def velocity_limits(document: ModelDocument) -> dict[str, float]:

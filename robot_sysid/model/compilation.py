@@ -30,7 +30,6 @@ from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.mjcf.inertial import format_number, format_numbers
 from robot_sysid.mjcf.urdf import (
     LARGEST,
-    inertia_increases,
     link_inertias,
     make_compilable,
     velocity_limits,
@@ -70,8 +69,6 @@ class CompiledModel:
         sha256: hash of all bytes of its files, includes too; "" without files.
         kind: language of the file, "mjcf" or "urdf".
         velocity_limits: joint name to the speed limit that a URDF states [rad/s or m/s].
-        inertia_increases: link name to what was added to the three moments of inertia that a URDF
-            states [kg m^2], because no body has those.
     """
 
     mj_model: Any
@@ -79,7 +76,6 @@ class CompiledModel:
     sha256: str
     kind: str
     velocity_limits: Mapping[str, float] = field(default_factory=dict)
-    inertia_increases: Mapping[str, float] = field(default_factory=dict)
 
 
 @contextmanager
@@ -158,7 +154,6 @@ def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> CompiledMod
     Other inertias are exact.
     """
     try:
-        increases = inertia_increases(document)
         notes = make_compilable(document, mesh_dir)
         inertias = link_inertias(document)
     except (ValueError, TypeError) as error:
@@ -166,7 +161,7 @@ def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> CompiledMod
     mj_model = _compile(document.path, document.text().decode())
     restore_exact_inertias(mj_model, inertias)
     speeds = velocity_limits(document)
-    return CompiledModel(mj_model, notes, document.sha256, "urdf", speeds, increases)
+    return CompiledModel(mj_model, notes, document.sha256, "urdf", speeds)
 
 
 def _compile(path: Path, text: str | None) -> Any:

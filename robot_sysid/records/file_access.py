@@ -264,25 +264,12 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 
 @contextlib.contextmanager
-def temporary_folder() -> Iterator[Path]:
-    """Yield a new folder that is removed after the block."""
+def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Yield a new folder that is removed after the block, in ``parent`` or the system's place."""
     import tempfile
 
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(dir=parent, prefix=_DRAFT_PREFIX) as name:
         yield Path(name)
-
-
-@contextlib.contextmanager
-def draft_folder(path: Path) -> Iterator[Path]:
-    """Yield a new folder beside ``path``; removed after the block unless it was renamed inside."""
-    import shutil
-
-    draft = _hidden_path(path)
-    try:
-        draft.mkdir()
-        yield draft
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def _hidden_path(path: Path) -> Path:

@@ -18,7 +18,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from keyword import iskeyword
@@ -315,13 +315,17 @@ def _options_of_all(records: Collection[Any]) -> Iterator[Option]:
 
 def refuse_unknown(keys: Collection[str], valid_keys: Collection[str]) -> None:
     """Raise InputError naming a key that is not valid, and the valid one that is most like it."""
+    for key in sorted({*keys} - {*valid_keys}):
+        hint = suggestion(key, valid_keys) or f"valid: {', '.join(sorted(valid_keys))}"
+        raise InputError(f"unknown option {key!r}; {hint}")
+
+
+def suggestion(word: str, valid_words: Iterable[str]) -> str:
+    """Return "did you mean X?" with the valid word that is most like a word, "" for none."""
     from difflib import get_close_matches
 
-    for key in sorted({*keys} - {*valid_keys}):
-        hint = f"valid: {', '.join(sorted(valid_keys))}"
-        for similar_key in get_close_matches(key, valid_keys, n=1, cutoff=0.7):
-            hint = f"did you mean {similar_key!r}?"
-        raise InputError(f"unknown option {key!r}; {hint}")
+    matches = get_close_matches(word, valid_words, n=1, cutoff=0.7)
+    return f"did you mean {matches[0]}?" if matches else ""
 
 
 def check_positive(value: float) -> str | None:

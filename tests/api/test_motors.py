@@ -67,7 +67,7 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sped": 0.5}, "unknown option 'sped'; did you mean 'speed'"),
+        ({"sped": 0.5}, "unknown option 'sped'; did you mean speed?"),
         ({"below_base": True}, "unknown option 'below_base'"),
         ({}, "this command needs channel, for"),
         ({"simulate": True}, "a simulated arm needs a model; add model"),

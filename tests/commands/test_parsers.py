@@ -72,8 +72,8 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("unit = 8", "robot-sysid identify has no option unit"),
-        ("help = true", "robot-sysid identify has no option help"),
+        ("unit = 8", "robot-sysid identify: unknown option 'unit'"),
+        ("help = true", "robot-sysid identify: unknown option 'help'"),
         ("units = ", "mine.toml: "),
         ("units = 'deg'", "the following arguments are required: MODEL, LOG"),
         (
