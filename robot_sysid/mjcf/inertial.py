@@ -18,7 +18,6 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import ModelDocument, Node
 from robot_sysid.records import Array, SubtreeBody
-from robot_sysid.records.messages import Detail
 
 NEGLIGIBLE = 1e-6
 """Mass, relative to the link's, below which a difference is only rounding."""
@@ -62,10 +61,7 @@ class WriteBack:
 
 
 def plan_write_back(
-    composite: Array,
-    bodies: Sequence[SubtreeBody],
-    least_moment: float = 0.0,
-    max_inflation: float = 0.0,
+    composite: Array, bodies: Sequence[SubtreeBody], least_moment: float = 0.0
 ) -> WriteBack:
     """Return how an identified composite is shared among the bodies of the terminal link.
 
@@ -77,8 +73,6 @@ def plan_write_back(
             terminal body's frame.
         bodies: the terminal body and all below it as the model has them, the terminal body first.
         least_moment: smallest principal moment the file's compiler leaves alone [kg m^2].
-        max_inflation: by how much all three moments may be inflated, because they are not known any
-            better [kg m^2].
 
     Raises:
         ExportError: the composite is no possible body itself, or leaves no room for the bodies on
@@ -89,16 +83,15 @@ def plan_write_back(
     # A body without mass and inertia takes nothing away.
     others = [body for body in bodies[1:] if np.any(body.theta)]
     hanging = [body for body in others if not body.welded]
-    limits = least_moment, max_inflation
     remainder = composite - sum_theta(others)
-    if possible_body(remainder, mass, *limits) is None:
+    if possible_body(remainder, mass) is None:
         shares = {body.body_id: 0.0 for body in others if body.welded}
         remainder = composite - sum_theta(hanging)
-        if possible_body(remainder, mass, *limits) is None:
+        if possible_body(remainder, mass) is None:
             share = _largest_share(composite, sum_theta(hanging))
             shares.update({body.body_id: share for body in hanging})
             remainder = composite - share * sum_theta(hanging)
-    theta = possible_body(remainder, mass, *limits)
+    theta = possible_body(remainder, mass, least_moment)
     is_too_light = any(shares.get(b.body_id, 1.0) < NEGLIGIBLE for b in hanging)
     if theta is None or is_too_light:
         raise ExportError(
@@ -164,15 +157,14 @@ def _notes(
         )
     moments = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])
     if plan.inflation > SLACK * float(np.sum(moments)):  # by more than rounding
-        yield Detail(
-            "the model file cannot hold moments of inertia as small as identified (its compiler "
-            "settings, or what other bodies hold already), so all three are written "
-            f"{plan.inflation:.2g} kg m^2 larger; that is less than their standard errors"
+        yield (
+            "the model file cannot hold moments of inertia as small as identified, by its "
+            f"compiler's boundinertia, so all three are written {plan.inflation:.2g} kg m^2 larger"
         )
 
 
 def possible_body(
-    theta: Array, scale: float, least_moment: float = 0.0, max_inflation: float = 0.0
+    theta: Array, scale: float, least_moment: float = 0.0
 ) -> Array | None:
     """Return theta (10,) with all three moments of inertia raised until its body is possible.
 
@@ -185,10 +177,7 @@ def possible_body(
 
     Args:
         scale: mass of the larger of the two bodies [kg]; a mass below NEGLIGIBLE times it is none.
-        least_moment: smallest principal moment of inertia that the body must have [kg m^2]; where
-            max_inflation does not suffice for it, it is ignored.
-        max_inflation: by how much all three moments may be inflated, because they are not known any
-            better [kg m^2].
+        least_moment: smallest principal moment of inertia that the body must have [kg m^2].
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     # The sum of the three second moments.
@@ -199,12 +188,10 @@ def possible_body(
     smallest_share = 1.0 - float(moments[-1]) / size
     # Adding s to each second moment adds 2 s to each moment of inertia.
     inflation = 2.0 * max(0.0, MARGIN - smallest_share) * size
-    shortfall = least_moment - float(moments[0])
-    if shortfall <= max_inflation:
-        inflation = max(inflation, shortfall)
     # Rounding alone explains second moments that are negative by SLACK.
-    if inflation > max(2.0 * (SLACK + MARGIN) * size, max_inflation):
+    if inflation > 2.0 * (SLACK + MARGIN) * size:
         return None
+    inflation = max(inflation, least_moment - float(moments[0]))
     return spatial.theta_from_com(mass, com, inertia + inflation * np.eye(3))
 
 

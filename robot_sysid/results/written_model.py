@@ -46,8 +46,6 @@ from robot_sysid.records.messages import Detail, with_error
 from robot_sysid.results import verification
 from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Result
 
-_MOMENTS = [4, 7, 9]
-"""Indices of Ixx, Iyy and Izz in theta."""
 _MJCF_ATTRIBUTES = {
     "armature": "armature",
     "viscous": "damping",
@@ -85,7 +83,7 @@ def write_model(
         ExportError: the model cannot hold the numbers, or the compiled draft does not have them or
             takes other torques; the draft is withdrawn.
     """
-    thetas, errors = _links_without_payload(result)
+    thetas = _links_without_payload(result)
     robot, target = _arm_of_kind(result.robot, file_kind or result.model_kind, target)
     terms = {} if result.file is None else result.file.joints
     identified = [name for name in robot.joint_names if name in terms]
@@ -108,13 +106,12 @@ def write_model(
             comments.append("without the payload")
         else:
             thetas[-1] += theta
-            errors[-1] = payload.total.errors
             comments.append(f"with {text} in it")
     if result.file is not None and result.file.omissions:
         omissions = " and ".join(result.file.omissions)
         comments.append(f"without {omissions}, which no URDF can hold")
     bodies, written_thetas, body_notes = _body_changes(
-        robot, thetas, errors, "; ".join(comments)
+        robot, thetas, "; ".join(comments)
     )
     notes += body_notes
     written_thetas[-1] += theta_beside
@@ -175,34 +172,18 @@ def write_joints(
     return notes
 
 
-def max_inflation(errors: Array) -> float:
-    """Return by how much moments of inertia may be enlarged to be physically possible [kg m^2].
+def _links_without_payload(result: Result) -> Array:
+    """Return the links' inertial parameters to write (n, 10), a new array.
 
-    It is the smallest finite standard error of Ixx, Iyy and Izz, or zero without a finite one.
-    ``errors`` (10,) are the standard errors of a body's parameters.
-    """
-    moment_errors = np.asarray(errors)[_MOMENTS]
-    finite_errors = moment_errors[np.isfinite(moment_errors)]
-    return float(np.min(finite_errors)) if len(finite_errors) else 0.0
-
-
-def _links_without_payload(result: Result) -> tuple[Array, Array]:
-    """Return the links' inertial parameters to write and their standard errors; both (n, 10).
-
-    The parameters are those of the fit for a model file (``result.file``) if there is one, else the
-    model's own; without a payload, the terminal link then has its estimate. Errors that are not
-    known are infinite. Both are new arrays, which the caller may change.
+    They are those of the fit for a model file (``result.file``) if there is one, else the model's
+    own; without a payload, the terminal link then has its estimate.
     """
     if result.file is not None:
-        return result.file.thetas.copy(), result.file.errors.copy()
+        return result.file.thetas.copy()
     thetas = result.robot.thetas
-    errors = np.full(thetas.shape, np.inf)
-    if result.payload is not None:
-        return thetas, errors
-    thetas[-1] = result.estimate.inertial.theta
-    if result.estimate.standard_errors is not None:
-        errors[-1] = result.estimate.standard_errors[:10]
-    return thetas, errors
+    if result.payload is None:
+        thetas[-1] = result.estimate.inertial.theta
+    return thetas
 
 
 def _numbers(terms: Mapping[str, float]) -> dict[str, float]:
@@ -253,7 +234,7 @@ def _changes_of_kind(
 
 
 def _body_changes(
-    robot: RobotModel, thetas: Array, errors: Array, terminal_comment: str
+    robot: RobotModel, thetas: Array, terminal_comment: str
 ) -> tuple[tuple[BodyChange, ...], Array, tuple[str, ...]]:
     """Return the changes of the bodies of all links that differ from the model.
 
@@ -263,7 +244,6 @@ def _body_changes(
     Args:
         robot: the arm.
         thetas: (n, 10) parameters that the links are to have.
-        errors: (n, 10) their standard errors, within which moments of inertia may be inflated.
         terminal_comment: comment on the terminal link, or "".
 
     Returns:
@@ -289,7 +269,7 @@ def _body_changes(
                 f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
                 f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
             )
-        plan = plan_write_back(thetas[k], bodies, bound, max_inflation(errors[k]))
+        plan = plan_write_back(thetas[k], bodies, bound)
         # With the moments of inertia as they were inflated to be possible.
         written_thetas[k] = plan.written_composite(thetas[k])
         notes += plan.notes
