@@ -10,7 +10,7 @@ those are made lighter.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,8 +26,6 @@ SLACK = 1e-10
 MARGIN = 1e-11
 """How far inside the possible a body is written, relative to its size: some 4e4 roundings, because
 MuJoCo refuses what these put outside."""
-_UNIT_SPHERE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
-"""theta of equal moments of inertia without mass."""
 URDF_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of a URDF's <inertia> [kg m^2], in the order of ``spatial.six_from_symmetric``."""
 _SMALLEST_NORMAL = float(np.finfo(float).tiny)
@@ -47,17 +45,15 @@ class WriteBack:
         shares: MuJoCo's id of another body of the link to the share of its inertia that it keeps, 0
             to 1; bodies that are not in it keep all.
         notes: for the user, a sentence each on what was changed.
+        composite: (10,) inertial parameters of the whole link as written.
         inflation: by how much all moments of inertia are larger than identified [kg m^2].
     """
 
     theta: Array
-    shares: Mapping[int, float] = field(default_factory=dict)
+    shares: Mapping[int, float]
+    composite: Array
+    inflation: float
     notes: tuple[str, ...] = ()
-    inflation: float = 0.0
-
-    def written_composite(self, composite: Array) -> Array:
-        """Return theta (10,) of the whole link as written, from the identified ``composite``."""
-        return composite + self.inflation * _UNIT_SPHERE
 
 
 def plan_write_back(
@@ -98,8 +94,9 @@ def plan_write_back(
             f"the identified parameters of body '{bodies[0].name}' are not a possible rigid body, "
             "so no model was written; use a longer motion"
         )
-    # What was added to each moment of inertia; element 4 is Ixx.
-    plan = WriteBack(theta, shares, inflation=float(theta[4] - remainder[4]))
+    added = theta - remainder
+    # Equally much is added to each moment of inertia; element 4 is Ixx.
+    plan = WriteBack(theta, shares, composite + added, float(added[4]))
     return replace(plan, notes=tuple(_notes(bodies[0], others, plan)))
 
 

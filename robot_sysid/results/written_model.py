@@ -271,7 +271,7 @@ def _body_changes(
             )
         plan = plan_write_back(thetas[k], bodies, bound)
         # With the moments of inertia as they were inflated to be possible.
-        written_thetas[k] = plan.written_composite(thetas[k])
+        written_thetas[k] = plan.composite
         notes += plan.notes
         comments = [terminal_comment] if k == len(body_ids) - 1 else []
         addition = "; ".join(filter(None, [*comments, *plan.notes]))

@@ -298,7 +298,5 @@ def test_moments_below_the_files_bound_are_raised(seed, bound):
     smallest = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])[0]
     # Rounding of an inertia about an origin metres away, which is of the order of ten.
     np.testing.assert_allclose(smallest, bound, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(
-        plan.written_composite(identified), plan.theta, rtol=0, atol=1e-13
-    )
+    np.testing.assert_allclose(plan.composite, plan.theta, rtol=0, atol=1e-13)
     assert "boundinertia" in plan.notes[0]

@@ -235,7 +235,7 @@ def test_any_possible_link_moves_as_predicted_once_written_and_loaded(
     written_path.write_bytes(text)
     mj_model = verify_written_model(three_joints.mj_model, written_path, change)
     thetas = three_joints.thetas
-    thetas[-1] = write_back.written_composite(theta)
+    thetas[-1] = write_back.composite
     require_reproduction(
         three_joints,
         thetas,
