@@ -93,7 +93,7 @@ def play(link: GuardedLink, plan: Plan):
     """Inspect the motors and play a plan on them."""
     inspection = inspect_bus(link)
     holding = file_holding(plan.trajectory)
-    return run(link, plan, inspection, StopRequest(), _ignore, _ignore, holding)
+    return run(link, plan, inspection, StopRequest(), _ignore, holding)
 
 
 def tell(benchmark, report, rate: float) -> None:

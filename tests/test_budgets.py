@@ -16,9 +16,9 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 4467,
-    "robot_sysid/commands": 11077,
-    "robot_sysid/damiao": 33425,
+    "robot_sysid/api": 4460,
+    "robot_sysid/commands": 10943,
+    "robot_sysid/damiao": 33141,
     "robot_sysid/diagnosis": 17167,
     "robot_sysid/dynamics": 5986,
     "robot_sysid/estimate": 28137,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4990,
     "robot_sysid/simulation": 4000,
     "robot_sysid": 9528,
-    "tests": 219676,
+    "tests": 219636,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

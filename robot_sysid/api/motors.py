@@ -84,15 +84,8 @@ def play(
             # The signs of a simulated arm's motors are not in doubt.
             checks = run.inspection_checks(plan, inspection, not simulate)
             require_no_stop(checks, "not played")
-            return execution.run(
-                link,
-                plan,
-                inspection,
-                StopRequest(),
-                say,
-                on_progress=lambda time: None,
-                holding=run.holding(plan),
-            )
+            holding = run.holding(plan)
+            return execution.run(link, plan, inspection, StopRequest(), say, holding)
 
 
 @contextlib.contextmanager

@@ -249,7 +249,6 @@ def run(
     inspection: Inspection,
     stop: StopRequest,
     on_phase: Callable[[str], None],
-    on_progress: Callable[[float], None],
     holding: HoldingCheck,
 ) -> PlayReport:
     """Play a plan on the motors of an inspection, record it, and return the report of the run.
@@ -262,7 +261,6 @@ def run(
         inspection: answers of the motors on the link.
         stop: request for a stop, see ``Player``.
         on_phase: called with the name of each phase of the run.
-        on_progress: called with the time played so far [s].
         holding: check of the torques that hold the arm.
 
     Raises:
@@ -287,7 +285,6 @@ def run(
                 stop,
                 recorder,
                 lambda text: console(partial(on_phase, text)),
-                lambda time: console.if_idle(partial(on_progress, time)),
                 holding,
             )
             reference = trajectory_reference(plan.trajectory, plan.settings.speed)

@@ -13,8 +13,7 @@ A motor may turn opposite to its joint in the model, and have another zero posit
 
 Quantities of motors appear only in this module and in frames; all other code is in joint space.
 
-A joint map is a small CSV file; only the columns ``joint``, ``can_id`` and ``direction`` are
-required::
+A joint map is a small CSV file::
 
     joint,can_id,master_id,direction,offset,verified
     shoulder,1,0x11,+1,0.0,hand
@@ -59,7 +58,6 @@ class MotorSpec:
         limits: scaling limits PMAX [rad], VMAX [rad/s], TMAX [N m] of the factory setting.
         rated_torque: torque that the motor can hold continuously [N m].
         peak_torque: torque that the motor can deliver for a short time [N m].
-        gear_ratio: rotor turns per turn of the output shaft.
         no_load_rpm: output speed without load [rev/min]; None where unknown.
     """
 
@@ -67,29 +65,28 @@ class MotorSpec:
     limits: tuple[float, float, float]
     rated_torque: float
     peak_torque: float
-    gear_ratio: float
     no_load_rpm: float | None = None
 
 
-# Name, (PMAX, VMAX, TMAX), rated torque, peak torque, gear ratio, no-load rpm.
+# Name, (PMAX, VMAX, TMAX), rated torque, peak torque, no-load rpm.
 _SPECS = (
-    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 10.0, 200.0),
-    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 40.0, 52.0),
-    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 40.0, 100.0),
-    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 6.0, 240.0),
-    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 6.0, 200.0),
-    MotorSpec("DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 10.0, 100.0),
-    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 9.0, 160.0),
-    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 7.0, 460.0),
+    MotorSpec("DM4310", (12.5, 30.0, 10.0), 3.0, 7.0, 200.0),
+    MotorSpec("DM4340", (12.5, 10.0, 28.0), 9.0, 27.0, 52.0),
+    MotorSpec("DM4340_48V", (12.5, 20.0, 28.0), 9.0, 27.0, 100.0),
+    MotorSpec("DM6006", (12.5, 45.0, 12.0), 4.0, 12.0, 240.0),
+    MotorSpec("DM8006", (12.5, 45.0, 20.0), 8.0, 20.0, 200.0),
+    MotorSpec("DM10010L", (12.5, 25.0, 200.0), 40.0, 120.0, 100.0),
+    MotorSpec("DM8009", (12.5, 45.0, 54.0), 20.0, 40.0, 160.0),
+    MotorSpec("DM3507", (12.566, 50.0, 5.0), 0.8, 3.0, 460.0),
     # The maker's sources disagree about its VMAX, 30 or 50 rad/s.
-    MotorSpec("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 10.0, 400.0),
-    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, 48.0, None),
-    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 10.0, 150.0),
-    MotorSpec("DMH3510", (12.5, 280.0, 1.0), 0.18, 0.45, 1.0),
-    MotorSpec("DMH6215", (12.5, 45.0, 10.0), 1.0, 2.0, 1.0),
+    MotorSpec("DM4310_48V", (12.5, 50.0, 10.0), 3.0, 7.0, 400.0),
+    MotorSpec("DM6248", (12.566, 20.0, 120.0), 30.0, 97.0, None),
+    MotorSpec("DM10010", (12.5, 20.0, 200.0), 40.0, 150.0, 150.0),
+    MotorSpec("DMH3510", (12.5, 280.0, 1.0), 0.18, 0.45),
+    MotorSpec("DMH6215", (12.5, 45.0, 10.0), 1.0, 2.0),
     # Its TMAX is below its rated torque, and its VMAX leaves steps of 1 rad/s.
-    MotorSpec("DMS3519", (12.5, 2000.0, 2.0), 3.5, 7.8, 19.2),
-    MotorSpec("DMG6220", (12.5, 45.0, 10.0), 1.3, 2.7, 1.0),
+    MotorSpec("DMS3519", (12.5, 2000.0, 2.0), 3.5, 7.8),
+    MotorSpec("DMG6220", (12.5, 45.0, 10.0), 1.3, 2.7),
 )
 MOTORS = {spec.name: spec for spec in _SPECS}
 """Data of every supported motor type, by its name."""
@@ -274,8 +271,6 @@ class Mounting:
 
 _COLUMNS = ["joint", "can_id", "master_id", "direction", "offset", "verified"]
 """All columns of a joint map file, in the order in which they are written."""
-_REQUIRED_COLUMNS = ("joint", "can_id", "direction")
-"""Columns without which a joint map file is refused."""
 
 
 def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
@@ -294,11 +289,8 @@ def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
         raise InputError(f"{path} is not text: it has zero bytes")
     table = csv.DictReader(lines, skipinitialspace=True)
     titles = [title.strip() for title in table.fieldnames or ()]
-    if not set(_REQUIRED_COLUMNS) <= set(titles) <= set(_COLUMNS):
-        raise InputError(
-            f"{path}: expected the columns {', '.join(_COLUMNS)} "
-            f"(at least {', '.join(_REQUIRED_COLUMNS)})"
-        )
+    if set(titles) != set(_COLUMNS):
+        raise InputError(f"{path}: expected the columns {', '.join(_COLUMNS)}")
     rows = [_parse_row(row, f"{path}, row {k}") for k, row in enumerate(table, start=1)]
     if not rows:
         raise InputError(f"{path} has no lines")
@@ -362,15 +354,14 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
     cells = {key.strip(): (cell or "").strip() for key, cell in row.items() if key}
     try:
         # Base 0 reads decimal numbers and such as 0x12.
-        can_id = int(cells["can_id"], base=0)
         joint = DamiaoJoint(
             motor_type="",
-            can_id=can_id,
-            master_id=int(cells.get("master_id") or str(can_id + MASTER_ID_OFFSET), 0),
+            can_id=int(cells["can_id"], base=0),
+            master_id=int(cells["master_id"], base=0),
             name=cells["joint"],
             direction=int(cells["direction"]),
-            offset=float(cells.get("offset") or 0.0),
-            verified=cells.get("verified", ""),
+            offset=float(cells["offset"]),
+            verified=cells["verified"],
         )
         is_sound = joint.verified in ("", BY_HAND) and joint.direction in (1, -1)
         if is_sound and math.isfinite(joint.offset):

@@ -139,7 +139,6 @@ class Player:
         stop: request for a stop, which is checked in every cycle.
         recorder: gets every cycle of the trajectory, but no transfers; None records nothing.
         on_phase: called with the name of each new phase; may not raise or wait.
-        on_progress: called with the time played so far [s]; may not raise or wait.
         holding: computes the torque that holds the arm, and compares it with the torques measured
             while the arm stands, before the transfer and at the first point.
     """
@@ -151,7 +150,6 @@ class Player:
         stop: StopRequest,
         recorder: MeasurementRecorder | None,
         on_phase: Callable[[str], None],
-        on_progress: Callable[[float], None],
         holding: HoldingCheck,
     ) -> None:
         self._session = session
@@ -160,7 +158,6 @@ class Player:
         self._stop = stop
         self._recorder = recorder
         self._announce = on_phase
-        self._on_progress = on_progress
         self._holding = holding
         self._observer = Observer(
             session.joints, settings, session.steps, session.peak_torque, holding
@@ -325,7 +322,6 @@ class Player:
             replies, acted = self._exchange(target)
             if record:
                 self._n_recorded += 1
-                self._on_progress(time)
                 if self._recorder:
                     self._recorder.write(time, origin, replies, acted)
             if self._recorder:

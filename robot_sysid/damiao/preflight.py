@@ -18,7 +18,6 @@ from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Level, Remark
 
-SILENT = "no motor answers: check power, wiring and bit rate"
 _REST_SPEED = 0.05
 """Largest speed at the ends of a trajectory [rad/s]: a quarter of the default approach speed."""
 _LEAST_WATCHDOG_CYCLES = 2 * (PAUSE + 1)
@@ -140,26 +139,6 @@ def _frame_limit_checks(
         yield stop(f"{excess}; export a smaller trajectory")
 
 
-# --- answers of the motors ----------------------------------------------------------------------
-
-
-def general_checks(
-    inspection: Inspection, rate: float | None, timing: protocol.BusTiming
-) -> list[Remark]:
-    """Return the checks of inspected motors that need no trajectory: load, traffic, conditions.
-
-    ``rate`` is the cycle rate [Hz], None for the default. No deviation is permitted.
-    """
-    n_motors = len(inspection.motors)
-    if not n_motors:
-        return [stop(SILENT)]
-    settings = PlaySettings(rate=rate or protocol.default_rate(n_motors, timing))
-    checks = [*_load_checks(n_motors, settings, timing), *_traffic_checks(inspection)]
-    for motor in inspection.motors.values():
-        checks += _condition_checks(motor, settings, permissions=Permissions())
-    return checks
-
-
 def bus_checks(plan: Plan, inspection: Inspection) -> list[Remark]:
     """Return the checks of a plan against the answers of the motors on the bus.
 
@@ -220,7 +199,7 @@ def _condition_checks(
     motor: InspectedMotor,
     settings: PlaySettings,
     permissions: Permissions,
-    joint: DamiaoJoint | None = None,
+    joint: DamiaoJoint,
 ) -> Iterator[Remark]:
     """Yield the checks of one motor's registers and state.
 
@@ -228,9 +207,9 @@ def _condition_checks(
         motor: answers of the motor.
         settings: settings of the run, with the cycle rate and the temperature at its start.
         permissions: deviations that the user allows.
-        joint: joint that the motor drives, with which ids and scaling are compared, or None.
+        joint: joint that the motor drives, with which ids and scaling are compared.
     """
-    name = joint.label if joint else motor.name
+    name = joint.label
     registers = motor.registers
     if len(motor.reply_ids) > 1:
         yield stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
@@ -239,9 +218,8 @@ def _condition_checks(
         names = ", ".join(protocol.NAMES[number] for number in sorted(missing))
         yield stop(f"{name} does not answer for {names}; try again")
         return
-    if joint:
-        yield from _id_register_checks(motor, joint, name)
-        yield from _scaling_checks(motor, joint, permissions)
+    yield from _id_register_checks(motor, joint)
+    yield from _scaling_checks(motor, joint, permissions)
     mode = int(registers[protocol.CTRL_MODE])
     if mode != protocol.MIT_MODE:
         mode_name = protocol.MODES.get(mode, "unknown")
@@ -251,17 +229,15 @@ def _condition_checks(
     yield from _state_checks(motor, settings, name)
 
 
-def _id_register_checks(
-    motor: InspectedMotor, joint: DamiaoJoint, name: str
-) -> Iterator[Remark]:
-    """Yield a stop where the reply id of a motor, called ``name``, differs from its joint's."""
+def _id_register_checks(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Remark]:
+    """Yield a stop where the reply id of a motor differs from its joint's."""
     master_id = int(motor.registers[protocol.MST_ID])
     reply_ids = sorted(set(motor.reply_ids))
     if master_id != joint.master_id or reply_ids != [joint.master_id]:
         answers = ", ".join(f"{reply_id:#x}" for reply_id in reply_ids)
         yield stop(
-            f"{name} answers on {answers} (MST_ID {master_id:#x}) but the trajectory expects "
-            f"{joint.master_id:#x}; set it with motors setup --new-master-id, or export "
+            f"{joint.label} answers on {answers} (MST_ID {master_id:#x}) but the trajectory "
+            f"expects {joint.master_id:#x}; set it with motors setup --new-master-id, or export "
             "again with plan --export-damiao --master-id"
         )
 

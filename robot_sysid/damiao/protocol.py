@@ -355,8 +355,6 @@ TIMEOUT = 9
 """Register: time without a command after which the watchdog stops the motor, in TIMEOUT_UNIT."""
 CTRL_MODE = 10
 """Register: control mode, a key of ``MODES``."""
-GR = 20
-"""Register: gear ratio."""
 PMAX = 21
 """Register: scaling limit of position [rad]."""
 VMAX = 22
@@ -374,7 +372,7 @@ MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
 NAMES = {
     0: "UV_Value", 1: "KT_Value", 2: "OT_Value", 3: "OC_Value", MST_ID: "MST_ID", ESC_ID: "ESC_ID",
     TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", 11: "Damp", 12: "Inertia", 14: "sw_ver", 16: "NPP",
-    17: "Rs", 19: "Flux", GR: "Gr", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX", 29: "OV_Value",
+    17: "Rs", 19: "Flux", 20: "Gr", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX", 29: "OV_Value",
     30: "GREF",
 }  # fmt: skip
 """The maker's name of each register, by its number."""
@@ -384,7 +382,7 @@ SCALING = (PMAX, VMAX, TMAX)
 """Registers of the scaling limits, in the order of ``Scaling.limits``."""
 REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
 """Registers whose values have to be known before anything is played."""
-LOGGED = (*REQUIRED, GR, 2, 3, 0, 29, 1, 30, 11, 12, 14, 16, 17, 19)
+LOGGED = (*REQUIRED, 20, 2, 3, 0, 29, 1, 30, 11, 12, 14, 16, 17, 19)
 """Registers that are read before playing and written into the recording's header."""
 
 

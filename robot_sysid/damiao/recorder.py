@@ -81,11 +81,6 @@ class Aside:
         else:
             self._waiting.put(action)
 
-    def if_idle(self, action: Action) -> None:
-        """Run an action, such as a progress bar, or drop it if other actions are still waiting."""
-        if self._waiting.empty():
-            self(action)
-
     def finish(self, patience: float = _PATIENCE) -> None:
         """End the thread, and wait at most ``patience`` [s] until all actions are done.
 

@@ -198,7 +198,6 @@ def simulated_motor(
     # Registers that are only read are zero.
     registers = {
         **dict.fromkeys(protocol.LOGGED, 0.0),
-        protocol.GR: joint.spec.gear_ratio,
         protocol.MST_ID: float(joint.master_id),
         protocol.ESC_ID: float(joint.can_id),
         protocol.CTRL_MODE: float(protocol.MIT_MODE),

@@ -182,12 +182,11 @@ def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
     ("arguments", "command_options"),
     [
         (["fly"], "unknown command 'fly'; valid: simulate, check, play, setup"),
-        (["check"], "this command needs --channel"),
+        (["check"], "the following arguments are required: TRAJECTORY"),
         (["play", "T"], "this command needs --channel"),
         (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
         (["play", "missing.csv", *CAN0], "cannot read missing.csv"),
-        (["check", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
-        (["check", *CAN0, "--model", "arm.xml"], "--model needs a TRAJECTORY to check"),
+        (["check", "T", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
         (["simulate", "T"], "the following arguments are required: --model"),
     ],
 )  # fmt: skip

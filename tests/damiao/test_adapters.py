@@ -160,7 +160,7 @@ import robot_sysid.damiao
 for module in pkgutil.walk_packages(robot_sysid.damiao.__path__, "robot_sysid.damiao."):
     __import__(module.name)
 from robot_sysid.cli import main
-sys.exit(main(["motors", "check", "--channel", "can0"]))
+sys.exit(main(["motors", "setup", "--channel", "can0"]))
 """
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True

@@ -112,10 +112,14 @@ def test_a_map_is_read_as_it_was_written(tmp_path_factory, rows):
     assert list(read_joint_map(path)) == written
 
 
-def test_what_is_left_out_is_as_usual(tmp_path):
+def test_comments_and_blanks_are_passed_over(tmp_path):
     path = tmp_path / "map.csv"
-    path.write_text("# by hand\njoint, can_id, direction\nelbow, 3, -1\n")
+    titles = "joint, can_id, master_id, direction, offset, verified"
+    path.write_text(f"# by hand\n{titles}\nelbow, 3, 0x13, -1, 0, \n")
     assert read_joint_map(path) == (map_line("elbow", 3, 19, -1),)
+
+
+TITLES = "joint,can_id,master_id,direction,offset,verified\n"
 
 
 @pytest.mark.parametrize(
@@ -124,17 +128,13 @@ def test_what_is_left_out_is_as_usual(tmp_path):
         ("", "expected the columns"),
         ("joint,can_id\na,1\n", "expected the columns"),
         ("joint,can_id,direction,colour\na,1,1,red\n", "expected the columns"),
-        ("joint,can_id,direction\n", "has no lines"),
-        (
-            "joint,can_id,direction\na,1,2\n",
-            r"row 1: expected a row as .* direction \+1 or -1",
-        ),
-        ("joint,can_id,direction\na,1,1\nb,x,1\n", "row 2: expected"),
-        ("joint,can_id,direction\na,1,1\na,2,1\n", "names a twice"),
-        ("joint,can_id,direction\na,1,1\nb,1,1\n", "used by more than one motor"),
-        ("joint,can_id,direction,offset\na,1,1,nan\n", "row 1: expected"),
-        ("joint,can_id,direction,torque_ratio\na,1,1,1\n", "expected the columns"),
-        ("joint,can_id,direction\na\0,1,1\n", "zero bytes"),
+        (TITLES, "has no lines"),
+        (TITLES + "a,1,17,2,0,\n", r"row 1: expected a row as .* direction \+1 or -1"),
+        (TITLES + "a,1,17,1,0,\nb,x,1,1,0,\n", "row 2: expected"),
+        (TITLES + "a,1,17,1,0,\na,2,18,1,0,\n", "names a twice"),
+        (TITLES + "a,1,17,1,0,\nb,1,18,1,0,\n", "used by more than one motor"),
+        (TITLES + "a,1,17,1,nan,\n", "row 1: expected"),
+        (TITLES + "a\0,1,17,1,0,\n", "zero bytes"),
     ],
 )
 def test_a_map_that_is_none_is_refused_with_its_row(tmp_path, text, message):

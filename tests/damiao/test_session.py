@@ -43,8 +43,8 @@ def test_inspection_reads_everything_and_changes_nothing():
 
 def test_a_refused_write_is_noticed():
     bench = Bench()
-    with pytest.raises(HardwareAbort, match="motor 1 refused Gr = 0.5 and keeps 40"):
-        setup_client(bench).write(1, protocol.GR, 0.5)
+    with pytest.raises(HardwareAbort, match="motor 1 refused Gr = 0.5 and keeps 0"):
+        setup_client(bench).write(1, 20, 0.5)
 
 
 def test_a_motor_that_is_not_there_does_not_answer():

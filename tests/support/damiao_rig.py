@@ -283,7 +283,7 @@ class Rig:
     def run(self, settle=0.5):
         """Inspect, play, record; keep error or report; then let the arm be for a while."""
         inspection = inspect_bus(self.link)
-        others = self._phase, lambda time: None, file_holding(self.plan.trajectory)
+        others = self._phase, file_holding(self.plan.trajectory)
         try:
             self.checks = bus_checks(self.plan, inspection)
             self.plan.recording.require_free()

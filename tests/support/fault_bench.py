@@ -352,10 +352,11 @@ class BenchRun:
         if self.setup.model_is_given:
             robot = robot_of(self.setup.belief)
             holding = gravity_check(robot, self.plan.trajectory.joints)
-        callbacks = self._note_phase, lambda moment: None
         try:
             inspection = inspect_bus(guarded)
-            play_plan(guarded, self.plan, inspection, self.stop, *callbacks, holding)
+            play_plan(
+                guarded, self.plan, inspection, self.stop, self._note_phase, holding
+            )
         except SysidError as error:
             return str(error)
         except Exception as error:

@@ -41,7 +41,7 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.model import PosedModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.messages import NextStep, Remark
+from robot_sysid.records.messages import Remark
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
@@ -59,35 +59,23 @@ class PlayChoices(OptionRecord):
 def check(session: Session) -> int:
     """Print what forbids to play; return 0 where nothing does, else 1.
 
-    Without a channel only the trajectory is judged, without a trajectory only the motors.
-    InputError without both, or where a model is given without a trajectory.
+    Without a channel only the trajectory is judged.
     """
     console = session.console
-    plan = session.plan() if session.values.get("trajectory") else None
-    if plan is None and session.values.get("model"):
-        raise InputError("--model needs a TRAJECTORY to check")
-    checks = session.checks(plan) if plan else []
-    if plan is None or session.address.channel:
+    plan = session.plan()
+    checks = session.checks(plan)
+    if session.address.channel:
         with session.open_guarded() as link:
             inspection = inspect_bus(link)
-        if plan:
-            checks += session.inspection_checks(plan, inspection)
-        else:
-            rate = record_from(PlaySettings, session.values).rate
-            checks += preflight.general_checks(inspection, rate, session.timing)
-        joints = plan.trajectory.joints if plan else ()
-        console.stage(*motor_table(inspection.motors.values(), joints))
+        checks += session.inspection_checks(plan, inspection)
+        motors = inspection.motors.values()
+        console.stage(*motor_table(motors, plan.trajectory.joints))
     console.stage(*check_lines(checks))
     faults = len(preflight.stops(checks))
     if faults:
         session.verdict = (f"Not usable: {faults} to change before playing",)
         return 1
-    if plan:
-        session.conclude("Usable: ready to play", play_step(session, plan))
-    else:
-        help_words = (PROGRAM, "plan", "--help")
-        step = NextStep("Next, plan a motion with --export-damiao", help_words)
-        session.conclude("Usable: the motors are in order", step)
+    session.conclude("Usable: ready to play", play_step(session, plan))
     return 0
 
 
@@ -209,11 +197,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
     parser = Parser(f"motors {command}", example, spec.description, main, codes=_CODES)
     if is_run:
         parser.add_argument(
-            "trajectory",
-            metavar="TRAJECTORY",
-            type=Path,
-            help="damiao_trajectory.csv",
-            nargs="?" if command == "check" else None,
+            "trajectory", metavar="TRAJECTORY", type=Path, help="damiao_trajectory.csv"
         )
     if is_run or command == "map":
         arm = parser.add("arm", PosedModelOptions)
@@ -272,7 +256,7 @@ def _overview_parser() -> Parser:
     """Return the parser of ``motors`` without a subcommand."""
     parser = Parser(
         "motors",
-        f"{PROGRAM} motors check --channel can0",
+        f"{PROGRAM} motors setup --channel can0",
         "Inspect Damiao motors, play a trajectory on them and record it, or rehearse "
         "all that with a simulated arm; set motors up, watch them, and map them to a model's "
         "joints. Each command has its own --help.",
@@ -318,16 +302,8 @@ def _play_on(
         inspection = inspect_bus(link)
         checks = session.inspection_checks(plan, inspection, real=is_real)
         preflight.require_no_stop(checks, "not played")
-    stop = StopRequest()
-
-    def show_progress(time: float) -> None:
-        """Show how much of the plan has been played at ``time`` [s]."""
-        console.advance("Playing", done=time, total=plan.duration, text="")
-
-    report = run(
-        *(link, plan, inspection, stop, console.stage, show_progress),
-        holding=session.holding(plan),
-    )
+    holding = session.holding(plan)
+    report = run(link, plan, inspection, StopRequest(), console.stage, holding)
     console.stage(*run_lines(report))
     record = plan.recording.record
     done = "played, and all motors are disabled"

@@ -18,6 +18,7 @@ from robot_sysid.damiao.bus import GuardedLink, RegisterClient, inspect_bus
 from robot_sysid.damiao.joints import BY_HAND, DamiaoJoint, write_joint_map
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records import RobotModel
+from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.messages import NextStep, count_text
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
@@ -85,7 +86,7 @@ def map_joints(session: Session) -> int:
     write_joint_map(options.output, rows)
     step = NextStep(
         "Next, check the motors with it",
-        session.command("check", joint_map=options.output),
+        session.command("check", trajectory=DAMIAO_NAME, joint_map=options.output),
     )
     session.conclude(f"Done: written to {options.output}", step)
     return 0

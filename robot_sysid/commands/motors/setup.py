@@ -22,9 +22,9 @@ from robot_sysid.damiao.bus import (
     inspect_bus,
 )
 from robot_sysid.damiao.joints import id_problems
-from robot_sysid.damiao.preflight import SILENT
 from robot_sysid.damiao.protocol import refuse_motion
 from robot_sysid.errors import HardwareAbort, InputError
+from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import (
     OptionRecord,
@@ -34,6 +34,7 @@ from robot_sysid.records.option_fields import (
     record_from,
 )
 
+_SILENT = "no motor answers: check power, wiring and bit rate"
 _STORE_TIME = 0.05
 """Time for a motor to write its flash memory [s]; a judgement, longer than that takes."""
 
@@ -209,10 +210,11 @@ def _conclude_listing(session: Session, count: int, summary: str = "") -> int:
     for the number of motors instead.
     """
     if not count:
-        session.verdict = (f"Not usable: {SILENT}",)
+        session.verdict = (f"Not usable: {_SILENT}",)
         return 1
     verdict = f"Done: {summary or f'motors that answer: {count}'}"
-    step = NextStep("Next, check the motors", session.command("check"))
+    command = session.command("check", trajectory=DAMIAO_NAME)
+    step = NextStep("Next, check the motors for a trajectory", command)
     session.conclude(verdict, step)
     return 0
 
