@@ -19,8 +19,8 @@ BUDGETS = {
     "robot_sysid/api": 4460,
     "robot_sysid/commands": 10943,
     "robot_sysid/damiao": 33141,
-    "robot_sysid/diagnosis": 17167,
-    "robot_sysid/dynamics": 5986,
+    "robot_sysid/diagnosis": 16838,
+    "robot_sysid/dynamics": 5780,
     "robot_sysid/estimate": 28137,
     "robot_sysid/logs": 16137,
     "robot_sysid/mjcf": 7881,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4990,
     "robot_sysid/simulation": 4000,
     "robot_sysid": 9528,
-    "tests": 219636,
+    "tests": 219628,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

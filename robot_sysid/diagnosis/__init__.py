@@ -29,8 +29,10 @@ class ColumnCorrection:
         """Return the correction that multiplies each joint's own column by a factor (n,)."""
         return cls(quantities, tuple(range(len(factors))), tuple(factors.tolist()))
 
-    def apply(self, values: Array) -> Array:
-        """Return recorded values (N, n) with the columns put right."""
+    def apply(self, quantity: str, values: Array) -> Array:
+        """Return recorded values (N, n) of a quantity with the columns put right."""
+        if quantity not in self.quantities:
+            return values
         return values[:, self.order] * np.array(self.factors)
 
 

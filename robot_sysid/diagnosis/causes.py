@@ -1,8 +1,8 @@
 """What may be wrong with a log or its model: each cause is a term with a wide prior.
 
 An error that every fit allows for, such as a joint's zero, has a second term here, with the same
-columns and a wider prior. To add a cause, add a function to ``CAUSES`` that takes the fit of a log
-and yields explanations.
+columns and a wider prior. To add a cause, add a function to ``explanations`` that takes the fit of
+a log and yields explanations.
 
 Throughout, m is the number of rows of a chunk, J that of joints, e that of a cause's parameters.
 """
@@ -586,20 +586,17 @@ def crosstalk(fitted: Fit) -> Iterator[Explanation]:
     """Yield torque sensors that also read a share of the torque of the joint before or after."""
     arm = fitted.arm
     torque = typical_torque(fitted.sums)
+
+    def column(other: int, joint: int, rows: Rows, point: Point) -> Array:
+        """Return the torque (m, J) of another joint at one joint."""
+        return rigid(arm, rows, point)[:, [other]] * np.eye(len(arm.joints))[joint]
+
     for joint, name in enumerate(arm.joints):
         for other in {joint - 1, joint + 1}.intersection(range(len(arm.joints))):
-            own = np.eye(len(arm.joints))[joint]
-
-            def columns(
-                rows: Rows, point: Point, other: int = other, own: Array = own
-            ) -> Array:
-                """Return the torque (m, J) of the other joint at this one."""
-                return rigid(arm, rows, point)[:, [other]] * own
-
             yield single(
                 "crosstalk",
                 f"{name} {other}",
-                columns,
+                partial(column, other, joint),
                 0.1 * min(1.0, torque[joint] / torque[other]),
                 f"the torque of joint {name} holds {{value}} of that of joint "
                 f"{arm.joints[other]}{{|, with the opposite sign}}",
@@ -621,17 +618,17 @@ def warming(fitted: Fit) -> Iterator[Explanation]:
         return
     dry = [fitted.by_name[name] for name in names_of("coulomb", arm.joints)]
     spread = 0.5 * np.maximum(np.abs(dry), 0.01 * typical_torque(fitted.sums))
+
+    def excess(constant: float, rows: Rows, point: Point) -> Array:
+        """Return the torque (m, J) of friction above that at the end."""
+        decay = np.exp((first - rows.motion.time) / constant)
+        return arm.friction_column("coulomb", rows, point) * decay[:, None]
+
     for constant in WARM_UP:
-
-        def excess(rows: Rows, point: Point, constant: float = constant) -> Array:
-            """Return the torque (m, J) of friction above that at the end."""
-            decay = np.exp((first - rows.motion.time) / constant)
-            return arm.friction_column("coulomb", rows, point) * decay[:, None]
-
         yield single(
             "friction",
             f"{constant}",
-            diagonal(excess),
+            diagonal(partial(excess, constant)),
             spread,
             "friction falls over the log",
             "let the arm warm up before it is recorded",
@@ -640,19 +637,15 @@ def warming(fitted: Fit) -> Iterator[Explanation]:
         )
 
 
-CAUSES: tuple[Callable[[Fit], Iterator[Explanation]], ...] = (
-    sensors,
-    tilt,
-    time_base,
-    payload_steps,
-    forces,
-    shapes_of_joints,
-    crosstalk,
-    warming,
-)
-"""Functions that take the fit of a log and yield explanations."""
-
-
 def explanations(fitted: Fit) -> list[Explanation]:
-    """Return what all functions of ``CAUSES`` yield for the fit of a log."""
-    return [explanation for cause in CAUSES for explanation in cause(fitted)]
+    """Return all explanations for the fit of a log."""
+    return [
+        *sensors(fitted),
+        *tilt(fitted),
+        *time_base(fitted),
+        *payload_steps(fitted),
+        *forces(fitted),
+        *shapes_of_joints(fitted),
+        *crosstalk(fitted),
+        *warming(fitted),
+    ]

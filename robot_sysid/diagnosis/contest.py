@@ -115,18 +115,16 @@ class Score:
         return bool(after < before)
 
     @cached_property
-    def joint_shares(self) -> Array:
-        """Standard deviation of the explanation's torque, as a share of each joint's (J,)."""
-        rows = self.log.rows
-        torque = rows.torque_of(self.explanation.term.names, self.values[0])
-        return np.asarray(np.std(torque, axis=0) / rows.typical_torque)
+    def torque(self) -> Array:
+        """Standard deviation (J,) of the explanation's torque over time [N m]."""
+        names = self.explanation.term.names
+        return np.std(self.log.rows.torque_of(names, self.values[0]), axis=0)
 
     @property
     def torque_share(self) -> float:
-        """Standard deviation of the explanation's torque over time, as a share of all torque."""
+        """The explanation's torque as a share of all torque."""
         typical = self.log.rows.typical_torque
-        size = np.linalg.norm(self.joint_shares * typical)
-        return float(size / np.linalg.norm(typical))
+        return float(np.linalg.norm(self.torque) / np.linalg.norm(typical))
 
     @property
     def is_gross(self) -> bool:
@@ -140,7 +138,8 @@ class Score:
         is_of_log = explanation.joint is None and explanation.level is not Level.SAYS
         is_large = self.torque_share > LEAST_SHARE
         if explanation.is_norm:
-            is_large |= float(np.max(self.joint_shares)) > LEAST_OF_JOINT
+            shares = self.torque / self.log.rows.typical_torque
+            is_large |= bool(np.max(shares) > LEAST_OF_JOINT)
         return is_of_log or is_large or self.is_gross
 
     @property
@@ -175,14 +174,15 @@ class Contest:
 
     def __init__(self, log: LogFit, found: Sequence[Explanation] = ()) -> None:
         self.log = log
-        self.offered = [*found, *explanations(log.fit)]
-        self.rows = self.rows_of(self.offered)
+        self.offered: list[Explanation] = []
+        self.offer([*found, *explanations(log.fit)])
 
-    def rows_of(self, offered: Sequence[Explanation]) -> LogRows:
-        """Return the rows of the log with the columns of explanations."""
+    def offer(self, more: Sequence[Explanation]) -> None:
+        """Offer more explanations, and give the rows their columns."""
+        self.offered += more
         fitted = self.log.fit
-        terms = [explanation.term for explanation in offered]
-        return log_rows(fitted.arm, fitted.recordings, fitted.point, terms)
+        terms = [explanation.term for explanation in self.offered]
+        self.rows = log_rows(fitted.arm, fitted.recordings, fitted.point, terms)
 
     def score(self, current: Fit, explanation: Explanation, rows: LogRows) -> Score:
         """Return the score of an explanation; both fits have the noise that it leaves."""
@@ -234,14 +234,12 @@ class Contest:
     def refine(self, current: Fit, score: Score) -> Score:
         """Return the best score that ``Explanation.nearby`` leads to, step by step."""
         while nearby := score.explanation.nearby():
-            rows = self.rows_of([*self.offered, *nearby])
-            scores = [self.score(current, each, rows) for each in nearby]
+            self.offer(nearby)
+            scores = [self.score(current, each, self.rows) for each in nearby]
             better = max(scores, key=lambda each: each.gain)
             if better.gain < score.gain:
                 break
             score = better
-            self.offered.append(better.explanation)
-            self.rows = rows
         return score
 
 

@@ -86,17 +86,10 @@ def held_torques(piece: Measurement, tau: Array) -> Iterator[tuple[str, slice]]:
         return
     ends = np.min(tau), np.max(tau)
     for rows in equal_runs(piece.time, tau):
-        if _moves(piece, rows):
+        # The range of positions counts: an arm may return to where it was.
+        length = min(float(np.ptp(piece.time[rows])), 1.0)
+        if np.max(np.ptp(piece.q[rows], axis=0)) > _MOVING * length:
             yield "saturated" if tau[rows.start] in ends else "held", rows
-
-
-def _moves(piece: Measurement, rows: slice) -> bool:
-    """Return whether any joint moves in some rows.
-
-    The range of positions counts, not the difference: an arm may return to where it was.
-    """
-    length = min(float(np.ptp(piece.time[rows])), 1.0)
-    return bool(np.max(np.ptp(piece.q[rows], axis=0)) > _MOVING * length)
 
 
 def unusual_torque(

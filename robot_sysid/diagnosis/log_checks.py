@@ -36,7 +36,12 @@ from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Level, Progress, count_text, percent
 from robot_sysid.signals.process import LogPiece, check_losses, process
-from robot_sysid.signals.resampling import sampling_period, slice_samples
+from robot_sysid.signals.resampling import (
+    cut_pieces,
+    duration,
+    sampling_period,
+    select_pieces,
+)
 
 ROWS = 40
 """Least number of independent samples per joint, for ten parameters and the joint's friction."""
@@ -44,11 +49,6 @@ SLOWEST_RATE = 10.0
 """Sampling rate below which a motion cannot be differentiated [Hz]."""
 SLOWEST = 0.05
 """Speed that at least one joint has to reach [rad/s]."""
-
-
-def _length(pieces: Sequence[Measurement]) -> float:
-    """Return the duration of all pieces together [s], from the first sample of each to its last."""
-    return float(sum(np.ptp(piece.time) for piece in pieces))
 
 
 def slow_findings(recordings: Sequence[Recording]) -> Iterator[Finding]:
@@ -68,7 +68,7 @@ def enough_findings(
     """
     signals = recordings[0].signals
     assert signals is not None
-    span = _length(pieces)
+    span = duration(pieces)
     rows = int(2.0 * signals.cutoff * span)
     rate = 1.0 / sampling_period(pieces[0].time)
     if rate < SLOWEST_RATE:
@@ -104,7 +104,8 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
 
     Nothing is found in pieces, or a log, of fewer than ``_ENOUGH`` steps.
     """
-    steps = [_steps(piece) for piece in pieces if len(piece) > _ENOUGH]
+    parts = cut_pieces(pieces, _PART)
+    steps = [_steps(part) for part in parts if len(part) > _ENOUGH]
     if not steps:
         return
     speed, duration = map(np.concatenate, zip(*steps))
@@ -112,13 +113,13 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
         return
     # Speeds and durations are relative to those of the steps around, see ``_steps``.
     is_long = duration > _JUMP
-    is_usual = duration < _JUMP
     is_jump = is_long & (speed * duration < _NO_WAY) & (speed > 0.0)
     jumps = int(np.count_nonzero(is_jump))
-    lost = float(np.mean(is_usual & (speed > LOST[0]) & (speed < LOST[1])))
+    speed[is_long] = 1.0
+    lost = float(np.mean((speed > LOST[0]) & (speed < LOST[1])))
     # A lost sample doubles the speed; noise makes smaller excesses, too, and more of them.
-    uneven = float(np.mean(is_usual & (speed > 1.25) & (speed < 1.5)))
-    repeated = float(np.mean(is_usual & (np.abs(speed) < REPEATED)))
+    uneven = float(np.mean((speed > 1.25) & (speed < 1.5)))
+    repeated = float(np.mean(np.abs(speed) < REPEATED))
     remedy = "record the time at which each sample was taken"
     # Noise that makes many steps of the smaller excess may also make those with the larger one.
     if lost > max(FEW, 3.0 * uneven):
@@ -160,14 +161,14 @@ def velocity_ratios(pieces: Sequence[Measurement]) -> Array:
     p.p and p.v over all stretches of ``INTEGRATION_TIME``, one of which begins at every sample of
     the windows of ``spread_windows``. The velocities are p.v / p.p times the derivatives.
     """
+    from scipy.integrate import cumulative_trapezoid
+
     displacements = []
     for piece in spread_windows(pieces):
         length = max(1, round(INTEGRATION_TIME / sampling_period(piece.time)))
         if piece.qd is not None and len(piece) > length:
-            steps = 0.5 * (piece.qd[1:] + piece.qd[:-1])
-            steps *= np.diff(piece.time)[:, None]
-            integrated = np.cumsum(np.vstack((0.0 * steps[:1], steps)), axis=0)
-            tracks = np.stack((piece.q, integrated))
+            integral = cumulative_trapezoid(piece.qd, piece.time, axis=0, initial=0.0)
+            tracks = np.stack((piece.q, integral))
             displacements.append(tracks[:, length:] - tracks[:, :-length])
     if not displacements:
         return np.ones(pieces[0].q.shape[1])
@@ -214,23 +215,18 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     """
     step = np.diff(piece.time)
     typical_step = float(np.median(step))
-    reference_square = np.zeros(len(step) - 4)
-    product = np.zeros(len(step) - 4)
-    noise = 0.0
-    for q in piece.q.T:
-        displacement = np.diff(q)
-        # Displacement in a step of typical duration.
-        pace = displacement * (typical_step / step)
-        neighbours = (pace[:-4], pace[1:-3], pace[3:-1], pace[4:])
-        reference = np.median(neighbours, axis=0)
-        reference_square += reference**2
-        product += displacement[2:-2] * reference
-        noise += float(np.median(np.abs(np.diff(displacement)))) ** 2
+    displacement = np.diff(piece.q, axis=0)
+    # Displacement in a step of typical duration.
+    pace = displacement * (typical_step / step)[:, None]
+    neighbours = (pace[:-4], pace[1:-3], pace[3:-1], pace[4:])
+    reference = np.median(neighbours, axis=0)
+    square = np.sum(reference**2, axis=1)
+    product = np.sum(displacement[2:-2] * reference, axis=1)
+    jitter = np.median(np.abs(np.diff(displacement, axis=0)), axis=0)
     duration = step[2:-2] / typical_step
-    largest_square = float(np.max(reference_square, initial=0.0))
     # Steps with a seventh of the fastest speed or less, near a reversal, say little of the clock.
-    is_clear = reference_square > max(_CLEAR**2 * noise, 0.02 * largest_square)
-    distance = product[is_clear] / reference_square[is_clear]
+    is_clear = square > max(_CLEAR**2 * np.sum(jitter**2), 0.02 * np.max(square))
+    distance = product[is_clear] / square[is_clear]
     return distance / duration[is_clear], duration[is_clear]
 
 
@@ -317,23 +313,9 @@ def spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
     It is long above ``MOST_WINDOWS`` times ``WINDOW``; at most ``MOST_WINDOWS`` windows, evenly
     spread, are then returned.
     """
-    if _length(pieces) <= MOST_WINDOWS * WINDOW:
+    if duration(pieces) <= MOST_WINDOWS * WINDOW:
         return list(pieces)
-    windows = [*_windows(pieces, WINDOW)]
-    spread = np.linspace(0, len(windows) - 1, MOST_WINDOWS)
-    return [windows[k] for k in np.unique(spread.astype(int))]
-
-
-def _windows(
-    pieces: Sequence[Measurement], longest: float, overlap: float = 0.0
-) -> Iterator[Measurement]:
-    """Yield windows of pieces, at most ``longest`` and what they overlap, ``overlap`` [s]."""
-    for piece in pieces:
-        before = round(overlap / sampling_period(piece.time))
-        count = math.ceil(_length([piece]) / longest)
-        edges = np.linspace(0, len(piece), count + 1).astype(int).tolist()
-        for first, last in zip(edges, edges[1:]):
-            yield slice_samples(piece, max(first - before, 0), last)
+    return select_pieces([*cut_pieces(pieces, WINDOW)], MOST_WINDOWS * WINDOW)
 
 
 def check_pieces(
@@ -403,13 +385,10 @@ def _touched(
     A long log is judged part by part, so that memory does not grow with it. Parts overlap, as the
     low-pass loses their ends.
     """
-    parts: list[list[Measurement]] = [[]]
-    for window in _windows(pieces, _PART, _OVERLAP):
-        if _length([*parts[-1], window]) > MOST_WINDOWS * WINDOW:
-            parts.append([])
-        parts[-1].append(window)
-    for part_pieces in filter(None, parts):
-        recordings = low_pass(part_pieces, options.cutoff)
+    windows = [*cut_pieces(pieces, _PART, _OVERLAP)]
+    count = min(math.ceil(duration(pieces) / _PART), len(windows))
+    for numbers in np.array_split(np.arange(len(windows)), count):
+        recordings = low_pass([windows[k] for k in numbers], options.cutoff)
         yield from unusual_torque(robot, recordings, options)
 
 

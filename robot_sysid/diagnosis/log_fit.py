@@ -326,12 +326,7 @@ def compare(
     old = before.rows.fit(before.fit.equations.terms, before.fit, correlation)
     gain = evidence(refitted) - evidence(old)
     # A parameter without a prior is unknown in proportion to the torque, not in its unit.
-    joints = before.fit.arm.joints
-    of_joint = dict(zip(joints, np.broadcast_to(density, len(joints)).tolist()))
-    usual = float(np.mean(density))
-    for term in terms:
-        for name in term.names if term.prior is None else ():
-            gain += of_joint.get(name.partition("[")[2].rstrip("]"), usual)
+    unknowns = sum(len(term.names) for term in terms if term.prior is None)
     independent = np.sum(before.rows.sums.counts, axis=0) / correlation
-    gain -= float(np.sum(independent * density))
+    gain += unknowns * float(np.mean(density)) - float(np.sum(independent * density))
     return gain, LogFit(refitted, after.rows)

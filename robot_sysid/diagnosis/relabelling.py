@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,13 +116,13 @@ def corrected(
     for recording in recordings:
         signals = recording.source
         assert isinstance(signals, ProcessedSignals)
-        arrays: dict[str, Any] = {}
-        if "position" in columns.quantities:
-            for name in ("q", "qd", "qdd"):
-                arrays[name] = columns.apply(getattr(signals, name))
-        if "torque" in columns.quantities:
-            arrays["tau"] = columns.apply(signals.tau)
-        right.append(Recording(recording.name, replace(signals, **arrays)))
+        q, qd, qdd = (
+            columns.apply("position", values)
+            for values in (signals.q, signals.qd, signals.qdd)
+        )
+        tau = columns.apply("torque", signals.tau)
+        signals = replace(signals, q=q, qd=qd, qdd=qdd, tau=tau)
+        right.append(Recording(recording.name, signals))
         right[-1].__dict__["used"] = recording.used
     return right
 
@@ -230,21 +229,19 @@ def wrong_columns(
     moving = [int(log.fit.arm.indices[row]) for row in np.flatnonzero(counts)]
     tried = [*mistakes(robot, moving)]
     level = gravity_vector(robot)
-    as_is = agreement(log, found, None, level)
-    scores = [agreement(log, found, each.correction, level) for each in tried]
+    unchanged = ColumnCorrection.of_factors(np.ones(robot.n_joints))
+    columns = [each.correction or unchanged for each in tried]
+    as_is = agreement(log, found, unchanged, level)
+    scores = [agreement(log, found, each, level) for each in columns]
     for number in np.argsort(scores)[::-1][:FINALISTS].tolist():
-        columns = tried[number].correction
-        if scores[number] > as_is + CLEAR and columns is not None:
-            right = corrected(log.fit.recordings, columns)
+        if scores[number] > as_is + CLEAR:
+            right = corrected(log.fit.recordings, columns[number])
             gain, after = compare(log, LogFit.of(robot, right, options, found))
             yield Correction(tried[number], gain - float(np.log(len(tried))), after)
 
 
 def agreement(
-    log: LogFit,
-    found: Sequence[Term],
-    correction: ColumnCorrection | None,
-    gravity: Array,
+    log: LogFit, found: Sequence[Term], correction: ColumnCorrection, gravity: Array
 ) -> float:
     """Return how well torques follow the model's links, with corrected columns and gravity.
 
@@ -255,7 +252,7 @@ def agreement(
     Args:
         log: the fit of the log.
         found: explanations that act in it.
-        correction: of columns; None for none.
+        correction: of the columns.
         gravity: (3,) [m/s^2].
     """
     from scipy.optimize import nnls
@@ -271,13 +268,12 @@ def agreement(
     least = LEAST_MISFIT * np.sqrt(np.mean(torque**2))
     motions = [recording.motion for recording in log.fit.recordings]
     q, qd, qdd = (
-        np.concatenate([vars(motion)[name] for motion in motions])[::every]
+        correction.apply(
+            "position", np.concatenate([vars(motion)[name] for motion in motions])
+        )[::every]
         for name in ("q", "qd", "qdd")
     )
-    if correction is not None and "position" in correction.quantities:
-        q, qd, qdd = map(correction.apply, (q, qd, qdd))
-    if correction is not None and "torque" in correction.quantities:
-        torque = correction.apply(torque)
+    torque = correction.apply("torque", torque)
     links = LinkDynamics(robot, gravity).motion(q, qd, qdd)
     others = robot.thetas
     others[-1] = 0.0
@@ -307,7 +303,8 @@ def mounted(
     size = float(np.linalg.norm(level))
     axes = np.array([axis for axis in product((-1.0, 0.0, 1.0), repeat=3) if any(axis)])
     directions = size * axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    scores = [agreement(log, found, None, gravity) for gravity in (level, *directions)]
+    unchanged = ColumnCorrection.of_factors(np.ones(robot.n_joints))
+    scores = [agreement(log, found, unchanged, g) for g in (level, *directions)]
     gravity = (level, *directions)[int(np.argmax(scores))]
     wide = replace(options, priors=replace(options.priors, gravity=WIDE_TILT))
     for _ in range(_TURNS):

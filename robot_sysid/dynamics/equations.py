@@ -91,8 +91,7 @@ class Equations:
         is_known = np.array([not model.terms for model in friction])
         coulomb = np.where(is_known, robot.friction.coulomb, 0.0)
         viscous = np.where(is_known, robot.friction.viscous, 0.0)
-        known_friction = replace(robot.friction, coulomb=coulomb, viscous=viscous)
-        self._known_friction = known_friction
+        self._known = replace(robot.friction, coulomb=coulomb, viscous=viscous)
         # (n,) rotor inertia in the model, of the joints whose rotor inertia is estimated.
         is_estimated = np.array(["armature" in model.terms for model in friction])
         self._estimated_armature = np.where(is_estimated, robot.armature, 0.0)
@@ -104,19 +103,23 @@ class Equations:
         n = robot.n_joints
         self.joint_indices = tuple(range(0 if torques == "chain" else n - 1, n))
         self.joints = tuple(robot.joint_names[j] for j in self.joint_indices)
-        values = dict(zip(PARAMETER_NAMES, robot.prior.theta.tolist()))
+        model_friction = {
+            "coulomb": robot.friction.coulomb,
+            "viscous": robot.friction.viscous,
+            "armature": robot.armature,
+        }
         names = list(PARAMETER_NAMES)
+        prior = robot.prior.theta.tolist()
         columns: list[NDArray[np.int64]] = []
         for j, joint in zip(self.joint_indices, self.joints):
-            values[f"coulomb[{joint}]"] = float(robot.friction.coulomb[j])
-            values[f"viscous[{joint}]"] = float(robot.friction.viscous[j])
-            values[f"armature[{joint}]"] = float(robot.armature[j])
-            own = np.arange(len(self._friction[j].terms)) + len(names)
+            terms = self._friction[j].terms
+            own = np.arange(len(terms)) + len(names)
             names += self._friction[j].parameter_names(joint)
+            prior += [model_friction.get(term, np.zeros(n))[j] for term in terms]
             columns.append(np.concatenate((np.arange(N_INERTIAL), own)))
         self.names = tuple(names)
         self.columns = tuple(columns)
-        self.prior = np.array([values.get(name, 0.0) for name in names])
+        self.prior = np.array(prior)
 
     def rows(self, measurement: Measurement) -> Iterator[tuple[Array, Array]]:
         """Yield (rows (N, k), right-hand side (N,) [N m]) per joint of ``joints``.
@@ -138,7 +141,7 @@ class Equations:
         links = self._dynamics.motion(q, qd, qdd)
         beyond = self._beyond.torque(q, qd, qdd)
         known = beyond + links.torque(self._known_thetas)
-        known += self._known_friction.torque(qd) - self._estimated_armature * qdd
+        known += self._known.torque(qd) - self._estimated_armature * qdd
         # The gear's load is computed from the model: the measured torque includes friction.
         load = beyond + links.torque(self._model_thetas)
         terminal = links.columns([len(links.screws) - 1])

@@ -148,7 +148,7 @@ class ArmDynamics:
     def __init__(self, robot: RobotModel, mj_model: Any = None) -> None:
         self.model = analysis_copy(robot.mj_model if mj_model is None else mj_model)
         self.data = data_at_pose(self.model, robot.reference_qpos)
-        self.chain = _as_slice(robot.qpos_index), _as_slice(robot.dof_index)
+        self.chain = robot.qpos_index, robot.dof_index
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return joint torques (N, n) without friction for motions (N, n) [N m]."""
@@ -183,16 +183,6 @@ class BeyondRigidBodies:
             mujoco.mj_rne(model, self._arm.data, 1, rigid)
             torque[k] = total[0] - rigid[self._arm.chain[1]]
         return torque
-
-
-def _as_slice(index: Any) -> Any:
-    """Return addresses (n,) as a slice, which is faster to write to; as they are if they are not
-    consecutive.
-    """
-    first = int(index[0])
-    count = len(index)
-    is_consecutive = np.array_equal(index, np.arange(first, first + count))
-    return slice(first, first + count) if is_consecutive else index
 
 
 @dataclass(frozen=True)

@@ -112,16 +112,13 @@ def roll_pitch_yaw(rotation: Array) -> Array:
 
     Where pitch is a right angle, only the sum or difference of roll and yaw counts: yaw is zero.
     """
-    cosine = float(np.hypot(rotation[0, 0], rotation[1, 0]))
-    is_locked = cosine < _LOCKED
-    yaw = 0.0 if is_locked else np.arctan2(rotation[1, 0], rotation[0, 0])
+    x_axis = rotation[:, 0]
+    is_locked = np.hypot(x_axis[0], x_axis[1]) < _LOCKED
+    yaw = 0.0 if is_locked else np.arctan2(x_axis[1], x_axis[0])
     # Near a right angle yaw is mostly rounding; roll is computed from it and makes up for it.
-    s = np.sin(yaw)
-    c = np.cos(yaw)
-    roll = np.arctan2(
-        s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1]
-    )
-    pitch = np.arctan2(-rotation[2, 0], cosine)
+    turn = rotation_of_angles(np.array([0.0, 0.0, -yaw])) @ rotation
+    roll = np.arctan2(-turn[1, 2], turn[1, 1])
+    pitch = np.arctan2(-turn[2, 0], turn[0, 0])
     return np.array([roll, pitch, yaw])
 
 
@@ -129,12 +126,9 @@ def rotation_of_angles(roll_pitch_yaw: Array) -> Array:
     """Return the rotation R (3, 3) of angles roll, pitch and yaw (3,) [rad] about the fixed axes x,
     y and z, as in a URDF: R = Rz(yaw) Ry(pitch) Rx(roll). ValueError if there are not three.
     """
-    sin_roll, sin_pitch, sin_yaw = np.sin(roll_pitch_yaw)
-    cos_roll, cos_pitch, cos_yaw = np.cos(roll_pitch_yaw)
-    rx = np.array([[1, 0, 0], [0, cos_roll, -sin_roll], [0, sin_roll, cos_roll]])
-    ry = np.array([[cos_pitch, 0, sin_pitch], [0, 1, 0], [-sin_pitch, 0, cos_pitch]])
-    rz = np.array([[cos_yaw, -sin_yaw, 0], [sin_yaw, cos_yaw, 0], [0, 0, 1]])
-    return rz @ ry @ rx
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_euler("xyz", roll_pitch_yaw).as_matrix()
 
 
 def quaternion(rotation: Array) -> Array:

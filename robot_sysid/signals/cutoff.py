@@ -20,10 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from robot_sysid.errors import InputError
 from robot_sysid.records import Array
-from robot_sysid.records.messages import percent
 from robot_sysid.signals.filters import design_low_pass
+from robot_sysid.signals.resampling import FEWEST_SAMPLES
 
 # Expected squared error of the acceleration, relative to its mean square, that does no harm: it
 # biases an identified inertia by the same share, 0.005 %.
@@ -48,9 +47,6 @@ _BLACKMAN_HARRIS = (0.35875, -0.48829, 0.14128, -0.01168)
 # Largest share of the log that is lost at its ends, in the low-pass of positions and in the
 # low-pass of regressor columns together (chosen).
 _TRIMMED_SHARE = 0.2
-# Fewest readings of a log that a spectrum is made from; the bound on the length of its segments, of
-# which there are at least four, is no smaller either (chosen).
-_SHORTEST_SEGMENT = 64
 
 
 class CutoffChoice(NamedTuple):
@@ -62,13 +58,11 @@ class CutoffChoice(NamedTuple):
             mean square.
         noise_share: root mean square of the acceleration's noise over all frequencies, over that
             of the motion's acceleration.
-        reason: a sentence on why this cut-off was chosen.
     """
 
     cutoff: float
     expected_error: float
     noise_share: float
-    reason: str
 
 
 def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
@@ -80,15 +74,8 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
     Args:
         q: (N, n) positions on a uniform grid [rad].
         rate: of the grid [Hz].
-
-    Raises:
-        InputError: there are too few samples.
     """
-    if len(q) < _SHORTEST_SEGMENT:
-        raise InputError(
-            f"{len(q)} samples are too few to choose a cut-off from; record longer"
-        )
-    longest = max(_SHORTEST_SEGMENT, round(_LONGEST_SEGMENT * rate))
+    longest = max(FEWEST_SAMPLES, round(_LONGEST_SEGMENT * rate))
     # At least four segments; the second difference has two samples less.
     length = min((len(q) - 2) // 4, longest)
     frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))[1:]
@@ -111,13 +98,10 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
         errors[k] = (1.0 - gain) ** 2 @ motion + gain**2 @ noise
     largest_error = max(_HARMLESS_ERROR, _ERROR_TOLERANCE * errors.min())
     index = np.flatnonzero(errors <= largest_error)[-1]
-    cutoff = float(candidates[index])
-    expected = float(np.sqrt(errors[index]))
-    reason = (
-        f"cut-off {cutoff:.3g} Hz chosen from the data: expected error of the acceleration "
-        f"{percent(expected)}"
+    noise_share = np.sqrt(np.sum(noise))
+    return CutoffChoice(
+        float(candidates[index]), float(np.sqrt(errors[index])), noise_share
     )
-    return CutoffChoice(cutoff, expected, np.sqrt(np.sum(noise)), reason)
 
 
 def _acceleration_spectra(

@@ -12,7 +12,7 @@ exact to 2e-9. How other methods do on encoder data: benchmarks/differentiation_
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -64,14 +64,9 @@ class LowPass:
         (N, ...).
         """
         weight = np.abs(self.kernel)
-        averaging = replace(self, kernel=weight / np.sum(weight))
-        return averaging.decimate(is_marked.astype(float))
-
-    def centres(self, n_samples: int) -> NDArray[np.int64]:
-        """Return the indices (K,) of the input samples, of ``n_samples``, at the instants of the
-        decimated samples.
-        """
-        return np.arange(self.half_width, n_samples - self.half_width, self.step)
+        return _weighted_sums(
+            is_marked.astype(float), weight / np.sum(weight), self.step
+        )
 
 
 def design_low_pass(cutoff: float, rate: float) -> LowPass:

@@ -123,7 +123,8 @@ class ProcessedSignals:
 
     def decimated_motion(self) -> Motion:
         """Return the motion (K, n), low-passed once, at the instants of the decimated rows."""
-        return self.motion(self.low_pass.centres(len(self)))
+        lost = self.low_pass.half_width
+        return self.motion(slice(lost, len(self) - lost, self.low_pass.step))
 
     def usable(self) -> NDArray[np.bool_]:
         """Return (K, n) whether each decimated row of each joint may be used: the filter's window
@@ -179,12 +180,10 @@ def process(
     uniform = piece.uniform
     choice = piece.choice
     if cutoff is not None:
-        reason = f"cut-off {cutoff:.4g} Hz"
-        choice = choice._replace(cutoff=cutoff, expected_error=0.0, reason=reason)
+        choice = choice._replace(cutoff=cutoff, expected_error=0.0)
     low_pass = design_low_pass(choice.cutoff, uniform.rate)
-    position_filter = replace(low_pass, step=1)
-    if choice.noise_share < _EXACT:
-        position_filter = replace(position_filter, kernel=np.ones(1))
+    kernel = np.ones(1) if choice.noise_share < _EXACT else low_pass.kernel
+    position_filter = replace(low_pass, step=1, kernel=kernel)
     # Samples that positions and their derivatives lose at each end; torques lose more.
     lost = position_filter.half_width + REACH
     shortest = 2 * (lost + low_pass.half_width) + 10 * low_pass.step
@@ -198,7 +197,7 @@ def process(
     qd, qdd = derivatives(q, uniform.rate)
     longest_hole = min(_LONGEST_HOLE_STEPS / uniform.rate, 1.0 / choice.cutoff)
     hole_share = position_filter.weight_shares(uniform.gap > longest_hole)
-    peak_speed = np.max(np.abs(qd), axis=0)
+    deadband = DEADBAND_SHARE * np.max(np.abs(qd), axis=0)
     signals = ProcessedSignals(
         time=uniform.time[inner],
         q=q[REACH:-REACH],
@@ -206,12 +205,13 @@ def process(
         qdd=qdd,
         tau=uniform.tau[inner],
         bridged=hole_share[REACH:-REACH] > LARGEST_SLOW_SHARE,
-        deadband=np.maximum(DEADBAND_SHARE * peak_speed, _LEAST_DEADBAND),
+        deadband=np.maximum(deadband, _LEAST_DEADBAND),
         low_pass=low_pass,
         acceleration_error=choice.expected_error,
     )
+    filter_note = Detail(f"low-pass with a cut-off of {choice.cutoff:.4g} Hz")
     row_notes = _notes(signals, joint_names, longest_hole)
-    return replace(signals, notes=(*uniform.notes, Detail(choice.reason), *row_notes))
+    return replace(signals, notes=(*uniform.notes, filter_note, *row_notes))
 
 
 def _notes(
@@ -225,7 +225,6 @@ def _notes(
         joint_names: numbers stand for joints without a name.
         longest_hole: length of a hole in the log beyond which rows beside it are not used [s].
     """
-    usable = signals.usable()
     is_complete = signals.is_complete()
     missing = 1.0 - float(np.mean(is_complete))
     if missing > 0.0:
@@ -234,13 +233,14 @@ def _notes(
             f"{1e3 * longest_hole:.3g} ms) or what is left out, and are not used"
         )
         yield note if missing > 0.05 else Detail(note)
-    shares = np.count_nonzero(usable, axis=0) / max(np.count_nonzero(is_complete), 1)
+    usable = np.count_nonzero(signals.usable(), axis=0)
+    shares = usable / max(np.count_nonzero(is_complete), 1)
     names = joint_names or range(1, len(shares) + 1)
     for name, share, deadband in zip(names, shares, signals.deadband):
         if share < 0.5:
             yield (
-                f"only {100 * share:.0f} % of the rows of joint {name} are used: otherwise it is "
-                f"slower than its velocity deadband of {deadband:.2g} rad/s"
+                f"only {percent(share)} of the rows of joint {name} are used: in the others it is "
+                f"slower than {deadband:.2g} rad/s, where the direction of friction is not sure"
             )
 
 

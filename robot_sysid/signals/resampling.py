@@ -7,7 +7,7 @@ Each piece is filtered by itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -20,6 +20,8 @@ GAP_STEPS = 1.75
 """Multiple of the median step of time beyond which a step counts as a hole with at least one lost
 sample; a late sample comes up to 1.7 periods after an early one (tests/signals/test_resampling.py).
 """
+FEWEST_SAMPLES = 64
+"""Fewest samples of a log that a spectrum is made from (chosen)."""
 _CLOCK_ERROR = 0.01
 """Deviation from an even grid, in sampling periods, that most clocks have (chosen)."""
 
@@ -47,26 +49,24 @@ class UniformSignals:
 
 
 def resample_uniformly(measurement: Measurement) -> UniformSignals:
-    """Return a log on a uniform grid, or raise InputError where it has fewer than 8 samples.
+    """Return a log on a uniform grid, or raise InputError where it has too few samples.
 
     The samples of a log with evenly spaced time stamps (up to their number of digits) are not
     changed. In any other log every joint is interpolated by cubic splines, at its own time stamps
     where it has them.
     """
     time = measurement.time
-    if len(time) < 8:
+    if len(time) < FEWEST_SAMPLES:
         raise InputError(
-            f"only {len(time)} samples; a log of several seconds is needed"
+            f"only {len(time)} samples; record longer: several seconds are needed"
         )
     rate = 1.0 / sampling_period(time)
     grid, q, tau = time, measurement.q, measurement.tau
     gap = np.zeros(len(time))
     notes: tuple[str, ...] = ()
-    stamps = measurement.joint_time
-    if stamps is not None or not is_even(time):
-        reason = "uneven" if stamps is None else "each joint at its own"
+    if measurement.joint_time is not None or not is_even(time):
         notes = (
-            f"resampled to a uniform {rate:.6g} Hz ({reason} time stamps, cubic splines)",
+            f"resampled to a uniform {rate:.6g} Hz (uneven time stamps, cubic splines)",
         )
         grid, q, tau = _interpolate(measurement, rate)
         gap = _bridged_gap(time, grid, rate)
@@ -165,21 +165,31 @@ def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
     """
     step = np.diff(samples.time)
     cuts = np.flatnonzero(step > splitting_gap(float(np.median(step)))) + 1
-    stretches = np.split(np.arange(len(samples)), cuts)
-    if _duration(samples) > MOST_TIME:
-        parts = []
-        for rows in stretches:
-            count = math.ceil(np.ptp(samples.time[rows]) / PIECE_TIME)
-            parts += np.array_split(rows, max(count, 1))
-        stretches = parts
-    pieces = [slice_samples(samples, rows[0], rows[-1] + 1) for rows in stretches]
-    long = [piece for piece in pieces if _duration(piece) >= SHORTEST_PIECE]
-    return tuple(_select_pieces(long)) or (samples,)
+    pieces = []
+    for rows in np.split(np.arange(len(samples)), cuts):
+        piece = slice_samples(samples, rows[0], rows[-1] + 1)
+        if duration([piece]) >= SHORTEST_PIECE:
+            pieces.append(piece)
+    if duration([samples]) > MOST_TIME:
+        pieces = [*cut_pieces(pieces, PIECE_TIME)]
+    return tuple(select_pieces(pieces, MOST_TIME)) or (samples,)
 
 
-def _duration(samples: Measurement) -> float:
-    """Return the time from the first to the last sample [s]."""
-    return float(samples.time[-1] - samples.time[0])
+def duration(pieces: Iterable[Measurement]) -> float:
+    """Return the time from the first to the last sample of each piece, summed [s]."""
+    return float(sum(np.ptp(piece.time) for piece in pieces))
+
+
+def cut_pieces(
+    pieces: Iterable[Measurement], longest: float, overlap: float = 0.0
+) -> Iterator[Measurement]:
+    """Yield pieces cut to parts of at most ``longest``, and what they overlap, ``overlap`` [s]."""
+    for piece in pieces:
+        before = round(overlap / sampling_period(piece.time))
+        count = math.ceil(duration([piece]) / longest)
+        edges = np.linspace(0, len(piece), count + 1).astype(int).tolist()
+        for first, last in zip(edges, edges[1:]):
+            yield slice_samples(piece, max(first - before, 0), last)
 
 
 def piece_notes(
@@ -195,18 +205,17 @@ def piece_notes(
     )
 
 
-def _select_pieces(pieces: list[Measurement]) -> list[Measurement]:
-    """Return as many pieces of a log as ``MOST_TIME`` allows, evenly spread over those in which a
+def select_pieces(pieces: list[Measurement], most_time: float) -> list[Measurement]:
+    """Return as many pieces of a log as last ``most_time`` [s], evenly spread over those in which a
     joint moves, or over all where none does.
     """
-    if sum(map(_duration, pieces)) <= MOST_TIME:
+    if duration(pieces) <= most_time:
         return pieces
     ranges = np.array([np.ptp(piece.q, axis=0) for piece in pieces])
     moved = np.max(ranges / np.maximum(np.max(ranges, axis=0), 1e-12), axis=1)
     moving = [pieces[k] for k in np.flatnonzero(moved > _MOVING_SHARE)] or pieces
-    share = min(1.0, MOST_TIME / sum(map(_duration, moving)))
-    count = max(1, int(share * len(moving)))
-    numbers = np.linspace(0, len(moving) - 1, count).round().astype(int)
+    count = int(len(moving) * min(1.0, most_time / duration(moving)))
+    numbers = np.linspace(0, len(moving) - 1, max(1, count)).round().astype(int)
     return [moving[number] for number in numbers]
 
 
@@ -215,15 +224,17 @@ def slice_samples(samples: Measurement, start: int, stop: int) -> Measurement:
     changes: dict[str, Any] = {}
     for field in fields(Measurement):
         values = getattr(samples, field.name)
-        changes[field.name] = None if values is None else values[start:stop]
+        if values is not None:
+            changes[field.name] = values[start:stop]
     return replace(samples, **changes)
 
 
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     """Return consecutive chunks of a log as one measurement; all have the same columns."""
-    first, *others = chunks
+    chunks = list(chunks)
     changes: dict[str, Any] = {}
     for field in fields(Measurement):
-        values = [getattr(chunk, field.name) for chunk in (first, *others)]
-        changes[field.name] = None if values[0] is None else np.concatenate(values)
-    return replace(first, **changes)
+        if getattr(chunks[0], field.name) is not None:
+            values = [getattr(chunk, field.name) for chunk in chunks]
+            changes[field.name] = np.concatenate(values)
+    return replace(chunks[0], **changes)

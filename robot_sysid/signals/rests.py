@@ -52,21 +52,17 @@ def resting_poses(samples: Measurement) -> tuple[Measurement, NDArray[np.bool_]]
     for first, second in zip(rests, rests[1:]):
         if np.max(np.abs(second.q - first.q)) < SAME_POSE:
             pairs.append((first, second))
-    if len(pairs) < FEWEST_POSES:
+    # The joint came from opposite sides.
+    is_balanced = np.array([a.direction * b.direction < 0.0 for a, b in pairs])
+    if len(pairs) < FEWEST_POSES or not np.any(is_balanced):
         raise InputError(
-            f"the log rests {len(rests)} times, and {len(pairs)} poses were approached from both "
-            f"sides; --static needs {FEWEST_POSES}: play what robot-sysid plan --for payload "
-            "--static writes"
+            f"the log rests {len(rests)} times, twice in succession in {len(pairs)} poses; "
+            f"--static needs {FEWEST_POSES} such poses, with joints that approach them from both "
+            "sides: play what robot-sysid plan --for payload --static writes"
         )
     time = np.array([first.time for first, _ in pairs])
     q = np.array([0.5 * (first.q + second.q) for first, second in pairs])
     tau = np.array([0.5 * (first.tau + second.tau) for first, second in pairs])
-    # The joint came from opposite sides.
-    is_balanced = np.array([a.direction * b.direction < 0.0 for a, b in pairs])
-    if not np.any(is_balanced):
-        raise InputError(
-            "no joint approaches its poses from both sides; --static needs that"
-        )
     zeros = np.zeros_like(q)
     tau = np.where(is_balanced, tau, 0.0)
     return Measurement(time, q, zeros, tau, zeros), is_balanced

@@ -197,6 +197,6 @@ def test_an_identification_uses_the_rest_and_carries_the_note(four_joints, tmp_p
     write_measurement_csv(path, names, [push(four_joints.log)])
     (tmp_path / "arm.xml").write_text(arms.serial_arm(FOUR_AXES, joint=JOINT))
     result = robot_sysid.identify(tmp_path / "arm.xml", path)
-    assert any("something touched the arm" in note for note in result.notes)
+    assert any("touched the arm" in remark.text for remark in result.remarks)
     error = result.theta[0] - four_joints.theta[0]
     assert abs(error) < 2.0 * result.standard_errors["m"]

@@ -71,7 +71,7 @@ def test_joint_time_stamps_are_used_for_each_joint():
         tau[:, j] = swing.tau(stamps)[:, j]
     uniform = resample_uniformly(Measurement(time, q, None, tau, joint_time=joint_time))
     assert_equals_swing(uniform, swing)
-    assert "own time stamps" in uniform.notes[0]
+    assert "resampled" in uniform.notes[0]
 
 
 @given(SEEDS, st.integers(1, 40))

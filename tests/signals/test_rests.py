@@ -27,7 +27,7 @@ def log_of(poses, dwell=1.5, friction=2.0, both_sides=True):
         points += [pose - APPROACH, pose, last, pose]
         dwells += [0.0, dwell, 0.0, dwell]
     moves = np.full(len(points) - 1, 0.8)
-    plan = LineTrajectory(np.array(points), moves, np.array(dwells), 0.5 * moves)
+    plan = LineTrajectory(np.array(points), moves, np.array(dwells))
     time = np.arange(0.0, plan.duration, 0.005)
     motion = plan.evaluate(time)
     held = np.zeros(2)
