@@ -117,7 +117,7 @@ def by_torques(robot, log) -> dict:
     )
     terms = {"armature": "armature", "damping": "viscous", "frictionloss": "coulomb"}
     return {
-        number: np.array([result.joints[name].terms[term].value for name in NAMES])
+        number: np.array([result.quantity(term, name).value for name in NAMES])
         for number, term in terms.items()
     }
 

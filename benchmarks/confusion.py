@@ -12,7 +12,7 @@ are the answers of the commands ``log`` and ``identify``. Another checkout is ju
     PYTHONPATH=judge:OTHER_CHECKOUT python -P -m benchmarks.confusion MODELS_FOLDER
 
 Per cause, logs are counted by what is said of them: by findings of ``log`` of any level, motors
-over two joints that the estimate finds, and notes and reasons of the estimate:
+over two joints that the estimate finds, and remarks of the estimate:
 
 rightly     every fault has its right name (and that of the joint or body, where one is wrong)
 doubt       no right name, or not of every fault: a finding lists several causes that fit equally
@@ -63,6 +63,7 @@ from benchmarks.confusion_causes import CAUSES, RIGHT, Cause, Scene, draw_scene
 from benchmarks.real_arms import ARMS, DEVIATIONS, USUAL_ARMS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
+from tests.support.params import motors, rows
 
 RIGHT_DURATIONS = (6.0, 8.0, 15.0, 60.0)
 """Durations of right logs [s]."""
@@ -119,7 +120,7 @@ class Answer:
         mass, error, true_mass: NaN where the identification fails.
         is_trusted: whether the verdict is for it.
         motors: those over two joints that are found.
-        remarks: notes and reasons.
+        remarks: what is said of the result.
     """
 
     mass: float
@@ -254,17 +255,17 @@ class Judge:
         """Return the answer of ``identify``; one that fails is not trusted."""
         true_masses = self.scene.last_masses
         content, _ = identify_logs(self.folder, self.model, paths, *options)
-        if content is None or not content["links"]:
+        if content is None:
             return Answer(np.nan, np.nan, true_masses[0], False)
-        link = content["links"][-1]
-        mass = float(link["mass"])
+        row = rows(content)[content["body_name"], "mass"]
+        mass = float(row["value"])
         return Answer(
             mass,
-            number(link["standard_errors"]["m"]),
+            number(row["error"]),
             min(true_masses, key=lambda true: abs(true - mass)),
             content["valid"]["trustworthy"],
-            tuple(content["couplings"]),
-            (*content["notes"], *content["reasons"], *map(str, content["wrong_links"])),
+            tuple(motors(content)),
+            tuple(remark["text"] for remark in content["remarks"]),
         )
 
     def follow_advice(self, findings: Sequence[Finding]) -> Iterator[Answer]:
@@ -365,14 +366,14 @@ class Tally:
         """Count one log: how it is named, what its answer costs, names and time."""
         self.namings[outcome.classify_naming(CAUSES[case.cause])] += 1
         self.costs.update(outcome.classify_costs())
-        self.abouts[outcome.names] += 1
+        self.names[outcome.names] += 1
         self.seconds.append(outcome.seconds)
 
     def join(self, other: Tally) -> None:
         """Add another tally's counts."""
         self.namings.update(other.namings)
         self.costs.update(other.costs)
-        self.abouts.update(other.names)
+        self.names.update(other.names)
         self.seconds.extend(other.seconds)
 
     def line(self, row: str) -> str:
@@ -381,7 +382,7 @@ class Tally:
         counts += [self.costs[cost] for cost in COSTS]
         numbers = "".join(f"{count:>9}" for count in counts)
         names = ", ".join(
-            f"{names} {count}" for names, count in self.abouts.most_common()
+            f"{names} {count}" for names, count in self.names.most_common()
         )
         return f"{row:<31}{numbers}{np.mean(self.seconds):>7.2f} s  {names}"
 

@@ -135,28 +135,20 @@ def prove(name: str, path: str) -> None:
         f"  links off by so many times their share: {scales}; low-pass {result.cutoff:g} Hz"
     )
     for index, joint in enumerate(robot.joint_names):
-        estimate = result.joints[joint]
-        cells = [_cell(truth, estimate, index, term) for term in GOALS]
-        print(
-            f"  {joint:22s} " + " ".join(cells) + f"  {short(estimate.friction_model)}"
-        )
+        cells = [
+            _cell(result.quantity(term, joint), getattr(truth, term)[index])
+            for term in GOALS
+        ]
+        print(f"  {joint:22s} " + " ".join(cells))
 
 
-def _cell(truth, joint, index, term) -> str:
-    """Return the table's cell of one term of a joint: relative error and stated error."""
-    true_value = getattr(truth, term)[index]
-    if term not in joint.terms:
-        return f"{term} MISSING        "
-    value, error = joint.terms[term]
-    off = value / true_value - 1.0
-    error = error / true_value
+def _cell(row, true_value) -> str:
+    """Return the table's cell of one number of a joint: relative error and stated error."""
+    term = row.name
+    off = row.value / true_value - 1.0
+    error = row.error / true_value
     mark = " " if abs(off) <= GOALS[term] else "!"
     return f"{term} {100 * off:+6.1f} ±{100 * error:4.1f} %{mark}"
-
-
-def short(model: str) -> str:
-    """Return a friction model's name without the terms that all models have."""
-    return model.replace("-offset-armature", "")
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,10 +41,12 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
     with_gravity,
 )
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory
+from tests.support.params import rows
 
 ARMS = {
     "ur5e": "universal_robots_ur5e/ur5e.xml",
@@ -217,52 +219,50 @@ def draw_arms(
 
 Off = tuple[str, float, float, float]
 """Quantity, its error, its stated error, and the size that errors are divided by."""
-TERMS = {
-    "Coulomb": "coulomb",
-    "viscous": "viscous",
-    "rotor": "armature",
-    "Stribeck": "stribeck",
-}
-"""Quantity of a joint, its attribute in lower case, to its term in params.json."""
+TERMS = {"Coulomb": "coulomb", "viscous": "viscous", "rotor": "armature"}
+"""Quantity of a joint, its attribute in lower case, to its name in params.json."""
+Rows = Mapping[tuple[str, str], Mapping[str, Any]]
+"""(Body or joint, name) to an identified number of params.json."""
 
 
-def last_link_offs(body: dict[str, Any], true: Array) -> Iterator[Off]:
+def off(quantity: str, row: Mapping[str, Any], true: float, size: float) -> Off:
+    """Return how far a number of params.json is off the true one."""
+    return quantity, row["value"] - true, number(row["error"]), size
+
+
+def last_link_offs(answer: Rows, link: str, true: Array) -> Iterator[Off]:
     """Yield how far the last link's numbers in params.json are off the true link (10,)."""
-    stated = body["standard_errors"]
     mass, com, inertia = spatial.com_from_theta(true)
     size = float(np.sqrt(np.trace(inertia) / mass))
-    yield "last mass", body["mass"] - mass, number(stated["m"]), mass
-    for axis, value, centre in zip("xyz", body["center_of_mass"], com):
-        yield "its centre", value - centre, number(stated[f"com_{axis}"]), size
-    for (name, value), moment in zip(body["inertia_tensor"].items(), true[4:]):
-        yield "its inertia", value - moment, number(stated[name]), mass * size**2
+    yield off("last mass", answer[link, "mass"], mass, mass)
+    for axis, centre in zip("xyz", com):
+        yield off("its centre", answer[link, f"com_{axis}"], centre, size)
+    for name, moment in zip(PARAMETER_NAMES[4:], true[4:]):
+        yield off("its inertia", answer[link, name], moment, mass * size**2)
 
 
-def joint_offs(arm: RealArm, joint: int, terms: dict[str, Any]) -> Iterator[Off]:
+def joint_offs(answer: Rows, arm: RealArm, joint: int) -> Iterator[Off]:
     """Yield how far a joint's friction and rotor inertia in params.json are off."""
     least_size = float(arm.robot.thetas[-1, 4:].max()) + 1e-3
-    for quantity, term in TERMS.items():
-        figure = terms.get(term) or (terms["sigmoid"] if term == "coulomb" else None)
+    for quantity, name in TERMS.items():
+        row = answer.get((arm.robot.joint_names[joint], name))
         # Not every joint has every term.
-        if figure is not None:
+        if row is not None:
             true = float(getattr(arm, quantity.lower())[joint])
-            stated = number(figure["standard_error"])
-            yield quantity, figure["value"] - true, stated, true or least_size
+            yield off(quantity, row, true, true or least_size)
 
 
-def errors_of(arm: RealArm, answer: dict[str, Any]) -> list[Off]:
-    """Return how far the numbers of an answer, the content of params.json, are off."""
-    bodies = {body["joint"]: body for body in answer["links"]}
-    joint_names = arm.robot.joint_names
-    offs = list(last_link_offs(bodies[joint_names[-1]], arm.thetas[-1]))
-    for link in other_links(arm.robot):
-        body = bodies.get(joint_names[link])
-        true_mass = float(arm.thetas[link][0])
-        if body is not None:
-            stated = number(body["standard_errors"]["m"])
-            offs.append(("other masses", body["mass"] - true_mass, stated, true_mass))
-    for index, joint in enumerate(joint_names):
-        offs += joint_offs(arm, index, answer["joints"][joint]["terms"])
+def errors_of(arm: RealArm, answer: Rows) -> list[Off]:
+    """Return how far the numbers of an answer are off, the last link's mass first."""
+    robot = arm.robot
+    offs = list(last_link_offs(answer, robot.body_name, arm.thetas[-1]))
+    for index in other_links(robot):
+        row = answer.get((robot.links[index].body_name, "mass"))
+        true_mass = float(arm.thetas[index][0])
+        if row is not None:
+            offs.append(off("other masses", row, true_mass, true_mass))
+    for joint in range(robot.n_joints):
+        offs += joint_offs(answer, arm, joint)
     return offs
 
 
@@ -282,7 +282,7 @@ class Tally:
             self.refused += 1
             return
         self.answered += 1
-        errors = errors_of(arm, answer)
+        errors = errors_of(arm, rows(answer))
         for quantity, *numbers in errors:
             self.offs.setdefault(quantity, []).append(tuple(numbers))
         _, error, stated, true_mass = errors[0]
@@ -292,8 +292,8 @@ class Tally:
 
     def join(self, other: Tally) -> None:
         """Add another tally's errors and counts."""
-        for quantity, rows in other.offs.items():
-            self.offs.setdefault(quantity, []).extend(rows)
+        for quantity, offs in other.offs.items():
+            self.offs.setdefault(quantity, []).extend(offs)
         self.answered += other.answered
         self.refused += other.refused
         self.trusted += other.trusted
@@ -301,8 +301,8 @@ class Tally:
 
     def lines(self) -> Iterator[str]:
         """Yield one line per quantity, and one of the answers."""
-        for quantity, rows in self.offs.items():
-            yield interval_line(quantity, np.array(rows))
+        for quantity, offs in self.offs.items():
+            yield interval_line(quantity, np.array(offs))
         yield (
             f"{'answers':<16} trusted {self.trusted} of {self.answered}, of these wrong "
             f"{self.wrong}; refused {self.refused}"

@@ -54,8 +54,8 @@ def _texts() -> tuple[Any, ...]:
     plans = (
         sines,
         at_speed(sines, 0.5),
-        LineTrajectory(points, moves, np.array([0.1, 0.2, 0.1]), 0.5 * moves),
-        LineTrajectory(points, moves, np.zeros(len(points)), 0.4 * moves),
+        LineTrajectory(points, moves, np.array([0.1, 0.2, 0.1])),
+        LineTrajectory(points, moves, np.zeros(len(points))),
     )
     return tuple(_describe(plan) for plan in plans)
 

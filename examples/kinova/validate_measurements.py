@@ -88,21 +88,23 @@ def good_encoder(bench: Bench) -> bool:
     return mass <= MASS and max(coulomb, viscous) <= FRICTION
 
 
+def row(params: Mapping[str, Any], of: str, name: str) -> Mapping[str, Any]:
+    """Return an identified number of a joint or body."""
+    found = (each for each in params["quantities"] if each["source"] != "file")
+    return next(each for each in found if (each["of"], each["name"]) == (of, name))
+
+
 def friction_errors(
     params: Mapping[str, Any], truth: RobotModel
 ) -> tuple[float, float]:
     """Return the largest relative errors of Coulomb and viscous friction over all joints."""
     worst = []
     for term in ("coulomb", "viscous"):
-        terms = [params["joints"][joint]["terms"] for joint in truth.joint_names]
-        values = [
-            joint_terms[term]["value"] if term in joint_terms else 0.0
-            for joint_terms in terms
-        ]
+        values = np.array(
+            [row(params, joint, term)["value"] for joint in truth.joint_names]
+        )
         worst.append(
-            float(
-                np.max(np.abs(np.array(values) / getattr(truth.friction, term) - 1.0))
-            )
+            float(np.max(np.abs(values / getattr(truth.friction, term) - 1.0)))
         )
     return worst[0], worst[1]
 
@@ -129,12 +131,14 @@ def links_only_guessed(bench: Bench) -> None:
     )
     log = bench.record("fine", "--encoder-resolution", 1e-4)
     params = bench.identify(log, model=GUESS)
-    error = params["standard_errors"]["m"]
+    mass = row(params, params["body_name"], "mass")
     print(
-        f"   mass {params['mass']:.3f} ± {error:.3f} kg, truth {bench.truth.prior.mass:.3f} kg"
+        f"   mass {mass['value']:.3f} ± {mass['error']:.3f} kg, truth "
+        f"{bench.truth.prior.mass:.3f} kg, limited by {mass['reason']}"
     )
-    for sentence in params["limitations"]:
-        print(f"   {sentence}")
+    for remark in params["remarks"]:
+        if remark["level"] == "doubts":
+            print(f"   {remark['text']}")
 
 
 if __name__ == "__main__":
