@@ -108,18 +108,10 @@ def check_log(
     Raises:
         InputError: the first fault.
     """
-    checks: list[Check] = [
-        require_rows,
-        mending_notes,
-        clock_notes,
-        require_no_jumps,
-        rest_notes,
-        limit_notes,
-        require_torque,
-        require_one_clock,
-    ]
-    if not in_radians:
-        checks.insert(checks.index(require_no_jumps), require_radians)
+    checks: list[Check] = [require_rows, mending_notes, clock_notes]
+    checks += [] if in_radians else [require_radians]
+    checks += [require_no_jumps, rest_notes, limit_notes]
+    checks += [require_torque, require_one_clock]
     notes: list[str] = []
     with prefix_input_errors(name):
         for anomaly in _TOLERANCES:

@@ -154,22 +154,15 @@ def split_name(name: str) -> NamePieces:
 
 
 def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame:
-    """Return the only frame, the model's own one, or the only one with words of the model's frame.
+    """Return the model's own frame, or the one with most words of the model's frame.
 
     InputError where several frames fit alike.
     """
     if arm.frame in complete:
         return arm.frame
-    if len(complete) == 1:
-        return next(iter(complete))
     arm_pieces = {*chain(*arm.frame)}
-    pieces_of = {frame: {*chain(*frame)} for frame in complete}
-    shared_pieces = set.intersection(*pieces_of.values())
-    fitting = []
-    for frame, pieces in pieces_of.items():
-        distinctive = pieces - shared_pieces
-        if distinctive and distinctive <= arm_pieces:
-            fitting.append(frame)
+    shared = {frame: len(arm_pieces & {*chain(*frame)}) for frame in complete}
+    fitting = [frame for frame in complete if shared[frame] == max(shared.values())]
     if len(fitting) == 1:
         return fitting[0]
     sets = [[names[c][0] for c in arm.cores] for names in complete.values()]
