@@ -31,7 +31,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
-from robot_sysid.errors import InputError
+from robot_sysid.errors import InputError, error_text
 from robot_sysid.logs.joint_names import JointMatch
 from robot_sysid.logs.titles import (
     QUANTITIES,
@@ -56,8 +56,6 @@ _SCALED = re.compile(
 )
 _ANGLE_UNITS = ("rad", "deg")
 """Units of angles that a user may declare."""
-_LONGEST = 1_000_000
-"""Largest number of characters of a columns file that are read: 10 000 long lines."""
 
 
 @dataclass(frozen=True)
@@ -103,12 +101,10 @@ def parse_units(text: str) -> ColumnChoices:
 def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
     """Read a columns file; InputError where a key, joint, unit or number in it is unknown."""
     try:
-        with path.open(encoding="utf-8-sig") as stream:
-            text = stream.read(_LONGEST)
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"cannot read the columns file {str(path)!r}: {getattr(error, 'strerror', 'no UTF-8')}"
-        ) from error
+        fault = error_text(error)
+        raise InputError(f"cannot read the columns file {path}: {fault}") from error
     return parse_columns(text, path, joint_names)
 
 

@@ -261,19 +261,13 @@ def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
 
     A note is a sentence for the user. ModelError where several different frames are called so.
     """
-    others = []
-    for name, frame in frames:
-        if frame.name == f"body '{robot.body_name}'":
-            terminal = frame
-        else:
-            others.append((name, frame))
     for pattern in _PATTERNS:
-        matches = [item for item in others if pattern.fullmatch(item[0])]
+        matches = [item for item in frames if pattern.fullmatch(item[0])]
+        if not matches:
+            continue
         # A site counts more than a body.
         sites = [item for item in matches if item[1].name.startswith("site")]
         matches = sites or matches
-        if not matches:
-            continue
         # Several names of one and the same frame are no ambiguity.
         poses = [np.column_stack((f.rotation, f.translation)) for _, f in matches]
         if not np.allclose(poses, poses[0], rtol=0.0, atol=1e-9):
@@ -286,12 +280,11 @@ def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
         if pattern is _PATTERNS[-1]:
             note += "; an end effector's frame may also be the tip of the tool: check"
         return replace(flange, note=note)
-    listed = _list_names(others) or "none"
     note = (
         f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
-        f"the frame of that body is taken; others that can be named: {listed}"
+        f"the frame of that body is taken; those that can be named: {_list_names(frames)}"
     )
-    return replace(terminal, note=note)
+    return replace(dict(frames)[robot.body_name], note=note)
 
 
 def _parse_flange(robot: RobotModel, text: str) -> Flange:

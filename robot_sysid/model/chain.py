@@ -72,10 +72,8 @@ def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
     chain = tuple(_towards_world(mj_model, joint))[::-1]
     for link_joint in chain:
         if not is_hinge_or_slide(mj_model, link_joint):
-            name = mujoco.mjtJoint(int(mj_model.jnt_type[link_joint])).name
-            joint_type = name[len("mjJNT_") :].lower()
             raise ModelError(
-                f"{joint_type} joint {joint_label(mj_model, link_joint)} is part of the chain to "
+                f"ball or free joint {joint_label(mj_model, link_joint)} is part of the chain to "
                 f"joint {joint_label(mj_model, joint)}; {_ONLY_THESE}, so weld it or replace it"
             )
     return chain
@@ -182,12 +180,8 @@ def find_terminal_joint(mj_model: Any) -> int:
         if run != arm and not is_in_line and len(run) >= RIVAL_SHARE * longest:
             rivals.append(run)
     if len(rivals) > 1:
-        # What carries all rivals, such as a torso, may be the arm too.
-        common = set.intersection(*map(carriers.__getitem__, rivals))
-        trunks = [run for run in runs if run[-1] in common]
-        last_joints = [run[-1] for run in [*trunks, *rivals]]
         reason = f"{len(rivals)} serial chains of joints could be the arm"
-        raise _ambiguity(mj_model, reason, last_joints)
+        raise _ambiguity(mj_model, reason, [run[-1] for run in rivals])
     _require_end(mj_model, arm)
     return arm[-1]
 

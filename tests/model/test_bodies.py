@@ -104,7 +104,7 @@ def test_what_is_called_like_a_flange_is_taken_and_said(site, flange_name):
     assert flange.name == flange_name
     is_site = flange_name.startswith("site")
     assert ("because of its name" in flange.note) == is_site
-    assert ("others that can be named" in flange.note) != is_site
+    assert ("those that can be named" in flange.note) != is_site
 
 
 def test_a_site_and_a_body_of_one_place_are_one_flange():
