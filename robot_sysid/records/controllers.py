@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -34,29 +34,21 @@ CHOICES = (AUTO, ALL, *MAKERS, "urdf", "mujoco")
 def makers_of(robot: RobotModel) -> tuple[str, ...]:
     """Return the keys of the makers whose controller may drive an arm, as its names say.
 
-    The names of its joints count first, then those of its bodies, of the model, of the file and of
-    the file's folder: the first of these that fit any maker decide. Empty where none does, several
-    where a name fits several makers.
+    The names of its joints decide where they fit any maker, else those of its bodies, of the model,
+    of the file and of the file's folder. Empty where none fits, several where several do.
     """
-    for name in _names(robot):
-        joined = "_".join(re.findall(r"[a-z0-9]+", name.lower()))
-        keys = [key for key, pattern in MAKERS.items() if _has_word(joined, pattern)]
+    names = [link.body_name for link in robot.links]
+    names += [robot.path.stem, robot.path.absolute().parent.name]
+    if robot.mj_model is not None:
+        # The model's own name is the first of all names.
+        names.append(robot.mj_model.names.split(b"\0")[0].decode(errors="replace"))
+    for parts in (robot.joint_names, names):
+        text = "_".join(re.findall(r"[a-z0-9]+", " ".join(parts).lower()))
+        keys = []
+        for key, pattern in MAKERS.items():
+            # One word, or several in a row.
+            if re.search(rf"(?:^|_)(?:{pattern})(?:_|$)", text):
+                keys.append(key)
         if keys:
             return tuple(keys)
     return ()
-
-
-def _has_word(text: str, pattern: str) -> bool:
-    """Return whether words joined by "_" have one, or several in a row, that fit a pattern."""
-    return re.search(rf"(?:^|_)(?:{pattern})(?:_|$)", text) is not None
-
-
-def _names(robot: RobotModel) -> Iterator[str]:
-    """Yield the names that may tell an arm's maker, the most reliable first."""
-    yield " ".join(robot.joint_names)
-    yield " ".join(link.body_name for link in robot.links)
-    if robot.mj_model is not None:
-        # The model's own name is the first of all names.
-        yield robot.mj_model.names.split(b"\0")[0].decode(errors="replace")
-    yield robot.path.stem
-    yield robot.path.absolute().parent.name

@@ -58,7 +58,7 @@ def test_names_of_joints_count_before_those_of_model_and_file():
     joints = ("fr3_joint1", "fr3_joint2")
     robot = arm_called("ur5e", "kuka.xml", joints)
     assert makers_of(robot) == ("franka",)
-    assert makers_of(replace(robot, joint_names=("j5", "j6"))) == ("ur",)
+    assert makers_of(replace(robot, joint_names=("j5", "j6"))) == ("ur", "kuka")
     joints = (
         "left_shoulder_pan_joint",
         "left_shoulder_lift_joint",
