@@ -49,7 +49,7 @@ def test_bad_files_exit_2_with_one_line_and_nothing_written(arm, command):
 BAD_OPTIONS = [
     ("--duration 0", "--duration must be positive"),
     ("--duration long", "argument --duration: invalid float value"),
-    ("--duration=--", "argument --duration: expected a value, not --"),
+    ("--duration=--", "--duration must be a number"),
     ("--torques all", "argument --torques: invalid choice: 'all'"),
     ("--output-dir ''", "--output-dir: the folder's name is empty"),
     ("--output-dir \udcff", "cannot be written as UTF-8"),

@@ -78,10 +78,6 @@ class Parser(argparse.ArgumentParser):
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse all arguments; InputError for an unknown option suggests the nearest one."""
-        for argument in args or ():
-            # argparse makes an empty list of it.
-            if argument.startswith("-") and argument.endswith("=--"):
-                self.error(f"argument {argument[:-3]}: expected a value, not --")
         namespace, unknown = self.parse_known_args(args, namespace)
         if unknown:
             flags = [flag for action in self._actions for flag in action.option_strings]

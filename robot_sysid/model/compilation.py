@@ -271,7 +271,7 @@ def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
     # MuJoCo writes only the last model that was loaded.
     with captured_warnings():
         mujoco.mj_saveLastXML(str(mjcf), mj_model)
-    mjcf.write_bytes(_portable_text(mjcf, mj_model))
+    mjcf.write_bytes(_exact_text(mjcf, mj_model))
     return mjcf
 
 
@@ -281,12 +281,10 @@ def lasting_folder() -> Path:
     return Path(_FOLDERS[-1].name)
 
 
-def _portable_text(path: Path, model: Any) -> bytes:
-    """Return the text of an MJCF that MuJoCo wrote of an MjModel, such that all releases load it.
+def _exact_text(path: Path, model: Any) -> bytes:
+    """Return the text of an MJCF that MuJoCo wrote of an MjModel, with all digits of inertials.
 
-    Inertials get all digits: six make a flat body one with moments that no body has. MuJoCo 4 makes
-    ``<general input="pos">`` of a ``<position>``, which releases before 3.17 refuse; without that
-    attribute the actuator makes the same force.
+    Six digits make a flat body one with moments that no body has.
     """
     document = read_document(path)
     for node, body in zip(document.root.iter("body"), range(1, model.nbody)):
@@ -300,9 +298,6 @@ def _portable_text(path: Path, model: Any) -> bytes:
             inertial.set("quat", format_numbers(model.body_iquat[body]))
             inertial.set("diaginertia", format_numbers(model.body_inertia[body]))
             inertial.set("mass", format_number(mass))
-    for node in document.root.iter("general"):
-        if node.get("input") == "pos":
-            del node.attrib["input"]
     return document.text()
 
 
@@ -336,7 +331,7 @@ def file_of(model: Any) -> Path:
     file_name = re.sub(r"[^\w-]+", "_", model.modelname) or "model"
     path = folder / f"{file_name}.xml"
     path.write_text(text, encoding="utf-8")
-    path.write_bytes(_portable_text(path, mj_model))
+    path.write_bytes(_exact_text(path, mj_model))
     return path
 
 

@@ -15,13 +15,8 @@ from scipy.spatial.transform import Rotation
 from robot_sysid.dynamics import spatial
 from robot_sysid.mjcf.inertial import mjcf_inertial, urdf_inertial_about_com
 from robot_sysid.model.bodies import body_theta, inertia_about_com
-from robot_sysid.model.compilation import (
-    compile_model,
-    file_of,
-    mjcf_of,
-    restore_exact_inertias,
-)
-from tests.support import arms, urdf
+from robot_sysid.model.compilation import compile_model, mjcf_of, restore_exact_inertias
+from tests.support import urdf
 from tests.support.model_files import (
     INERTIAL,
     TETRAHEDRON,
@@ -29,7 +24,6 @@ from tests.support.model_files import (
     random_theta,
     write_files,
 )
-from tests.support.releases import since
 
 BODY = "<body name='b'><joint/>{}</body>"
 MESH_MODEL = """<mujoco><compiler meshdir="d"/><asset><mesh name="m" file="m.obj"/></asset>
@@ -107,22 +101,6 @@ def test_a_urdf_inertia_is_exact_whatever_its_axes(tmp_path):
     expected = turn @ np.diag([2e-6, 3e-6, 4.5e-6]) @ turn.T
     inertia = inertia_about_com(mj_model, mj_model.body("l1").id)
     np.testing.assert_allclose(inertia, expected, rtol=0.0, atol=1e-17)
-
-
-@since(3, 2)
-def test_the_file_of_a_model_in_memory_has_actuators_that_older_releases_read():
-    xml = arms.serial_arm(
-        (arms.Z, arms.Y),
-        extra='<actuator><position joint="joint1" kp="30"/></actuator>',
-    )
-    spec = mujoco.MjSpec.from_string(xml)
-    path = file_of(spec)
-    assert " input=" not in path.read_text()
-    copy = mujoco.MjModel.from_xml_path(str(path))
-    original = spec.compile()
-    for name in ("gainprm", "biasprm", "gaintype", "biastype", "trnid"):
-        values = getattr(copy, f"actuator_{name}")
-        np.testing.assert_array_equal(values, getattr(original, f"actuator_{name}"))
 
 
 def test_a_urdf_states_its_speed_limits(tmp_path):
