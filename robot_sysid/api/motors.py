@@ -78,8 +78,7 @@ def play(
         plan = run.plan()
         require_no_stop(run.checks(plan), "not played")
         run.require_free(plan)
-        arm = run.simulated_arm(plan) if simulate else None
-        with run.open_guarded() if arm is None else run.open_simulated(arm) as link:
+        with run.open_simulated(plan) if simulate else run.open_guarded() as link:
             inspection = inspect_bus(link)
             # The signs of a simulated arm's motors are not in doubt.
             checks = run.inspection_checks(plan, inspection, not simulate)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -203,11 +202,12 @@ class MotorRun:
             keyframe=model.keyframe,
         )
 
-    def simulated_arm(self, plan: Plan, *timestep: float) -> SimulatedArm:
-        """Return a simulated arm of the model that stands at the plan's first point.
+    @contextlib.contextmanager
+    def open_simulated(self, plan: Plan, *timestep: float) -> Iterator[GuardedLink]:
+        """Yield a link to a simulated arm of the model that stands at the plan's first point.
 
-        ``timestep`` is one value, the time step of the physics [s], or no argument for the default.
-        InputError without a model.
+        Its clock only advances when waited for. ``timestep`` is one value, the time step of the
+        physics [s], or no argument for the default. InputError without a model.
         """
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
@@ -217,13 +217,10 @@ class MotorRun:
         watchdog = max(DEFAULT_WATCHDOG, 12.0 * plan.settings.period)
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
         stepper = ArmStepper(self.robot, plan.trajectory.q[0], *timestep)
-        return SimulatedArm(stepper, motors)
-
-    def open_simulated(self, arm: SimulatedArm) -> AbstractContextManager[GuardedLink]:
-        """Return a guarded link to a simulated arm, whose clock only advances when waited for."""
         clock = SimulatedClock()
+        arm = SimulatedArm(stepper, motors)
         wire = SimulatedLink(clock, arm, self.timing, echo=True)
-        return contextlib.nullcontext(GuardedLink(wire, clock, self.timing.fd))
+        yield GuardedLink(wire, clock, self.timing.fd)
 
     @contextlib.contextmanager
     def open_guarded(

@@ -220,11 +220,7 @@ class Player:
         self._announce("enabling the motors")
         start = self._session.enable()
         standing = Reference(start, np.zeros_like(start), self._holding.torque(start))
-        speed = settings.approach_speed
-        shortest = settings.approach_time
-        approach, approach_time = paths.transfer_reference(
-            standing, first, speed, shortest, carries=self._holding.torque
-        )
+        approach, approach_time = self._transfer(standing, first)
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._rising = True
@@ -240,6 +236,14 @@ class Player:
         last = trajectory(duration)
         self._phase(hold_reference(last), settings.rest_time)
         self._leave(last, at_start=standing)
+
+    def _transfer(
+        self, start: Reference, target: Reference
+    ) -> tuple[ReferenceFunction, float]:
+        """Return the slow motion from rest at ``start`` to rest at ``target``, and its time [s]."""
+        speed, shortest = self._settings.approach_speed, self._settings.approach_time
+        carries = self._holding.torque
+        return paths.transfer_reference(start, target, speed, shortest, carries)
 
     def _hold_and_compare(self, reference: Reference) -> None:
         """Hold the arm still for ``rest_time``, and compare its torques with the expected ones.
@@ -265,11 +269,7 @@ class Player:
             self._announce("lowering the arm")
             self._phase(self._lower_from(last), paths.LONGEST_LOWERING)
             return
-        speed = self._settings.approach_speed
-        parking, parking_time = paths.transfer_reference(
-            *(last, at_start, speed, self._settings.approach_time),
-            carries=self._holding.torque,
-        )
+        parking, parking_time = self._transfer(last, at_start)
         self._announce(f"parking ({parking_time:.1f} s)")
         self._phase(parking, parking_time)
         self._phase(hold_reference(at_start), self._settings.rest_time)
@@ -451,19 +451,17 @@ class Player:
             hopeless = bool(np.all(self._observer.failed)) or silent
             if hopeless or self._stop.insisted or self._has_come_to_rest:
                 return
-            # A bus that fails now may work again in the next cycle.
+            # A bus that fails now may work again in the next cycle. A motor that does not answer
+            # may still obey, so only failed ones are left out.
             with contextlib.suppress(BaseException):
-                self._stop_cycle(reference(deadline - origin))
-
-    def _stop_cycle(self, target: Reference) -> None:
-        """Send a stop's reference, within the bounds of commands, to all motors but failed ones."""
-        # A motor that does not answer may still obey, so only failed ones are left out.
-        is_driven = ~self._observer.failed
-        replies, acted = self._exchange(target, is_driven, braking=True)
-        if self._recorder:
-            time = self._clock.now() - self._origin
-            self._recorder.write(time, self._origin, replies, acted, mark="# stop: ")
-            self._recorder.end_cycle()
+                target = reference(deadline - origin)
+                is_driven = ~self._observer.failed
+                replies, acted = self._exchange(target, is_driven, braking=True)
+                if self._recorder:
+                    time = self._clock.now() - self._origin
+                    cycle = time, self._origin, replies, acted
+                    self._recorder.write(*cycle, mark="# stop: ")
+                    self._recorder.end_cycle()
 
 
 _SAME_WISH = 0.2

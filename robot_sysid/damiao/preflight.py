@@ -68,7 +68,7 @@ def plan_checks(plan: Plan) -> list[Remark]:
         *map(stop, id_problems(ids)),
         *_motion_checks(plan),
         *_motor_checks(plan),
-        *_load_checks(len(joints), plan.settings, plan.timing),
+        *_load_checks(plan),
         *map(stop, excesses),
     ]
 
@@ -108,15 +108,15 @@ def _motor_checks(plan: Plan) -> Iterator[Remark]:
             yield note(warning) if is_possible else stop(warning)
 
 
-def _load_checks(
-    n_motors: int, settings: PlaySettings, timing: protocol.BusTiming
-) -> Iterator[Remark]:
-    """Yield a stop where the bus cannot carry the frames of ``n_motors``."""
+def _load_checks(plan: Plan) -> Iterator[Remark]:
+    """Yield a stop where the bus cannot carry the frames of all motors."""
     limit = protocol.PLANNING_LIMIT
-    load = protocol.bus_load(n_motors, 1.0 / settings.period, timing)
-    bus_type = "CAN-FD" if timing.fd else "classic CAN"
+    n_motors = plan.trajectory.n_joints
+    settings = plan.settings
+    load = protocol.bus_load(n_motors, 1.0 / settings.period, plan.timing)
+    bus_type = "CAN-FD" if plan.timing.fd else "classic CAN"
     if load > limit:
-        rate = protocol.default_rate(n_motors, timing)
+        rate = protocol.default_rate(n_motors, plan.timing)
         yield stop(
             f"frames at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %, limit "
             f"{100 * limit:.0f} %; use --rate {rate:g}"

@@ -106,12 +106,13 @@ class Scaling:
         # Ranges (n, 5) of the command's fields: position, velocity, kp, kd, torque.
         self._high = np.insert(self.limits, [2, 2], (KP_MAX, KD_MAX), axis=1)
         self._low = self._high * LOWER_ENDS
+        # One quantisation step (n, 5) of each field.
+        self._steps = (self._high - self._low) / _COMMAND.max_codes
 
     @property
     def steps(self) -> tuple[Array, Array, Array]:
         """Quantisation steps of position [rad], velocity [rad/s] and torque [N m], (n,) each."""
-        steps = (self._high - self._low) / _COMMAND.max_codes
-        position, velocity, torque = steps.T[_MEASURED]
+        position, velocity, torque = self._steps.T[_MEASURED]
         return position, velocity, torque
 
     def _codes(self, values: Array) -> Codes:
@@ -129,9 +130,7 @@ class Scaling:
 
         ``fields`` selects the F fields among the five of a command; by default all.
         """
-        low = self._low[:, fields]
-        steps = (self._high[:, fields] - low) / _COMMAND.max_codes[fields]
-        quantities = codes * steps + low
+        quantities = codes * self._steps[:, fields] + self._low[:, fields]
         return np.moveaxis(quantities, -1, 0)
 
     def _require_inside(self, values: Array) -> None:

@@ -159,7 +159,7 @@ class MotorSession:
         self._command: protocol.MitCommand | None = None
         # In a stop commands are limited to the range, which must not exceed what frames can carry.
         sendable = command_range.within(self._frame_range)
-        self._bounds = CommandBounds(sendable, self.peak_torque, *self.steps)
+        self._bounds = CommandBounds(sendable, self.peak_torque, self.steps)
         self.sent_position = np.full(self.n_joints, np.nan)
         # Time up to which each joint's commands have moved it: that of the last command, minus
         # what this left unused [s].

@@ -126,7 +126,7 @@ def test_an_error_is_cleared_by_name(capsys, bus):
             "commands by the motor with",
             2,
         ),
-        (("--motor", 1, "--new-id", 16), "--new-id must be from 1 to 15", 2),
+        (("--motor", 1, "--new-id", 16), "CAN id 16 is outside 1 to 15", 2),
     ],
 )
 def test_what_cannot_be_meant_is_refused(capsys, bus, options, message, code):

@@ -175,9 +175,9 @@ def trajectory_file(folder, motion, motor_type="DM4340"):
 
 def with_coarse_physics(monkeypatch):
     """Let simulated arms of models take steps of 4 ms; a step of the usual size takes as long."""
-    simulated_arm = MotorRun.simulated_arm
-    coarse = lambda run, plan, *_: simulated_arm(run, plan, 4e-3)  # noqa: E731
-    monkeypatch.setattr(MotorRun, "simulated_arm", coarse)
+    open_simulated = MotorRun.open_simulated
+    coarse = lambda run, plan: open_simulated(run, plan, 4e-3)  # noqa: E731
+    monkeypatch.setattr(MotorRun, "open_simulated", coarse)
 
 
 def only_asks(sent):

@@ -97,7 +97,7 @@ def simulate(session: Session) -> int:
     """
     plan = session.plan()
     checks = session.checks(plan)
-    with session.open_simulated(session.simulated_arm(plan)) as link:
+    with session.open_simulated(plan) as link:
         return _play_on(link, plan, checks, session, is_real=False)
 
 

@@ -8,9 +8,8 @@ motors does any of this.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 from robot_sysid.commands.motors.session import Session, motor_table
 from robot_sysid.damiao import protocol
@@ -39,39 +38,19 @@ _STORE_TIME = 0.05
 """Time for a motor to write its flash memory [s]; a judgement, longer than that takes."""
 
 
-def _range_check(low: float, high: float, text: str) -> Callable[[float], str | None]:
-    """Return a check of an option: None for a value from ``low`` to ``high``, else a complaint.
-
-    ``text`` is the range in words, such as "1 to 15".
-    """
-    return lambda value: None if low <= value <= high else f"must be from {text}"
-
-
-_ID: dict[str, Any] = {
-    "metavar": "ID",
-    "parse": parse_whole_number,
-    "check": _range_check(low=1, high=15, text="1 to 15"),
-}
-
-
 @dataclass(frozen=True)
 class SetupOptions(OptionRecord):
     """Changes of one motor by ``motors setup``; without any, the motors are listed."""
 
-    motor: int | None = option(None, "CAN id of the motor to change", **_ID)
-    new_id: int | None = option(None, "new CAN id", **_ID)
+    motor: int | None = option(
+        None, "CAN id of the motor to change", "ID", parse=parse_whole_number
+    )
+    new_id: int | None = option(None, "new CAN id", "ID", parse=parse_whole_number)
     new_master_id: int | None = option(
-        None,
-        "new id it answers on",
-        **{**_ID, "check": _range_check(low=0, high=0x7FE, text="0 to 0x7fe")},
+        None, "new id it answers on", "ID", parse=parse_whole_number
     )
     mit: bool = option(False, "set the control mode to MIT")
-    watchdog: float | None = option(
-        None,
-        "set its watchdog, 0 for none",
-        "S [s]",
-        check=_range_check(low=0, high=5, text="0 to 5 s"),
-    )
+    watchdog: float | None = option(None, "set its watchdog, 0 for none", "S [s] >= 0")
     clear_error: bool = option(False, "clear its error, once you know its cause")
     store: bool = option(False, "keep the changes when the power goes off")
 
@@ -226,7 +205,8 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
         HardwareAbort: no motor, or more than one, has that id.
         InputError: its new ids would clash with other motors.
     """
-    motor = inspection.motors.get(options.motor or 0)
+    motors = inspection.motors
+    motor = motors.get(options.motor or 0)
     if motor is None or len(motor.reply_ids) != 1:
         raise HardwareAbort(
             f"no motor answers to CAN id {options.motor}, or several share it: leave one motor on "
@@ -237,13 +217,11 @@ def _motor_to_change(inspection: Inspection, options: SetupOptions) -> Inspected
     if new_master is None:
         new_master = motor.master_id
     new_ids = options.new_id or motor.can_id, new_master
-    for other in inspection.motors.values():
-        if other is motor:
-            continue
-        other_ids = other.can_id, other.master_id
-        # Ids that clash already may be put right one motor after the other.
-        old_problems = set(id_problems([ids, other_ids]))
-        for problem in id_problems([new_ids, other_ids]):
+    # Alone, and beside each other motor: ids that clash already may be put right one by one.
+    beside = [[(m.can_id, m.master_id)] for m in motors.values() if m is not motor]
+    for other in ([], *beside):
+        old_problems = set(id_problems([ids, *other]))
+        for problem in id_problems([new_ids, *other]):
             if problem not in old_problems:
                 raise InputError(f"nothing was changed: {problem}")
     return motor

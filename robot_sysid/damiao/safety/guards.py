@@ -367,16 +367,12 @@ class CommandBounds:
     Attributes:
         command_range: range of positions and speeds.
         torque: largest sum of kp times position error and feed-forward torque [N m].
-        position_step: one quantisation step of a commanded position [rad].
-        velocity_step: one quantisation step of a commanded velocity [rad/s].
-        torque_step: one quantisation step of a commanded torque [N m].
+        steps: one quantisation step of position, velocity and torque [rad, rad/s, N m].
     """
 
     command_range: CommandRange
     torque: Array
-    position_step: Array
-    velocity_step: Array
-    torque_step: Array
+    steps: tuple[Array, Array, Array]
 
     def including(self, q: Array) -> CommandBounds:
         """Return the bounds, widened to include the positions q (n,) of an arm [rad]."""
@@ -384,17 +380,6 @@ class CommandBounds:
         lower = np.fmin(current.lower, q)
         upper = np.fmax(current.upper, q)
         return replace(self, command_range=CommandRange(lower, upper, current.speed))
-
-    def _reach(self, last: Array, elapsed: Array) -> tuple[Array, Array]:
-        """Return the least and the greatest position (n,) [rad] that may be commanded now.
-
-        ``last`` (n,) are the positions commanded last [rad], ``elapsed`` (n,) the time since [s].
-        """
-        current = self.command_range
-        reach = current.speed * elapsed
-        last = np.clip(last, current.lower, current.upper)
-        lowest = np.maximum(current.lower, last - reach)
-        return lowest, np.minimum(current.upper, last + reach)
 
     def require(
         self,
@@ -421,14 +406,15 @@ class CommandBounds:
                 given.kp * np.nan_to_num(given.position - q) + given.torque
                 for given in (command, allowed)
             )
-        torque_slack = self.torque_step + command.kp * self.position_step
+        position_step, velocity_step, torque_step = self.steps
+        torque_slack = torque_step + command.kp * position_step
         for wanted, limited, slack, text in (
             (
-                *(command.position, allowed.position, self.position_step),
+                *(command.position, allowed.position, position_step),
                 "be sent to {:.3f} rad; from the last command it may go to {:.3f}",
             ),
             (
-                *(command.velocity, allowed.velocity, self.velocity_step),
+                *(command.velocity, allowed.velocity, velocity_step),
                 "be told {:.2f} rad/s, limit {:.2f}",
             ),
             (
@@ -454,10 +440,14 @@ class CommandBounds:
         where the sum would. Damping stays. A position that is not finite becomes the last one, a
         velocity or torque that is NaN becomes 0.
         """
-        lowest, highest = self._reach(last, elapsed)
+        within = self.command_range
+        top_speed = within.speed
+        reach = top_speed * elapsed
+        start = np.clip(last, within.lower, within.upper)
+        lowest = np.maximum(within.lower, start - reach)
+        highest = np.minimum(within.upper, start + reach)
         position = np.where(np.isfinite(command.position), command.position, last)
         position = np.clip(position, lowest, highest)
-        top_speed = self.command_range.speed
         velocity = np.clip(np.nan_to_num(command.velocity), -top_speed, top_speed)
         error = np.nan_to_num(position - q)
         most_stiffness = self.torque / np.maximum(np.abs(error), 1e-9)

@@ -229,7 +229,9 @@ class Observer:
         if self._zero_check is not None and not (rising or lowered):
             time = float(np.mean(replies.time))
             motion = feedback.position, feedback.velocity
-            self._raise_found(self._zero_check(time, *motion, commanded))
+            finding = self._zero_check(time, *motion, commanded)
+            if finding is not None:
+                self._raise(*finding)
 
     @property
     def trusted_joints(self) -> Mask:
@@ -297,7 +299,8 @@ class Observer:
         can_follow = np.abs(commanded) < _STRONG * self._peak
         usable = np.isfinite(tau) & can_follow & (np.abs(qd) < _SLOW)
         self._torque_scale.add(commanded, tau, usable)
-        self._raise_found(self._slip)
+        if self._slip is not None:
+            self._raise(*self._slip)
         self._cycles += 1
         if self._cycles % _SCALING_CYCLES == 0:
             for check, sentence in (
@@ -468,11 +471,6 @@ class Observer:
     def _raise(self, joint: int, description: str) -> None:
         """Raise HardwareAbort for a joint; ``description`` is a sentence without its name."""
         raise HardwareAbort(f"{self._joints[joint].label} {description}")
-
-    def _raise_found(self, finding: tuple[int, str] | None) -> None:
-        """Raise HardwareAbort for a finding: a joint's index and a sentence without its name."""
-        if finding is not None:
-            self._raise(*finding)
 
 
 # What is said of the rows of ``_CYCLES``: error, limit, reported and commanded torque.

@@ -299,9 +299,7 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
 
 
 BOUNDS = CommandBounds(
-    CommandRange(LOWER, UPPER, SPEED),
-    np.array([27.0, 7.0]),
-    *(np.full(2, 1e-4) for _ in range(3)),
+    CommandRange(LOWER, UPPER, SPEED), np.array([27.0, 7.0]), (np.full(2, 1e-4),) * 3
 )
 
 
