@@ -16,9 +16,9 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 4460,
-    "robot_sysid/commands": 10914,
-    "robot_sysid/damiao": 33141,
+    "robot_sysid/api": 4446,
+    "robot_sysid/commands": 10815,
+    "robot_sysid/damiao": 33013,
     "robot_sysid/diagnosis": 16838,
     "robot_sysid/dynamics": 5780,
     "robot_sysid/estimate": 28137,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4990,
     "robot_sysid/simulation": 4000,
     "robot_sysid": 9528,
-    "tests": 219496,
+    "tests": 219488,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

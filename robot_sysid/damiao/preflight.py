@@ -278,13 +278,11 @@ def _watchdog_checks(
     proposed = max(0.1, np.ceil(10.0 * least) / 10.0)
     remedy = f"set it with motors setup --watchdog {proposed:g} --store"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
-    if not 0.0 < timeout <= _NO_WATCHDOG:
+    if not least <= timeout <= _NO_WATCHDOG:
         yield stop(
-            f"{name} has no watchdog ({timeout:g} s): the arm would go on if this program died; "
-            f"{remedy}"
+            f"{watchdog} is not from {1e3 * least:g} to {1e3 * _NO_WATCHDOG:g} ms (0 is none: the "
+            f"arm would go on if this program died); {remedy}"
         )
-    elif timeout < least:
-        yield stop(f"{watchdog} is too short for {settings.rate:g} Hz; {remedy}")
     elif timeout > _LONG_WATCHDOG:
         yield note(f"{watchdog} is long; {remedy}")
 

@@ -289,7 +289,7 @@ def test_a_map_names_the_joints_in_what_is_said_about_motors(
     write_joint_map(table, [map_line("hip", 1, 0x11), map_line("knee", 2, 0x12)])
     fault("watchdog", 1, 0.0)(bus)
     code, out, _ = run(capsys, "check", trajectory, *CAN0, "--joint-map", table)
-    assert code == 1 and "[STOP] motor 2 (joint knee) has no watchdog" in out
+    assert code == 1 and "[STOP] motor 2 (joint knee)'s watchdog of 0 ms" in out
     message = [
         line for line in out.splitlines() if line.startswith("[") and "motor 1" in line
     ]

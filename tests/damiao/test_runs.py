@@ -130,9 +130,9 @@ WRONG = (
         "12.5, 8, 28 but a DM4340 has 12.5, 10, 28; if the motor is right, give --acc",
     ),
     (fault("mode", 2, 2), "is in mode 2 (POS_VEL)"),
-    (fault("watchdog", 3, 0.0), "no watchdog (0 s)"),
-    (fault("watchdog", 4, 0.005), "watchdog of 5 ms is too short"),
-    (fault("watchdog", 5, 100.0), "no watchdog (100 s)"),
+    (fault("watchdog", 3, 0.0), "watchdog of 0 ms is not from"),
+    (fault("watchdog", 4, 0.005), "watchdog of 5 ms is not from"),
+    (fault("watchdog", 5, 100.0), "watchdog of 100000 ms is not from"),
     (fault("status", 6, 0x8), "reports status 8: over-voltage"),
     (fault("temperature_mos", 7, 70), "is at 70 deg C, above 60"),
     (fault("temperature_rotor", 8, 61), "is at 61 deg C, above 60"),
@@ -292,12 +292,16 @@ def mirror_joint(run):
 @pytest.mark.parametrize(
     ("change", "mount", "message"),
     [
-        (negate_torque, None, "drives it off; a motor turns the other way"),
+        (
+            negate_torque,
+            None,
+            "while it should stand still: a motor turns the other way",
+        ),
         (lambda q, qd, tau: tau.fill(0.0), None, "its torque lacks gravity"),
         (
             lambda q, qd, tau: None,
             mirror_joint,
-            "drives it off; a motor turns the other way",
+            "while it should stand still: a motor turns the other way",
         ),
     ],
 )

@@ -47,13 +47,9 @@ _SILENT_CYCLES = 2
 _SAG = 2.0
 # Factor of that limit in the direction of the feed-forward torque, in which no load pulls.
 _PUSHED = 0.5
-_DRIVEN = (
-    "drives it off; a motor turns the other way than its joint, two ids are swapped, or the file "
-    "is for another pose or arm: see 'motors map'"
-)
-_SINKS = (
-    "does not carry it; the trajectory's torque lacks gravity, two ids are swapped, or the arm is "
-    "far heavier than its model"
+_MOVES = (
+    "while it should stand still: a motor turns the other way than its joint, two ids are swapped, "
+    "or the file's torque lacks gravity or is for another pose or arm; see 'motors map'"
 )
 _MEMORY = 0.9  # Factor per cycle by which counts of surplus answers and foreign commands decay.
 _FEW = 2.5  # Decayed count above which the run stops: a single wrong one is a damaged frame.
@@ -442,11 +438,7 @@ class Observer:
         for k, j in np.argwhere(self._beyond >= _CYCLES)[:1].tolist():
             text = _BEYOND[k].format(errors[k, j], limits[k, j], tau[j], reachable[j])
             if k in (_PATH, _SPEED) and standing:
-                is_pushed = self.is_pushed(feedback.position, acted.position, fed)[j]
-                text += (
-                    f", while it should stand still: its torque of {fed[j]:.1f} N m "
-                )
-                text += _DRIVEN if is_pushed else _SINKS
+                text += f", {_MOVES}"
             blocked = None if k == _REPORTED else self._blocked_joint()
             if blocked is not None:
                 self.stuck[blocked] = True
