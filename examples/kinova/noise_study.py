@@ -38,7 +38,7 @@ from robot_sysid.results.record import LINK
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
-from robot_sysid.simulation.plant import PlantSimulation
+from robot_sysid.simulation.plant import plant_measurements
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
@@ -130,7 +130,7 @@ class NoiseStudy:
         """Return what the true arm's sensors report of the motion."""
         sensors = SimulatedArmOptions(encoder_resolution=ENCODER_STEP)
         rng = np.random.default_rng(0)
-        run = PlantSimulation(self.plant, self.plan, sensors, SAMPLE_RATE, rng)
+        run = plant_measurements(self.plant, self.plan, sensors, SAMPLE_RATE, rng)
         return process(join_measurements(run), self.robot.joint_names)
 
     @property

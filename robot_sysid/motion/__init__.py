@@ -189,15 +189,11 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ..
     for number, bound in enumerate(sides):
         axis, is_maximum = divmod(number, 2)
         if math.isfinite(bound):
-            sign = -1.0 if is_maximum else 1.0
-            side = f"{'xyz'[axis]}{'max' if is_maximum else 'min'}"
+            sign = 1.0 - 2.0 * is_maximum
+            side = ("xmin", "xmax", "ymin", "ymax", "zmin", "zmax")[number]
             label = f"the workspace's {side} = {bound:g} m"
             inward = sign * np.eye(3)[axis]
-            half_spaces.append(
-                HalfSpace(
-                    inward, sign * bound, clearance=0.0, bodies=bodies, label=label
-                )
-            )
+            half_spaces.append(HalfSpace(inward, sign * bound, 0.0, bodies, label))
     return tuple(half_spaces)
 
 

@@ -82,29 +82,22 @@ def limit_lines(
     problem: ExcitationProblem, plan: MotionPlan, check: LimitCheck
 ) -> Iterator[str]:
     """Yield a line with the pair that has the least room where the motion keeps all limits, else a
-    line for each limit that it breaks, and one on the reserve for links that are less known.
+    line for each limit that it breaks.
 
     A further line names the links that no distance is known of.
     """
-    unguarded = unguarded_text(problem.unguarded)
+    closest = check.closest
     if not check.excesses:
-        closest = check.closest
-        nearness = "nothing comes near"
+        nearness = ""
         if np.isfinite(closest.distance):
             distance = f"about {1e3 * closest.distance:.0f} mm"
-            nearness = f"least room between {closest.label}, {distance} apart"
-        elif unguarded:
-            nearness = "distances between its parts are not known"
-        yield f"Keeps all limits for {plan.duration:.1f} s; {nearness}"
-    if unguarded:
+            nearness = f"; least room between {closest.label}, {distance} apart"
+        yield f"Keeps all limits for {plan.duration:.1f} s{nearness}"
+    if problem.unguarded:
+        unguarded = unguarded_text(problem.unguarded)
         yield unguarded[0].upper() + unguarded[1:]
     for excess in check.excesses:
         yield f"NOT KEPT: {excess}"
-    if any(excess.limit.startswith("torque") for excess in check.excesses):
-        yield (
-            "Torques hold the reserve for errors of the links, which are known to the prior "
-            "(--priors); better ones need less"
-        )
 
 
 def error_lines(prediction: Prediction) -> Iterator[str]:
@@ -124,19 +117,13 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
         listed = ", ".join(f"{name} {percent(error)}" for name, error in masses)
         yield f"  mass of the other links: {listed}"
     uncertain = []
-    unidentified = []
     relative_errors = prediction.errors / prediction.size
-    for name, error in zip(spatial.PARAMETER_NAMES[1:], relative_errors[1:]):
-        if np.isinf(error):
-            unidentified.append(name)
-        elif error > LARGE_SHARE:
-            uncertain.append(f"{name} {percent(error)}")
+    for name, error in zip(spatial.PARAMETER_NAMES, relative_errors):
+        if error > LARGE_SHARE:
+            known = percent(error) if np.isfinite(error) else "not identified"
+            uncertain.append(f"{name} {known}")
     if uncertain:
         yield f"  above {percent(LARGE_SHARE)} of their size: {', '.join(uncertain)}"
-    if not np.isfinite(mass):
-        unidentified.insert(0, "mass")
-    if unidentified:
-        yield f"  not identified: {', '.join(unidentified)}"
     for combination in prediction.invisible:
         yield (
             f"No motion of these joints identifies {combination}: use --torques chain if only the "
@@ -167,7 +154,7 @@ def motion_lines(
     if np.allclose(start, problem.robot.reference):
         yield Detail(f"Start: the model's pose at rest, {pose}")
     else:
-        contact = contact_before(problem, plan)
+        contact = contact_on_the_way(problem, start)
         state = (
             "free" if contact is None else f"NOT free, by the clearance of {contact}"
         )
@@ -190,10 +177,3 @@ def _assumed_limits(problem: ExcitationProblem) -> Iterator[str]:
     for limit, names in joints.items():
         is_general = len(names) == problem.n_joints
         yield f"{limit} of {'all joints' if is_general else ', '.join(names)}"
-
-
-def contact_before(problem: ExcitationProblem, plan: MotionPlan) -> str | None:
-    """Return the names of two bodies that come too near each other on the straight line in joint
-    space from the model's pose at rest to the start of a motion; None where none do.
-    """
-    return contact_on_the_way(problem, plan.evaluate(np.zeros(1)).q[0])

@@ -437,15 +437,30 @@ class Draw:
 
 
 def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
-    """Return a random trajectory, scaled to keep the limits; of an infeasible one the score is inf.
+    """Return the largest multiple of a random trajectory, by ``SHRINK_FACTORS``, that keeps all
+    limits on the grid; where none does, the score is infinite and the coefficients are zero.
 
     Args:
         design: the arm, its limits and the criterion.
         seed: of the search.
         number: of the trajectory, which depends on both numbers alone.
     """
-    x = _draw_within_motion_limits(design, np.random.default_rng([seed, number]))
-    return _shrink_to_limits(design, x)
+    full = _draw_within_motion_limits(design, np.random.default_rng([seed, number]))
+    for factor in SHRINK_FACTORS:
+        x = factor * full
+        motion = design.motion(x)
+        value, _ = constraints_of(design.problem, motion)
+        if np.max(value) <= ROUNDING:
+            return Draw(design.criterion_of(x), x, "")
+    # The constraint that the smallest multiple exceeds most.
+    sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
+    names = design.problem.signal_names
+    if column < len(names):
+        obstacle = names[column]
+    else:
+        closest = design.problem.obstacles.closest(motion[0][sample])
+        obstacle = f"clearance of {closest.label}"
+    return Draw(np.inf, np.zeros_like(full), obstacle)
 
 
 def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
@@ -489,24 +504,3 @@ def _largest_factor(design: Design, base: Array, x: Array) -> Array:
     room = largest - np.sign(step) * start
     factor = np.min(room / np.maximum(np.abs(step), 1e-12), axis=(0, 1))
     return np.maximum(factor, 0.0)
-
-
-def _shrink_to_limits(design: Design, full: Array) -> Draw:
-    """Return the largest multiple of coefficients ``full`` (n, M), by ``SHRINK_FACTORS``, that
-    keeps all limits on the grid; a draw with infinite score and zero coefficients where none does.
-    """
-    for factor in SHRINK_FACTORS:
-        x = factor * full
-        motion = design.motion(x)
-        value, _ = constraints_of(design.problem, motion)
-        if np.max(value) <= ROUNDING:
-            return Draw(design.criterion_of(x), x, "")
-    # The constraint that the smallest multiple exceeds most.
-    sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
-    names = design.problem.signal_names
-    if column < len(names):
-        obstacle = names[column]
-    else:
-        closest = design.problem.obstacles.closest(motion[0][sample])
-        obstacle = f"clearance of {closest.label}"
-    return Draw(np.inf, np.zeros_like(full), obstacle)

@@ -14,11 +14,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.bodies import count_moving_joints
-from robot_sysid.model.chain import body_label
 from robot_sysid.motion import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
@@ -32,14 +30,6 @@ _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
 """Ends (2, 3) of a capsule's or cylinder's axis with a half length of one."""
 _SIDES = 24
 """Number of sides of the polygon about a circle."""
-_HULL_POINTS = 60
-"""Corners beyond which a convex hull takes less time than it saves."""
-MARKER_MASS = 5e-3
-"""Mass up to which a small part of an arm is no body but marks a frame, such as a tool's [kg]."""
-MARKER_SIZE = 0.02
-"""Radius up to which a light part is small [m]: larger ones are the shell of a link."""
-
-
 _ANGLES = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
 _RING = np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES))) / np.cos(np.pi / _SIDES)
 """Corners (P, 2) of the regular polygon about the unit circle that stands for it."""
@@ -102,7 +92,7 @@ def _solid(mj_model: Any, body: int) -> Solid:
         mujoco.mju_quat2Mat(matrix, mj_model.geom_quat[geom])
         points.append(mj_model.geom_pos[geom] + corners @ matrix.reshape(3, 3).T)
         radius.append(np.full(len(corners), size))
-    return Solid(body, *_on_the_hull(np.concatenate(points), np.concatenate(radius)))
+    return Solid(body, np.concatenate(points), np.concatenate(radius))
 
 
 def _shape(mj_model: Any, geom: int) -> tuple[Array, float]:
@@ -118,7 +108,7 @@ def _shape(mj_model: Any, geom: int) -> tuple[Array, float]:
         mesh = mj_model.geom_dataid[geom]
         first = mj_model.mesh_vertadr[mesh]
         count = mj_model.mesh_vertnum[mesh]
-        return mj_model.mesh_vert[first : first + count].astype(float), 0.0
+        return _hull(mj_model.mesh_vert[first : first + count].astype(float)), 0.0
     if geom_type == _TYPES.mjGEOM_BOX:
         return size * _CORNERS, 0.0
     if geom_type == _TYPES.mjGEOM_ELLIPSOID:
@@ -183,53 +173,23 @@ def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
 
 
 def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
-    """Return the names of the moving links without collision geometry, base to terminal.
-
-    Geometry that the model's filters keep from meeting anything that moves against it is none.
-    Parts of at most ``MARKER_MASS`` that are fixed to a link do not count, with or without geometry
-    up to ``MARKER_SIZE``: they mark frames.
+    """Return the names of the moving links with mass, but without geometry that can meet any that
+    moves against it, from the base on.
     """
     model = robot.mj_model
-    # (nbody,) number of the link that a body is part of, from 1; 0 for what does not move.
-    link_of_body = count_moving_joints(robot)
-    # (n,) the body of each link that its joint moves; other parts are fixed to it.
-    link_bodies = model.dof_bodyid[robot.dof_index]
-    is_link_body = np.isin(range(model.nbody), link_bodies)
-    is_part = model.body_mass > MARKER_MASS
-    is_large = model.geom_rbound > MARKER_SIZE
-    bodies = model.geom_bodyid
-    is_shell = is_large | is_part[bodies] | is_link_body[bodies]
-    link_of_geom = link_of_body[bodies]
-    is_solid = is_shell & _can_meet(model, link_of_geom)
-    moving_links = set(link_of_body[is_part].tolist()) - {0}
-    unguarded = moving_links - set(link_of_geom[is_solid].tolist())
-    return tuple(body_label(model, link_bodies[k - 1]) for k in sorted(unguarded))
-
-
-def _can_meet(mj_model: Any, links: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether each geom (ngeom,) can meet a geom that moves against it.
-
-    MuJoCo tests geoms that pass its filter and whose bodies are not excluded, and all explicit
-    pairs. That it leaves out neighbours in the tree does not count here.
-
-    Args:
-        mj_model: compiled model.
-        links: (ngeom,) number of each geom's link.
-    """
-    # Geoms pass the filter if a bit of one's contype is set in the other's conaffinity.
-    passes = (mj_model.geom_contype[:, None] & mj_model.geom_conaffinity) != 0
-    is_tested = (passes | passes.T) & (links[:, None] != links)
-    # The upper half of a signature is the first body's id.
-    first_body = mj_model.exclude_signature >> 16
-    second_body = mj_model.exclude_signature & 0xFFFF
-    is_excluded = np.zeros((mj_model.nbody, mj_model.nbody), dtype=bool)
-    is_excluded[first_body, second_body] = True
-    bodies = mj_model.geom_bodyid
-    is_tested &= ~(is_excluded | is_excluded.T)[np.ix_(bodies, bodies)]
-    first = mj_model.pair_geom1
-    second = mj_model.pair_geom2
-    is_tested[first, second] = links[first] != links[second]
-    return np.any(is_tested | is_tested.T, axis=1)
+    # (ngeom,) number of the link that each geom is part of, from 1; 0 for what does not move.
+    link_of_geom = count_moving_joints(robot)[model.geom_bodyid]
+    # Geoms meet if a bit of one's contype is set in the other's conaffinity, or as a pair.
+    meets = (model.geom_contype[:, None] & model.geom_conaffinity) != 0
+    meets[model.pair_geom1, model.pair_geom2] = True
+    moves = link_of_geom[:, None] != link_of_geom
+    can_meet = np.any((meets | meets.T) & moves, axis=1)
+    guarded = set(link_of_geom[can_meet].tolist())
+    unguarded = []
+    for number, link in enumerate(robot.links, start=1):
+        if link.has_mass and number not in guarded:
+            unguarded.append(link.body_name)
+    return tuple(unguarded)
 
 
 def unguarded_text(links: Sequence[str]) -> str:
@@ -248,30 +208,23 @@ def tool_corners(robot: RobotModel) -> Array:
     """
     data = data_at_pose(robot.mj_model, robot.reference_qpos)
     body = robot.body_id
-    axes = data.xmat[body].reshape(3, 3).T
-    directions = np.vstack((axes, -axes))
-    lowest = np.zeros(6)
+    points = [np.zeros((1, 3))]
     for solid in solids_of(robot.mj_model, subtree(robot.mj_model, body)):
-        for k, up in enumerate(directions):
-            (point,) = solid.lowest(data.xpos[None], data.xmat[None], up)
-            lowest[k] = min(lowest[k], (point - data.xpos[body]) @ up)
-    lower = lowest[:3]
-    upper = -lowest[3:]
+        turn = data.xmat[solid.body].reshape(3, 3)
+        world = data.xpos[solid.body] + solid.points @ turn.T - data.xpos[body]
+        local = world @ data.xmat[body].reshape(3, 3)
+        radius = solid.radius[:, None]
+        points += [local - radius, local + radius]
+    lower = np.min(np.concatenate(points), axis=0)
+    upper = np.max(np.concatenate(points), axis=0)
     return 0.5 * (lower + upper + (upper - lower) * _CORNERS)
 
 
-def _on_the_hull(points: Array, radius: Array) -> tuple[Array, Array]:
-    """Return those of points (P, 3), with their radius (P,), that are round or corners of the
-    convex hull of the others; all of them where few are sharp, or all of these lie in a plane.
-    """
-    sharp = np.flatnonzero(radius == 0.0)
-    if len(sharp) <= _HULL_POINTS:
-        return points, radius
+def _hull(points: Array) -> Array:
+    """Return those of points (P, 3) that are corners of their convex hull; all in one plane."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        outer = sharp[ConvexHull(points[sharp]).vertices]
-    except QhullError:  # All in one plane.
-        return points, radius
-    kept = np.concatenate((np.sort(outer), np.flatnonzero(radius > 0.0)))
-    return points[kept], radius[kept]
+        return points[np.sort(ConvexHull(points).vertices)]
+    except QhullError:
+        return points

@@ -10,9 +10,7 @@ in all joints at once, so that dry friction holds the arm once from either side.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +19,12 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion.limit_check import first_contact, keeps_limits
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.trajectories import LineTrajectory, straight_way
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records import Array
 from robot_sysid.records.messages import torque_unit
 from robot_sysid.trajectory import TORQUE_MARGIN
 
-N_POSES = 1000
-"""Number of random poses tried as a start, and of further ones per round."""
+N_POSES = 3000
+"""Number of random poses tried as a start."""
 CREEP = 1e-3
 """Speed at which there is dry friction and hardly anything else [rad/s or m/s]."""
 MOST_STARTS = 50
@@ -94,14 +92,14 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
             f"raise the torque limit of {joint} in the model if the joint can carry it"
         )
     # A pose that is held and touches nothing, if possible with a free straight line there.
-    poses = list(islice(_held_poses(problem), MOST_STARTS))
-    free = (pose for pose in poses if contact_on_the_way(problem, pose) is None)
-    start = next(free, poses[0] if poses else None)
-    if start is None:
+    poses = _held_poses(problem)[:MOST_STARTS]
+    if not len(poses):
         raise InputError(
             f"no trajectory is feasible: {reason}, and none of many other poses within the "
             f"limits is held by all joints and touches nothing; {remedy}"
         )
+    free = (pose for pose in poses if contact_on_the_way(problem, pose) is None)
+    start = next(free, poses[0])
     notes = (*problem.notes, f"{reason}; the motion starts and ends at another pose")
     return replace(problem, rest=start, notes=notes)
 
@@ -137,38 +135,29 @@ def _torque_share(problem: ExcitationProblem, poses: Array) -> Array:
     return np.max(np.abs(torque), axis=0) / problem.limits.torque
 
 
-def _held_poses(problem: ExcitationProblem) -> Iterator[Array]:
-    """Yield poses (n,) that keep torque limits and clearances, the nearest to ``problem.rest``
+def _held_poses(problem: ExcitationProblem) -> Array:
+    """Return poses (K, n) that keep torque limits and clearances, the nearest to ``problem.rest``
     first.
     """
-    # Random poses from near the start to anywhere, then more of them where holding is easy; the
-    # random numbers are fixed, so that the start does not depend on any seed.
+    # Random poses from near the start to anywhere; the random numbers are fixed, so that the start
+    # does not depend on any seed.
     lower = problem.limits.lower
     upper = problem.limits.upper
     rng = np.random.default_rng(0)
     anywhere = rng.uniform(lower, upper, (N_POSES, problem.n_joints))
     nearness = np.linspace(1.0 / N_POSES, 1.0, N_POSES)[:, None]
     poses = problem.rest + nearness * (anywhere - problem.rest)
-    for halving in range(3, 9):
-        load = np.max(_torque_share(problem, poses), axis=1)
-        spread = (upper - lower) * 0.5**halving
-        further = rng.normal(poses[np.argmin(load)], spread, anywhere.shape)
-        poses = np.vstack((poses, np.clip(further, lower, upper)))
-    load = np.max(_torque_share(problem, poses), axis=1)
+    poses = poses[_is_feasible(problem, poses)]
     distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
-    for k in np.argsort(distance):
-        if load[k] < 1.0 and problem.obstacles.closest(poses[k]).slack >= 0.0:
-            yield poses[k]
+    return np.asarray(poses[np.argsort(distance)])
 
 
 def _is_feasible(problem: ExcitationProblem, poses: Array) -> NDArray[np.bool_]:
-    """Return for each of N poses (N, n) whether the arm, at rest in it, keeps all clearances and
-    torque limits (N,).
+    """Return for each of N poses (N, n) whether the arm keeps all clearances in it, and can hold it
+    and move off within the torque limits, with a tenth of them left to accelerate (N,).
     """
-    torque = np.abs(problem.torque_at(poses))
-    is_held = np.all(torque <= problem.limits.torque, axis=1)
     slack, _ = problem.obstacles.slack(poses)
-    return is_held & (slack >= 0.0)
+    return np.all(_torque_share(problem, poses) < 0.9, axis=1) & (slack >= 0.0)
 
 
 def design_poses(
@@ -268,12 +257,3 @@ def _select_poses(problem: ExcitationProblem, poses: Array, rows: Array) -> list
     while selected and first_contact(problem, straight_way(selected[-1], problem.rest)):
         selected.pop()
     return selected
-
-
-def pose_line(plan: MotionPlan) -> str:
-    """Return a line on the poses of a plan."""
-    assert isinstance(plan, LineTrajectory)
-    return (
-        f"{len(plan.rests)} poses, each approached from both sides, {plan.duration:.0f} s; mean "
-        "torques of their rests are used"
-    )

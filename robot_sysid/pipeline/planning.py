@@ -82,7 +82,7 @@ def predict_plan(
     There is no prediction where the motion cannot be processed like a log. The lines state limits
     and expected errors.
     """
-    from robot_sysid.motion import expected_errors, static
+    from robot_sysid.motion import expected_errors
     from robot_sysid.motion.prediction import error_lines, limit_lines, motion_lines
 
     problem = checked.problem
@@ -93,8 +93,6 @@ def predict_plan(
     assert problem is not None and check is not None
     prediction = None
     lines = [*limit_lines(problem, plan, check)]
-    if poses.static:
-        lines.append(static.pose_line(plan))
     options = config.estimation
     try:
         prediction = expected_errors.predict(problem, plan, rate, options, poses)
@@ -129,10 +127,11 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
     conditions: list[str] = []
     problem = checked.problem
     if problem is not None and not failure:
-        from robot_sysid.motion.prediction import contact_before
+        from robot_sysid.motion.static import contact_on_the_way
 
+        start = checked.plan.evaluate(np.zeros(1)).q[0]
         conditions = plan_conditions(
-            contact_before(problem, checked.plan),
+            contact_on_the_way(problem, start),
             n_unguarded=len(problem.unguarded),
             n_links=problem.n_joints,
             lacks_meshes=robot.lacks_meshes,

@@ -40,7 +40,7 @@ from robot_sysid.results.record import ModelTarget, Result
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.resampling import join_measurements, piece_notes, split_at_gaps
-from robot_sysid.simulation.plant import PlantSimulation, load_plant
+from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import CHUNK, sample_count
 
 _NOISE_STREAM = 1
@@ -116,10 +116,10 @@ def identify_plant(
     plant = load_plant(robot, arm.plant_model, config.model.mesh_dir)
     progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")
     rng = np.random.default_rng([seed, _NOISE_STREAM])
-    simulation = PlantSimulation(plant, plan, arm, rate, rng)
+    simulation = plant_measurements(plant, plan, arm, rate, rng)
     n_samples = sample_count(plan.duration, rate)
     n_chunks = math.ceil(n_samples / CHUNK)
-    chunks = progress.track(iter(simulation), "Collecting measurements", n_chunks)
+    chunks = progress.track(simulation, "Collecting measurements", n_chunks)
     run = join_measurements(chunks)
     if arm.save_measurements is not None:
         write_measurement_csv(arm.save_measurements, robot.joint_names, [run])

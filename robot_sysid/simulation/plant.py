@@ -52,53 +52,38 @@ DEFAULT_TIMESTEP = 5e-4
 """Step of an arm that motors drive [s]."""
 
 
-class PlantSimulation:
-    """Measurements of a plant that follows a trajectory exactly, with Coulomb's dry friction.
+def plant_measurements(
+    plant: RobotModel,
+    plan: MotionPlan,
+    options: SimulatedArmOptions,
+    sample_rate: float,
+    rng: np.random.Generator,
+) -> Iterator[Measurement]:
+    """Yield, in chunks, what the sensors of a plant read that follows a trajectory exactly.
 
-    It may be iterated over any number of times and yields equal measurements, noise included, each
-    time.
+    Its dry friction is Coulomb's.
 
     Args:
         plant: the arm that plays the real one, see ``load_plant``.
         plan: the trajectory.
         options: errors of the sensors.
         sample_rate: number of samples per second [Hz].
-        rng: source of the sensor noise; drawn from once, here.
+        rng: source of the sensor noise.
 
     Raises:
         InputError: options and arm do not have the same number of joints.
-        SimulationError: the plant cannot be simulated; raised by the iteration.
+        SimulationError: the plant cannot be simulated.
     """
-
-    def __init__(
-        self,
-        plant: RobotModel,
-        plan: MotionPlan,
-        options: SimulatedArmOptions,
-        sample_rate: float,
-        rng: np.random.Generator,
-    ) -> None:
-        noise = joint_values(options.noise_torque, plant.n_joints, "--noise-torque")
-        self._plant = plant
-        self._plan = plan
-        self._noise = noise
-        self._encoder_resolution = options.encoder_resolution
-        self._sample_rate = sample_rate
-        # Every iteration draws its noise from this seed.
-        self._seed = rng.integers(2**63, size=4)
-
-    def __iter__(self) -> Iterator[Measurement]:
-        """Yield the sensors' readings, chunk by chunk in constant memory."""
-        step = self._encoder_resolution
-        rng = np.random.default_rng(self._seed)
-        motions = motion_chunks(self._plan, self._sample_rate)
-        for exact in simulate_inverse(self._plant, motions):
-            tau = exact.tau + self._noise * rng.standard_normal(exact.tau.shape)
-            measured = replace(exact, tau=tau)
-            if step > 0.0:
-                q = np.round(exact.q / step) * step
-                measured = replace(measured, q=q, qd=None, qdd=None)
-            yield measured
+    sigma = joint_values(options.noise_torque, plant.n_joints, "--noise-torque")
+    step = options.encoder_resolution
+    noise = np.random.default_rng(rng.integers(2**63, size=4))
+    for exact in simulate_inverse(plant, motion_chunks(plan, sample_rate)):
+        tau = exact.tau + sigma * noise.standard_normal(exact.tau.shape)
+        measured = replace(exact, tau=tau)
+        if step > 0.0:
+            q = np.round(exact.q / step) * step
+            measured = replace(measured, q=q, qd=None, qdd=None)
+        yield measured
 
 
 def load_plant(
@@ -280,12 +265,8 @@ class ArmStepper:
 
     def moved_inertia(self) -> Array:
         """Return the inertia (n,) of each joint at ``q``, with all others free [kg m^2]."""
-        return np.asarray(1.0 / np.diag(self.mobility(self.q)))
-
-    def mobility(self, q: Array) -> Array:
-        """Return the inverse mass matrix (n, n) at positions q (n,) [1 / (kg m^2)]."""
-        inverse_mass, _ = self._dynamics(q, np.zeros_like(q))
-        return inverse_mass
+        inverse_mass, _ = self._dynamics(self.q, self.qd)
+        return np.asarray(1.0 / np.diag(inverse_mass))
 
     def _dynamics(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain.

@@ -13,7 +13,7 @@ from robot_sysid.model.bodies import composite_theta
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation import SimulatedArmOptions
-from robot_sysid.simulation.plant import PlantSimulation
+from robot_sysid.simulation.plant import plant_measurements
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms, schemas
 from tests.support.params import rows
@@ -47,7 +47,7 @@ def record_logs(models, swapped=False):
     paths = []
     for number, plant in enumerate((empty, loaded, loaded, empty)):
         rng = np.random.default_rng([1, number])
-        samples = PlantSimulation(plant, plan, SENSORS, RATE, rng)
+        samples = plant_measurements(plant, plan, SENSORS, RATE, rng)
         paths.append(models[0].with_name(f"log{number}.csv"))
         write_measurement_csv(paths[-1], plant.joint_names, samples)
     logs = ("--empty", paths[0], paths[3], "--loaded", paths[1], paths[2])

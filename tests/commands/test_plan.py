@@ -31,7 +31,7 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
         *("sysid_output/trajectory.json", "sysid_output/trajectory.toml"),
     ]
     promise = printed.out[
-        printed.out.index("Keeps all limits for 3.0 s; ") :
+        printed.out.index("Keeps all limits for 3.0 s") :
     ].splitlines()
     assert promise[1].startswith("Nothing keeps link0, link1, link2 from touching ")
     assert promise[2] == "Recorded once, it determines link2 with these errors:"

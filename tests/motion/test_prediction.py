@@ -62,9 +62,7 @@ def test_a_distance_that_is_not_known_is_not_called_large():
     plan = sines(arms.THREE).scale_amplitudes(0.1)
     lines = limit_lines(problem, plan, check_limits(problem, plan))
     first, second = lines
-    assert (
-        first == "Keeps all limits for 2.0 s; distances between its parts are not known"
-    )
+    assert first == "Keeps all limits for 2.0 s"
     assert second.startswith("Nothing keeps link0, link1, link2 from touching anything")
 
 

@@ -101,7 +101,6 @@ def test_the_box_of_the_tool_includes_bodies_fixed_to_the_last_one():
 
 
 SHELL = '<geom size=".03" pos="0 0 .1"/>'
-MARKER = '<body><inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/><geom size=".005"/></body>'
 PART = '<body><geom size=".03" mass=".1"/></body>'
 ONE_SIDED = '<geom size=".03" pos="0 0 .1" contype="1" conaffinity="0"/>'
 DRAWN = '<geom size=".03" contype="0" conaffinity="0"/>'
@@ -111,28 +110,15 @@ DRAWN = '<geom size=".03" contype="0" conaffinity="0"/>'
     ("shells", "names"),
     [
         ((SHELL, "", SHELL), ("link1",)),
-        ((DRAWN, PART, MARKER), ("link0", "link2")),
+        ((DRAWN, PART, SHELL), ("link0",)),
         ((SHELL, "", ""), ("link0", "link1", "link2")),
         ((ONE_SIDED, ONE_SIDED, ""), ("link0", "link1", "link2")),
     ],
 )
 def test_links_that_nothing_keeps_from_a_contact_are_named(shells, names):
-    """Geometry that is only drawn, can meet nothing, or marks a frame, is none."""
+    """Geometry that is only drawn, or can meet nothing, is none."""
     content = ""
     for index, shell in reversed(list(enumerate(shells))):
         joint = hinge(f"joint{index}", (Z, X, Z)[index])
         content = link(joint, shell + content, f"link{index}")
     assert unguarded_links(robot(world(content))) == names
-
-
-def test_links_whose_contacts_are_all_excluded_are_named():
-    content = ""
-    for index in (2, 1, 0):
-        joint = hinge(f"joint{index}", (Z, X, Z)[index])
-        content = link(joint, SHELL + content, f"link{index}")
-    pairs = (("link0", "link1"), ("link2", "link1"))
-    excluded = "".join(f'<exclude body1="{a}" body2="{b}"/>' for a, b in pairs)
-    text = world(content).replace(
-        "</mujoco>", f"<contact>{excluded}</contact></mujoco>"
-    )
-    assert unguarded_links(robot(text)) == ("link1",)

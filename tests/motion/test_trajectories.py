@@ -137,7 +137,10 @@ def saved_text(**changes):
     ("text", "message"),
     [
         ("time,q1\n0,0\n", "takes the .json file"),
-        (saved_text(version=1), "has version 1 .*; plan the motion again"),
+        (
+            saved_text(version=1),
+            "not a trajectory of version 2 .*; plan the motion again",
+        ),
         (saved_text(kind="splines"), "kind of .*'splines'; valid: sines, poses"),
         (saved_text(phase=None), "lacks the entry 'phase'"),
         (saved_text(center=["x", 0, 0]), "not a usable trajectory"),

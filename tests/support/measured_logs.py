@@ -6,7 +6,7 @@ import numpy as np
 
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
-from robot_sysid.simulation.plant import PlantSimulation
+from robot_sysid.simulation.plant import plant_measurements
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support import arms
 
@@ -45,7 +45,7 @@ def log_of(plant, plan=None, seed=1, rate=RATE, **sensors):
     options = SimulatedArmOptions(**sensors)
     rng = np.random.default_rng(seed)
     return join_measurements(
-        PlantSimulation(plant, plan or plan_of(plant), options, rate, rng)
+        plant_measurements(plant, plan or plan_of(plant), options, rate, rng)
     )
 
 

@@ -20,7 +20,7 @@ from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
-from robot_sysid.simulation.plant import PlantSimulation, load_plant
+from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support import arms, recorded
 from tests.support.places import ROOT
@@ -151,7 +151,7 @@ def record(
     sensors = SimulatedArmOptions(noise_torque=0.05, encoder_resolution=1e-5)
     truth = load_plant(robot, folder / plant)
     rng = np.random.default_rng([seed, 1])
-    samples = join_measurements(PlantSimulation(truth, plan, sensors, 200.0, rng))
+    samples = join_measurements(plant_measurements(truth, plan, sensors, 200.0, rng))
     write_measurement_csv(folder / log, robot.joint_names, [samples])
 
 
