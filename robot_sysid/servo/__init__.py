@@ -331,9 +331,9 @@ def identify_servos(
     refuse_repeated_logs(opened)
     check_commands(opened, robot.joint_names)
     fitted_logs = opened[: len(logs.measurements)]
-    pieces: list[Sequence[Measurement]] = [log.pieces for log in opened]
-    fitted = list(chain(*pieces[: len(fitted_logs)]))
-    held_out = list(chain(*pieces[len(fitted_logs) :]))
+    fitted: list[Measurement] = [*chain(*(log.pieces for log in fitted_logs))]
+    tests = opened[len(fitted_logs) :]
+    held_out: list[Measurement] = [*chain(*(log.pieces for log in tests))]
     if test_path is None:
         ends = [round((1.0 - HELD_OUT_SHARE) * len(piece)) for piece in fitted]
         held_out = [slice_samples(p, end, len(p)) for p, end in zip(fitted, ends)]

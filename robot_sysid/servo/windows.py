@@ -82,7 +82,7 @@ class ServoProblem:
         """Return played minus measured positions (W, m, n), pi where a rollout has diverged."""
         # Windows over lost samples are longer than others.
         edges = np.arange(0.0, np.max(self.times) + STEP, STEP)
-        (q,) = self.rollouts.positions([servos], self.windows, edges)
+        q = self.rollouts.positions(servos, self.windows, edges)
         played = [interpolate(times, edges, own) for times, own in zip(self.times, q)]
         return np.nan_to_num(np.array(played) - self.measured, nan=np.pi)
 

@@ -22,7 +22,7 @@ Shapes: n joints of the chain, base to terminal; W windows at a time; S steps in
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from typing import Any
 
@@ -303,44 +303,35 @@ class ServoRollouts:
         self._data = [mujoco.MjData(self.model) for _ in range(threads)]
 
     def positions(
-        self,
-        candidates: Sequence[ServoParameters],
-        windows: Sequence[ServoWindow],
-        edges: Array,
-    ) -> Iterator[Array]:
-        """Yield chain positions (W, S + 1, n) of each candidate in W windows, the start included.
+        self, servos: ServoParameters, windows: Sequence[ServoWindow], edges: Array
+    ) -> Array:
+        """Return chain positions (W, S + 1, n) in W windows, the start included.
 
         Positions are NaN from where a rollout diverged.
 
         Args:
-            candidates: servo parameters, played one after the other.
+            servos: the servo parameters.
             windows: starts and commands of the W windows.
             edges: (S + 1,) ends of the steps of every window, from its start [s], evenly spaced.
         """
         robot = self.robot
         self.model.opt.timestep = edges[1] - edges[0]
-        # Commands (W, S, n) by delay, because many candidates have the same one.
-        commands = dict[float, Array]()
+        set_servos(self.model, robot, servos)
         index = chain_actuators(robot).index
         driven = index != NO_ACTUATOR
         rows = [control_rows(self.model, actuator)[0] for actuator in index[driven]]
         spring_rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
-        for servos in candidates:
-            set_servos(self.model, robot, servos)
-            if servos.delay not in commands:
-                commands[servos.delay] = np.stack(
-                    [
-                        mean_commands(w.time, w.command, w.start + edges - servos.delay)
-                        for w in windows
-                    ]
-                )
-            command = commands[servos.delay]
-            # As MuJoCo has them: those of the nu actuators, then the forces on the joints.
-            inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))
-            inputs[:, :, rows] = command[:, :, driven]
-            pull = servos.stiffness * ~driven * (command - spring_rest)
-            inputs[:, :, self.model.nu + robot.dof_index] = pull
-            yield self.play(windows, inputs)
+        commands = []
+        for window in windows:
+            times = window.start + edges - servos.delay
+            commands.append(mean_commands(window.time, window.command, times))
+        command = np.stack(commands)
+        # As MuJoCo has them: those of the nu actuators, then the forces on the joints.
+        inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))
+        inputs[:, :, rows] = command[:, :, driven]
+        pull = servos.stiffness * ~driven * (command - spring_rest)
+        inputs[:, :, self.model.nu + robot.dof_index] = pull
+        return self.play(windows, inputs)
 
     def play(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:
         """Return chain positions (W, S + 1, n) under inputs (W, S, nu + nv) of the model."""

@@ -93,8 +93,8 @@ WINDOW = playback.ServoWindow(1.0, COMMAND[50], np.zeros(2), TIME, COMMAND)
 
 def play(robot, *candidates):
     """Positions (S + 1, n) of each candidate in one window."""
-    rollouts = playback.ServoRollouts(robot).positions(candidates, [WINDOW], EDGES)
-    return [positions[0] for positions in rollouts]
+    rollouts = playback.ServoRollouts(robot)
+    return [rollouts.positions(servos, [WINDOW], EDGES)[0] for servos in candidates]
 
 
 def test_the_models_own_servos_move_it_as_mujoco_does():

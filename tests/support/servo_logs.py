@@ -42,7 +42,7 @@ def positions(robot, time, command, servos=TRUTH, steps=10):
     """Readings (N, n) of an encoder with 1 mrad, of an arm played in ``steps`` steps a sample."""
     window = ServoWindow(float(time[0]), command[0], 0.0 * command[0], time, command)
     edges = np.linspace(0.0, time[-1] - time[0], steps * (len(time) - 1) + 1)
-    q = next(ServoRollouts(robot).positions([servos], [window], edges))[0]
+    q = ServoRollouts(robot).positions(servos, [window], edges)[0]
     return np.round(q[::steps], 3)
 
 
