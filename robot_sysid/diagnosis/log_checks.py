@@ -53,7 +53,7 @@ SLOWEST = 0.05
 
 def slow_findings(recordings: Sequence[Recording]) -> Iterator[Finding]:
     """Yield a finding where no speed reaches ``SLOWEST``, too slow for friction."""
-    fastest = max(float(np.max(np.abs(each.motion.qd))) for each in recordings)
+    fastest = max(np.max(np.abs(each.motion.qd)) for each in recordings)
     if fastest < SLOWEST:
         text = f"no joint moves faster than {fastest:.2g} rad/s"
         yield Finding(Level.REFUSES, "too-little", text, "record a faster motion")
@@ -69,14 +69,16 @@ def enough_findings(
     signals = recordings[0].signals
     assert signals is not None
     span = duration(pieces)
-    rows = int(2.0 * signals.cutoff * span)
+    rows = 2.0 * signals.cutoff * span
     rate = 1.0 / sampling_period(pieces[0].time)
     if rate < SLOWEST_RATE:
         text = f"{rate:.3g} samples per second are too few"
         yield Finding(Level.REFUSES, "too-little", text, "record at 100 or more")
     if rows < ROWS:
-        text = f"{span:.3g} s behind a low-pass of {signals.cutoff:.3g} Hz hold about {rows} "
-        text += f"independent samples per joint, and {ROWS} are needed"
+        text = (
+            f"{span:.3g} s behind a low-pass of {signals.cutoff:.3g} Hz hold about {rows:.0f} "
+            f"independent samples per joint, and {ROWS} are needed"
+        )
         yield Finding(Level.REFUSES, "too-little", text, "record longer")
 
 
@@ -124,18 +126,26 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     # Noise that makes many steps of the smaller excess may also make those with the larger one.
     if lost > max(FEW, 3.0 * uneven):
         text = f"{percent(lost)} of the steps have lost samples that the time stamps do not show"
-        level = Level.REFUSES if lost > MANY else Level.DOUBTS
-        yield Finding(level, "clock", text, remedy)
+        yield Finding(
+            Level.REFUSES if lost > MANY else Level.DOUBTS, "clock", text, remedy
+        )
     if repeated > FEW:
-        text = f"{percent(repeated)} of the steps repeat the position of the sample before while "
-        text += "the arm moves"
+        text = (
+            f"{percent(repeated)} of the steps repeat the position of the sample before while the "
+            "arm moves"
+        )
         # A low-pass smooths a repeated sample away, but not a wrong time.
-        level = Level.DOUBTS if repeated > MANY else Level.SAYS
-        yield Finding(level, "clock", text, remedy)
+        yield Finding(
+            Level.DOUBTS if repeated > MANY else Level.SAYS, "clock", text, remedy
+        )
     if jumps:
         text = f"the clock jumps ahead {count_text(jumps, 'time')} without a sample missing"
-        remedy = "use the time stamps of the controller's own clock"
-        yield Finding(Level.DOUBTS, "clock", text, remedy)
+        yield Finding(
+            Level.DOUBTS,
+            "clock",
+            text,
+            "use the time stamps of the controller's own clock",
+        )
 
 
 INTEGRATION_TIME = 1.0
@@ -172,10 +182,9 @@ def velocity_ratios(pieces: Sequence[Measurement]) -> Array:
             displacements.append(tracks[:, length:] - tracks[:, :-length])
     if not displacements:
         return np.ones(pieces[0].q.shape[1])
-    by_position, by_velocity = np.concatenate(displacements, axis=1)
+    moves = np.concatenate(displacements, axis=1)
     # A constant error of a drive's speed is neither an error of time nor another motion.
-    by_velocity = by_velocity - np.mean(by_velocity, axis=0)
-    by_position = by_position - np.mean(by_position, axis=0)
+    by_position, by_velocity = moves - np.mean(moves, axis=1, keepdims=True)
     squares = np.sum(by_position**2, axis=0)
     # Joints that move enough, with a tenth of the largest displacement.
     moving = squares > 0.01 * np.max(squares)
@@ -200,7 +209,7 @@ def velocity_notes(ratios: Array, joint_names: Sequence[str]) -> Iterator[Findin
     odd = np.flatnonzero((off > WRONG_VELOCITY) & (off < OTHER))
     if len(odd):
         names = ", ".join(joint_names[k] for k in odd.tolist())
-        factor = float(np.median(ratios[odd]))
+        factor = np.median(ratios[odd])
         text = f"recorded velocities of {names} are {factor:.3g} times the derivatives of positions"
         yield Finding(Level.SAYS, "clock", f"{text}, which are used in their place")
 
@@ -214,7 +223,7 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     neighbours.
     """
     step = np.diff(piece.time)
-    typical_step = float(np.median(step))
+    typical_step = np.median(step)
     displacement = np.diff(piece.q, axis=0)
     # Displacement in a step of typical duration.
     pace = displacement * (typical_step / step)[:, None]
@@ -248,16 +257,19 @@ def saturation_findings(
     for name, values in zip(joint_names, np.concatenate(torques).T):
         if len(np.unique(values)) < MANY_VALUES:
             continue
-        near = 0.02 * float(np.ptp(values))
-        for end in (float(np.min(values)), float(np.max(values))):
-            count = int(np.sum(values == end))
-            others = int(np.sum(np.abs(values - end) < near)) - count
+        near = 0.02 * np.ptp(values)
+        for end in (np.min(values), np.max(values)):
+            count = np.sum(values == end)
+            others = np.sum(np.abs(values - end) < near) - count
             if count > max(OFTEN * len(values), _CROWDED * others):
                 share = percent(count / len(values))
-                text = f"the torque of joint {name} is exactly {end:.4g} N m, the end of its range,"
-                text += f" in {share} of the samples: the sensor saturates"
-                remedy = "move slower, or carry less"
-                yield Finding(Level.DOUBTS, "saturated", text, remedy)
+                text = (
+                    f"the torque of joint {name} is exactly {end:.4g} N m, the end of its range, "
+                    f"in {share} of the samples: the sensor saturates"
+                )
+                yield Finding(
+                    Level.DOUBTS, "saturated", text, "move slower, or carry less"
+                )
 
 
 WINDOW = 16.0
@@ -324,6 +336,7 @@ def check_pieces(
     options: EstimationOptions | None = None,
     links_known: bool = True,
     divided: Sequence[float] | Array | float = 1.0,
+    progress: Progress | None = None,
 ) -> tuple[tuple[Finding, ...], tuple[Measurement, ...]]:
     """Return the findings of all checks of a log, and its pieces with what is to be used of them.
 
@@ -336,11 +349,13 @@ def check_pieces(
         links_known: whether the model's links are taken as right; if not, findings of ``OF_LINKS``
             are only notes.
         divided: (n,) torque scales by which the torques were divided already.
+        progress: is advanced part by part of a long log; None to show nothing.
 
     Raises:
         InputError: the log is too short to be looked at.
     """
     options = options or EstimationOptions()
+    progress = progress or Progress()
     names = robot.joint_names
     pieces, raw = leave_out(names, pieces, [*failed_sensors(pieces)])
     lasts_a_moment = all(finding.level is Level.SAYS for finding in raw)
@@ -350,7 +365,9 @@ def check_pieces(
     recordings = low_pass(pieces, options.cutoff)
     found = [*enough_findings(pieces, recordings)]
     if not found:
-        touched = [*_touched(robot, pieces, options)] if lasts_a_moment else []
+        touched = []
+        if lasts_a_moment:
+            touched = [*_touched(robot, pieces, options, progress)]
         pieces, contacts = leave_out(names, pieces, touched)
         if touched:
             recordings = low_pass(pieces, options.cutoff)
@@ -373,12 +390,14 @@ def check_pieces(
 
 def _in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return findings by their level, the most severe first, each once."""
-    levels = [*Level]
-    return tuple(sorted(dict.fromkeys(found), key=lambda f: levels.index(f.level)))
+    return tuple(sorted(dict.fromkeys(found), key=lambda f: [*Level].index(f.level)))
 
 
 def _touched(
-    robot: RobotModel, pieces: Sequence[Measurement], options: EstimationOptions
+    robot: RobotModel,
+    pieces: Sequence[Measurement],
+    options: EstimationOptions,
+    progress: Progress,
 ) -> Iterator[Stretch]:
     """Yield the stretches of a log with torque that is ordinary at no other time.
 
@@ -387,9 +406,11 @@ def _touched(
     """
     windows = [*cut_pieces(pieces, _PART, _OVERLAP)]
     count = min(math.ceil(duration(pieces) / _PART), len(windows))
-    for numbers in np.array_split(np.arange(len(windows)), count):
-        recordings = low_pass([windows[k] for k in numbers], options.cutoff)
+    parts = np.array_split(np.arange(len(windows)), count)
+    for number, part in enumerate(parts, start=1):
+        recordings = low_pass([windows[k] for k in part], options.cutoff)
         yield from unusual_torque(robot, recordings, options)
+        progress.advance("Looking for what is wrong with the log", number, count, "")
 
 
 def check_log(
@@ -410,7 +431,7 @@ def check_log(
         robot: the arm with its model.
         log: the log that was read.
         accepted: names of checks whose doubts are accepted.
-        progress: receives the notes of a log that is not used.
+        progress: is advanced, and receives the notes of a log that is not used.
         options: see ``check_pieces``.
         links_known: see ``check_pieces``.
         checks: names of the checks whose findings count.
@@ -421,7 +442,7 @@ def check_log(
     """
     with prefix_input_errors(str(log.path)):
         all_findings, pieces = check_pieces(
-            robot, log.pieces, options, links_known, log.torque_scale
+            robot, log.pieces, options, links_known, log.torque_scale, progress
         )
     log_findings = [f for f in all_findings if f.about in checks]
     notes = list(log.notes)

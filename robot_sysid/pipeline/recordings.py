@@ -73,8 +73,6 @@ def identify_logs(
     refuse_repeated_logs(read)
     checked: list[MeasurementLog] = []
     for log in read:
-        label = "Looking for what is wrong with the logs"
-        progress.advance(label, len(checked), len(read), "")
         log = check_log(robot, log, options.accept, progress, config.estimation)
         checked.append(log)
     logs, tests = checked[: len(logs)], checked[len(logs) :]
