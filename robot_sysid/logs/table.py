@@ -200,22 +200,20 @@ def read_rows(
         is_empty = ~np.isfinite(cells[missing[0], -len(used) :])
         listed = [used[k].title for k in np.flatnonzero(is_empty)]
         first = f"{table.row_noun} {lines[missing[0]]}, columns {', '.join(listed)}"
-    usable = finite & ~impossible
+    usable = np.flatnonzero(finite & ~impossible)
     anomalies = {
         UNREADABLE: _anomaly(table, lines[impossible], complaint),
         MISSING: _anomaly(table, lines[missing], first),
     }
-    lines = lines[usable]
-    cells = cells[usable]
     # Rows after a step backwards that are not yet later than all before are not counted.
-    time = cells[:, 0]
+    time = cells[usable, 0]
     step = np.diff(time)
     later = np.ones(len(time), dtype=bool)
     later[1:] = time[1:] > np.maximum.accumulate(time)[:-1]
-    anomalies[BACKWARDS] = _anomaly(table, lines[1:][step < 0.0])
-    anomalies[REPEATED] = _anomaly(table, lines[1:][step == 0.0])
-    lines = lines[later]
-    cells = cells[later]
+    anomalies[BACKWARDS] = _anomaly(table, lines[usable[1:][step < 0.0]])
+    anomalies[REPEATED] = _anomaly(table, lines[usable[1:][step == 0.0]])
+    lines = lines[usable[later]]
+    cells = cells[usable[later]]
     # Full turns by which each position jumps against the row before.
     step = np.diff(cells[:, 1 : 1 + n], axis=0)
     turns = np.round(step / _TURN) * ~np.array(is_slide)
