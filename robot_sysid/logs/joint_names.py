@@ -90,7 +90,11 @@ def match_joint_names(
     # Equal names come before those that differ in signs only, such as arm-1 and arm_1.
     if not {*joint_names} <= {*names}:
         arm_joints = _single_names(complete[frame], arm)
-    _refuse_other_side(arm_joints, frame, arm)
+    if are_opposite_sides({*chain(*frame)}, {*chain(*arm.frame)}):
+        raise InputError(
+            f"the log's joints {join_names(arm_joints)} are those of another arm than the model's "
+            f"{join_names(joint_names)}: give the model of the arm that was recorded"
+        )
     unused = tuple(name for name in names if name not in arm_joints)
     return JointMatch(dict(zip(arm_joints, joint_names)), unused)
 
@@ -187,15 +191,3 @@ def are_opposite_sides(pieces: set[str], other_pieces: set[str]) -> bool:
         if side in pieces - other_pieces and other_side in other_pieces - pieces:
             return True
     return False
-
-
-def _refuse_other_side(names: Sequence[str], frame: Frame, arm: _NameSet) -> None:
-    """Raise InputError where words say that names (n,) are those of the other arm of two.
-
-    ``frame``: pieces around the cores of the names.
-    """
-    if are_opposite_sides({*chain(*frame)}, {*chain(*arm.frame)}):
-        raise InputError(
-            f"the log's joints {join_names(names)} are those of another arm than the model's "
-            f"{join_names(arm.names)}: give the model of the arm that was recorded"
-        )
