@@ -114,10 +114,10 @@ def more_lines(content: Content) -> list[str]:
     """Return the lines below the block; those for --verbose only are ``Detail``."""
     lines: list[str] = []
     changes = largest_changes(content)
-    if changes and content["failure"] is None and content["source"] != ITSELF:
-        lines.append(f"Changed most, compared with the errors: {changes}")
     if content["question"] == PAYLOAD:
         lines += _payload_lines(content)
+    elif changes and content["failure"] is None and content["source"] != ITSELF:
+        lines.append(f"Changed most, compared with the errors: {changes}")
     lines += _validation_lines(content)
     if content["file"] is not None and content["file"]["kept"]:
         lines.append(Detail(f"As in the model: {', '.join(content['file']['kept'])}"))
