@@ -1,6 +1,6 @@
 """Torque scales from known masses: errors of payloads that are weighed with them.
 
-    python -m benchmarks.known_mass MODELS [--runs 5] [--sets 2] [--arms kinova panda]
+    python -m benchmarks.known_mass MODELS [--runs 5] [--sets 2] [--arms gen3 panda]
 
 Each run draws an imperfect arm whose torque scales are 3 % off per joint, calibrates it with 2 kg
 on several sets of recordings, each starting from the scales of the set before, and weighs three
@@ -48,10 +48,10 @@ def calibration(robot, arm, rng, sets):
         raw = recordings(robot, arm, rng, payload=body(WEIGHT))
         logs = [divide_by_scale(recording, scale) for recording in raw]
         options = EstimationOptions(priors=Priors(scale=sure))
-        payload = weigh(robot, logs, options, known_mass=WEIGHT).payload
-        more, errors = np.transpose(
-            [payload.torque_scale[joint] for joint in robot.joint_names]
-        )
+        result = weigh(robot, logs, options, known_mass=WEIGHT)
+        rows = [result.quantity("torque_scale", joint) for joint in robot.joint_names]
+        more = np.array([row.value for row in rows])
+        errors = np.array([row.error for row in rows])
         scale = scale * more
         sure = tuple((100.0 * errors / more).tolist())
     return scale, sure
@@ -84,7 +84,7 @@ def main():
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--sets", type=int, default=1)
     parser.add_argument(
-        "--arms", nargs="+", default=["kinova", "panda"], choices=list(ARMS)
+        "--arms", nargs="+", default=["gen3", "panda"], choices=list(ARMS)
     )
     options = parser.parse_args()
     for name in options.arms:

@@ -87,7 +87,9 @@ def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
     recordings, _ = low_pass_recordings(robot, pieces)
     question = Question(estimation, loaded=True, drifts=drifts, **question_options)
     fits = identify_payload(robot, recordings, question, Progress())
-    return payload_result(*fits, find_flange(robot, "0,0,0"), ORIGIN)
+    divided = np.ones(robot.n_joints)
+    flange = find_flange(robot, "0,0,0")
+    return payload_result(*fits, flange, ORIGIN, (), divided)
 
 
 def single_difference(robot, raw):
@@ -133,7 +135,7 @@ def main():
         "--scale", type=float, nargs="+", default=[0.0, 1.0], help="per cent"
     )
     parser.add_argument(
-        "--arms", nargs="+", default=["kinova", "panda"], choices=list(ARMS)
+        "--arms", nargs="+", default=["gen3", "panda"], choices=list(ARMS)
     )
     parser.add_argument(
         "--noise", type=float, default=0.3, help="of a strong joint, N m"
