@@ -19,8 +19,8 @@ BUDGETS = {
     "robot_sysid/api": 4446,
     "robot_sysid/commands": 10815,
     "robot_sysid/damiao": 33013,
-    "robot_sysid/diagnosis": 16837,
-    "robot_sysid/dynamics": 5780,
+    "robot_sysid/diagnosis": 16834,
+    "robot_sysid/dynamics": 5771,
     "robot_sysid/estimate": 28137,
     "robot_sysid/logs": 16037,
     "robot_sysid/mjcf": 7881,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4990,
     "robot_sysid/simulation": 3887,
     "robot_sysid": 9528,
-    "tests": 219311,
+    "tests": 219309,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -163,38 +163,38 @@ def per_joint(
     columns: Column,
     spread: float,
     text: str,
-    common: str,
     remedy: str,
+    has_common: bool = True,
     **fields: Any,
 ) -> Iterator[Explanation]:
-    """Yield an error that all joints have in common, if that has a text, then that of each joint.
+    """Yield an error that all joints have in common, if there are several, and that of each joint.
 
     Arguments are as in ``single``, but for these:
 
     Args:
         arm: all terms.
         columns: (m, J, J), per unit of each joint's error.
-        text: has {joint} for the joint's name.
-        common: text for the error that all have in common; "" for no such error.
+        text: has {owner} for the joint's name or "all joints".
+        has_common: whether all joints may have the error in common.
     """
 
-    def common_column(rows: Rows, point: Point) -> Array:
-        """Return the torque (m, J) per unit of the common error."""
-        return np.asarray(np.sum(columns(rows, point), axis=2))
+    def column(joint: int | None, rows: Rows, point: Point) -> Array:
+        """Return the torque (m, J) per unit of one joint's error, or of a common one."""
+        torque = columns(rows, point)
+        return np.asarray(
+            np.sum(torque, axis=2) if joint is None else torque[:, :, joint]
+        )
 
-    def column(joint: int, rows: Rows, point: Point) -> Array:
-        """Return the torque (m, J) per unit of one joint's error."""
-        return columns(rows, point)[:, :, joint]
-
-    if common and len(arm.joints) > 1:
-        key_of_all = f"{key} all"
-        yield single(check, key_of_all, common_column, spread, common, remedy, **fields)
+    owners: dict[str, int | None] = {}
+    if has_common and len(arm.joints) > 1:
+        owners["all joints"] = None
     for joint, name in enumerate(arm.joints):
-        sentence = text.replace("{joint}", name)
-        key_of_one = f"{key} {name}"
-        own = partial(column, joint)
-        fields["joint"] = joint
-        yield single(check, key_of_one, own, spread, sentence, remedy, **fields)
+        owners[f"joint {name}"] = joint
+    for owner, number in owners.items():
+        sentence = text.replace("{owner}", owner)
+        fields["joint"] = number
+        own = partial(column, number)
+        yield single(check, f"{key} {owner}", own, spread, sentence, remedy, **fields)
 
 
 def rigid(arm: ArmTerms, rows: Rows, point: Point) -> Array:
@@ -259,10 +259,8 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "",
         diagonal(links),
         0.4,
-        "torque of joint {joint} reads {value} too {much|little}, by the model's links and the "
-        "torques of the other joints",
-        "the torques of all joints read {value} too {much|little}, or the masses of all links are "
-        "that much {larger|smaller} than the model's, which torques cannot tell apart",
+        "torque of {owner} reads {value} too {much|little} for the model's links, or the links "
+        "that it carries are {heavier|lighter} than in the model",
         "weigh a known mass (payload --known-mass), and pass the file that it writes as "
         "--torque-scale",
         factor=100.0,
@@ -275,8 +273,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "drift",
         diagonal(along(fitted, links)),
         0.15,
-        "the torque scale of joint {joint} {rises|falls} by {value} over the log",
-        "the torque scale of all joints {rises|falls} by {value} over the log",
+        "the torque scale of {owner} {rises|falls} by {value} over the log",
         "let motors and sensors warm up, and record again",
         # The time runs from -1 to 1.
         factor=200.0,
@@ -288,9 +285,9 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "",
         lambda rows, point: arm.terms[ZEROS].columns(rows, point)[:, :, arm.indices],
         0.1,
-        "the position of joint {joint} reads {value} too {much|little}",
-        "",
+        "the position of {owner} reads {value} too {much|little}",
         "correct the joint's zero",
+        has_common=False,
         unit="rad",
         harmful_from=GROSS_ZERO,
     )
@@ -300,8 +297,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "",
         diagonal(lambda rows, point: arm.terms[DELAY].columns(rows, point)[:, :, 0]),
         0.04,
-        "torque of joint {joint} alone is {value} {later|earlier} than its position",
-        "torque is {value} {later|earlier} than position",
+        "torque of {owner} is {value} {later|earlier} than position",
         "record torques and positions of all joints at the same instant",
         factor=1e3,
         unit="ms",

@@ -364,16 +364,18 @@ def wrong_models(
 
 def placeholders(robot: RobotModel) -> Iterator[Finding]:
     """Yield a note where links of different masses have the same inertia about their centres."""
-    groups: dict[tuple[str, ...], dict[float, str]] = defaultdict(dict)
+    groups: dict[str, dict[float, str]] = defaultdict(dict)
     for link in robot.links:
         if link.has_mass:
             mass, _, inertia = spatial.com_from_theta(link.theta)
-            moments = np.linalg.eigvalsh(inertia)
-            groups[tuple(f"{moment:.4g}" for moment in moments)][mass] = link.body_name
-    for sizes, names in groups.items():
+            largest = np.linalg.eigvalsh(inertia)[-1]
+            groups[f"{largest:.4g}"][mass] = link.body_name
+    for size, names in groups.items():
         if len(names) >= ALIKE:
             text = f"the model's inertias of {', '.join(names.values())} are all alike, about "
-            text += f"{sizes[-1]} kg m^2: they are placeholders, and the standard errors may be "
+            text += (
+                f"{size} kg m^2: they are placeholders, and the standard errors may be "
+            )
             yield Finding(Level.SAYS, "model", f"{text}too small")
 
 

@@ -178,7 +178,6 @@ def leave_out(
     """
     kept = []
     notes = []
-    phrases = []
     left_out_count = 0
     for piece in pieces:
         wrong = np.zeros(piece.q.shape, dtype=bool)
@@ -191,11 +190,9 @@ def leave_out(
         for rows in true_runs(left_out):
             start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
             names = ", ".join(compress(joint_names, np.any(wrong[rows], axis=0)))
-            phrase = f"from {start:.2f} s to {stop:.2f} s ({names})"
-            phrases.append(phrase)
-            text = f"something touched the arm, or a sensor failed, {phrase}: left out"
-            name = str(checks[rows.start])
-            notes.append(Finding(Level.SAYS, name, text))
+            text = "something touched the arm, or a sensor failed, "
+            text += f"from {start:.2f} s to {stop:.2f} s ({names}): left out"
+            notes.append(Finding(Level.SAYS, str(checks[rows.start]), text))
         left_out_count += int(np.sum(left_out))
         if not np.any(left_out):
             kept.append(piece)
@@ -203,8 +200,8 @@ def leave_out(
             kept.append(_mark(piece, left_out))
     is_much = left_out_count > MOST_SHARE * sum(map(len, pieces))
     if is_much or len(notes) > MOST_STRETCHES:
-        text = f"something touches the arm, or a sensor fails, {count_text(len(notes), 'time')}"
-        text += f", first {phrases[0]}: too much to leave out"
+        text = f"{notes[0].text}; {count_text(len(notes), 'time')} in all, too much to leave out"
+        text = text.replace(": left out", "")
         remedy = "record again without it"
         return list(pieces), [Finding(Level.DOUBTS, notes[0].about, text, remedy)]
     return kept, notes

@@ -177,9 +177,11 @@ def evidence(fitted: Fit) -> float:
 
 def wide_priors(priors: Priors) -> Priors:
     """Return priors that are no narrower than the default ones."""
-    wide: dict[str, Any] = {}
-    for name in ("link", "zero", "gravity", "delay", "friction"):
-        wide[name] = max(getattr(priors, name), getattr(Priors(), name))
+    usual = vars(Priors())
+    names = ("link", "zero", "gravity", "delay", "friction")
+    wide: dict[str, Any] = {
+        name: max(vars(priors)[name], usual[name]) for name in names
+    }
     if priors.scale is not None:
         scales = np.maximum(np.ravel(priors.scale), USUAL_SCALE)
         wide["scale"] = tuple(scales.tolist())

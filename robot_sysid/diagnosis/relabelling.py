@@ -138,13 +138,17 @@ def mistakes(
     names = tuple(robot.joint_names)
     n = len(names)
     moving = range(n) if moving is None else moving
-    advice = "put the columns right with --columns FILE"
+    of_factors = ColumnCorrection.of_factors
 
-    def wrong_order(text: str, order: Sequence[int]) -> Finding:
-        """Return the finding that joints have the columns of others."""
-        columns = ColumnCorrection(quantities, tuple(order), (1.0,) * n)
-        text = f"{text}{scope}"
-        return Finding(Level.REFUSES, "order", text, advice, correction=columns)
+    def mistake(
+        check: str,
+        text: str,
+        columns: ColumnCorrection,
+        remedy: str = "put the columns right with --columns FILE",
+        *options: str,
+    ) -> Finding:
+        """Return the finding on columns that a correction puts right."""
+        return Finding(Level.REFUSES, check, text, remedy, options, correction=columns)
 
     for quantities in (("torque",), ("position",), ("position", "torque")):
         subject = " and ".join(quantities)
@@ -155,31 +159,27 @@ def mistakes(
             signs["every joint"] = -np.ones(n)
         for owner, factors in signs.items():
             text = f"the {subject} of {owner} {verb} the opposite sign of the model's"
-            columns = ColumnCorrection.of_factors(factors, *quantities)
-            yield Finding(Level.REFUSES, "sign", text, advice, correction=columns)
+            yield mistake("sign", text, of_factors(factors, *quantities))
+        orders = {}
         for first, second in combinations(moving, 2):
             order = list(range(n))
             order[first], order[second] = second, first
-            text = f"joints {names[first]} and {names[second]} are exchanged"
-            yield wrong_order(text, order)
+            orders[f"joints {names[first]} and {names[second]} are exchanged"] = order
         if n > 2 and len(moving) == n:
-            yield wrong_order("the order of the joints is reversed", range(n)[::-1])
+            orders["the order of the joints is reversed"] = list(range(n)[::-1])
+        for text, order in orders.items():
+            columns = ColumnCorrection(quantities, tuple(order), (1.0,) * n)
+            yield mistake("order", f"{text}{scope}", columns)
     radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
-    yield Finding(
-        Level.REFUSES,
-        "angle-unit",
-        "positions look like degrees",
-        "pass --units deg",
-        ("--units", "deg"),
-        correction=ColumnCorrection.of_factors(radians, "position"),
-    )
-    yield Finding(
-        Level.REFUSES,
+    columns = of_factors(radians, "position")
+    text = "positions look like degrees"
+    yield mistake("angle-unit", text, columns, "pass --units deg", "--units", "deg")
+    yield mistake(
         "angle-unit",
         "positions look like radians that were taken for degrees",
+        of_factors(1.0 / radians, "position"),
         "say rad where degrees are said: in --units, the file of --columns, a column's title or "
         "the recorder",
-        correction=ColumnCorrection.of_factors(1.0 / radians, "position"),
     )
 
 
@@ -433,11 +433,11 @@ def scale_finding(
     typical = float(np.median(known))
     listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
     text = f"torque reads {typical:.3g} times what the model takes ({listed}): "
-    off = float(np.max(np.abs(np.log(known))))
+    off = np.max(np.abs(np.log(known)))
     level = Level.DOUBTS if off > np.log(WARNED) else Level.SAYS
     level = Level.REFUSES if off > np.log(REFUSED) else level
     # No links, and no tool that an arm may carry, make all torques that small or large.
-    is_foreign = bool(np.all(known < SMALLER) or np.all(known > LARGER))
+    is_foreign = np.all(known < SMALLER) or np.all(known > LARGER)
     check = "torque-unit" if is_foreign else "torque-scale"
     correction = None
     if np.any(scale < 0.0):
@@ -450,11 +450,9 @@ def scale_finding(
         text += "torque have, or all masses of the model are wrong"
         options = ("--torque-scale", ",".join(start))
         return Finding(level, check, text, WEIGHING, options, "payload", correction)
-    options = (
-        "--torque-scale",
-        start[0] if np.ptp(divided) == 0.0 else ",".join(start),
-    )
-    remedy = f"pass {' '.join(options)}"
+    common = start[0] if np.ptp(divided) == 0.0 else ",".join(start)
+    options = ("--torque-scale", common)
+    remedy = f"pass --torque-scale {common}"
     # Masses in another unit are refused where models are read.
     if is_foreign and typical in UNITS:
         return Finding(level, check, f"{text}as in {UNITS[typical]}", remedy, options)

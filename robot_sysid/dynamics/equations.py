@@ -103,11 +103,7 @@ class Equations:
         n = robot.n_joints
         self.joint_indices = tuple(range(0 if torques == "chain" else n - 1, n))
         self.joints = tuple(robot.joint_names[j] for j in self.joint_indices)
-        model_friction = {
-            "coulomb": robot.friction.coulomb,
-            "viscous": robot.friction.viscous,
-            "armature": robot.armature,
-        }
+        model = {**vars(robot.friction), "armature": robot.armature}
         names = list(PARAMETER_NAMES)
         prior = robot.prior.theta.tolist()
         columns: list[NDArray[np.int64]] = []
@@ -115,7 +111,7 @@ class Equations:
             terms = self._friction[j].terms
             own = np.arange(len(terms)) + len(names)
             names += self._friction[j].parameter_names(joint)
-            prior += [model_friction.get(term, np.zeros(n))[j] for term in terms]
+            prior += [model.get(term, np.zeros(n))[j] for term in terms]
             columns.append(np.concatenate((np.arange(N_INERTIAL), own)))
         self.names = tuple(names)
         self.columns = tuple(columns)

@@ -103,7 +103,7 @@ TORQUES = {
         t.log.tau + hum(t, 1)
     ),
     "delay": lambda t: np.roll(t.log.tau, 10, axis=0),
-    "delay: torque of joint joint2 alone": lambda t: delay_joint(t, 2),
+    "delay: torque of joint joint2 is": lambda t: delay_joint(t, 2),
 }
 """Name of a check and its message to a torque (N, 4) for which it has to come; for all faults, on
 public arms, see benchmarks/confusion.py."""
