@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16834,
     "robot_sysid/dynamics": 5771,
     "robot_sysid/estimate": 28137,
-    "robot_sysid/logs": 16037,
+    "robot_sysid/logs": 15932,
     "robot_sysid/mjcf": 7881,
     "robot_sysid/model": 8045,
     "robot_sysid/motion": 18714,

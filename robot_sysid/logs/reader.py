@@ -28,7 +28,6 @@ from robot_sysid.logs.column_map import (
     read_columns_file,
     recognise_columns,
 )
-from robot_sysid.logs.hdf5 import hdf5_table
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
 from robot_sysid.logs.table import (
@@ -201,7 +200,7 @@ TableReader = Callable[[LogSource], LogTable]
 """Reads a log of one form as a table."""
 _BAG = "a ROS bag", bag_table
 _MATLAB = "a MATLAB .mat file", arrays.matlab_table
-_HDF5 = "an HDF5 file", hdf5_table
+_HDF5 = "an HDF5 file", arrays.hdf5_table
 _TEXT = "a table of text", text_table
 _FILES: Mapping[bytes, tuple[str, TableReader]] = {
     b"\x89MCAP0": _BAG,

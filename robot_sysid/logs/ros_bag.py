@@ -1,17 +1,21 @@
 """ROS bags: ROS 2 (folder with .db3 or .mcap, or a single .mcap) and ROS 1 (.bag).
 
-``ros_messages`` says which messages are read, ``ros_topics`` which topic where several fit. A joint
-is identified by its name in each message: the order may change from message to message, several
-publishers may share a topic, and a message may hold a gripper only, or a few of the arm's joints.
-Time is that of the message's header, or where that is empty the time at which the message
-was recorded.
+``ros_messages`` says which messages are read. A joint is identified by its name in each message:
+the order may change from message to message, several publishers may share a topic, and a message
+may hold a gripper only, or a few of the arm's joints. Time is that of the message's header, or
+where that is empty the time at which the message was recorded.
+
+Drivers publish one arm more than once: ros2_control's broadcaster in /joint_states and
+/dynamic_joint_states, Franka's launch file at 1 kHz and once more, with the fingers, at 30 Hz. The
+topic with torques and with the most samples is read. Topics whose names are those of two arms are
+not chosen from.
 """
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, product
 from pathlib import Path
@@ -20,7 +24,11 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.joint_names import match_joint_names
+from robot_sysid.logs.joint_names import (
+    are_opposite_sides,
+    match_joint_names,
+    split_name,
+)
 from robot_sysid.logs.ros_messages import (
     DEFINITIONS,
     READERS,
@@ -29,8 +37,8 @@ from robot_sysid.logs.ros_messages import (
     Sample,
     read_stamp,
 )
-from robot_sysid.logs.ros_topics import Topic, choose_topic
 from robot_sysid.logs.table import Block, LogSource, LogTable, import_optional
+from robot_sysid.logs.titles import read_title
 from robot_sysid.records.file_access import refuse_special_file
 
 _FIRST_MESSAGES = 200
@@ -38,6 +46,85 @@ _FIRST_MESSAGES = 200
 of the topic has sent one."""
 Message = tuple[int, Sample]
 """(time of the header, or else of recording [ns since 1970], sample)."""
+
+
+_LEADERS = frozenset({"leader", "master"})
+"""Words in the names of topics of an arm by which another one is led."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic that holds joints.
+
+    Attributes:
+        name: of the topic.
+        message_type: of its messages.
+        table: the topic as a table.
+        n_messages: number of its messages.
+        rank: whether it has positions of all joints of the arm, torques of all, and torques other
+            than zero.
+    """
+
+    name: str
+    message_type: str
+    table: LogTable
+    n_messages: int
+    rank: tuple[bool, bool, bool]
+
+    @property
+    def is_commanded(self) -> bool:
+        """Whether its name marks it as commands or references, as in /desired_joint_states.
+
+        So does the name of an arm that leads the other one, which moves almost alike.
+        """
+        title = read_title(self.name)
+        return title.is_commanded or bool(_LEADERS & {*title.tokens})
+
+
+def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
+    """Return the topic to read, and a sentence on the others that hold the arm; "" for none.
+
+    Raises:
+        InputError: topics of two arms fit, or the only one lacks torques.
+    """
+    best = max(topic.rank for topic in topics)
+    fitting = [topic for topic in topics if topic.rank == best]
+    measured = [topic for topic in fitting if not topic.is_commanded]
+    fitting = measured or fitting
+    if best == (True, False, False) and len(fitting) == 1:
+        raise InputError(
+            f"{path}: topic {fitting[0].name} has no effort of the arm's joints; let the driver "
+            "publish effort and record again"
+        )
+    types = list(READERS)
+    fitting.sort(key=lambda t: (-t.n_messages, types.index(t.message_type), t.name))
+    topic_read = fitting[0]
+    rivals = fitting[1:]
+    if any(_is_of_another_arm(topic_read.name, rival.name) for rival in rivals):
+        listed = ", ".join(f"{topic.name} ({topic.message_type})" for topic in fitting)
+        raise InputError(
+            f"{path}: several topics could be the arm: {listed}; choose with --topic",
+            options=[("--topic", topic.name) for topic in fitting],
+        )
+    if rivals:
+        listed = ", ".join(f"{topic.name} ({topic.n_messages})" for topic in rivals)
+        return topic_read, (
+            f"log topic: {topic_read.name} with {topic_read.n_messages} samples is read, not "
+            f"{listed}; choose with --topic"
+        )
+    return topic_read, ""
+
+
+def _is_of_another_arm(first: str, second: str) -> bool:
+    """Return whether the names of two topics are those of two arms.
+
+    So are those in namespaces of which none is in the other, and /left_joint_states and
+    /right_joint_states. /joint_states is no other arm than /franka/joint_states.
+    """
+    namespaces = [f"{name.rpartition('/')[0]}/" for name in (first, second)]
+    outer, inner = sorted(namespaces, key=len)
+    are_sides = are_opposite_sides({*split_name(first)}, {*split_name(second)})
+    return are_sides or not inner.startswith(outer)
 
 
 def bag_table(source: LogSource) -> LogTable:

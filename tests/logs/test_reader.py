@@ -135,7 +135,7 @@ STACK = "numpy.column_stack"
 FILES_AND_CALLS = {
     reader.bag_table: (FORMS["ROS 1 bag"], BAG_TYPES, BAG_TYPES),
     arrays.matlab_table: (matlab, "scipy.io.loadmat", STACK),
-    reader.hdf5_table: (hdf5, "h5py.File", STACK),
+    arrays.hdf5_table: (hdf5, "h5py.File", STACK),
     arrays.npz_table: (FORMS["npz"], "numpy.load", STACK),
     arrays.parquet_table: (FORMS["Parquet"], READ_TABLE, STACK),
     arrays.lerobot_table: (FORMS["LeRobot"], READ_TABLE, STACK),

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs.ros_bag import Topic, choose_topic
 from robot_sysid.logs.ros_messages import DYNAMIC, STATE
-from robot_sysid.logs.ros_topics import Topic, choose_topic
 from robot_sysid.logs.table import LogTable
 
 BAG = Path("run.bag")
