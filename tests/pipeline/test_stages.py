@@ -134,7 +134,9 @@ def test_the_motor_trajectory_carries_the_torque_of_the_motion(arm):
 def test_a_motion_keeps_the_peak_torque_of_the_motors_it_is_exported_for(arm):
     """The last joint needs 0.87 N m; its own limit is the model's, which has none."""
     weak = config(arm, export_damiao=True, motor_type=("DM10010", "DM10010", "DMH3510"))
-    with pytest.raises(InputError, match="at joint joint2 takes .* torque limit of 0.45,"):
+    with pytest.raises(
+        InputError, match="at joint joint2 takes .* torque limit of 0.45,"
+    ):
         run(weak)
 
 
