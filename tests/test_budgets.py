@@ -28,13 +28,13 @@ BUDGETS = {
     "robot_sysid/motion": 18714,
     "robot_sysid/pipeline": 6134,
     "robot_sysid/records": 8610,
-    "robot_sysid/report": 5080,
+    "robot_sysid/report": 5078,
     "robot_sysid/results": 12148,
     "robot_sysid/servo": 5206,
     "robot_sysid/signals": 4990,
     "robot_sysid/simulation": 3887,
     "robot_sysid": 9528,
-    "tests": 219309,
+    "tests": 219305,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -123,31 +123,34 @@ def _summary_of(run: Run) -> dict[str, Any]:
     day = datetime.date.fromtimestamp(written_at).isoformat()
     logs = ", ".join(Path(log).name for log in content["logs"]) or content["source"]
     asked = run.bodies[0]
-    main = [_table(content, body_rows(content, asked)[:4], asked)]
+    main = [_table(body_rows(content, asked)[:4], asked)]
     if content["payload"] is None:
         joint = content["joint_name"]
-        main.append(_table(content, rows_of(content, BEYOND), BEYOND))
-        main.append(_table(content, friction_rows(content, joint), joint))
+        main.append(_table(rows_of(content, BEYOND), BEYOND))
+        main.append(_table(friction_rows(content, joint), joint))
     return {
         "run": run,
         "content": content,
         "title": f"{Path(content['model']['path']).stem}, {day}: {logs}",
-        "day": day,
         "rating": rating,
         "main": [table for table in main if len(table) > 1],
     }
 
 
 def _table(
-    content: Content, rows: Sequence[Content], title: str
+    rows: Sequence[Content],
+    title: str,
+    written: Mapping[tuple[str, str], Content] | None = None,
 ) -> list[tuple[str, ...]]:
-    """Return the table of rows, headings first, with the unit behind each name."""
-    written = file_rows(content)
+    """Return the table of rows, headings first, with the unit behind each name.
+
+    ``written``: the ``file_rows`` to show beside them; None for none.
+    """
     shown = []
     for row in rows:
         name = f"{row['of']}: {label(row)}" if row["of"] != title else label(row)
         name += f" [{row['unit']}]" if row["unit"] else ""
-        in_file = written.get((row["of"], row["name"]))
+        in_file = (written or {}).get((row["of"], row["name"]))
         shown.append(cells({**row, "unit": ""}, name, in_file))
     return shown_columns(shown, title)
 
@@ -155,16 +158,17 @@ def _table(
 def _tables(run: Run) -> dict[str, list[list[tuple[str, ...]]]]:
     """Return the tables of a page by its section: bodies, friction, and all other numbers."""
     content = run.content
-    bodies = [_table(content, body_rows(content, body), body) for body in run.bodies]
+    written = file_rows(content)
+    bodies = [_table(body_rows(content, body), body, written) for body in run.bodies]
     friction = []
     others = []
     for owner in dict.fromkeys(row["of"] for row in content["quantities"]):
         if owner in (*run.bodies, BEYOND):
             continue
         rows = friction_rows(content, owner)
-        friction += [_table(content, rows, owner)] if rows else []
+        friction += [_table(rows, owner, written)] if rows else []
         others += [row for row in rows_of(content, owner) if row not in rows]
-    sensors = [_table(content, others, "sensors and recordings")] if others else []
+    sensors = [_table(others, "sensors and recordings")] if others else []
     return {"bodies": bodies, "friction": friction, "sensors": sensors}
 
 
@@ -174,8 +178,8 @@ def _figures_of(run: Run, progress: Progress) -> dict[str, list[Figure]]:
     if traces is None:
         return {}
     joint = figures.most_changed(traces)
-    drawn = {"first": [figures.torque_figure(traces, joint, "first")]}
-    drawn |= {"torques": [], "friction": []}
+    first = figures.torque_figure(traces, joint, "first")
+    drawn = {"first": [first], "torques": [], "friction": []}
     for joint in range(len(traces.joints)):
         progress.advance("Drawing the report", joint, len(traces.joints), "")
         drawn["torques"].append(figures.torque_figure(traces, joint))

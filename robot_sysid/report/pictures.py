@@ -93,8 +93,9 @@ def _drawn_bodies(
     without a payload, the links.
     """
     if run.content["payload"] is not None:
-        payload, link, total = (run.theta(body, "value") for body in run.bodies)
-        assert payload is not None and link is not None and total is not None
+        payload, link, total = (
+            np.asarray(run.theta(body, "value")) for body in run.bodies
+        )
         entry = run.content["payload"]["flange"]
         pose = (np.array(entry["rotation"]), np.array(entry["translation"]))
         yield robot.body_id, {"after": Flange("flange", *pose).from_flange(payload)}

@@ -81,8 +81,8 @@ def body_quantities(body: BodyEstimate, of: str) -> Iterator[Quantity]:
         reason = cause_text(body.largest_cause(index))
         if np.isinf(error):
             reason = NOT_SHOWN
-        is_from_data = np.isfinite(error) and share >= PRIOR_SHARE
-        source = DATA if is_from_data else MODEL
+        is_from_data = body.prior is None or share >= PRIOR_SHARE
+        source = DATA if is_from_data and np.isfinite(error) else MODEL
         yield Quantity(name, of, unit, model, value, error or None, source, reason)
 
 

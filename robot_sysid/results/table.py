@@ -191,7 +191,7 @@ def beyond_line(content: Content) -> str:
     return f"Bolted on beyond the model: {text}{position}"
 
 
-def largest_changes(content: Content, count: int = 4) -> str:
+def largest_changes(content: Content) -> str:
     """Return the changes of masses, friction and rotors that stand out most from their errors."""
     changes = []
     for row in content["quantities"]:
@@ -203,5 +203,5 @@ def largest_changes(content: Content, count: int = 4) -> str:
                 text = f"{label(row)} of {row['of']} {change(row)}"
                 unit = "" if text.endswith("%") else f" {row['unit']}"
                 changes.append((size, f"{text}{unit}"))
-    largest = sorted(changes, reverse=True)[:count]
+    largest = sorted(changes, reverse=True)[:4]
     return ", ".join(text for _, text in largest)

@@ -183,9 +183,8 @@ def test_what_is_bolted_on_has_its_mass_and_place(mass, error, text):
 
 def test_the_largest_changes_are_those_beyond_the_errors():
     content = content_of(made.found(verdict=Verdict.BETTER))
-    text = largest_changes(content, 2)
-    assert text == (
-        "viscous friction of j6 +0.10000 N·m·s/rad, viscous friction of j5 +100 %"
+    assert largest_changes(content).startswith(
+        "viscous friction of j6 +0.10000 N·m·s/rad, viscous friction of j5 +100 %, "
     )
     still = [{**row, "model": row["value"]} for row in content["quantities"]]
     assert largest_changes({**content, "quantities": still}) == ""
