@@ -128,7 +128,7 @@ def test_resting_poses_determine_mass_and_centre_of_a_payload_alone():
 def test_a_recording_that_cannot_be_processed_has_no_predicted_errors():
     resting = replace(PLAN, amplitude=np.zeros_like(PLAN.amplitude))
     for plan, rate, message in (
-        (PLAN, 4.0, "too few"),
+        (PLAN, 4.0, "record longer"),
         (resting, RATE, "moves faster"),
     ):
         with pytest.raises(InputError, match=message):
