@@ -29,7 +29,7 @@ BUDGETS = {
     "robot_sysid/pipeline": 6134,
     "robot_sysid/records": 8610,
     "robot_sysid/report": 5078,
-    "robot_sysid/results": 12148,
+    "robot_sysid/results": 12110,
     "robot_sysid/servo": 5206,
     "robot_sysid/signals": 4990,
     "robot_sysid/simulation": 3887,
