@@ -75,7 +75,7 @@ class MotorRun:
     def plan(self) -> Plan:
         """Return the plan of the trajectory file with the options' settings.
 
-        With a model it also has the inertia (n,) that each joint moves [kg m^2], and the lower and
+        With a model it also has the arm's inverse mass matrix at the first point, and the lower and
         the upper limits (n,) of the joints [rad].
 
         InputError where the file does not fit the model or the joint map, or an option needs a
@@ -99,8 +99,7 @@ class MotorRun:
         if robot is not None:
             from robot_sysid.simulation.plant import ArmStepper
 
-            arm = ArmStepper(robot, trajectory.q[0])
-            from_model["inertia"] = arm.moved_inertia()
+            from_model["mobility"] = ArmStepper(robot, trajectory.q[0]).mobility()
             from_model["model_range"] = robot.limits.lower, robot.limits.upper
         return Plan(
             trajectory,
@@ -309,7 +308,7 @@ def _open_recorder(
     played = plan.trajectory
     registers = [motor.registers for motor in motors]
     head = recording_header(played.joints, registers, plan.settings, played.path.name)
-    centring = Centring(plan.settings.period, plan.inertia)
+    centring = Centring(plan.settings.period, plan.mobility)
     return MeasurementRecorder(
         *(recording.record, head, played.n_joints, aside, centring, recording.overwrite)
     )

@@ -363,8 +363,8 @@ def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
             offset=float(cells["offset"]),
             verified=cells["verified"],
         )
-        is_sound = joint.verified in ("", BY_HAND) and joint.direction in (1, -1)
-        if is_sound and math.isfinite(joint.offset):
+        is_known = joint.verified in ("", BY_HAND) and joint.direction in (1, -1)
+        if is_known and math.isfinite(joint.offset):
             return joint
     except ValueError:
         pass

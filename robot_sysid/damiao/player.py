@@ -198,15 +198,11 @@ class Player:
                     raise
                 reason = f"{type(error).__name__}: {error_text(error)}"
                 raise HardwareAbort(reason) from error
-        percentiles = np.percentile(self._timer.lateness, [50.0, 99.0])
-        lateness_p50, lateness_p99 = percentiles.tolist()
+        p50, p99 = np.percentile(self._timer.lateness, [50.0, 99.0]).tolist()
+        missed = self._observer.total_missed
+        worst = self._observer.worst_tracking
         return PlayReport(
-            cycles=self._n_recorded,
-            skipped=self._timer.skipped,
-            lateness_p50=lateness_p50,
-            lateness_p99=lateness_p99,
-            missed=self._observer.total_missed,
-            worst_tracking=self._observer.worst_tracking,
+            self._n_recorded, self._timer.skipped, p50, p99, missed, worst
         )
 
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
@@ -289,11 +285,6 @@ class Player:
         self._follower = lowering
         return lowering
 
-    @property
-    def _has_come_to_rest(self) -> bool:
-        """Whether the arm has come to rest in a stop, or has been lowered completely."""
-        return self._follower is not None and self._follower.is_done
-
     def _phase(
         self,
         reference: ReferenceFunction,
@@ -314,7 +305,9 @@ class Player:
         self._standing = standing
         # Half a period of slack keeps the last sample in spite of rounding.
         end = origin + length + 0.5 * self._settings.period
-        while self._timer.next_deadline < end and not self._has_come_to_rest:
+        while self._timer.next_deadline < end:
+            if self._follower is not None and self._follower.is_done:
+                return
             deadline = self._timer.wait()
             time = min(deadline - origin, length)
             target = reference(time)
@@ -449,7 +442,8 @@ class Player:
             silent = self._clock.now() - self._heard_at > _DEAF
             # Where all motors have failed or are silent, commands have no effect any more.
             hopeless = bool(np.all(self._observer.failed)) or silent
-            if hopeless or self._stop.insisted or self._has_come_to_rest:
+            is_done = self._follower is not None and self._follower.is_done
+            if hopeless or self._stop.insisted or is_done:
                 return
             # A bus that fails now may work again in the next cycle. A motor that does not answer
             # may still obey, so only failed ones are left out.

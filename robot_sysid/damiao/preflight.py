@@ -358,12 +358,7 @@ def _start_checks(plan: Plan, q: Array) -> Iterator[Remark]:
         distance = abs(position - first)
         if distance <= tolerance:
             continue
-        text = (
+        yield stop(
             f"{joint.label} is at {position:.3f} rad but the trajectory starts at {first:.3f}, "
-            f"more than {tolerance:g} away; move it there by hand"
+            f"more than {tolerance:g} away; move it by hand (a whole turn: it lost its turn count)"
         )
-        if abs(distance - 2.0 * np.pi) < tolerance:
-            text += (
-                "; a whole turn apart: the motor lost its turn count when it was off"
-            )
-        yield stop(text)

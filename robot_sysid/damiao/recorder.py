@@ -21,7 +21,8 @@ The torque that acts on the arm at low frequencies differs from the samples in t
   growth: an apparent armature of kp / (12 rate^2).
 - Between commands the torque falls by a step. The joints' velocities follow, by up to
   step / (12 rate inertia) at the moment of sampling, and damping makes torque of it. That passes
-  for viscous friction of kd kp / (12 rate^2 inertia), and for armature in proportion.
+  for viscous friction of kd kp / (12 rate^2 inertia), and for armature in proportion. Where joints
+  are coupled and sampled one after the other, they follow each other's steps too.
 
 The first two are computed from the commands; the third needs the arm's inertia. Measured velocities
 would show it too, but a motor's filter delays them by an unknown time, which would look like
@@ -108,9 +109,10 @@ class Aside:
             self.failure = error
 
 
-_COMMANDS = ("cmd_pos", "cmd_vel", "cmd_tau", "cmd_mean")
-"""Titles of the command in force at the sample, and of what was added to ``tau``."""
-_EXTRA = ("time", *_COMMANDS, "doubted", "status", "temp_mos", "temp_rotor")
+_EXTRA = (
+    *("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_mean"),
+    *("doubted", "status", "temp_mos", "temp_rotor"),
+)
 """Titles of a joint's further columns, which follow the measured ones of all joints."""
 
 
@@ -238,10 +240,6 @@ def _numbers(values: Iterable[float]) -> list[str]:
     return [f"{value:.6f}" if np.isfinite(value) else "" for value in values]
 
 
-_LEAST_FADING = 1e-3
-"""Least product of a joint's decay rate and the period: the formula divides by it."""
-
-
 class Centring:
     """Corrects the sampled torques of a run to mean torques while commands are held.
 
@@ -249,14 +247,14 @@ class Centring:
 
     Args:
         period: length of a control cycle [s].
-        inertia: inertia (n,) that each joint moves [kg m^2]; None where it is unknown, then the
-            third difference in the module's docstring is not corrected.
+        mobility: inverse mass matrix (n, n) [1/(kg m^2)]; None where it is unknown, then the third
+            difference in the module's docstring remains.
     """
 
-    def __init__(self, period: float, inertia: Array | None = None) -> None:
+    def __init__(self, period: float, mobility: Array | None = None) -> None:
         self._period = period
-        self._inertia = inertia
-        # Each joint's torque step in its last answer (n,) [N m].
+        self._mobility = mobility
+        # Time and torque step (2, n) of each joint's last answer.
         self._last: Array | None = None
 
     def torques(self, replies: Replies, acted: MitCommand) -> Array:
@@ -264,27 +262,27 @@ class Centring:
 
         To be called once per cycle, in order: the state of the cycle is stored. ``acted`` is the
         command in force at the samples. Where a joint did not answer, the result is NaN.
+
+        A sawtooth of torque makes a periodic motion, whose velocity follows Bernoulli's second
+        polynomial where a joint has inertia only. With damping its velocity decays by a factor
+        exp(-a) in a period, which makes the motion smaller by sqrt(1 + (a / 6)^2), within 7 %.
         """
         command = replies.command or acted
         motion = replies.feedback.position, replies.feedback.velocity
         # The step by which the torque changes when the new command acts.
         step = command.motor_torque(*motion) - acted.motor_torque(*motion)
-        last = step if self._last is None else self._last
-        # A joint that did not answer keeps its last torque step.
-        self._last = np.where(np.isnan(step), last, step)
-        growth = np.nan_to_num(step - last)
-        # One term for each difference in the module's docstring.
-        return (0.5 - self._fallen_share(acted.kd)) * step - growth / 12.0
-
-    def _fallen_share(self, kd: Array) -> Array | float:
-        """Return the share (n,) of a torque step that damping has taken back when it is sampled.
-
-        Velocities of a joint with inertia I and damping kd decay at the rate kd / I. A sawtooth of
-        torque then makes a periodic motion whose velocity at the step, times kd, is this share of
-        the step.
-        """
-        if self._inertia is None:
-            return 0.0
-        fading = kd * self._period / np.maximum(self._inertia, 1e-9)
-        fading = np.maximum(fading, _LEAST_FADING)
-        return np.asarray(0.5 / np.tanh(0.5 * fading) - 1.0 / fading)
+        state = np.array([replies.time, step])
+        last = state if self._last is None else self._last
+        # A joint that did not answer gets its last time and torque step.
+        self._last = np.where(np.isfinite(state), state, last)
+        correction = 0.5 * step - np.nan_to_num(step - last[1]) / 12.0
+        if self._mobility is None:
+            return correction
+        time, steps = self._last
+        # Share of a period that has passed at joint i (rows) since joint j's torque stepped.
+        share = (time[:, None] - time) / self._period % 1.0
+        polynomial = 0.5 * share * (share - 1.0) + 1.0 / 12.0
+        impulse = acted.kd * self._period
+        fallen = impulse * ((self._mobility * polynomial) @ steps)
+        fallen /= np.hypot(1.0, impulse * np.diag(self._mobility) / 6.0)
+        return correction - np.nan_to_num(fallen)

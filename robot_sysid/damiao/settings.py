@@ -147,7 +147,7 @@ class PlaySettings(OptionRecord):
         self,
         specs: Sequence[MotorSpec],
         timing: BusTiming,
-        inertia: Array | None = None,
+        mobility: Array | None = None,
     ) -> PlaySettings:
         """Return these settings with a cycle rate and one gain and torque limit for each motor.
 
@@ -159,7 +159,7 @@ class PlaySettings(OptionRecord):
         Args:
             specs: types of the n motors.
             timing: frame format and bit rates of the bus, which determine the default rate.
-            inertia: inertia (n,) that each joint moves [kg m^2]; None without a model.
+            mobility: the arm's inverse mass matrix (n, n) [1/(kg m^2)]; None without a model.
 
         Raises:
             InputError: a setting has neither one value nor one per motor.
@@ -169,7 +169,7 @@ class PlaySettings(OptionRecord):
         rated_torque = np.array([spec.rated_torque for spec in specs])
         stiffness = np.minimum(_STIFFNESS * rated_torque, KP_MAX)
         # With more damping, a joint's velocity would settle in less than a cycle.
-        most_damping = np.inf if inertia is None else inertia * rate
+        most_damping = np.inf if mobility is None else rate / np.diag(mobility)
         least_damping = np.maximum(_LEAST_SHARE * _DAMPING * stiffness, _LEAST_DAMPING)
         damping = np.minimum(_DAMPING * stiffness, most_damping)
         damping = np.clip(damping, least_damping, KD_MAX)
@@ -246,7 +246,8 @@ class Plan:
         timing: frame format and bit rates of the bus.
         permissions: deviations from the checks that the user allows.
         recording: files to write.
-        inertia: inertia (n,) that each joint moves [kg m^2]; None without a model.
+        mobility: the arm's inverse mass matrix (n, n) at the first point [1/(kg m^2)]; None without
+            a model.
         limits: user's limits of the trajectory and of the transfers to its first point and to the
             parking pose.
         model_range: least and greatest joint positions (n,) of the model [rad]; None without one.
@@ -260,7 +261,7 @@ class Plan:
     timing: BusTiming = BusTiming()
     permissions: Permissions = Permissions()
     recording: RecordingOptions = RecordingOptions()
-    inertia: Array | None = None
+    mobility: Array | None = None
     limits: LimitOptions = NO_LIMITS
     model_range: tuple[Array, Array] | None = None
 
@@ -271,7 +272,7 @@ class Plan:
                 f"{self.trajectory.path} needs at least two rows to be played"
             )
         specs = [joint.spec for joint in self.trajectory.joints]
-        settings = self.settings.for_motors(specs, self.timing, self.inertia)
+        settings = self.settings.for_motors(specs, self.timing, self.mobility)
         # Transfers keep the user's limits, too.
         bounds = user_bounds(self.limits, self.trajectory.n_joints)
         speed = min(settings.approach_speed, float(np.min(bounds.velocity)))

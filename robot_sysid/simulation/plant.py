@@ -263,10 +263,9 @@ class ArmStepper:
         mujoco_joint = self._model.dof_jntid[self._robot.dof_index[joint]]
         return np.array(self._data.xaxis[mujoco_joint])
 
-    def moved_inertia(self) -> Array:
-        """Return the inertia (n,) of each joint at ``q``, with all others free [kg m^2]."""
-        inverse_mass, _ = self._dynamics(self.q, self.qd)
-        return np.asarray(1.0 / np.diag(inverse_mass))
+    def mobility(self) -> Array:
+        """Return the present inverse mass matrix (n, n) [1 / (kg m^2)]."""
+        return self._dynamics(self.q, self.qd)[0]
 
     def _dynamics(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """Return the inverse mass matrix (n, n) and the bias torque (n,) of the chain.

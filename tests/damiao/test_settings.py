@@ -94,7 +94,7 @@ def test_a_motor_may_start_no_warmer_than_it_may_get():
 def test_a_light_joint_is_damped_less(specs, timing, data):
     inertia = data.draw(hnp.arrays(float, len(specs), elements=INERTIA))
     plain = PlaySettings().for_motors(specs, timing)
-    light = PlaySettings().for_motors(specs, timing, inertia)
+    light = PlaySettings().for_motors(specs, timing, np.diag(1.0 / inertia))
     assert light.kp == plain.kp
     for i, kd, kp in zip(inertia, light.kd, plain.kp):
         # Never less than 40 %: models often lack the rotors' inertia.

@@ -186,14 +186,14 @@ def plan_of(setup):
     trajectory = exported_trajectory(setup)
     robot = robot_of(setup.belief)
     names = robot.joint_names
-    inertia = None
+    mobility = None
     if setup.model_is_given:
         joints = damiao_joints(MOTOR_TYPES, robot.n_joints, names=names)
         trajectory = replace(trajectory, joints=joints)
-        inertia = ArmStepper(robot, trajectory.q[0]).moved_inertia()
+        mobility = ArmStepper(robot, trajectory.q[0]).mobility()
     stiffness = {} if setup.kp is None else {"kp": (setup.kp,)}
     settings = PlaySettings(rate=setup.rate, park=setup.park, **stiffness)
-    return Plan(trajectory, settings, setup.timing, inertia=inertia)
+    return Plan(trajectory, settings, setup.timing, mobility=mobility)
 
 
 @dataclass
