@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 4446,
     "robot_sysid/commands": 10815,
-    "robot_sysid/damiao": 33013,
+    "robot_sysid/damiao": 33012,
     "robot_sysid/diagnosis": 16834,
     "robot_sysid/dynamics": 5771,
     "robot_sysid/estimate": 28137,
@@ -32,9 +32,9 @@ BUDGETS = {
     "robot_sysid/results": 12110,
     "robot_sysid/servo": 5206,
     "robot_sysid/signals": 4990,
-    "robot_sysid/simulation": 3887,
+    "robot_sysid/simulation": 3873,
     "robot_sysid": 9528,
-    "tests": 219305,
+    "tests": 219290,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
