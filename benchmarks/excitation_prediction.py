@@ -36,7 +36,7 @@ from robot_sysid.estimate.links import own_errors
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import DELAY, LINKS
-from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import (
     centre_slopes,
     expected_fit,
@@ -165,7 +165,7 @@ def lines(path, runs, exact):
     options = ExcitationOptions()
     design = Design(problem, options, motion, prior_knowledge(problem, OPTIONS, "link"))
     plan = design_excitation(design, np.random.default_rng(1))
-    predicted = expected_fit(problem, plan, RATE, OPTIONS, PoseOptions())
+    predicted = expected_fit(problem, plan, RATE, OPTIONS, AimOptions())
     covariance = predicted.covariance[:10, :10]
     if exact:
         moved = predicted.inverse[:10]

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import robot_sysid as rs
-from robot_sysid.motion import PoseOptions
+from robot_sysid.motion import AimOptions
 from robot_sysid.motion.expected_errors import predict, typical_load
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.body_errors import load_covariance
@@ -65,7 +65,7 @@ def line_of_arm(path, runs, budget, folder):
     problem = planned.checked.problem
     plan = planned.checked.plan
     options = planned.config.estimation
-    prediction = predict(problem, plan, RATE, options, PoseOptions("payload"))
+    prediction = predict(problem, plan, RATE, options, AimOptions("payload"))
     predicted = np.array([prediction.errors[0], prediction.centre_error])
     load_mass = float(typical_load(problem)[0])
     stated = []

@@ -20,9 +20,9 @@ from robot_sysid.motion import (
     EMPTY,
     EXCITATIONS,
     LOADED,
+    AimOptions,
     ExcitationOptions,
     LimitOptions,
-    PoseOptions,
     ViewOptions,
 )
 from robot_sysid.records import file_access, option_fields
@@ -221,7 +221,7 @@ class MotionConfig(Config):
     Attributes:
         trajectory: duration, sample rate, speed and files of the motion.
         excitation: how a motion is designed.
-        poses: what the motion is for.
+        aim: what the motion is for.
         limits: that it keeps.
         estimation: which torques will be used, and how.
         motors: that it is written for.
@@ -229,7 +229,7 @@ class MotionConfig(Config):
 
     trajectory: TrajectoryOptions = TrajectoryOptions()
     excitation: ExcitationOptions = _fixed(ExcitationOptions())
-    poses: PoseOptions = _fixed(PoseOptions())
+    aim: AimOptions = _fixed(AimOptions())
     limits: LimitOptions = _fixed(LimitOptions())
     estimation: EstimationOptions = FittedTorqueOptions()
     motors: MotorOptions = MotorOptions()
@@ -240,10 +240,6 @@ class MotionConfig(Config):
         is_from_file = self.trajectory.file is not None
         if is_timed and is_from_file:
             raise InputError("--trajectory and --duration exclude each other")
-        if self.poses.static and (is_timed or is_from_file):
-            raise InputError(
-                "--static excludes --trajectory and --duration; choose one"
-            )
 
     @property
     def plan_file(self) -> Path | None:
@@ -253,8 +249,7 @@ class MotionConfig(Config):
     @property
     def is_designed(self) -> bool:
         """Whether the motion is found by a search."""
-        is_free = self.trajectory.file is None and not self.poses.static
-        return is_free and self.excitation.kind == "optimal"
+        return self.trajectory.file is None and self.excitation.kind == "optimal"
 
     def with_seed(self: AnyMotionConfig) -> AnyMotionConfig:
         """Return the configuration with a seed, drawn where the run needs one and none is set."""
@@ -338,7 +333,7 @@ class PlanConfig(MotionConfig):
     model: PosedModelOptions
     trajectory: PlannedTrajectoryOptions = PlannedTrajectoryOptions()
     excitation: DesignOptions = DesignOptions()
-    poses: PoseOptions = PoseOptions()
+    aim: AimOptions = AimOptions()
     limits: LimitOptions = LimitOptions()
     estimation: PredictionOptions = PredictionOptions()
     motors: NumberedMotorOptions = NumberedMotorOptions()
@@ -456,10 +451,6 @@ class PayloadOptions(OptionRecord):
     )
     save_torque_scale: Path | None = option(
         None, "with --known-mass, write the scales as a file for --torque-scale", "FILE"
-    )
-    static: bool = option(
-        False,
-        "use resting poses only, each approached from both sides: mass and centre of mass",
     )
 
     def __post_init__(self) -> None:

@@ -64,10 +64,6 @@ def test_every_option_of_a_command_is_accepted_in_some_run_and_kept(config_class
             assert sample.option.key in ("torque_from", "motor_type"), sample.option.key
 
 
-AT_REST = {"for_": "payload", "static": True}
-PLAN_MESSAGE = "--static excludes --trajectory and --duration"
-
-
 @pytest.mark.parametrize(
     ("config", "values", "message"),
     [
@@ -78,9 +74,6 @@ PLAN_MESSAGE = "--static excludes --trajectory and --duration"
         (SelfTestConfig, {"export_damiao": True}, "--export-damiao and --motor-type"),
         (SelfTestConfig, {**FILE, "duration": 3.0}, "--trajectory and --duration ex"),
         (SelfTestConfig, LOG, "unknown option 'measurements'"),
-        (PlanConfig, {"static": True}, "--static is for resting poses of --for pay"),
-        (PlanConfig, {**FILE, **AT_REST}, PLAN_MESSAGE),
-        (PlanConfig, {**AT_REST, "duration": 3.0}, PLAN_MESSAGE),
         (IdentifyConfig, {**LOG, "frictio_model": "x"}, "unknown option 'frictio_mod"),
         (IdentifyConfig, {**LOG, "friction_model": "glue"}, "unknown friction term"),
         (

@@ -52,7 +52,7 @@ def test_what_a_page_says_to_type_works(page, workshop, tmp_path, monkeypatch, c
 def runs(words, capsys):
     """A command ends well; one that needs a bus says that there is none. Returns what it prints."""
     searches = words[0] == "plan" or "optimal" in words
-    hurry = QUICKLY if searches and "--static" not in words else []
+    hurry = QUICKLY if searches else []
     capsys.readouterr()
     code = main([*words, *hurry])
     out, error = capsys.readouterr()

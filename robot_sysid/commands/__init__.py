@@ -215,11 +215,6 @@ class Console(ConsoleOptions, Progress):
                 self.json_lines.append(message)
             print_line(message, self._out)
 
-    def move_up(self, lines: int) -> None:
-        """Have the next lines replace the last ones, on a terminal."""
-        if self._out.isatty():
-            self._out.write(f"\x1b[{lines}A")
-
     def advance(self, label: str, done: float, total: float, text: str) -> None:
         """Move the progress bar of a long step, on a terminal; it disappears at its end.
 

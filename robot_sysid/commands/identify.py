@@ -124,7 +124,6 @@ PAYLOAD = CommandSpec(
         "as_body",
         "known_mass",
         "save_torque_scale",
-        "static",
         "columns",
         "units",
         "torque_scale",
@@ -219,15 +218,13 @@ def _add_weighing(error: InputError, config: LogConfig) -> None:
     from robot_sysid.pipeline.run_words import add_weighing_commands
 
     logs: Sequence[Path] = ()
-    is_static = False
     if isinstance(config, IdentifyConfig):
         logs = config.log.measurements
     elif isinstance(config, PayloadConfig):
-        is_static = config.payload.static
         # A payload of known mass has all that the weighing needs, but for the first scales.
         logs = () if config.payload.known_mass else config.payload.empty
     for log in logs[:1]:
-        add_weighing_commands(error, config.model, config.log, log, is_static)
+        add_weighing_commands(error, config.model, config.log, log)
 
 
 def _write_settings(config: Config) -> None:

@@ -29,7 +29,7 @@ from robot_sysid.damiao.trajectory import (
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
-from robot_sysid.motion.trajectories import straight_way
+from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import Remark
 from robot_sysid.simulator import ArmTorque
@@ -77,7 +77,7 @@ def transfer_checks(
     """
     if np.max(np.abs(end - begin)) <= _SHORT:
         return
-    contact = first_contact(problem, straight_way(begin, end))
+    contact = first_contact(problem, LineTrajectory(begin, end))
     if contact is not None:
         text = f"{name} the model's {contact.label} touch; bring the arm nearer by hand"
         yield stop(text)

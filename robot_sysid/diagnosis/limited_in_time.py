@@ -108,7 +108,6 @@ def unusual_torque(
     log = log_rows(arm, recordings, arm.start())
     residual = robust_residual(log, options)
     signals = recordings[0].signals
-    assert signals is not None
     width = max(1, round(_SMOOTH * signals.rate / signals.low_pass.step))
     # Time that the low-pass mixes with what happens in a stretch, and that it loses at both ends.
     margin = 0.5 / signals.cutoff

@@ -31,7 +31,6 @@ from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.errors import InputError, SysidError, prefix_input_errors
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.logs import CHECKS
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Level, Progress, count_text, percent
@@ -67,7 +66,6 @@ def enough_findings(
     A low-pass of f [Hz], as of the recordings, leaves 2 f independent samples per second.
     """
     signals = recordings[0].signals
-    assert signals is not None
     span = duration(pieces)
     rows = 2.0 * signals.cutoff * span
     rate = 1.0 / sampling_period(pieces[0].time)
@@ -420,7 +418,6 @@ def check_log(
     progress: Progress,
     options: EstimationOptions | None = None,
     links_known: bool = True,
-    checks: Collection[str] = CHECKS,
 ) -> MeasurementLog:
     """Return a log without what is left out of it; raise an error where a finding forbids its use.
 
@@ -434,24 +431,22 @@ def check_log(
         progress: is advanced, and receives the notes of a log that is not used.
         options: see ``check_pieces``.
         links_known: see ``check_pieces``.
-        checks: names of the checks whose findings count.
 
     Raises:
         InputError: a finding refuses the log, or the log is too short to be checked.
         SysidError: there is a doubt that is not accepted.
     """
     with prefix_input_errors(str(log.path)):
-        all_findings, pieces = check_pieces(
+        findings_of_log, pieces = check_pieces(
             robot, log.pieces, options, links_known, log.torque_scale, progress
         )
-    log_findings = [f for f in all_findings if f.about in checks]
     notes = list(log.notes)
-    for finding in log_findings:
+    for finding in findings_of_log:
         is_accepted = finding.level is Level.DOUBTS and finding.about in accepted
         if finding.level is Level.SAYS or is_accepted:
             notes.append(f"{finding.sentence} [{finding.about}]")
     try:
-        require_acceptable(log, log_findings, accepted)
+        require_acceptable(log, findings_of_log, accepted)
     except SysidError:
         progress.note(*notes)
         raise

@@ -36,7 +36,6 @@ from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Level, with_error
-from robot_sysid.signals.process import ProcessedSignals
 
 LITTLE = 0.02
 """Share of unexplained torque that a correction may always leave."""
@@ -114,8 +113,7 @@ def corrected(
     """Return recordings with their columns put right, in which the same rows are used."""
     right = []
     for recording in recordings:
-        signals = recording.source
-        assert isinstance(signals, ProcessedSignals)
+        signals = recording.signals
         q, qd, qdd = (
             columns.apply("position", values)
             for values in (signals.q, signals.qd, signals.qdd)

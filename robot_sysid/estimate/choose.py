@@ -63,8 +63,6 @@ def solved(
     """
     options = question.options
     stated, offered = motors_of(robot, options.torques)
-    if question.resting:
-        offered = ()
     friction = friction_columns(options)
 
     def arm_of(motors: Sequence[Coupling]) -> ArmTerms:

@@ -131,7 +131,7 @@ def identify_payload(
     weighed = solved(robot, recordings, replace(question, known_mass=None), progress)
     if question.known_mass is not None:
         return solved(robot, recordings, question, progress), weighed, None
-    if question.options.torques != "chain" or question.resting:
+    if question.options.torques != "chain":
         return weighed, weighed, None
     progress.stage(Detail("Fitting the model file..."))
     carried, _ = written_payload(weighed)

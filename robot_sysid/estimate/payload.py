@@ -114,7 +114,7 @@ def payload_result(
         theta, unknown_inertia = written_payload(fitted)
         values[fitted.at(PAYLOAD_NAMES)] = theta
     payload = _payload_record(fitted, flange, values, divided)
-    missed = "" if fitted.question.resting else missed_friction(fitted)
+    missed = missed_friction(fitted)
     notes = [*robot.notes, *sentences]
     if unknown_inertia:
         payload = _without_inertia(payload)

@@ -83,7 +83,6 @@ class Question:
         loaded: whether some recordings carry a payload, whose parameters are estimated.
         drifts: whether to estimate a drift of friction from the first to the last recording.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
-        resting: whether the recordings are poses at rest, which have no dynamic friction.
         link_scales: factors on the stated uncertainty of all links but the terminal one.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None before a
             fit.
@@ -94,7 +93,6 @@ class Question:
     loaded: bool = False
     drifts: bool = False
     known_mass: float | None = None
-    resting: bool = False
     link_scales: LinkScales = AS_STATED
     dry: tuple[float, ...] | None = None
     motors: tuple[str, ...] = ()
@@ -102,8 +100,6 @@ class Question:
     @property
     def friction(self) -> tuple[str, ...]:
         """Friction terms of every joint that are estimated without a prior."""
-        if self.resting:
-            return ("offset",)
         return self.options.friction.terms
 
 
@@ -136,8 +132,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
         if name == "viscous" and "sqrt" in question.friction:
             term = replace(term, lower=-np.inf)
         terms.append(term)
-    if not question.resting:
-        terms += _unknown_friction(arm, question, torque)
+    terms += _unknown_friction(arm, question, torque)
     terms += [arm.terms[name] for name in question.motors]
     scale = scale_spread(arm, options, question.loaded)
     sizes = {
@@ -145,7 +140,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
         ZEROS: np.full(arm.robot.n_joints, MILLI * priors.zero),
         DRIFT: np.full(len(arm.joints), DRIFTS if question.drifts else 0.0),
         TILT: np.full(2, np.radians(priors.gravity)),
-        DELAY: np.full(1, 0.0 if question.resting else MILLI * priors.delay),
+        DELAY: np.full(1, MILLI * priors.delay),
     }
     for cause, deviations in sizes.items():
         if cause in arm.terms and np.any(deviations > 0.0):

@@ -188,8 +188,8 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
 
 
 def signals_of(fitted: Fit) -> list[ProcessedSignals]:
-    """Return the low-passed signals of all recordings; resting poses have none."""
-    return [r.signals for r in fitted.recordings if r.signals is not None]
+    """Return the low-passed signals of all recordings."""
+    return [recording.signals for recording in fitted.recordings]
 
 
 def _select(fitted: Fit, names: Sequence[str]) -> Array:

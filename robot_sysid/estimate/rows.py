@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, LinksMotion
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.identifiability import RELATIVE_CUT
-from robot_sysid.records import Array, Measurement, Motion, RobotModel
+from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.signals.process import ProcessedSignals
 
 Mask = NDArray[np.bool_]
@@ -32,32 +32,19 @@ _NUMBERS = 4_000_000
 
 
 @dataclass(frozen=True)
-class Poses:
-    """K poses at which the arm rests: one row each, without speed or acceleration.
-
-    Attributes:
-        samples: positions (K, n) and torques (K, n), averaged over both directions of approach.
-        used: (K, n) whether a joint's torque may be used, because its friction was averaged out.
-    """
-
-    samples: Measurement
-    used: Mask
-
-
-@dataclass(frozen=True)
 class Recording:
     """One log, or a stretch of it without long holes, as K rows.
 
     Attributes:
         name: of the log, in messages.
-        source: the low-passed signals of a motion, or poses at rest.
+        signals: the low-passed signals of its motion.
         is_loaded: whether the arm carries the payload.
         order: position among all recordings in time, from -1 for the first to 1 for the last; 0
             where the order is not known.
     """
 
     name: str
-    source: ProcessedSignals | Poses
+    signals: ProcessedSignals
     is_loaded: bool = False
     order: float = 0.0
     _kept: dict[object, Any] = field(default_factory=dict, compare=False)
@@ -66,32 +53,20 @@ class Recording:
         """Return the number K of rows."""
         return len(self.motion.time)
 
-    @property
-    def signals(self) -> ProcessedSignals | None:
-        """The filtered signals of a motion; None for poses at rest."""
-        return self.source if isinstance(self.source, ProcessedSignals) else None
-
     @cached_property
     def motion(self) -> Motion:
-        """Positions, speeds, accelerations (K, n) at the instants of rows; no speed at rest."""
-        if isinstance(self.source, Poses):
-            q = self.source.samples.q
-            return Motion(self.source.samples.time, q, 0.0 * q, 0.0 * q)
-        return self.source.decimated_motion()
+        """Positions, speeds, accelerations (K, n) at the instants of rows."""
+        return self.signals.decimated_motion()
 
     @cached_property
     def torque(self) -> Array:
         """The measured torque (K, n), low-passed like the columns [N m]."""
-        if isinstance(self.source, Poses):
-            return self.source.samples.tau
-        return self.source.low_pass.decimate(self.source.tau)
+        return self.signals.low_pass.decimate(self.signals.tau)
 
     @cached_property
     def used(self) -> Mask:
         """Which rows (K, n) may be used: those in which friction has a direction."""
-        if isinstance(self.source, Poses):
-            return self.source.used
-        return self.source.usable()
+        return self.signals.usable()
 
     def low_passed(self, key: object, make: Callable[[Motion], Array]) -> Array:
         """Return columns (K, ...) made from the motion at all samples, and low-passed.
@@ -100,10 +75,7 @@ class Recording:
         kept by their ``key``: do not change them.
         """
         if key not in self._kept:
-            signals = self.signals
-            self._kept[key] = (
-                make(self.motion) if signals is None else signals.filter_columns(make)
-            )
+            self._kept[key] = self.signals.filter_columns(make)
         return np.asarray(self._kept[key])
 
     def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:

@@ -418,8 +418,6 @@ class ArmTerms:
     def _delay(self, rows: Rows, point: Point) -> Array:
         """Return the column (m, J, 1) of a torque that lags, -d tau / dt [N m/s]."""
         recording = rows.recording
-        if recording.signals is None:
-            return np.zeros((len(rows.motion.q), len(self.joints), 1))
         thetas = point.carried(rows.is_loaded)
         torque = recording.links_torque(self.robot, point.gravity, thetas)[
             :, self.indices

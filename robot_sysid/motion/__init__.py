@@ -235,12 +235,11 @@ class ViewOptions(OptionRecord):
 
 
 @dataclass(frozen=True)
-class PoseOptions(OptionRecord):
-    """The purpose of a plan, and the resting poses of a static one.
+class AimOptions(OptionRecord):
+    """What a plan is for.
 
     Attributes:
         purpose: "link", "payload", "arm" or "weight".
-        static: whether a payload is identified in resting poses.
     """
 
     purpose: str = option(
@@ -251,16 +250,6 @@ class PoseOptions(OptionRecord):
         flag="--for",
         choices=("link", "payload", "arm", WEIGHT),
     )
-    static: bool = option(
-        False,
-        "with --for payload: resting poses, each approached from both sides, for an arm that may "
-        "not move fast",
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.static and self.purpose != "payload":
-            raise InputError("--static is for resting poses of --for payload; add that")
 
     @property
     def target(self) -> str:

@@ -26,15 +26,14 @@ from robot_sysid.estimate.questions import (
     arm_question,
     friction_columns,
 )
-from robot_sysid.estimate.rows import Poses, Recording
+from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
 from robot_sysid.model.bodies import usual_bodies
-from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, PoseOptions
+from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, AimOptions
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
 from robot_sysid.motion.prediction import Prediction, unidentifiable
-from robot_sysid.motion.problem import ExcitationProblem, motion_of_samples
-from robot_sysid.motion.trajectories import LineTrajectory
-from robot_sysid.records import Array, Measurement, MotionPlan
+from robot_sysid.motion.problem import ExcitationProblem
+from robot_sysid.records import Array, MotionPlan
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import sample_times
@@ -64,11 +63,7 @@ def _arm_terms(
 
 
 def _question(
-    arm: ArmTerms,
-    options: EstimationOptions,
-    torque: Array,
-    loaded: bool = False,
-    resting: bool = False,
+    arm: ArmTerms, options: EstimationOptions, torque: Array, loaded: bool = False
 ) -> Question:
     """Return the question of an identification before there is a recording.
 
@@ -79,8 +74,7 @@ def _question(
     return Question(
         options,
         loaded,
-        drifts=loaded and not resting,
-        resting=resting,
+        drifts=loaded,
         link_scales=EXPECTED,
         dry=tuple(dry.tolist()),
         motors=motors,
@@ -142,7 +136,7 @@ def predict(
     plan: MotionPlan,
     sample_rate: float,
     options: EstimationOptions,
-    poses: PoseOptions,
+    aim: AimOptions,
 ) -> Prediction:
     """Return the standard errors to expect of an identification from recordings of a motion.
 
@@ -152,19 +146,19 @@ def predict(
         InputError: the motion cannot be processed like a log.
     """
     robot = problem.robot
-    knowledge = prior_knowledge(problem, options, poses.target)
+    knowledge = prior_knowledge(problem, options, aim.target)
     names: tuple[str, ...] = PARAMETER_NAMES
     recordings = "Recorded once"
     subject = robot.body_name
     theta = robot.prior.theta
     size = problem.scale
-    if poses.target == "payload":
+    if aim.target == "payload":
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD
         theta = typical_load(problem)
         subject = f"a load of {theta[0]:.3g} kg (--payload-reserve states another one)"
         size = theta[0] / robot.prior.mass * size
-    fitted = expected_fit(problem, plan, sample_rate, options, poses)
+    fitted = expected_fit(problem, plan, sample_rate, options, aim)
     at = fitted.at(names)
     selection = np.eye(len(fitted.names))[at]
     mass_errors = fitted.budget(selection[:1])
@@ -173,7 +167,7 @@ def predict(
         by_cause[cause] = float(mass_errors[cause][0]), float(np.linalg.norm(errors))
     errors_by_name = dict(zip(fitted.names, fitted.errors))
     link_errors = {}
-    for link in robot.links if poses.target == "arm" else ():
+    for link in robot.links if aim.target == "arm" else ():
         name = f"m({link.body_name})"
         if name in errors_by_name:
             link_errors[link.body_name] = float(errors_by_name[name] / link.theta[0])
@@ -201,7 +195,7 @@ def expected_fit(
     plan: MotionPlan,
     sample_rate: float,
     options: EstimationOptions,
-    poses: PoseOptions,
+    aim: AimOptions,
 ) -> Fit:
     """Return the fit to expect of recordings of a motion: errors without an estimate.
 
@@ -210,19 +204,15 @@ def expected_fit(
         plan: the motion.
         sample_rate: of the recording, with independent noise in each sample [Hz].
         options: of the identification.
-        poses: purpose of the motion, and whether it goes through resting poses, whose mean torques
-            are used. A motion for a payload is recorded in the order ``PAYLOAD_ORDER``.
+        aim: purpose of the motion. One for a payload is recorded in the order ``PAYLOAD_ORDER``.
 
     Raises:
         InputError: the motion cannot be processed as a log.
     """
-    loaded = poses.target == "payload"
+    loaded = aim.target == "payload"
     arm = _arm_terms(problem, options, loaded)
     rate = min(sample_rate, HIGHEST_RATE_HZ)
-    if poses.static:
-        processed = _resting_poses(problem, plan)
-    else:
-        processed = _processed_motion(problem, plan, rate, options)
+    processed = _processed_motion(problem, plan, rate, options)
     recordings = _payload_recordings(processed) if loaded else (processed,)
     point = replace(arm.start(), friction=arm.model)
     values = {}
@@ -231,28 +221,15 @@ def expected_fit(
         values = dict(zip(PAYLOAD_NAMES, point.payload.tolist()))
     sums = arm.sums(recordings, point)
     torque = sums.rms_torque
-    samples_per_row = 2.0  # a pose rests twice
-    if processed.signals is not None:
-        # Columns vary slowly along the rows, so that what counts is the density of the noise at low
-        # frequencies, which the low-pass does not change: sigma^2 over the samples per row.
-        step = processed.signals.low_pass.step
-        samples_per_row = sample_rate / rate * step
+    # Columns vary slowly along the rows, so that what counts is the density of the noise at low
+    # frequencies, which the low-pass does not change: sigma^2 over the samples per row.
+    samples_per_row = sample_rate / rate * processed.signals.low_pass.step
     noise = problem.sigma / np.sqrt(samples_per_row)
     if loaded:
         noise = np.hypot(noise, UNMODELLED_TORQUE * torque)
-    question = _question(arm, options, torque, loaded, poses.static)
+    question = _question(arm, options, torque, loaded)
     terms = arm_question(arm, question, torque)
     return expected(arm, recordings, point, sums, terms, question, values, noise)
-
-
-def _resting_poses(problem: ExcitationProblem, plan: MotionPlan) -> Recording:
-    """Return the mean torques of a motion through resting poses as a recording, without noise."""
-    assert isinstance(plan, LineTrajectory)
-    q = plan.rests
-    still = np.zeros_like(q)
-    motion = motion_of_samples(q, still, still)
-    rests = Measurement(motion.time, q, still, problem.arm_torque(motion), still)
-    return Recording("", Poses(rests, np.ones(q.shape, dtype=bool)))
 
 
 def _processed_motion(

@@ -10,7 +10,7 @@ import numpy as np
 from robot_sysid import trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.motion import WEIGHT, ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.motion import WEIGHT, AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.records import MotionPlan, RobotModel
@@ -40,7 +40,7 @@ class MotionRequest:
         estimation: of the identification: whose torques are used, their noise, and how far the
             links may be off, for which torque is reserved.
         played: whether the motion will be played on an arm.
-        poses: purpose of the motion, and its resting poses if it has some.
+        aim: purpose of the motion.
     """
 
     trajectory: TrajectoryOptions
@@ -48,7 +48,7 @@ class MotionRequest:
     limits: LimitOptions
     estimation: EstimationOptions = EstimationOptions()
     played: bool = False
-    poses: PoseOptions = PoseOptions()
+    aim: AimOptions = AimOptions()
 
     @property
     def is_checked(self) -> bool:
@@ -147,11 +147,6 @@ def _plan_at_full_speed(
                 f"limits of {robot.path}"
             )
         return saved.plan
-    if problem is not None and request.poses.static:
-        from robot_sysid.motion.static import design_poses
-
-        progress.stage("Looking for poses to rest in...")
-        return design_poses(problem, rng)
     _require_possible(request, options.duration)
     verb = "Designing" if request.is_designed else "Generating"
     sampling = f"{options.duration:.1f}s, {options.sample_rate:g} Hz"
@@ -165,7 +160,7 @@ def _plan_at_full_speed(
         from robot_sysid.motion.expected_errors import prior_knowledge
         from robot_sysid.motion.search import Design, design_excitation
 
-        knowledge = prior_knowledge(problem, request.estimation, request.poses.target)
+        knowledge = prior_knowledge(problem, request.estimation, request.aim.target)
         design = Design(problem, request.excitation, options, knowledge)
         return design_excitation(design, rng, progress)
     from robot_sysid.motion.limit_check import scale_to_limits
@@ -193,7 +188,7 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
         InputError: the arm breaks a limit at rest, or no pose can be a start.
     """
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
-    from robot_sysid.motion.static import gentle_problem, startable
+    from robot_sysid.motion.starts import gentle_problem, startable
 
     is_new = request.trajectory.file is None
     estimation = request.estimation
@@ -205,6 +200,6 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
         shakes_gently=is_new,
         link_uncertainty=estimation.priors.link,
     )
-    if request.poses.purpose == WEIGHT:
+    if request.aim.purpose == WEIGHT:
         problem = gentle_problem(problem)
     return startable(problem) if is_new else problem

@@ -18,7 +18,7 @@ from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import LIMIT_NAMES, ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
-from robot_sysid.motion.static import contact_on_the_way
+from robot_sysid.motion.starts import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import Detail, percent, position_unit
 

@@ -1,6 +1,4 @@
-"""Motions along straight lines, and trajectories of any kind at any speed and as files.
-
-Poses are reached along straight lines in joint space.
+"""Motions along straight lines, and trajectories at any speed and as files.
 
 A JSON file holds what a trajectory is made of, so it is small, its derivatives are exact, and
 loading it gives back every bit. A CSV file of samples is for other programs and is not read back.
@@ -17,7 +15,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Motion, MotionPlan, check_arrays
+from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.records.file_access import atomic_file, read_json
 from robot_sysid.trajectory import SineTrajectory, motion_chunks, smooth_step
 
@@ -29,71 +27,38 @@ VERSION = 2
 
 @dataclass(frozen=True)
 class LineTrajectory:
-    """A motion along straight lines in joint space; the arm is at rest in every point.
+    """The motion along a straight line between two poses, at rest at both ends.
 
     Attributes:
-        points: (P, n) joint positions at the ends of the lines [rad or m].
-        moves: (P - 1,) how long the way from each point to the next takes [s].
-        dwells: (P,) how long the arm stays in each point [s].
-
-    Raises:
-        InputError: there are fewer than two points, a way takes no time, or a stay is negative.
+        begin, end: (n,) joint positions [rad or m].
     """
 
-    points: Array
-    moves: Array
-    dwells: Array
-
-    def __post_init__(self) -> None:
-        count = len(self.points)
-        check_arrays(self, points=(None, None), moves=(count - 1,), dwells=(count,))
-        if count < 2 or np.any(self.moves <= 0.0) or np.any(self.dwells < 0.0):
-            raise InputError(
-                "moves between poses take time, and rests are not negative"
-            )
+    begin: Array
+    end: Array
 
     @property
     def duration(self) -> float:
-        """Length [s]."""
-        return float(np.sum(self.moves) + np.sum(self.dwells))
-
-    @property
-    def arrivals(self) -> Array:
-        """When each point is reached (P,) [s]."""
-        return np.concatenate(([0.0], np.cumsum(self.dwells[:-1] + self.moves)))
-
-    @property
-    def rests(self) -> Array:
-        """Poses in which the arm rests (K, n); it does twice in each, one rest after the other."""
-        return self.points[self.dwells > 0.0][::2]
+        """Length [s]: 1 s, or more where a joint's mean speed would exceed 1 rad/s (1 m/s)."""
+        return max(1.0, float(np.max(np.abs(self.end - self.begin))))
 
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration of all joints at times (N,) [s]; velocities
         and accelerations are exact derivatives.
         """
         time = np.asarray(time, dtype=float)
-        arrived = np.searchsorted(self.arrivals, time, side="right")
-        line = np.clip(arrived - 1, 0, len(self.moves) - 1)
-        length = self.moves[line]
-        elapsed = time - self.arrivals[line] - self.dwells[line]
-        w, dw, ddw = smooth_step(np.clip(elapsed / length, 0.0, 1.0))
-        way = np.diff(self.points, axis=0)[line]
-        factors = (w, dw / length, ddw / length**2)
-        q, qd, qdd = (factor[:, None] * way for factor in factors)
-        return Motion(time, self.points[line] + q, qd, qdd)
+        length = self.duration
+        w, dw, ddw = smooth_step(np.clip(time / length, 0.0, 1.0))
+        way = self.end - self.begin
+        return Motion(
+            time,
+            self.begin + np.outer(w, way),
+            np.outer(dw / length, way),
+            np.outer(ddw / length**2, way),
+        )
 
 
-def straight_way(begin: Array, end: Array) -> LineTrajectory:
-    """Return the motion along a straight line between two poses (n,) [rad or m], without rests at
-    its ends: in 1 s, or longer where the mean speed of a joint would exceed 1 rad/s (1 m/s).
-    """
-    distance = np.max(np.abs(end - begin))
-    seconds = np.array([max(1.0, float(distance))])
-    return LineTrajectory(np.stack((begin, end)), seconds, np.zeros(2))
-
-
-_KINDS = {"sines": SineTrajectory, "poses": LineTrajectory}
-"""Type of a trajectory in files to its class."""
+_KIND = "sines"
+"""Type of a trajectory in files."""
 
 
 def _numbers(plan: MotionPlan) -> dict[str, Any]:
@@ -115,13 +80,10 @@ def at_speed(plan: MotionPlan, speed: float) -> MotionPlan:
             "full speed and can only be slowed down"
         )
     numbers = _numbers(plan)
-    for name in {"duration", "fade", "moves", "dwells"} & set(numbers):
+    for name in ("duration", "fade"):
         numbers[name] = numbers[name] / speed
-    if "frequency_hz" in numbers:
-        numbers["frequency_hz"] = speed * numbers["frequency_hz"]
-    kind: Any = type(plan)
-    slowed: MotionPlan = kind(**numbers)
-    return slowed
+    numbers["frequency_hz"] = speed * numbers["frequency_hz"]
+    return SineTrajectory(**numbers)
 
 
 class SavedTrajectory(NamedTuple):
@@ -145,7 +107,7 @@ def save_trajectory(
 
     Args:
         path: of the file, or an open text file.
-        plan: a sum of sinusoids, or poses.
+        plan: a sum of sinusoids.
         joint_names: names of its joints, in the order of its columns.
         sha256: checksum of the model file that it was made for; "" is not written.
     """
@@ -156,9 +118,8 @@ def save_trajectory(
     }
     if sha256:
         content["model_sha256"] = sha256
-    (kind,) = (name for name, cls in _KINDS.items() if isinstance(plan, cls))
     # The repr of a float is exact.
-    for name, number in {"kind": kind, **_numbers(plan)}.items():
+    for name, number in {"kind": _KIND, **_numbers(plan)}.items():
         content[name] = np.asarray(number).tolist()
     with atomic_file(path) as file:
         json.dump(content, file, indent=1)
@@ -184,15 +145,15 @@ def load_trajectory(path: Path) -> SavedTrajectory:
     # InputErrors that are raised here pass the clauses below, which convert other errors.
     try:
         kind = content["kind"]
-        if kind not in _KINDS:
+        if kind != _KIND:
             raise InputError(
-                f"{path}: unknown kind of trajectory {kind!r}; valid: {', '.join(_KINDS)}"
+                f"{path}: unknown kind of trajectory {kind!r}; valid: {_KIND}"
             )
         # Indexing with () makes a number of an array without axes.
         numbers: dict[str, Any] = {}
-        for entry in fields(_KINDS[kind]):
+        for entry in fields(SineTrajectory):
             numbers[entry.name] = np.array(content[entry.name], float)[()]
-        plan = _KINDS[kind](**numbers)
+        plan = SineTrajectory(**numbers)
         names = tuple(str(name) for name in content["joints"])
     except KeyError as error:
         raise InputError(f"{path}: the trajectory lacks the entry {error}") from None

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from robot_sysid.config import PayloadConfig, PayloadOptions
 from robot_sysid.diagnosis.log_checks import check_log
-from robot_sysid.errors import prefix_input_errors
 from robot_sysid.estimate import identify
 from robot_sysid.estimate.identify import Piece, low_pass_recordings, shared_notes
 from robot_sysid.estimate.payload import payload_result
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.result import traces_of
-from robot_sysid.estimate.rows import Poses, Recording
-from robot_sysid.logs import CHECKS, LogOptions
+from robot_sysid.estimate.rows import Recording
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import (
     MeasurementLog,
     open_log,
@@ -31,23 +30,11 @@ from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
 from robot_sysid.results.record import Result
-from robot_sysid.signals.rests import resting_poses
 
 LEAST_WITHIN = 0.15
 """Least share of the variance of positions in the order of recording that lies within the empty and
 within the loaded logs, for a drift to be told apart from the payload: 0 for the order A B, 0.2 for
 A A B B at equal distances, 1 for A B B A."""
-
-CHECKS_AT_REST = (
-    "torque-scale",
-    "torque-unit",
-    "gravity",
-    "computed",
-    "sign",
-    "order",
-    "angle-unit",
-)
-"""Checks of columns and units, for which the slow motion between poses at rest is enough."""
 
 
 def identify_payload(
@@ -70,29 +57,18 @@ def identify_payload(
     logs = _read_logs(options, config.log, robot, progress)
     is_loaded = np.arange(len(logs)) >= len(options.empty)
     positions = order_positions(logs, options.order)
-    drifts = (
-        not options.static
-        and positions is not None
-        and is_drift_identifiable(is_loaded, positions)
-    )
+    drifts = positions is not None and is_drift_identifiable(is_loaded, positions)
     order = np.zeros(len(logs)) if positions is None else positions
-    if options.static:
-        datasets, notes = _resting_datasets(logs, is_loaded, order)
-    else:
-        cutoff = config.estimation.cutoff
-        datasets, notes = _moving_datasets(robot, logs, is_loaded, order, cutoff)
-    if not drifts and not options.static:
+    cutoff = config.estimation.cutoff
+    datasets, notes = _datasets(robot, logs, is_loaded, order, cutoff)
+    if not drifts:
         notes = (
             *notes,
             _no_drift_note(len(logs), is_order_known=positions is not None),
         )
     progress.note(*notes)
     question = Question(
-        config.estimation,
-        loaded=True,
-        drifts=drifts,
-        known_mass=options.known_mass,
-        resting=options.static,
+        config.estimation, loaded=True, drifts=drifts, known_mass=options.known_mass
     )
     fitted, weighed, file = identify.identify_payload(
         robot, datasets, question, progress, config.estimation.keep
@@ -109,7 +85,7 @@ def identify_payload(
     return replace(result, checkpoints=checkpoints, traces=traces)
 
 
-def _moving_datasets(
+def _datasets(
     robot: RobotModel,
     logs: Sequence[MeasurementLog],
     is_loaded: NDArray[np.bool_],
@@ -132,31 +108,6 @@ def _moving_datasets(
     datasets, filter_notes = low_pass_recordings(robot, pieces, cutoff)
     notes = shared_notes({str(log.path): log.notes for log in logs})
     return datasets, (*notes, *filter_notes)
-
-
-def _resting_datasets(
-    logs: Sequence[MeasurementLog], is_loaded: NDArray[np.bool_], positions: Array
-) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return logs as poses at rest, and notes on them, one sentence each.
-
-    Args:
-        logs: k logs of slow motions that rest at poses, each approached from both sides.
-        is_loaded: (k,) whether a log was recorded with the payload.
-        positions: (k,) of ``order_positions``; all zero where the order is not known.
-
-    Raises:
-        InputError: a log holds no such poses; its message begins with the log's name.
-    """
-    datasets = []
-    notes = {}
-    for log, loaded, position in zip(logs, is_loaded.tolist(), positions.tolist()):
-        name = str(log.path)
-        with prefix_input_errors(name):
-            poses, used = resting_poses(log.samples)
-        datasets.append(Recording(name, Poses(poses, used), loaded, position))
-        pose_note = f"{len(poses)} poses, each approached from both sides"
-        notes[name] = (*log.notes, pose_note)
-    return datasets, tuple(shared_notes(notes))
 
 
 def _no_drift_note(count: int, is_order_known: bool) -> str:
@@ -187,16 +138,13 @@ def _read_logs(
     Raises:
         InputError: a log cannot be read or is refused.
     """
-    checks = CHECKS_AT_REST if options.static else CHECKS
     logs = []
     for side, paths in (("empty", options.empty), ("loaded", options.loaded)):
         for path in paths:
             progress.stage(f"Reading {side} log {path}...")
             log = open_log(robot, path, log_options, progress)
             accept = log_options.accept
-            log = check_log(
-                robot, log, accept, progress, links_known=False, checks=checks
-            )
+            log = check_log(robot, log, accept, progress, links_known=False)
             logs.append(log)
     refuse_repeated_logs(logs)
     return logs

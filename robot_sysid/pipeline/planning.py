@@ -68,7 +68,7 @@ def design_motion(
         limits,
         config.estimation,
         played=motors.export_damiao,
-        poses=config.poses,
+        aim=config.aim,
     )
     seed = config.with_seed().trajectory.seed or 0
     return make_plan(request, robot, seed, progress)
@@ -88,14 +88,14 @@ def predict_plan(
     problem = checked.problem
     plan = checked.plan
     check = checked.check
-    poses = config.poses
+    aim = config.aim
     rate = config.trajectory.sample_rate
     assert problem is not None and check is not None
     prediction = None
     lines = [*limit_lines(problem, plan, check)]
     options = config.estimation
     try:
-        prediction = expected_errors.predict(problem, plan, rate, options, poses)
+        prediction = expected_errors.predict(problem, plan, rate, options, aim)
         lines += error_lines(prediction)
     except InputError as error:
         lines.append(f"What errors it will leave cannot be predicted: {error}")
@@ -127,7 +127,7 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
     conditions: list[str] = []
     problem = checked.problem
     if problem is not None and not failure:
-        from robot_sysid.motion.static import contact_on_the_way
+        from robot_sysid.motion.starts import contact_on_the_way
 
         start = checked.plan.evaluate(np.zeros(1)).q[0]
         conditions = plan_conditions(
@@ -165,10 +165,9 @@ def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
             options += config.limit_words()
             state = "motion planned for motors"
             return step_after(state, options=options, trajectory=str(path), **words)
-    if config.poses.purpose == "payload":
-        options += ["--static"] if config.poses.static else []
+    if config.aim.purpose == "payload":
         return step_after("motion planned for payload", options=options, **words)
-    options += ["--links"] if config.poses.purpose == "arm" else []
+    options += ["--links"] if config.aim.purpose == "arm" else []
     log = str(folder / "log.csv")
     return step_after("motion planned", options=options, log=log, **words)
 
@@ -199,7 +198,7 @@ def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
     """
     from robot_sysid.motion.prediction import LARGE_SHARE
 
-    if config.poses.purpose == WEIGHT:
+    if config.aim.purpose == WEIGHT:
         return ""
     if prediction is None:
         return "the errors that it will leave cannot be predicted"
@@ -209,7 +208,7 @@ def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
         # Where no motion determines the mass by these torques, the lines on the plan say so.
         is_said = bool(prediction.invisible)
         return "" if is_said else f"this motion does not determine {mass}"
-    largest = LARGE_SHARE if config.poses.target == "payload" else UNKNOWN
+    largest = LARGE_SHARE if config.aim.target == "payload" else UNKNOWN
     if share > largest:
         return f"after this motion {mass} is known to {percent(share)} only"
     return ""

@@ -154,7 +154,6 @@ def _identify_pieces(
     recordings, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
     pieces.clear()
     signals = recordings[0].signals
-    assert signals is not None
     test_recordings: dict[str, list[Recording]] = {}
     for log in tests:
         name = str(log.path)
@@ -207,7 +206,6 @@ def _with_file_tests(
             write_model(result, ModelTarget(files, path, checkpoints, rmse, mesh_dir))
         written = compile_model(path).mj_model
         for dataset in tests:
-            assert dataset.signals is not None
             error_before = torque_error(
                 robot.mj_model, robot, dataset.signals, dataset.name
             )

@@ -45,11 +45,7 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
 
 
 def add_weighing_commands(
-    error: InputError,
-    arm: ModelOptions,
-    options: LogOptions,
-    log: Path,
-    is_static: bool = False,
+    error: InputError, arm: ModelOptions, options: LogOptions, log: Path
 ) -> None:
     """Add the command that weighs torque scales to an error whose options are for ``payload``.
 
@@ -58,7 +54,6 @@ def add_weighing_commands(
         arm: the model of the run, and which arm in it.
         options: how the log was read.
         log: the log, of the arm without a weight.
-        is_static: whether its motion rests at poses.
     """
     if error.command != "payload":
         return
@@ -68,7 +63,6 @@ def add_weighing_commands(
         key for key in _READING if f"--{key.replace('_', '-')}" not in remedy_words
     ]
     words = given_arguments(arm) + given_arguments(options, reading)
-    words += ["--static"] if is_static else []
     # The recording with the weight has the form of the log, and lies beside it.
     weight = str(log.with_name(f"weight{log.suffix}"))
     commands = []

@@ -56,7 +56,6 @@ def test_help_says_type_unit_and_default():
             "a model is the path of an MJCF or URDF file, or a",
         ),
         (lambda: rs.payload("m", [], "b"), "empty LOG... is missing: a payload is wei"),
-        (lambda: rs.plan("m", static=True), "static is for resting poses of for payl"),
         (
             lambda: rs.read_log("l", 5),
             "a model is the path of an MJCF or URDF file, or a",

@@ -147,7 +147,7 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     "purpose",
     [
         "--for arm --excitation-time-budget 0.05 --seed 1",
-        "--for payload --static --seed 1",
+        "--for payload --excitation-time-budget 0.05 --seed 1",
     ],
 )
 def test_motions_for_other_purposes_can_be_saved_exported_and_checked_again(

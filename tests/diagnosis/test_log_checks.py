@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,7 +30,6 @@ from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline.payload import CHECKS_AT_REST
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Level, Progress
 from robot_sysid.signals.process import LogPiece
@@ -150,27 +148,6 @@ def test_a_log_that_cannot_be_checked_is_named(four_joints):
         check_log(
             four_joints.robot, log, (), Progress(), EstimationOptions(cutoff=1e-3)
         )
-
-
-@pytest.mark.parametrize(
-    ("name", "is_refused"),
-    [("sign", True), ("torque-scale", True), ("torque-unit", True), ("contact", False)],
-)
-def test_of_a_log_that_mostly_rests_only_columns_are_checked(
-    four_joints, monkeypatch, name, is_refused
-):
-    """The slow motion between poses shows turned signs and other units, and no contact for sure."""
-    log = log_of(four_joints)
-    finding = Finding(Level.DOUBTS, name, "wrong")
-    monkeypatch.setattr(
-        "robot_sysid.diagnosis.log_checks.check_pieces", lambda *_: ((finding,), ())
-    )
-    robot = four_joints.robot
-    with pytest.raises(SysidError):
-        check_log(robot, log, (), Progress())
-    expected = pytest.raises(SysidError) if is_refused else contextlib.nullcontext()
-    with expected:
-        check_log(robot, log, (), Progress(), checks=CHECKS_AT_REST)
 
 
 # ---- signs and mounting

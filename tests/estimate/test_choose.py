@@ -247,7 +247,7 @@ def test_the_prior_of_links_widens_where_the_models_are_wrong(plant):
     assert wide.centre_of_mass > 1.5 * narrow.centre_of_mass
 
 
-@pytest.mark.parametrize("setting", ["loaded", "resting", "drifts"])
+@pytest.mark.parametrize("setting", ["loaded", "drifts"])
 def test_progress_grows_to_its_end_whatever_is_asked(recordings, setting):
     progress = NoteRecorder()
     question = Question(EstimationOptions(), **{setting: True})

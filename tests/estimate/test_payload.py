@@ -13,8 +13,7 @@ from robot_sysid.estimate.identify import identify_payload
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.payload import contradiction, payload_result
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.rows import Poses, Recording
-from robot_sysid.records import Flange, Measurement
+from robot_sysid.records import Flange
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.record import Verdict
 from tests.support.core_fits import ORIGIN, fit_recordings
@@ -123,27 +122,6 @@ def test_a_known_mass_identifies_scales_unless_the_weight_contradicts_it(
         assert abs(row.value - 1.0) < 3.0 * row.error, row.of
     # Joints along gravity show nothing of it.
     assert min(row.error for row in rows) < 0.01
-
-
-def test_resting_poses_show_mass_and_centre_of_mass_and_no_inertia():
-    arm = TrueArm(ROBOT, 2, model_error=0.03)
-    time = np.arange(30.0)
-    recordings = []
-    for is_loaded in (False, True):
-        q = np.random.default_rng(is_loaded).uniform(-1.0, 1.0, (30, 4))
-        zero = np.zeros_like(q)
-        tau = arm.torque(Measurement(time, q, zero, zero, zero), is_loaded)
-        noise = np.random.default_rng(is_loaded + 5).standard_normal(q.shape)
-        poses = Measurement(time, q, zero, tau + 0.02 * noise, zero)
-        name = "loaded" if is_loaded else "empty"
-        recordings.append(Recording(name, Poses(poses, q == q), is_loaded))
-    result, _ = result_of(recordings, resting=True)
-    assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.cutoff is None
-    note = "the payload's inertia is not identifiable from these torques"
-    assert note in [remark.text for remark in result.remarks]
-    found = result.body.theta[:4]
-    assert_allclose(found, FLANGE.to_flange(PAYLOAD)[:4], rtol=0.1, atol=0.01)
-    assert np.all(np.isinf(result.payload.body.errors[4:]))
 
 
 # ---- recordings compared

@@ -12,9 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimate import rows as rows_module
-from robot_sysid.estimate.rows import Poses, Recording, block_numbers
+from robot_sysid.estimate.rows import block_numbers
 from robot_sysid.estimate.terms import ArmTerms
-from robot_sysid.records import Measurement
 from tests.support.arms import SEEDS
 from tests.support.payload_logs import TrueArm, four_joint_arm, wide_motion
 
@@ -148,19 +147,3 @@ def test_rows_that_are_cut_out_do_not_count_and_those_of_others_stay():
     assert np.all(normal_of(sums)[-1, -1] < 1e9)
     with pytest.raises(InputError, match="velocity deadband for long enough"):
         ARM.sums([without(recording, [(0.0, 9.0)])], POINT)
-
-
-def test_the_truth_solves_the_equations_of_resting_poses():
-    arm = TrueArm(ROBOT, 2)
-    time = np.arange(12.0)
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 4))
-    zero = np.zeros_like(q)
-    tau = arm.torque(Measurement(time, q, zero, zero, zero), True)
-    used = np.arange(12)[:, None] != np.arange(4)
-    poses = Poses(Measurement(time, q, zero, tau, zero), used)
-    recording = Recording("poses", poses, is_loaded=True)
-    assert recording.signals is None
-    sums = ARM.sums([recording], POINT)
-    assert_array_equal(np.sum(sums.counts, axis=0), np.sum(used, axis=0))
-    truth = arm.values(sums.names)
-    assert_allclose(sums.squared_residuals(truth), 0.0, atol=1e-9)

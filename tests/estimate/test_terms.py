@@ -117,8 +117,8 @@ def record(motion, tau, arm, loaded=True, low_pass=UNFILTERED):
     readings = np.zeros_like(motion.q)
     readings[:, arm.indices] = tau
     recording = exact_recording(motion, readings, loaded, PLACE)
-    signals = replace(recording.source, low_pass=low_pass)
-    (rows,) = replace(recording, source=signals).chunks(1)
+    signals = replace(recording.signals, low_pass=low_pass)
+    (rows,) = replace(recording, signals=signals).chunks(1)
     return rows
 
 

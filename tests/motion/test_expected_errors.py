@@ -16,10 +16,9 @@ from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.terms import LINKS, SCALES
-from robot_sysid.motion import PoseOptions
+from robot_sysid.motion import AimOptions
 from robot_sysid.motion.expected_errors import predict, prior_knowledge
 from robot_sysid.motion.information import Criterion
-from robot_sysid.motion.static import design_poses
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
@@ -45,7 +44,7 @@ PROBLEM = make_problem(ARM, noise_torque=SIGMA)
 @cache
 def predict_errors(options=USUAL, target="link"):
     """Return the errors predicted for PLAN on ARM."""
-    return predict(PROBLEM, PLAN, RATE, options, PoseOptions(target))
+    return predict(PROBLEM, PLAN, RATE, options, AimOptions(target))
 
 
 @cache
@@ -116,15 +115,6 @@ def test_payload_errors_come_from_the_difference_of_recordings():
     assert 0.01 * expected.size[0] < scales < expected.errors[0]
 
 
-def test_resting_poses_determine_mass_and_centre_of_a_payload_alone():
-    poses = PoseOptions("payload", True)
-    plan = design_poses(PROBLEM, default_rng(0))
-    errors = predict(PROBLEM, plan, RATE, USUAL, poses).errors
-    assert np.all(np.isfinite(errors[:4])) and np.all(np.isinf(errors[4:]))
-    moving = predict_errors(target="payload").errors
-    assert moving[0] < errors[0] < 3.0 * moving[0]
-
-
 def test_a_recording_that_cannot_be_processed_has_no_predicted_errors():
     resting = replace(PLAN, amplitude=np.zeros_like(PLAN.amplitude))
     for plan, rate, message in (
@@ -132,4 +122,4 @@ def test_a_recording_that_cannot_be_processed_has_no_predicted_errors():
         (resting, RATE, "moves faster"),
     ):
         with pytest.raises(InputError, match=message):
-            predict(PROBLEM, plan, rate, USUAL, PoseOptions())
+            predict(PROBLEM, plan, rate, USUAL, AimOptions())

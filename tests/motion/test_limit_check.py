@@ -19,7 +19,7 @@ from robot_sysid.motion.limit_check import (
     first_contact,
     keeps_limits,
 )
-from robot_sysid.motion.trajectories import straight_way
+from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Motion
 from robot_sysid.trajectory import SineTrajectory
 from tests.support import arms
@@ -145,6 +145,6 @@ def test_a_clearance_may_fall_short_by_rounding_alone(shortfall, holds):
         )
 
     end = brentq(surplus, 0.0, 1.0, xtol=1e-12)
-    plan = straight_way(problem.rest, problem.rest + end * towards)
+    plan = LineTrajectory(problem.rest, problem.rest + end * towards)
     check = check_limits(problem, plan)
     assert any("clearance" in excess.limit for excess in check.excesses) != holds

@@ -10,7 +10,7 @@ import pytest
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
-from robot_sysid.motion import ExcitationOptions, LimitOptions, PoseOptions
+from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import save_trajectory
 from robot_sysid.trajectory import TrajectoryOptions
@@ -78,7 +78,7 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
         {"max_torque": 7.0, "payload_reserve": load},
         options(kind=excitation),
     )
-    poses = PoseOptions(purpose=purpose)
+    poses = AimOptions(purpose=purpose)
     uncertain = EstimationOptions(priors=Priors(link=10.0))
     request = replace(request, poses=poses, estimation=uncertain)
     checked = make_plan(request, robot(arms.THREE), 1, NoteRecorder())

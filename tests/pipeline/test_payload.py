@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.pipeline.payload import (
-    _moving_datasets,
+    _datasets,
     is_drift_identifiable,
     order_positions,
 )
@@ -57,6 +57,6 @@ def test_parts_of_a_log_with_a_long_hole_are_one_log():
         SimpleNamespace(path="complete", notes=(), pieces=(log,)),
     ]
     order = np.array([-1.0, 1.0])
-    datasets, _ = _moving_datasets(arm, logs, order > 0.0, order, CUTOFF)
+    datasets, _ = _datasets(arm, logs, order > 0.0, order, CUTOFF)
     names = [dataset.name for dataset in datasets]
     assert names == ["cut", "cut", "complete"]

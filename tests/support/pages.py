@@ -93,11 +93,6 @@ def make_workshop(folder: Path) -> None:
         record(folder, "truth.xml", f"{log}.csv", number)
     for number, log in enumerate(("b", "c", "f")):
         record(folder, "loaded.xml", f"{log}.csv", 10 + number)
-    run("plan my_arm.xml --for payload --static --save-trajectory poses.json")
-    played = "my_arm.xml --trajectory poses.json --noise-torque .05 --sample-rate 50"
-    for plant, log in (("truth", "poses_empty"), ("loaded", "poses_loaded")):
-        files = f"--plant-model {plant}.xml --save-measurements {log}.csv"
-        run(f"{played} {files} --output-dir made")
     motors = "--export-damiao" + 4 * " --motor-type DM8009"
     run(f"my_arm.xml --duration 12 --sample-rate 200 --output-dir made {motors}")
     for path in (folder / "made").glob("damiao*.csv"):

@@ -152,5 +152,5 @@ def add_noise(recording, sigma, seed):
 
 def add_torque(recording, torque):
     """Return a recording with additional torque (N, n)."""
-    signals = recording.source
-    return replace(recording, source=replace(signals, tau=signals.tau + torque))
+    signals = recording.signals
+    return replace(recording, signals=replace(signals, tau=signals.tau + torque))

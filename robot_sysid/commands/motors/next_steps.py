@@ -55,7 +55,6 @@ def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
     state = "motion recorded"
     if is_payload:
         state = "motion planned for payload"
-        options += ["--static"] if planned.get("static") else []
     elif planned.get("for_") == "arm":
         options.append("--links")
     return step_after(

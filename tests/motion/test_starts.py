@@ -1,4 +1,4 @@
-"""Start poses and resting poses keep all limits and have the stated shape."""
+"""Start poses keep all limits."""
 
 from __future__ import annotations
 
@@ -9,15 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
-from robot_sysid.motion import LimitOptions, static
-from robot_sysid.motion.limit_check import check_limits
+from robot_sysid.motion import LimitOptions, starts
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.records import Motion
-from tests.support import arms
 from tests.support.arms import X, Y, Z, robot_of
 from tests.support.excitation_arms import TUBES, make_problem, tube_arm
 
@@ -50,7 +46,7 @@ def holding_share(problem, pose):
 
 def test_a_motion_starts_where_nothing_collides():
     problem = make_problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP)))
-    startable = static.startable(problem)
+    startable = starts.startable(problem)
     (note,) = set(startable.notes) - set(problem.notes)
     assert "at rest the model is in a collision: link3 and shelf (10 mm deep)" in note
     assert problem.obstacles.closest(problem.rest).slack < 0.0
@@ -76,7 +72,7 @@ def leaning(lean):
 def test_a_start_that_cannot_be_held_is_replaced(lean, share):
     """The tubes need no torque upright, so that such a pose always exists."""
     problem = weaken_motors(leaning(lean), share)
-    startable = static.startable(problem)
+    startable = starts.startable(problem)
     assert holding_share(startable, startable.rest) < 1.0
     assert startable.obstacles.closest(startable.rest).slack >= 0.0
     assert np.all(startable.rest >= problem.limits.lower)
@@ -89,7 +85,7 @@ def test_dry_friction_counts_for_the_start():
     """An arm that can just hold a pose cannot leave it."""
     stiff = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" frictionloss="0.3"')
     problem = weaken_motors(build(arm(stiff)), 1.01)
-    startable = static.startable(problem)
+    startable = starts.startable(problem)
     (note,) = set(startable.notes) - set(problem.notes)
     assert "dry friction at joint" in note
     share = holding_share(problem, problem.rest)
@@ -102,43 +98,13 @@ def test_where_no_pose_can_be_held_the_joint_is_named():
     flat = stiff.replace('quat="1 0 0 0"', 'quat=".7 0 .7 0"', 1)
     message = "at joint joint1 takes .*, more than 95 % of its torque limit of"
     with pytest.raises(InputError, match=message):
-        static.startable(build(robot_of(flat), max_torque=0.5))
+        starts.startable(build(robot_of(flat), max_torque=0.5))
 
 
 def test_the_path_to_another_start_is_checked():
     """A wall stands between an arm that leans left and the pose where it leans right."""
     problem = build(arm(tube_arm((Z, Y, X, Y), WALL), (0.0, -0.9, 0.0, 0.0)))
     through = np.array([0.0, 0.9, 0.0, 0.0])
-    assert static.contact_on_the_way(problem, problem.rest) is None
-    assert static.contact_on_the_way(problem, np.array([0.5, -0.5, 0.2, 0.1])) is None
-    assert "wall" in static.contact_on_the_way(problem, through)
-
-
-@pytest.fixture(scope="module")
-def posing():
-    """The problem of an arm of four joints for resting poses."""
-    return build(robot_of(arms.serial_arm((Z, Y, Y, X))))
-
-
-@pytest.fixture(scope="module")
-def poses(posing):
-    """Twelve poses for a payload."""
-    return static.design_poses(posing, default_rng(0))
-
-
-@pytest.mark.slow
-def test_all_limits_are_kept_and_the_motion_is_gentle(posing, poses):
-    check = check_limits(posing, poses)
-    assert check.failure is None
-    n = posing.n_joints
-    assert np.max(check.largest[n : 2 * n]) <= static.GENTLE
-
-
-def test_each_pose_is_approached_from_both_sides(poses):
-    rests = np.flatnonzero(poses.dwells > 0.0)
-    assert len(rests) == 2 * static.MOST_POSES
-    for first, second in rests.reshape(-1, 2):
-        assert_array_equal(poses.points[first], poses.points[second])
-        steps = np.diff(poses.points, axis=0)
-        assert_allclose(steps[first - 1], static.APPROACH)
-        assert_allclose(steps[second - 1], -static.APPROACH)
+    assert starts.contact_on_the_way(problem, problem.rest) is None
+    assert starts.contact_on_the_way(problem, np.array([0.5, -0.5, 0.2, 0.1])) is None
+    assert "wall" in starts.contact_on_the_way(problem, through)

@@ -1,0 +1,131 @@
+"""Starts of motions, and the limits of slow ones.
+
+A new motion starts at rest as the model has it, or where the motors can hold the arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.errors import InputError
+from robot_sysid.motion.limit_check import first_contact
+from robot_sysid.motion.problem import ExcitationProblem
+from robot_sysid.motion.trajectories import LineTrajectory
+from robot_sysid.records import Array
+from robot_sysid.records.messages import torque_unit
+from robot_sysid.trajectory import TORQUE_MARGIN
+
+N_POSES = 3000
+"""Number of random poses tried as a start."""
+CREEP = 1e-3
+"""Speed at which there is dry friction and hardly anything else [rad/s or m/s]."""
+MOST_STARTS = 50
+"""Largest number of poses to which the straight line is checked, until one is free."""
+
+GENTLE = 0.6
+"""Speed that no joint exceeds between poses, however fast it could be [rad/s or m/s]."""
+UNSURE_SHARE = 0.5
+"""Share of the torque limits that weighing uses: the arm may need twice what its model says."""
+
+
+def startable(problem: ExcitationProblem) -> ExcitationProblem:
+    """Return the problem with a start where the arm touches nothing and its motors can hold it.
+
+    The start is the model's pose if possible, else a pose near it, which a note then states.
+
+    Raises:
+        InputError: no pose is free of collisions and held; names the bodies or the joint.
+    """
+    collisions = problem.obstacles.collisions
+    share = _torque_share(problem, problem.rest[None])[0]
+    worst = int(np.argmax(share))
+    if share[worst] < 1.0 and not collisions:
+        return problem
+    if collisions:
+        reason = f"at rest the model is in a collision: {'; '.join(collisions)}"
+        remedy = (
+            "choose another start with --keyframe or in the model, or write <exclude body1= "
+            "body2=> under its <contact> if these parts cannot meet"
+        )
+    else:
+        joint = problem.joint_names[worst]
+        limit = problem.limits.torque[worst]
+        unit = torque_unit(problem.robot.is_slide[worst])
+        reason = (
+            f"moving off against gravity and dry friction at joint {joint} takes "
+            f"{share[worst] * limit:.3g} {unit} with the reserve for errors of the links, more "
+            f"than {100.0 * TORQUE_MARGIN:.0f} % of its torque limit of {limit / TORQUE_MARGIN:g}"
+        )
+        remedy = (
+            f"raise the torque limit of {joint} in the model if the joint can carry it"
+        )
+    # A pose that is held and touches nothing, if possible with a free straight line there.
+    poses = _held_poses(problem)[:MOST_STARTS]
+    if not len(poses):
+        raise InputError(
+            f"no trajectory is feasible: {reason}, and none of many other poses within the "
+            f"limits is held by all joints and touches nothing; {remedy}"
+        )
+    free = (pose for pose in poses if contact_on_the_way(problem, pose) is None)
+    start = next(free, poses[0])
+    notes = (*problem.notes, f"{reason}; the motion starts and ends at another pose")
+    return replace(problem, rest=start, notes=notes)
+
+
+def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
+    """Return the problem with half of the torque limits and speed limits of at most 0.6 rad/s or
+    m/s.
+
+    Acceleration limits are smaller by the same factor as speed limits, as slower sinusoids of the
+    same frequencies need no more.
+    """
+    limits = problem.limits
+    velocity = np.minimum(limits.velocity, GENTLE)
+    acceleration = limits.acceleration * velocity / limits.velocity
+    torque = UNSURE_SHARE * limits.torque
+    slow = replace(limits, velocity=velocity, acceleration=acceleration, torque=torque)
+    return replace(problem, limits=slow)
+
+
+def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
+    """Return the names of two bodies that come too near each other on the straight line in joint
+    space from the model's pose to ``start`` (n,); None where none do.
+    """
+    contact = first_contact(problem, LineTrajectory(problem.robot.reference, start))
+    return None if contact is None else contact.label
+
+
+def _torque_share(problem: ExcitationProblem, poses: Array) -> Array:
+    """Return the largest share (N, n) of each joint's torque limit that holding poses (N, n), or
+    moving through them either way at the speed ``CREEP``, takes.
+    """
+    torque = [problem.torque_at(poses, speed) for speed in (0.0, CREEP, -CREEP)]
+    return np.max(np.abs(torque), axis=0) / problem.limits.torque
+
+
+def _held_poses(problem: ExcitationProblem) -> Array:
+    """Return poses (K, n) that keep torque limits and clearances, the nearest to ``problem.rest``
+    first.
+    """
+    # Random poses from near the start to anywhere; the random numbers are fixed, so that the start
+    # does not depend on any seed.
+    lower = problem.limits.lower
+    upper = problem.limits.upper
+    rng = np.random.default_rng(0)
+    anywhere = rng.uniform(lower, upper, (N_POSES, problem.n_joints))
+    nearness = np.linspace(1.0 / N_POSES, 1.0, N_POSES)[:, None]
+    poses = problem.rest + nearness * (anywhere - problem.rest)
+    poses = poses[_is_feasible(problem, poses)]
+    distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
+    return np.asarray(poses[np.argsort(distance)])
+
+
+def _is_feasible(problem: ExcitationProblem, poses: Array) -> NDArray[np.bool_]:
+    """Return for each of N poses (N, n) whether the arm keeps all clearances in it, and can hold it
+    and move off within the torque limits, with a tenth of them left to accelerate (N,).
+    """
+    slack, _ = problem.obstacles.slack(poses)
+    return np.all(_torque_share(problem, poses) < 0.9, axis=1) & (slack >= 0.0)
