@@ -3,20 +3,19 @@ digit; what compiler settings change of them.
 
 The terminal body gets what was identified of the link minus the bodies below it that the file
 describes. Where that difference is no possible body, the terminal body gets the inertia of all that
-is rigidly attached to it, and where bodies on joints of their own leave too little even for that,
-those are made lighter.
+is rigidly attached to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.documents import ModelDocument, Node
+from robot_sysid.mjcf.documents import ModelDocument
 from robot_sysid.records import Array, SubtreeBody
 
 NEGLIGIBLE = 1e-6
@@ -30,10 +29,6 @@ URDF_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of a URDF's <inertia> [kg m^2], in the order of ``spatial.six_from_symmetric``."""
 _SMALLEST_NORMAL = float(np.finfo(float).tiny)
 """Smallest positive float that is not denormal."""
-_CHANGING = ("settotalmass", "boundmass", "boundinertia", "fusestatic")
-"""Attributes of MuJoCo's <compiler> that change inertias."""
-_HARMLESS = (None, "-1", "0", "false")
-"""Their values that change none."""
 
 
 @dataclass(frozen=True)
@@ -42,18 +37,15 @@ class WriteBack:
 
     Attributes:
         theta: (10,) inertial parameters of the terminal body alone, in its own frame.
-        shares: MuJoCo's id of another body of the link to the share of its inertia that it keeps, 0
-            to 1; bodies that are not in it keep all.
-        notes: for the user, a sentence each on what was changed.
+        emptied: the other bodies of the link that lose their inertia.
         composite: (10,) inertial parameters of the whole link as written.
-        inflation: by how much all moments of inertia are larger than identified [kg m^2].
+        notes: for the user, a sentence each on what was changed.
     """
 
     theta: Array
-    shares: Mapping[int, float]
+    emptied: Sequence[SubtreeBody]
     composite: Array
-    inflation: float
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
 
 
 def plan_write_back(
@@ -61,8 +53,8 @@ def plan_write_back(
 ) -> WriteBack:
     """Return how an identified composite is shared among the bodies of the terminal link.
 
-    The terminal body gets the difference to the other bodies; where that is no possible body, first
-    those welded to it are emptied, then those on joints of their own are made lighter.
+    The terminal body gets the difference to the other bodies; where that is no possible body, those
+    welded to it are emptied.
 
     Args:
         composite: (10,) identified theta of the terminal body and all below it together, in the
@@ -75,89 +67,43 @@ def plan_write_back(
             joints of their own.
     """
     mass = float(composite[0])
-    shares: dict[int, float] = {}
+    name = bodies[0].name
     # A body without mass and inertia takes nothing away.
     others = [body for body in bodies[1:] if np.any(body.theta)]
-    hanging = [body for body in others if not body.welded]
+    emptied = []
     remainder = composite - sum_theta(others)
     if possible_body(remainder, mass) is None:
-        shares = {body.body_id: 0.0 for body in others if body.welded}
-        remainder = composite - sum_theta(hanging)
-        if possible_body(remainder, mass) is None:
-            share = _largest_share(composite, sum_theta(hanging))
-            shares.update({body.body_id: share for body in hanging})
-            remainder = composite - share * sum_theta(hanging)
+        emptied = [body for body in others if body.welded]
+        remainder += sum_theta(emptied)
     theta = possible_body(remainder, mass, least_moment)
-    is_too_light = any(shares.get(b.body_id, 1.0) < NEGLIGIBLE for b in hanging)
-    if theta is None or is_too_light:
+    if theta is None:
         raise ExportError(
-            f"the identified parameters of body '{bodies[0].name}' are not a possible rigid body, "
-            "so no model was written; use a longer motion"
+            f"the identified parameters of body '{name}' are not a possible rigid body, or leave "
+            "none beside what hangs on it on joints of its own, so no model was written; use a "
+            "longer motion, or a model without fingers that the arm did not have"
+        )
+    notes = []
+    if emptied:
+        listed = "', '".join(body.name for body in emptied)
+        notes.append(
+            f"body '{name}' now holds the inertia of all that is rigidly attached to it, and "
+            f"'{listed}' none in the written model"
         )
     added = theta - remainder
     # Equally much is added to each moment of inertia; element 4 is Ixx.
-    plan = WriteBack(theta, shares, composite + added, float(added[4]))
-    return replace(plan, notes=tuple(_notes(bodies[0], others, plan)))
+    inflation = float(added[4])
+    moments = np.linalg.eigvalsh(spatial.com_from_theta(theta)[2])
+    if inflation > SLACK * float(np.sum(moments)):  # by more than rounding
+        notes.append(
+            "the model file cannot hold moments of inertia as small as identified, by its "
+            f"compiler's boundinertia, so all three are written {inflation:.2g} kg m^2 larger"
+        )
+    return WriteBack(theta, emptied, composite + added, tuple(notes))
 
 
 def sum_theta(bodies: Sequence[SubtreeBody]) -> Array:
     """Return the sum of the bodies' theta (10,), all in one frame; zeros for no bodies."""
     return np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0)
-
-
-def _largest_share(composite: Array, hanging: Array) -> float:
-    """Return the largest share s, below 1, with a possible body composite - s hanging; 0 for none.
-
-    Args:
-        composite: theta (10,) of all bodies of the link together.
-        hanging: theta (10,) of its bodies on joints of their own together, in the same frame.
-    """
-    # Possible bodies are a convex set: the shares that leave one are an interval from zero, whose
-    # end is found by bisection.
-    low = 0.0
-    high = 1.0
-    for _ in range(60):  # down to the last digit
-        middle = (low + high) / 2.0
-        remainder = composite - middle * hanging
-        if possible_body(remainder, float(composite[0])) is None:
-            high = middle
-        else:
-            low = middle
-    return low
-
-
-def _quoted(names: Iterable[str]) -> str:
-    """Return names in quotes, separated by commas."""
-    return ", ".join(f"'{name}'" for name in names)
-
-
-def _notes(
-    top: SubtreeBody, others: Sequence[SubtreeBody], plan: WriteBack
-) -> Iterator[str]:
-    """Yield a sentence each on emptied bodies, lightened bodies and larger moments of a plan.
-
-    ``top`` is the terminal body, ``others`` are those below it.
-    """
-    emptied = [b.name for b in others if plan.shares.get(b.body_id) == 0.0]
-    lightened = [b for b in others if plan.shares.get(b.body_id, 0.0) > 0.0]
-    if emptied:
-        yield (
-            f"body '{top.name}' now holds the inertia of all that is rigidly attached to it, and "
-            f"{_quoted(emptied)} none in the written model"
-        )
-    if lightened:
-        yield (
-            f"{_quoted(b.name for b in lightened)} on joints of their own below body '{top.name}' "
-            "left no possible body of what was identified of all of them, so their mass and "
-            f"inertia are {plan.shares[lightened[0].body_id]:.4g} of the model's in the written "
-            "model"
-        )
-    moments = np.linalg.eigvalsh(spatial.com_from_theta(plan.theta)[2])
-    if plan.inflation > SLACK * float(np.sum(moments)):  # by more than rounding
-        yield (
-            "the model file cannot hold moments of inertia as small as identified, by its "
-            f"compiler's boundinertia, so all three are written {plan.inflation:.2g} kg m^2 larger"
-        )
 
 
 def possible_body(
@@ -247,32 +193,8 @@ def format_rmse(rmse: float) -> str:
     return f"RMSE {rmse:.3g} Nm" if is_small else f"RMSE {rmse:.6f} Nm"
 
 
-def settings_of_inertia(document: ModelDocument) -> list[str]:
-    """Return the compiler settings by which MuJoCo makes other inertias of those in the file."""
-    settings = {name: document.compiler_setting(name) for name in _CHANGING}
-    return [name for name in _CHANGING if settings[name] not in _HARMLESS]
-
-
-def let_inertials_count(document: ModelDocument, written: Collection[Node]) -> None:
-    """Keep ``inertiafromgeom="true"`` from overriding the inertials of written bodies.
-
-    The setting becomes "auto", which lets an ``<inertial>`` count; the other bodies lose the
-    ``<inertial>`` that was ignored so far, so that their geoms still decide.
-    """
-    if document.compiler_setting("inertiafromgeom") != "true":
-        return
+def let_inertials_count(document: ModelDocument) -> None:
+    """Make ``inertiafromgeom="true"``, which overrides every ``<inertial>``, the default "auto"."""
     for node in document.settings("compiler"):
-        if node.get("inertiafromgeom"):
+        if node.get("inertiafromgeom") == "true":
             node.set("inertiafromgeom", "auto")
-    for body in document.root.iter("body"):
-        old = body.find("inertial")
-        has_geom = any(map(_is_geom, body.iterchildren()))
-        if old is not None and body not in written and has_geom:
-            body.remove(old)
-
-
-def _is_geom(node: Node) -> bool:
-    """Return whether an element is a geom, or a frame with one in it."""
-    if node.tag == "frame":
-        return any(map(_is_geom, node.iterchildren()))
-    return bool(node.tag == "geom")

@@ -64,13 +64,10 @@ class JointChange:
         label: the joint's name.
         numbers: new values by their name in MJCF: "armature" (rotor inertia at the joint, which
             a URDF cannot hold), "damping" and "frictionloss" (viscous and Coulomb friction).
-        nonlinear_damping: the model's coefficients of qd abs(qd) and of qd^3, which the attribute
-            ``damping`` holds, too; () for none.
     """
 
     label: str
     numbers: Mapping[str, float]
-    nonlinear_damping: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -182,7 +179,7 @@ def changed_model_text(
         give_minimum(document, excluded=written)
         raise_inertias(document, excluded=written)
     else:
-        let_inertials_count(document, written)
+        let_inertials_count(document)
     relocate(document, folder, mesh_dir)
     return document.text()
 
@@ -326,16 +323,13 @@ def write_joint(document: ModelDocument, change: JointChange) -> None:
         if node is None and texts:
             node = etree.Element("dynamics")
             append(joint, node)
-    elif "damping" in texts:
-        further = map(format_number, change.nonlinear_damping)
-        texts["damping"] = " ".join([texts["damping"], *further])
     _set_numbers(node, texts)
 
 
 def _set_numbers(node: Node, texts: Mapping[str, str]) -> None:
     """Set attributes of an element; nonlinear damping stays behind a new linear one."""
     for name, text in texts.items():
-        if name == "damping" and " " not in text:
+        if name == "damping":
             nonlinear = (node.get(name) or "").split()[1:]
             text = " ".join([text, *nonlinear])
         node.set(name, text)

@@ -38,7 +38,7 @@ from robot_sysid.model.actuators import (
     actuators_on,
     stated_at_actuator,
 )
-from robot_sysid.model.bodies import body_theta, link_bodies
+from robot_sysid.model.bodies import link_bodies
 from robot_sysid.model.compilation import mjcf_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
@@ -214,7 +214,7 @@ def _changes_of_kind(
 ) -> tuple[tuple[JointChange, ...], tuple[str, ...]]:
     """Return the changes that the format of the model can hold, and a note on what it cannot.
 
-    The notes are one sentence or (). In an MJCF, nonlinear damping of the model stays.
+    The notes are one sentence or ().
     """
     if robot.kind == "urdf":
         possible = []
@@ -224,13 +224,7 @@ def _changes_of_kind(
         note = "a URDF cannot hold rotor inertia, so the written URDF lacks it"
         has_rotors = any(change.numbers.get("armature") for change in changes)
         return tuple(possible), (note,) if has_rotors else ()
-    kept = []
-    for change in changes:
-        index = robot.joint_names.index(change.label)
-        coefficients = tuple(robot.nonlinear_damping[index].tolist())
-        own = coefficients if any(coefficients) else ()
-        kept.append(replace(change, nonlinear_damping=own))
-    return tuple(kept), ()
+    return tuple(changes), ()
 
 
 def _body_changes(
@@ -238,8 +232,8 @@ def _body_changes(
 ) -> tuple[tuple[BodyChange, ...], Array, tuple[str, ...]]:
     """Return the changes of the bodies of all links that differ from the model.
 
-    A link may consist of several bodies; the change goes to one of them, and others may be made
-    lighter or emptied for it (``plan_write_back``).
+    A link may consist of several bodies; the change goes to one of them, and others may be emptied
+    for it (``plan_write_back``).
 
     Args:
         robot: the arm.
@@ -276,13 +270,9 @@ def _body_changes(
         comments = [terminal_comment] if k == len(body_ids) - 1 else []
         addition = "; ".join(filter(None, [*comments, *plan.notes]))
         changes.append(BodyChange(link.body_name, link.body_id, plan.theta, addition))
-        for body in bodies:
-            if body.body_id not in plan.shares:
-                continue
-            share = plan.shares[body.body_id]
-            theta = share * body_theta(robot.mj_model, body.body_id)
-            addition = f"mass and inertia {share:.4g} of the model's, for want of room in its link"
-            changes.append(BodyChange(body.name, body.body_id, theta, addition))
+        for body in plan.emptied:
+            addition = f"its inertia is in that of body '{link.body_name}'"
+            changes.append(BodyChange(body.name, body.body_id, np.zeros(10), addition))
     return tuple(changes), written_thetas, tuple(notes)
 
 

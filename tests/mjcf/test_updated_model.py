@@ -53,7 +53,7 @@ def write_and_verify(source, label, composite, target):
     body = mujoco.mj_name2id(original, int(mujoco.mjtObj.mjOBJ_BODY), label)
     body = int(label[1:]) if label.startswith("#") else body
     plan = plan_write_back(composite, subtree_bodies(original, original.qpos0, body))
-    assert not plan.shares
+    assert not plan.emptied
     write(source, label, plan.theta, target)
     verify_written_model(original, target, change_of(label, plan.theta, body))
 

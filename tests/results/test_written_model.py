@@ -22,12 +22,7 @@ from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.estimate.choose import coupling, motors_of
-from robot_sysid.model.bodies import (
-    body_theta,
-    composite_theta,
-    find_flange,
-    subtree_bodies,
-)
+from robot_sysid.model.bodies import body_theta, composite_theta, find_flange
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import atomic_files
@@ -283,7 +278,7 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
     assert text.count("System ID: body") == written
 
 
-ROTORS = """<actuator><motor joint="joint1" gear="3" armature=".02" damping=".1 .02 0"/>
+ROTORS = """<actuator><motor joint="joint1" gear="3" armature=".02" damping=".1"/>
 <motor joint="joint2" armature=".3"/><motor joint="joint2" gear="2" armature=".01" damping=".05"/>
 </actuator>"""
 
@@ -317,14 +312,8 @@ def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, f
 
 
 @since(3, 7)
-@pytest.mark.parametrize("place", ["joint", "class"])
-def test_nonlinear_damping_of_the_model_stays(tmp_path, place):
-    xml = arms.NONLINEAR_DAMPING
-    if place == "class":
-        damping = ' damping=".5 .3 .2"'
-        default = f"<default><joint{damping}/></default><worldbody>"
-        xml = xml.replace(damping, "").replace("<worldbody>", default)
-    robot = load_arm(tmp_path, xml)
+def test_nonlinear_damping_of_the_model_stays(tmp_path):
+    robot = load_arm(tmp_path, arms.NONLINEAR_DAMPING)
     joints = new_joints(robot, np.random.default_rng(7))
     result = result_of(robot, file=file_of(robot, joints=joints))
     reloaded = load_robot_model(write_and_compile(robot, result).path)
@@ -445,25 +434,13 @@ def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypa
         assert not folder.exists()
 
 
-@pytest.mark.parametrize("also_welded", [False, True])
-def test_fingers_that_leave_no_possible_gripper_are_made_lighter(tmp_path, also_welded):
-    cover = (
-        '<body name="cover"><geom size=".02" mass=".3"/></body>' if also_welded else ""
-    )
-    text = arms.serial_arm(("0 0 1", "0 1 0"), tip=cover + arms.fingers())
+def test_fingers_that_leave_no_possible_gripper_are_refused(tmp_path):
+    text = arms.serial_arm(("0 0 1", "0 1 0"), tip=arms.fingers())
     # The model says more of its fingers than there is of the whole gripper.
-    text = text.replace('mass=".03"', 'mass=".6"')
-    robot = load_arm(tmp_path, text, "joint1")
-    # In truth the fingers weigh 0.1 kg each, and the gripper as much as the model says.
-    bodies = subtree_bodies(robot.mj_model, robot.reference_qpos, robot.body_id)
-    thetas = {body.name: body.theta for body in bodies}
-    fingers = ("left_finger", "right_finger")
-    theta = 0.3 * thetas[robot.body_name] + sum(thetas[name] for name in fingers) / 6.0
-    path, mj_model, notes = write_and_compile(robot, result_of(robot, theta))
-    assert_same_theta(terminal_composite(mj_model, robot), theta, 1e-9)
-    assert 0.1 < mj_model.body("left_finger").mass[0] < 0.6
-    assert "'left_finger', 'right_finger' on joints of their own" in notes[also_welded]
-    assert path.read_text().count("for want of room in its link") == 2 + also_welded
+    robot = load_arm(tmp_path, text.replace('mass=".03"', 'mass=".6"'), "joint1")
+    theta = 0.1 * robot.thetas[-1]
+    with pytest.raises(ExportError, match="a model without fingers that the arm did"):
+        write_and_compile(robot, result_of(robot, theta))
 
 
 def test_links_that_are_the_models_own_are_left_alone(tmp_path):
