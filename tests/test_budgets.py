@@ -24,17 +24,17 @@ BUDGETS = {
     "robot_sysid/estimate": 27913,
     "robot_sysid/logs": 15932,
     "robot_sysid/mjcf": 7367,
-    "robot_sysid/model": 8045,
+    "robot_sysid/model": 8009,
     "robot_sysid/motion": 17419,
     "robot_sysid/pipeline": 5862,
     "robot_sysid/records": 8610,
     "robot_sysid/report": 5078,
-    "robot_sysid/results": 11988,
+    "robot_sysid/results": 11877,
     "robot_sysid/servo": 5206,
     "robot_sysid/signals": 4423,
     "robot_sysid/simulation": 3873,
     "robot_sysid": 9489,
-    "tests": 217262,
+    "tests": 217255,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

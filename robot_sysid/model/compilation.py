@@ -314,23 +314,18 @@ def file_of(model: Any) -> Path:
             "compiled from"
         )
     folder = lasting_folder()
-    mj_model = _compile_spec(model)
     assets = dict(model.assets or {})
     for name, content in assets.items():
         data = content if isinstance(content, bytes) else content.encode()
         (folder / Path(name).name).write_bytes(data)
-    originals = {name: getattr(model, name) for name in ("meshdir", "texturedir")}
-    for name, value in originals.items():
-        asset_folder = Path(model.modelfiledir, value).absolute()
-        setattr(model, name, str(folder if assets else asset_folder))
-    try:
-        text = model.to_xml()
-    finally:
-        for name, value in originals.items():
-            setattr(model, name, value)
+    spec = model.copy()
+    for name in ("meshdir", "texturedir"):
+        asset_folder = Path(model.modelfiledir, getattr(model, name)).absolute()
+        setattr(spec, name, str(folder if assets else asset_folder))
+    mj_model = _compile_spec(spec)
     file_name = re.sub(r"[^\w-]+", "_", model.modelname) or "model"
     path = folder / f"{file_name}.xml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(spec.to_xml(), encoding="utf-8")
     path.write_bytes(_exact_text(path, mj_model))
     return path
 

@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from robot_sysid.dynamics import spatial
@@ -25,15 +24,10 @@ from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
 )
 from robot_sysid.errors import ExportError, InputError
-from robot_sysid.mjcf.inertial import mjcf_inertial
 from robot_sysid.mjcf.updated_model import ModelChange
 from robot_sysid.model.bodies import body_theta, inertia_about_com
 from robot_sysid.model.chain import body_label, joint_label
-from robot_sysid.model.compilation import (
-    CompiledModel,
-    captured_warnings,
-    compile_model,
-)
+from robot_sysid.model.compilation import CompiledModel, compile_model
 from robot_sysid.records import Array, Motion, RobotModel
 
 CHECKPOINTS = 400
@@ -42,8 +36,6 @@ predicted ones."""
 TOLERANCE = 1e-9
 """Largest relative deviation of a compiled number from the written one: MuJoCo's transformation to
 principal axes and back leaves up to 1e-10."""
-AXES_TOLERANCE = 1e-12
-"""Deviation below which MuJoCo's principal axes count as accurate; 4.0.0 stays below 1e-13."""
 
 # Inertial fields of a body, and whether its frame and its inertial frame coincide: compared row by
 # row, because only the changed bodies may differ.
@@ -214,11 +206,7 @@ def _bodies_of_equal_inertia(original: Any, other: Any) -> Iterator[int]:
 
 
 def require_theta(
-    mj_model: Any,
-    body_id: int,
-    theta: Array,
-    scale_theta: Array,
-    tolerance: float = TOLERANCE,
+    mj_model: Any, body_id: int, theta: Array, scale_theta: Array
 ) -> None:
     """Raise ExportError unless a compiled body has the parameters theta (10,).
 
@@ -228,7 +216,6 @@ def require_theta(
         theta: (10,) wanted inertial parameters; all zero for a body that has been emptied.
         scale_theta: (10,) inertial parameters of a body with mass, from whose mass and size follow
             the scales that deviations are relative to.
-        tolerance: largest relative deviation.
     """
     mass, _, inertia = spatial.com_from_theta(scale_theta)
     length = spatial.characteristic_length(scale_theta)
@@ -240,30 +227,11 @@ def require_theta(
         actual_inertia = spatial.com_from_theta(actual)[2]
         difference = np.max(np.abs(actual_inertia - inertia))
         deviation = max(deviation, float(difference / np.max(np.abs(inertia))))
-    if not deviation <= tolerance:
+    if not deviation <= TOLERANCE:
         raise ExportError(
             f"in the written model, body '{body_label(mj_model, body_id)}' has an inertia that is "
-            f"off by {deviation:.1e} relative (allowed {tolerance:.0e}); {_SETTINGS_ADVICE}"
+            f"off by {deviation:.1e} relative (allowed {TOLERANCE:.0e}); {_SETTINGS_ADVICE}"
         )
-
-
-def reads_fullinertia_exactly(theta: Array) -> bool:
-    """Return whether the installed MuJoCo compiles a ``fullinertia`` of theta (10,) accurately.
-
-    Versions before 3.14 find principal axes to six digits only; for these, principal moments are
-    written instead.
-    """
-    text = (
-        f"<mujoco><worldbody><body>{mjcf_inertial(theta)}</body></worldbody></mujoco>"
-    )
-    try:
-        with captured_warnings():
-            probe = mujoco.MjModel.from_xml_string(text)
-        # Body 0 is the world.
-        require_theta(probe, 1, theta, theta, tolerance=AXES_TOLERANCE)
-    except (ExportError, ValueError):
-        return False
-    return True
 
 
 def compiled_fields(mj_model: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -302,7 +302,7 @@ def _write(
 
     The draft is compiled, compared with the original model, a new body or tendon left out, and its
     torques are compared with those of the links' parameters. Inertias are written as principal
-    moments where the installed MuJoCo reads full matrices inaccurately.
+    moments before MuJoCo 3.14, which finds the axes of full matrices to six digits.
 
     Args:
         robot: the arm with the original model.
@@ -315,11 +315,8 @@ def _write(
         ExportError: the draft does not load, differs in more than ``change``, or takes other
             torques. The draft is withdrawn on this and on any other exception.
     """
-    written = [body.theta for body in change.bodies if np.any(body.theta)]
-    if change.welded is not None:
-        written.append(change.welded.theta)
-    is_exact = all(map(verification.reads_fullinertia_exactly, written))
-    change = replace(change, principal=not is_exact)
+    release = tuple(map(int, MUJOCO_VERSION.split(".")[:2]))
+    change = replace(change, principal=release < (3, 14))
     emptied = _emptied_actuators(robot, change)
     change = replace(change, actuators=(*change.actuators, *emptied))
     tendons = tuple(tendon for tendon in change.tendons if not tendon.is_new)

@@ -28,10 +28,7 @@ from robot_sysid.mjcf.urdf import inertia_increases
 from robot_sysid.model.bodies import composite_theta, subtree_bodies
 from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.results.verification import (
-    reads_fullinertia_exactly,
-    verify_written_model,
-)
+from robot_sysid.results.verification import verify_written_model
 from tests.support import urdf
 from tests.support.model_files import (
     ARM,
@@ -42,7 +39,7 @@ from tests.support.model_files import (
     write_files,
 )
 from tests.support.places import SHARED
-from tests.support.releases import since
+from tests.support.releases import IS_PRINCIPAL, since
 
 THETA = random_theta(np.random.default_rng(1), 2.0)
 
@@ -63,9 +60,8 @@ def change_of(label, theta, body=0):
 
 
 def write(source, label, theta, target):
-    principal = not reads_fullinertia_exactly(theta)
     folder = target.absolute().parent
-    change = replace(change_of(label, theta), principal=principal)
+    change = replace(change_of(label, theta), principal=IS_PRINCIPAL)
     text = changed_model_text(source, change, folder)
     folder.mkdir(parents=True, exist_ok=True)
     target.write_bytes(text)
