@@ -78,9 +78,9 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
         {"max_torque": 7.0, "payload_reserve": load},
         options(kind=excitation),
     )
-    poses = AimOptions(purpose=purpose)
+    aim = AimOptions(purpose=purpose)
     uncertain = EstimationOptions(priors=Priors(link=10.0))
-    request = replace(request, poses=poses, estimation=uncertain)
+    request = replace(request, aim=aim, estimation=uncertain)
     checked = make_plan(request, robot(arms.THREE), 1, NoteRecorder())
     assert checked.failure is None
     problem = checked.problem
