@@ -162,7 +162,7 @@ def _limit_libraries() -> None:
     Sets environment variables, so it must be called before either library is imported. Threads only
     wait for each other on matrices this small: an arm of 60 joints takes fifty times as long with
     four threads, so values that are set for other programs are replaced. Code that draws chooses
-    its own renderer (``preview.film``).
+    its own renderer (``report.studio``).
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ[name] = "1"

@@ -23,7 +23,6 @@ from robot_sysid.motion import (
     AimOptions,
     ExcitationOptions,
     LimitOptions,
-    ViewOptions,
 )
 from robot_sysid.records import file_access, option_fields
 from robot_sysid.records.controllers import AUTO, CHOICES
@@ -337,7 +336,6 @@ class PlanConfig(MotionConfig):
     limits: LimitOptions = LimitOptions()
     estimation: PredictionOptions = PredictionOptions()
     motors: NumberedMotorOptions = NumberedMotorOptions()
-    preview: ViewOptions = ViewOptions()
     written: ClassVar[tuple[str, ...]] = ()
 
     @property

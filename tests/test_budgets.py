@@ -16,8 +16,8 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 4446,
-    "robot_sysid/commands": 10757,
+    "robot_sysid/api": 4445,
+    "robot_sysid/commands": 10732,
     "robot_sysid/damiao": 33012,
     "robot_sysid/diagnosis": 16779,
     "robot_sysid/dynamics": 5771,
@@ -25,16 +25,16 @@ BUDGETS = {
     "robot_sysid/logs": 15932,
     "robot_sysid/mjcf": 7367,
     "robot_sysid/model": 8009,
-    "robot_sysid/motion": 17419,
-    "robot_sysid/pipeline": 5862,
+    "robot_sysid/motion": 17153,
+    "robot_sysid/pipeline": 5839,
     "robot_sysid/records": 8610,
     "robot_sysid/report": 5078,
     "robot_sysid/results": 11877,
     "robot_sysid/servo": 5206,
     "robot_sysid/signals": 4423,
     "robot_sysid/simulation": 3873,
-    "robot_sysid": 9489,
-    "tests": 217255,
+    "robot_sysid": 9480,
+    "tests": 216889,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

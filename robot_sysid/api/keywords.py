@@ -71,7 +71,7 @@ def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a decorated function, which the decorator keeps."""
-_FOR_COMMANDS = ("output", "preview")
+_FOR_COMMANDS = ("output",)
 """Records of a command's options that its function does not have: it prints and writes nothing."""
 MOTORS = (
     BusAddress,

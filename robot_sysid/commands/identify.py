@@ -178,10 +178,6 @@ def run_command(config: Config, console: Console) -> None:
         SysidError: the run failed, its result cannot be used, or a wanted report is missing.
     """
     require_report(config.output.report)
-    if isinstance(config, PlanConfig) and config.preview.view:
-        from robot_sysid.motion.viewer import require_display
-
-        require_display()
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline.stages import run
 

@@ -228,13 +228,6 @@ class ExcitationOptions(OptionRecord):
 
 
 @dataclass(frozen=True)
-class ViewOptions(OptionRecord):
-    """Whether a planned motion is shown."""
-
-    view: bool = option(False, "play the motion in MuJoCo's viewer")
-
-
-@dataclass(frozen=True)
 class AimOptions(OptionRecord):
     """What a plan is for.
 

@@ -119,10 +119,6 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
     else:
         paths, clamping = _write_motion(config, robot, checked.plan)
         lines += clamping
-    if config.preview.view:
-        from robot_sysid.motion.viewer import play_in_viewer
-
-        play_in_viewer(robot, checked.plan)
     shortfall = _shortfall(config, prediction)
     conditions: list[str] = []
     problem = checked.problem

@@ -24,7 +24,7 @@ from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOpti
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.model import PosedModelOptions
-from robot_sysid.motion import AimOptions, LimitOptions, ViewOptions
+from robot_sysid.motion import AimOptions, LimitOptions
 from robot_sysid.records.option_fields import (
     Option,
     TrajectoryOptions,
@@ -48,7 +48,6 @@ TABLES: Mapping[str, Sequence[type]] = {
     "Damiao motors": (NumberedMotorOptions,),
     "main": tuple(identify.SPECS[""].config.records().values()),
     "plan for a payload": (AimOptions,),
-    "preview": (ViewOptions,),
     "console": (ConsoleOptions,),
     "payload": (PayloadOptions,),
     "motors: bus": (BusAddress, BusTiming),
