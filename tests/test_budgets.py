@@ -17,12 +17,12 @@ from tests.support.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 4445,
-    "robot_sysid/commands": 10732,
+    "robot_sysid/commands": 10634,
     "robot_sysid/damiao": 33012,
     "robot_sysid/diagnosis": 16779,
     "robot_sysid/dynamics": 5771,
     "robot_sysid/estimate": 27913,
-    "robot_sysid/logs": 15932,
+    "robot_sysid/logs": 15735,
     "robot_sysid/mjcf": 7367,
     "robot_sysid/model": 8009,
     "robot_sysid/motion": 17153,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4423,
     "robot_sysid/simulation": 3873,
     "robot_sysid": 9480,
-    "tests": 216889,
+    "tests": 216820,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -1,4 +1,4 @@
-"""``robot-sysid log LOG [MODEL]``: content of a log, and what is wrong with it."""
+"""``robot-sysid log LOG MODEL``: what is in a log, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -13,16 +13,10 @@ from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.records.messages import NextStep
-from robot_sysid.records.option_fields import (
-    command_arguments,
-    given_options,
-    record_from,
-)
+from robot_sysid.records.option_fields import command_arguments, record_from
 
 INTERRUPTED = "interrupted; nothing was written"
 """What is said where the user interrupts the command."""
-WITHOUT_MODEL = ("topic", "episode")
-"""Keys of options that count without a model."""
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -30,16 +24,13 @@ def build_parser(full: bool = True) -> Parser:
     parser = Parser(
         "log",
         "robot-sysid log log.csv arm.xml",
-        "Say what is in a log of the real arm: its form, its columns and their units. "
-        "With a model, also look for what is wrong with it, as every identification does before it "
-        f"fits: {', '.join(CHECKS)}.",
+        "Say what is in a log of the real arm: its form, its columns and their units, and look for "
+        f"what is wrong with it, as every identification does: {', '.join(CHECKS)}.",
     )
     parser.add_argument(
         "log", metavar="LOG", type=Path, help="file or folder of the recording"
     )
-    parser.add_argument(
-        "path", metavar="MODEL", type=Path, nargs="?", help="MJCF or URDF file"
-    )
+    parser.add_argument("path", metavar="MODEL", type=Path, help="MJCF or URDF file")
     parser.add("model", ModelOptions)
     parser.add("log", LogOptions)
     return parser.add_console_options()
@@ -51,35 +42,24 @@ def main(arguments: Sequence[str]) -> int:
     log_options = record_from(LogOptions, values)
     model_options = record_from(ModelOptions, values)
     path = values["log"]
-    model_path = values.get("path")
-    if model_path is not None:
-        try:
-            _check_log(path, model_path, log_options, model_options, console)
-        except InputError as error:
-            if error.command == "payload":
-                from robot_sysid.pipeline.run_words import add_weighing_commands
+    model_path = values["path"]
+    try:
+        _check_log(path, model_path, log_options, model_options, console)
+    except InputError as error:
+        if error.command == "payload":
+            from robot_sysid.pipeline.run_words import add_weighing_commands
 
-                arm = replace(model_options, path=model_path)
-                add_weighing_commands(error, arm, log_options, path)
-            # Only that command has these options, or who has stated columns goes on to it.
-            elif error.command == "identify" or isinstance(error, ColumnsError):
-                # A columns file that the error suggests replaces the one in use.
-                is_replaced = isinstance(error, ColumnsError)
-                columns = None if is_replaced else values.get("columns")
-                options = {**values, "columns": columns}
-                words = _next_step(model_path, path, options).command[1:]
-                error.command_lines = [[*words, *o] for o in error.options]
-            raise
-        return 0
-    for record in (log_options, model_options):
-        for option in given_options(record):
-            if option.key not in WITHOUT_MODEL:
-                raise InputError(f"{option.flag} needs the MODEL after the log")
-    from robot_sysid.logs.reader import content_lines
-
-    lines = content_lines(path, log_options)
-    console.stage(*lines)
-    console.result({"log": str(path), "content": lines})
+            arm = replace(model_options, path=model_path)
+            add_weighing_commands(error, arm, log_options, path)
+        # Only that command has these options, or who has stated columns goes on to it.
+        elif error.command == "identify" or isinstance(error, ColumnsError):
+            # A columns file that the error suggests replaces the one in use.
+            is_replaced = isinstance(error, ColumnsError)
+            columns = None if is_replaced else values.get("columns")
+            options = {**values, "columns": columns}
+            words = _next_step(model_path, path, options).command[1:]
+            error.command_lines = [[*words, *o] for o in error.options]
+        raise
     return 0
 
 

@@ -12,7 +12,7 @@ import functools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, zip_longest
+from itertools import combinations
 from operator import attrgetter
 from pathlib import Path
 
@@ -38,7 +38,6 @@ from robot_sysid.logs.table import (
     read_rows,
 )
 from robot_sysid.logs.text import text_table
-from robot_sysid.logs.titles import read_title
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.messages import Detail, Progress, count_text
@@ -277,22 +276,3 @@ def _find_form(
     else:
         forms = [form for head, form in _FILES.items() if first_bytes.startswith(head)]
     return forms[0] if forms else _TEXT
-
-
-def content_lines(path: Path, options: LogOptions) -> list[str]:
-    """Return lines for the user on a log's form, its columns, and the cells of its first row."""
-    table = open_table(Path(path), (), options)
-    cells: Sequence[str] = table.first_row
-    if not cells:
-        block = next(table.blocks(range(len(table.titles))), None)
-        cells = [f"{cell:.6g}" for cell in block.cells[0]] if block else ()
-    width = max(map(len, table.titles))
-    lines = [f"log layout: {table.layout}; its columns and first {table.row_noun}:"]
-    for text, cell in zip_longest(table.titles, cells, fillvalue=""):
-        quantity = read_title(text).quantity
-        line = f"  {text:{width}}  {cell:>12.40}"
-        lines.append(line + (f"  ({quantity})" if quantity else ""))
-    lines.append(
-        "give the model too, to see which column is taken for what and what is wrong"
-    )
-    return lines

@@ -14,7 +14,7 @@ not chosen from.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, product
@@ -184,11 +184,10 @@ def _read_topic(
     if not sent:
         return None
     recorded_joints = [joint for joint, _ in sent]
-    # Without a model, all joints count.
-    arm_joints = [] if joint_names else sorted(set(recorded_joints))
+    arm_joints: list[str] = []
     with contextlib.suppress(InputError):
         joint_match = match_joint_names(recorded_joints, joint_names)
-        arm_joints = list(joint_match.model_names) if joint_match else arm_joints
+        arm_joints += joint_match.model_names if joint_match else ()
     efforts: set[float | None] = set()
     for _, sample in messages:
         efforts.update(map(sample.get, product(arm_joints, TORQUE)))
@@ -199,26 +198,19 @@ def _read_topic(
     message_type = connections[0].msgtype
     layout = f"ROS bag, topic {name} ({message_type}), joints by name"
     blocks = partial(_blocks, path, name, keys, start)
-    has_positions = _has_all(sent, arm_joints, ["position"])
-    has_torques = _has_all(sent, arm_joints, TORQUE)
+    complete = set()
+    for quantity in ("position", *TORQUE):
+        if arm_joints and {*product(arm_joints, [quantity])} <= {*sent}:
+            complete.add(quantity)
+    has_torques = not complete.isdisjoint(TORQUE)
     has_nonzero_torques = has_torques and bool(efforts - {None, 0.0})
     return Topic(
         name,
         message_type,
         LogTable(path, layout, titles, blocks, row_noun="message"),
         n_messages=sum(connection.msgcount for connection in connections),
-        rank=(has_positions, has_torques, has_nonzero_torques),
+        rank=("position" in complete, has_torques, has_nonzero_torques),
     )
-
-
-def _has_all(
-    keys: Container[Key], joints: Sequence[str], quantities: Sequence[str]
-) -> bool:
-    """Return whether one of the quantities is there for every joint, of at least one."""
-    for quantity in quantities:
-        if joints and all((joint, quantity) in keys for joint in joints):
-            return True
-    return False
 
 
 def _blocks(
