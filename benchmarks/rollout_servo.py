@@ -66,10 +66,10 @@ def report(name, arm, robot, outcome, held, spent) -> None:
     print(f"  delay {1e3 * servos.delay:.2f} ± {1e3 * delay_error:.2f} ms, true 20")
     truth = (arm.stiffness, arm.damping, arm.coulomb, arm.armature)
     for (term, unit), values in zip(UNITS.items(), truth):
-        figures = [numbers[term] for numbers in result.joint_numbers.values()]
+        rows = [row for row in result.quantities if row.name == term]
         model_values, estimates, errors = (
-            np.array([figure[key] for figure in figures])
-            for key in ("before", "value", "standard_error")
+            np.array([getattr(row, key) for row in rows])
+            for key in ("model", "value", "error")
         )
         print(f"  {term} [{unit}]: model {model_values}\n    true {values}")
         print(f"    found {estimates}\n    error {errors}")

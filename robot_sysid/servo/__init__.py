@@ -29,15 +29,15 @@ from robot_sysid.records import (
     RobotModel,
     file_access,
 )
-from robot_sysid.records.messages import Progress, with_error
+from robot_sysid.records.messages import Progress
 from robot_sysid.results.lines import folder_text
-from robot_sysid.results.record import ModelTarget
+from robot_sysid.results.record import DATA, MODEL, ModelTarget, Quantity
+from robot_sysid.results.table import cells, label, table_lines
 from robot_sysid.results.verdict import use_lines
 from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo.commands import check_commands
 from robot_sysid.servo.fit import (
     LINK_ERROR,
-    OWN_GAIN,
     ServoFit,
     fit_servos,
     goal_error,
@@ -51,7 +51,7 @@ from robot_sysid.simulation.playback import (
     servos_in_model,
 )
 
-SERVO_SCHEMA = "robot-sysid servo 3"
+SERVO_SCHEMA = "robot-sysid servo 4"
 """Name and version of the format of servo.json."""
 WITHOUT_TORQUE = (
     "No torque was measured: all of this follows from commanded and measured positions, and from "
@@ -65,6 +65,16 @@ UNITS = {
     "armature": "kg·m²",
 }
 """The identified numbers of a joint, in the order of ``ServoParameters``, and their units."""
+STILL = "the joint moves too little or too slowly in these logs: it keeps the model's numbers"
+"""Reason of a joint's numbers that nothing shows."""
+WORSE = (
+    "what was found predicts positions worse than the model's numbers, which all stay"
+)
+"""Reason of numbers that held-out windows, or fitted ones, speak against."""
+NOT_ALONE = (
+    "these logs do not show its absolute size, only ratios of the joint's numbers"
+)
+"""Reason of a number that goes with the joint's others."""
 HELD_OUT_SHARE = 0.2
 """Share of each log, its end, that is not fitted where there is no validation log."""
 
@@ -81,7 +91,6 @@ class ServoIdentification:
         data: the logs.
         before, after: (n,) root mean square position errors of the models before and after, played
             on held-out windows [rad or m].
-        is_worse: (n,) whether the errors after are clearly larger, window by window.
         goal: error of the commands of some time before, where that fits best [rad or m].
         notes: sentences for the user.
     """
@@ -92,29 +101,28 @@ class ServoIdentification:
     data: DataOrigin
     before: Array
     after: Array
-    is_worse: NDArray[np.bool_]
     goal: float
     notes: tuple[str, ...] = ()
 
     @property
-    def joint_numbers(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Each joint's numbers: by the joint's name, then by a key of ``UNITS``.
+    def quantities(self) -> Iterator[Quantity]:
+        """Yield the delay of the commands, then the numbers ``UNITS`` of each joint.
 
-        A number is a dict of "before" (NaN where the model has none), "value", "standard_error",
-        "source" and "unit". The source is "identified"; "assumed" where the logs do not show the
-        number alone, and it goes with the joint's others; or "from_model" where all are kept.
+        A gain of a joint without a position actuator has a NaN model.
         """
+        fit = self.fit
+        delay_error = fit.delay_error
+        yield Quantity("command_delay", "arm", "s", None, fit.delay, delay_error)
         before = servos_in_model(self.robot).numbers
-        found = np.where(self.fit.is_shown, "identified", "assumed")
-        source = np.where(self.is_new, found, "from_model")
-        keys = "before", "value", "standard_error", "source", "unit"
-        joints = {}
+        cases = [~fit.is_known, ~self.is_new, ~fit.is_shown]
+        reasons = np.select(cases, [STILL, WORSE, NOT_ALONE], "")
         for k, joint in enumerate(self.robot.joint_names):
-            arrays = before, self.fit.numbers, self.fit.errors, source
+            arrays = before, fit.numbers, fit.errors, reasons
             columns = [array[:, k].tolist() for array in arrays]
-            rows = zip(*columns, UNITS.values())
-            joints[joint] = {n: dict(zip(keys, row)) for n, row in zip(UNITS, rows)}
-        return joints
+            for (name, unit), *numbers, reason in zip(UNITS.items(), *columns):
+                model, value, error = numbers
+                source = MODEL if reason else DATA
+                yield Quantity(name, joint, unit, model, value, error, source, reason)
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
         """Return the changes of the model file's joints and of their position actuators.
@@ -139,24 +147,13 @@ class ServoIdentification:
         return joint_changes, actuator_changes
 
     def json_content(self) -> dict[str, Any]:
-        """Return the content of servo.json, which ``json_text`` turns into text.
-
-        It holds each joint's numbers with units, the delay, the comparison of the models before and
-        after, and where all of it comes from.
-        """
+        """Return the content of servo.json, which ``json_text`` turns into text."""
         return {
             "schema": SERVO_SCHEMA,
-            "torque": "none measured; from position error",
-            "meaning": WITHOUT_TORQUE,
-            "delay": {"value": self.fit.delay, "standard_error": self.fit.delay_error},
-            "joints": self.joint_numbers,
+            "torque": WITHOUT_TORQUE,
+            "quantities": [*self.quantities],
             "joint_names": self.robot.joint_names,
-            "rollout": {
-                "before": self.before,
-                "after": self.after,
-                "is_worse": self.is_worse,
-                "goal": self.goal,
-            },
+            "rollout": {"before": self.before, "after": self.after, "goal": self.goal},
             "source": self.data.description,
             "duration": self.data.duration,
             "model": {"path": str(self.robot.path), "sha256": self.robot.sha256},
@@ -166,19 +163,11 @@ class ServoIdentification:
 
 
 def servo_lines(result: ServoIdentification) -> Iterator[str]:
-    """Yield the printed lines of a result: delay, each joint's numbers, errors of rollouts."""
-    fit = result.fit
-    yield "Servos, friction and rotor inertia, before -> after, ± one standard error:"
+    """Yield the printed lines of a result: the table of its numbers, and errors of rollouts."""
+    yield "Servos, friction and rotor inertia (prior: the logs do not show a number alone):"
     yield f"  {WITHOUT_TORQUE}."
-    yield f"  delay of the commands: {with_error(1e3 * fit.delay, 1e3 * fit.delay_error, 'ms')}"
-    for joint, numbers in result.joint_numbers.items():
-        texts = []
-        for name, number in numbers.items():
-            is_new = number["source"] != "from_model" and np.isfinite(number["before"])
-            old = f"{number['before']:.3g} -> " if is_new else ""
-            new = with_error(number["value"], number["standard_error"], number["unit"])
-            texts.append(f"{name} {old}{new} ({number['source'].replace('_', ' ')})")
-        yield f"  {joint}: {'; '.join(texts)}"
+    rows = file_access.strict_json([*result.quantities])
+    yield from table_lines(cells(row, f"{row['of']} {label(row)}") for row in rows)
     yield (
         f"Played on held-out windows of {WINDOW:g} s: root mean square position error "
         f"{rms(result.before):.3g} rad of the model before, {rms(result.after):.3g} of the new "
@@ -186,56 +175,18 @@ def servo_lines(result: ServoIdentification) -> Iterator[str]:
     )
 
 
-def servo_faults(result: ServoIdentification) -> Iterator[str]:
-    """Yield why the new model is not usable.
-
-    It must predict positions better than the model before and than the delayed commands, and no
-    joint's clearly worse than before.
-    """
-    error = rms(result.after)
-    rivals = {
-        "the model before": rms(result.before),
-        "the delayed commands": result.goal,
-    }
-    for name, rival_error in rivals.items():
-        if error >= rival_error:
-            yield f"{error:.3g} rad over {WINDOW:g} s, {name} {rival_error:.3g}"
-    for k in np.flatnonzero(result.is_worse).tolist():
-        yield f"{result.robot.joint_names[k]} is predicted worse than before"
-
-
 def servo_notes(result: ServoIdentification) -> Iterator[str]:
     """Yield sentences on the weak points of a result."""
-    actuators = chain_actuators(result.robot)
-    fit = result.fit
-    for k, joint in enumerate(result.robot.joint_names):
-        gain = fit.numbers[0, k]
-        if not fit.is_known[k]:
-            yield (
-                f"{joint} moves too little or too slowly in these logs: it keeps the model's "
-                "numbers"
-            )
-        elif not result.is_new[k]:
-            yield (
-                f"the numbers found of {joint} predict held-out positions worse than the model's, "
-                "which stay, all of them"
-            )
-        elif not fit.is_shown[0, k]:
-            yield (
-                f"the links' torque on {joint} is too small to show the absolute size of its "
-                f"numbers, only their ratios: its gain of {gain:.3g} N·m/rad is assumed to be like "
-                "those of the other joints, and the others are right in proportion to it"
-            )
-        elif abs(np.log(fit.gain_ratio[k])) > OWN_GAIN:
-            yield (
-                f"the gain of {joint} is {fit.gain_ratio[k]:.2g} times what those of the other "
-                "joints lead to expect; check that servo's settings, and the masses of the links"
-            )
-        if fit.is_known[k] and not np.isfinite(actuators.stiffness[k]):
-            yield (
-                f"the model has no position actuator on {joint}: the gain of {gain:.3g} N·m/rad is "
-                "printed, but not written"
-            )
+    for row in result.quantities:
+        if row.name == "gain" and row.reason:
+            yield f"gain of {row.of}: {row.reason}"
+    has_servo = np.isfinite(chain_actuators(result.robot).stiffness)
+    without = np.array(result.robot.joint_names)[result.is_new & ~has_servo]
+    if len(without):
+        yield (
+            f"the model has no position actuator on {', '.join(without)}: the gain is printed, but "
+            "not written"
+        )
 
 
 def run_servo(
@@ -263,24 +214,25 @@ def run_servo(
     """
     with writable_folder(folder, progress), file_access.atomic_files() as files:
         result, poses = identify_servos(robot, logs, progress)
-        progress.note(*result.notes)
+        old = rms(result.before)
+        new = rms(result.after)
         verdict = (
             "Usable: position errors of the model, played on what was not fitted, are "
-            f"{rms(result.after) / rms(result.before):.2g} times those before"
+            f"{new / old:.2g} times those before"
         )
         failure = None
-        faults = "; ".join(servo_faults(result))
-        if faults:
+        if new >= min(old, result.goal):
             fault = (
                 "on held-out pieces the new model does not predict positions better than what is "
-                f"there without it ({faults})"
+                f"there without it ({new:.3g} rad over {WINDOW:g} s, the model before {old:.3g}, "
+                f"the delayed commands {result.goal:.3g})"
             )
             verdict = f"Not usable, but written because of --accept rollout: {fault}"
             if "rollout" not in logs.accept:
                 remedy = "to write it all the same: --accept rollout"
                 failure = f"no model was written: {fault}; {remedy}"
         written: list[Path] = []
-        notes: list[str] = []
+        notes = [*result.notes]
         try:
             # A URDF holds no rotor inertia, which the rollouts had: an MJCF is written beside it.
             for kind in () if failure else dict.fromkeys(("mjcf", robot.kind)):
@@ -296,7 +248,7 @@ def run_servo(
             failure = (
                 f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
             )
-        result = replace(result, notes=(*result.notes, *notes))
+        result = replace(result, notes=tuple(notes))
         written.append(folder / file_access.SERVO_NAME)
         files.write(written[-1], file_access.json_text(result.json_content()))
         read = [*filter(None, input_files), *read_document(robot.path).contents]
@@ -356,10 +308,10 @@ def identify_servos(
         before, after, is_worse = test_problem.test(old.servos, fit.servos)
         # Rollouts of what was fitted may only become worse where the equations miss something.
         *_, is_worse_fitted = problem.test(old.servos, fit.servos)
-        is_worse = is_new & (is_worse | is_worse_fitted)
-        if "rollout" in logs.accept or not np.any(is_worse):
+        is_kept = is_new & (is_worse | is_worse_fitted)
+        if not np.any(is_kept):
             break
-        is_new = is_new & ~is_worse
+        is_new = is_new & ~is_kept
     result = ServoIdentification(
         robot=robot,
         fit=fit,
@@ -367,7 +319,6 @@ def identify_servos(
         data=origin_of(fitted_logs),
         before=before,
         after=after,
-        is_worse=is_worse,
         goal=goal_error(held_out),
     )
     notes = chain(*(log.notes for log in fitted_logs), servo_notes(result))

@@ -174,7 +174,6 @@ class ServoFit:
         numbers: (4, n) stiffness, damping, dry friction and rotor inertia of the joints.
         errors: (4, n) their standard errors.
         delay, delay_error: by which all commands act late, and its standard error [s].
-        gain_ratio: (n,) gain over what the other joints lead to expect.
         is_fast: (n,) whether the samples do not resolve the motion of the servo.
         is_known: (n,) whether a joint moves enough to show its numbers.
     """
@@ -183,7 +182,6 @@ class ServoFit:
     errors: Array
     delay: float
     delay_error: float
-    gain_ratio: Array
     is_fast: NDArray[np.bool_]
     is_known: NDArray[np.bool_]
 
@@ -269,7 +267,6 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
         errors=np.sqrt(variance),
         delay=delay,
         delay_error=0.0,
-        gain_ratio=found / gain,
         is_fast=is_fast,
         is_known=is_fast | (doubt < LARGEST_ERROR * (values @ at_speed)),
     )

@@ -63,20 +63,24 @@ class ServoProblem:
     def __init__(self, rollouts: ServoRollouts, pieces: Sequence[Measurement]) -> None:
         self.rollouts = rollouts
         count = int(WINDOW / longest_period(pieces))
-        starts = []
+        cut = []
         for piece in pieces:
-            firsts = range(MAX_DELAY_PERIODS, len(piece) - count, count)
-            starts += [(piece, first) for first in firsts]
-        if not starts:
+            _, qd, _ = low_pass_motion(piece)
+            for first in range(MAX_DELAY_PERIODS, len(piece) - count, count):
+                at = slice(first, first + count)
+                start = float(piece.time[first])
+                state = start, piece.q[first], qd[first]
+                window = ServoWindow(*state, piece.time, commands(piece))
+                cut.append((window, piece.time[at] - start, piece.q[at]))
+        if not cut:
             raise InputError(
                 "a log, or its last fifth, by which the result is judged, has no piece of "
                 f"{WINDOW:g} s after its beginning; record longer"
             )
-        starts = starts[:: math.ceil(len(starts) / MAX_WINDOWS)]
-        self.windows = [_window(piece, first) for piece, first in starts]
-        rows = [(piece, slice(first, first + count)) for piece, first in starts]
-        self.times = np.array([p.time[at] - p.time[at.start] for p, at in rows])
-        self.measured = np.array([piece.q[at] for piece, at in rows])
+        cut = cut[:: math.ceil(len(cut) / MAX_WINDOWS)]
+        self.windows, times, measured = zip(*cut)
+        self.times = np.array(times)
+        self.measured = np.array(measured)
 
     def errors(self, servos: ServoParameters) -> Array:
         """Return played minus measured positions (W, m, n), pi where a rollout has diverged."""
@@ -98,13 +102,6 @@ class ServoProblem:
         pairs = zip(old.T + FLOOR**2, new.T + FLOOR**2)
         is_worse = np.array([is_clearly_lower(*pair) for pair in pairs])
         return np.sqrt(np.mean(old, axis=0)), np.sqrt(np.mean(new, axis=0)), is_worse
-
-
-def _window(piece: Measurement, first: int) -> ServoWindow:
-    """Return the window that begins with a sample of a piece."""
-    _, qd, _ = low_pass_motion(piece)
-    start = float(piece.time[first])
-    return ServoWindow(start, piece.q[first], qd[first], piece.time, commands(piece))
 
 
 def commands(piece: Measurement) -> Array:

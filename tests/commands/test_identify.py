@@ -197,29 +197,23 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(
     schemas.check(folder / "servo.json")
     content = json.loads((folder / "servo.json").read_text())
     truth = servo_logs.TRUTH
-    assert "none measured" in content["torque"] and "No torque was measured" in out
-    assert content["delay"]["value"] == pytest.approx(truth.delay, abs=0.002)
-    terms = {"gain": truth.stiffness, "damping": truth.damping}
-    terms.update(frictionloss=truth.frictionloss, armature=truth.armature)
-    first = [
-        content["joints"]["joint0"][term]["value"] / terms[term][0] for term in terms
-    ]
+    assert "No torque was measured" in content["torque"] and content["torque"] in out
+    rows = {(row["of"], row["name"]): row for row in content["quantities"]}
+    delay = rows["arm", "command_delay"]["value"]
+    assert delay == pytest.approx(truth.delay, abs=0.002)
+    terms = dict(zip(("gain", "damping", "frictionloss", "armature"), truth.numbers))
+    first = [rows["joint0", term]["value"] / terms[term][0] for term in terms]
     # Nothing but small links fix the size of what stands on a vertical axis; ratios are seen.
     assert max(first) < 1.2 * min(first)
     for term, values in terms.items():
-        number = content["joints"]["joint1"][term]
-        assert number["value"] == pytest.approx(values[1], rel=0.2)
+        assert rows["joint1", term]["value"] == pytest.approx(values[1], rel=0.2)
         for k, joint in enumerate(("joint0", "joint1")):
-            number = content["joints"][joint][term]
-            assert (
-                abs(number["value"] - terms[term][k]) < 4.0 * number["standard_error"]
-            )
+            number = rows[joint, term]
+            assert abs(number["value"] - values[k]) < 4.0 * number["error"]
     rollout = content["rollout"]
     assert 3.0 * max(rollout["after"]) < max(rollout["before"])
     written = mujoco.MjModel.from_xml_path(str(folder / "updated_model.xml"))
-    gains = [
-        content["joints"][joint]["gain"]["value"] for joint in ("joint0", "joint1")
-    ]
+    gains = [rows[joint, "gain"]["value"] for joint in ("joint0", "joint1")]
     np.testing.assert_allclose(written.actuator_gainprm[:, 0], gains, rtol=1e-6)
     damping = written.dof_damping - written.actuator_biasprm[:, 2]
     np.testing.assert_allclose(damping[1], truth.damping[1], rtol=0.1)
