@@ -22,9 +22,9 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16779,
     "robot_sysid/dynamics": 5771,
     "robot_sysid/estimate": 27913,
-    "robot_sysid/logs": 15735,
-    "robot_sysid/mjcf": 7367,
-    "robot_sysid/model": 8009,
+    "robot_sysid/logs": 15530,
+    "robot_sysid/mjcf": 7336,
+    "robot_sysid/model": 7963,
     "robot_sysid/motion": 17153,
     "robot_sysid/pipeline": 5839,
     "robot_sysid/records": 8610,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4423,
     "robot_sysid/simulation": 3873,
     "robot_sysid": 9480,
-    "tests": 216784,
+    "tests": 216695,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -111,11 +111,11 @@ def matlab_table(source: LogSource) -> LogTable:
 
 
 def _numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
-    """Yield (name, array) of the numbers in a MATLAB variable and in the fields of its structs."""
+    """Yield (name, array) of the arrays in a MATLAB variable and in the fields of its structs."""
     if isinstance(value, dict):
         for field, content in value.items():
             yield from _numeric_arrays(f"{name}/{field}", content)
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+    elif isinstance(value, np.ndarray):
         yield name, value
 
 

@@ -16,14 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from robot_sysid.errors import InputError, prefix_input_errors
-from robot_sysid.logs.table import (
-    BACKWARDS,
-    MISSING,
-    REPEATED,
-    UNREADABLE,
-    WRAPPED,
-    LogRows,
-)
+from robot_sysid.logs.table import BACKWARDS, MISSING, REPEATED, UNREADABLE, LogRows
 from robot_sysid.records import RobotModel
 from robot_sysid.records.messages import count_text
 from robot_sysid.signals.resampling import (
@@ -89,9 +82,6 @@ _JUMP = 0.5
 """Change of position in one step that an encoder's noise does not reach [rad]."""
 _AT_REST = 0.01
 """Range of positions below which a joint does not move [rad]."""
-_LIMIT_MARGIN = 1e-3
-"""Excess over a joint limit below which no note is made [rad]: limits are written with three or
-more digits."""
 
 
 def check_log(
@@ -108,9 +98,9 @@ def check_log(
     Raises:
         InputError: the first fault.
     """
-    checks: list[Check] = [require_rows, mending_notes, clock_notes]
+    checks: list[Check] = [require_rows, clock_notes]
     checks += [] if in_radians else [require_radians]
-    checks += [require_no_jumps, rest_notes, limit_notes]
+    checks += [require_no_jumps, rest_notes]
     checks += [require_torque, require_one_clock]
     notes: list[str] = []
     with prefix_input_errors(name):
@@ -146,15 +136,6 @@ def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
         )
     if count:
         yield f"left out rows that {description}: {count} (first: {first})"
-
-
-def mending_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
-    """Yield notes on unwrapped positions and rows without this arm's data."""
-    count, first = rows.anomalies[WRAPPED]
-    if count:
-        yield f"unwrapped positions that jump by a full turn (first: {first})"
-    if rows.n_foreign:
-        yield f"left out {rows.n_foreign} rows that hold nothing of this arm"
 
 
 def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
@@ -252,22 +233,6 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     unmoved = [n for n, s in zip(robot.joint_names, travel) if s < _AT_REST]
     if unmoved:
         yield f"joints that do not move in this log: {', '.join(unmoved)}"
-
-
-def limit_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
-    """Yield a note on positions outside the model's joint limits."""
-    q = rows.samples.q
-    excess = np.maximum(q - robot.limits.upper, robot.limits.lower - q)
-    lines = rows.lines[np.any(excess > _LIMIT_MARGIN, axis=1)]
-    if not len(lines):
-        return
-    is_outside = np.any(excess > _LIMIT_MARGIN, axis=0)
-    names = [robot.joint_names[joint] for joint in np.flatnonzero(is_outside)]
-    yield (
-        f"positions of {', '.join(names)} leave the model's joint limits by up to "
-        f"{np.max(excess):.3g} rad or m ({rows.cite(lines)}); check zero positions, signs, units "
-        "and the order of the columns"
-    )
 
 
 def require_torque(rows: LogRows, robot: RobotModel) -> None:

@@ -130,8 +130,6 @@ REPEATED = "repeated"
 """Rows with the time stamp of the row before."""
 BACKWARDS = "backwards"
 """Rows of an earlier time than the row before."""
-WRAPPED = "wrapped"
-"""Rows in which a position jumps by a full turn; these are mended, all others left out."""
 _TURN = 2.0 * np.pi
 # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
 _WRAP_TOLERANCE = 0.5
@@ -154,7 +152,7 @@ class LogRows:
         samples: the rows as a measurement (N rows).
         n_read: number of rows in the file that hold something of this arm.
         n_foreign: number of rows that hold nothing of this arm.
-        anomalies: UNREADABLE, MISSING, REPEATED, BACKWARDS and WRAPPED to their counts.
+        anomalies: UNREADABLE, MISSING, REPEATED and BACKWARDS to their counts.
         row_noun: what a row is called: "line", "message" or "row".
     """
 
@@ -218,7 +216,6 @@ def read_rows(
     step = np.diff(cells[:, 1 : 1 + n], axis=0)
     turns = np.round(step / _TURN) * ~np.array(is_slide)
     turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
-    anomalies[WRAPPED] = _anomaly(table, lines[1:][np.any(turns != 0.0, axis=1)])
     cells[1:, 1 : 1 + n] -= _TURN * np.cumsum(turns, axis=0)
     widths = [1, *map(len, columns.groups())]
     groups = np.split(cells, np.cumsum(widths)[:-1], axis=1)

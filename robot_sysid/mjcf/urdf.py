@@ -148,12 +148,9 @@ def _mesh_problem(asset: Asset | None) -> str | None:
 def give_minimum(document: ModelDocument, excluded: Collection[Node] = ()) -> list[str]:
     """Give moving links that weigh nothing, but for the excluded ones, a minimum of inertia.
 
-    Returns the names of the links that got one: none where the file's compiler settings do it.
+    Returns the names of the links that got one.
     """
-    names: list[str] = []
-    bounds = [document.compiler_setting(f"bound{name}") for name in ("mass", "inertia")]
-    if all(bounds):
-        return names
+    names = []
     for link in _massless_moving_links(document):
         if link in excluded:
             continue

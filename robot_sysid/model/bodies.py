@@ -58,18 +58,13 @@ def usual_bodies(robot: RobotModel) -> dict[str, Array]:
     thetas = list(bodies.values())
     # Links from which the median is taken: none that is much lighter than the heaviest.
     least_mass = PLACEHOLDER * np.max(np.array(thetas)[:, 0])
-    stated = []
-    for theta in thetas:
-        if theta[0] >= least_mass and spatial.is_consistent(theta):
-            stated.append(theta)
-    masses = []
-    squared_radii = []  # of gyration [m^2]
+    stated = [t for t in thetas if t[0] >= least_mass and spatial.is_consistent(t)]
+    sizes = []
     for theta in stated or thetas:
         mass, _, inertia = spatial.com_from_theta(theta)
-        masses.append(theta[0])
-        squared_radii.append(np.trace(inertia) / (3.0 * mass))
-    median_mass = float(np.median(masses))
-    squared_radius = float(np.median(squared_radii))
+        # Mass, and squared radius of gyration [m^2].
+        sizes.append((theta[0], np.trace(inertia) / (3.0 * mass)))
+    median_mass, squared_radius = np.median(sizes, axis=0).tolist()
     for name, theta in bodies.items():
         if theta[0] < PLACEHOLDER * median_mass or not spatial.is_consistent(theta):
             mass = max(median_mass, float(theta[0]))

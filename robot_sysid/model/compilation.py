@@ -271,7 +271,7 @@ def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
     # MuJoCo writes only the last model that was loaded.
     with captured_warnings():
         mujoco.mj_saveLastXML(str(mjcf), mj_model)
-    mjcf.write_bytes(_exact_text(mjcf, mj_model))
+    _write_all_digits(mjcf, mj_model)
     return mjcf
 
 
@@ -281,8 +281,8 @@ def lasting_folder() -> Path:
     return Path(_FOLDERS[-1].name)
 
 
-def _exact_text(path: Path, model: Any) -> bytes:
-    """Return the text of an MJCF that MuJoCo wrote of an MjModel, with all digits of inertials.
+def _write_all_digits(path: Path, model: Any) -> None:
+    """Give the inertials in an MJCF that MuJoCo wrote of an MjModel all their digits.
 
     Six digits make a flat body one with moments that no body has.
     """
@@ -298,7 +298,7 @@ def _exact_text(path: Path, model: Any) -> bytes:
             inertial.set("quat", format_numbers(model.body_iquat[body]))
             inertial.set("diaginertia", format_numbers(model.body_inertia[body]))
             inertial.set("mass", format_number(mass))
-    return document.text()
+    path.write_bytes(document.text())
 
 
 def file_of(model: Any) -> Path:
@@ -326,7 +326,7 @@ def file_of(model: Any) -> Path:
     file_name = re.sub(r"[^\w-]+", "_", model.modelname) or "model"
     path = folder / f"{file_name}.xml"
     path.write_text(spec.to_xml(), encoding="utf-8")
-    path.write_bytes(_exact_text(path, mj_model))
+    _write_all_digits(path, mj_model)
     return path
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.model.bodies import PLACEHOLDER
-from robot_sysid.model.chain import body_label
 from robot_sysid.records import RobotModel
 
 _LARGEST_COMPACTNESS = 2e5
@@ -52,12 +51,11 @@ def refuse_cad_units(robot: RobotModel) -> None:
     bodies = bodies[is_stated]
     masses = mj_model.body_mass[bodies]
     radii = np.sqrt(np.sum(moments[is_stated], axis=1) / (2.0 * masses))
-    middle = int(np.argsort(radii)[len(radii) // 2])
+    radius = np.median(radii)
     compactness = np.median(masses / radii**3)
-    if radii[middle] > max(length, _SHORTEST) or compactness > _LARGEST_COMPACTNESS:
+    if radius > max(length, _SHORTEST) or compactness > _LARGEST_COMPACTNESS:
         raise ModelError(
-            f"{robot.path}: link '{body_label(mj_model, bodies[middle])}' has {masses[middle]:.3g} "
-            f"kg and a radius of gyration of {radii[middle]:.3g} m, and most links are like it, "
-            "which no arm has; state masses in kg and moments of inertia in kg m2, as g, kg mm2 "
-            "and g mm2 are what CAD programs write"
+            f"{robot.path}: half of its links have more than {np.median(masses):.3g} kg, and half "
+            f"a radius of gyration of more than {radius:.3g} m, which no arm has; state masses in "
+            "kg and moments of inertia in kg m2, as g, kg mm2 and g mm2 are what CAD programs write"
         )

@@ -8,15 +8,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.errors import InputError
-from tests.support.log_files import (
-    JOINTS,
-    TITLES,
-    limits,
-    motion,
-    notes_of,
-    read_table,
-    table,
-)
+from tests.support.log_files import JOINTS, TITLES, motion, notes_of, read_table, table
 
 # Rows in which something is put that is no row of numbers; row k stands in line k + 2.
 RUBBISH = (9, 20, 31, 42, 53)
@@ -174,14 +166,6 @@ def test_what_is_odd_about_a_log_is_said(tmp_path, name):
     fault, fragments = NOTES[name]
     notes = notes_of(read_table(tmp_path, fault(table(motion()))))
     assert all(text in notes for text in fragments) if fragments else not notes
-
-
-def test_positions_outside_the_limits_are_said(tmp_path):
-    notes = notes_of(read_table(tmp_path, table(motion()), limits=limits(0.85)))
-    assert (
-        "positions of base, elbow, wrist leave" in notes
-        and "by up to 0.05 rad" in notes
-    )
 
 
 def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path):
