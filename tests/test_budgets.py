@@ -30,11 +30,11 @@ BUDGETS = {
     "robot_sysid/records": 8610,
     "robot_sysid/report": 5078,
     "robot_sysid/results": 11877,
-    "robot_sysid/servo": 4948,
+    "robot_sysid/servo": 4789,
     "robot_sysid/signals": 4423,
     "robot_sysid/simulation": 3873,
     "robot_sysid": 9480,
-    "tests": 216695,
+    "tests": 216694,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -106,23 +106,21 @@ class ServoIdentification:
 
     @property
     def quantities(self) -> Iterator[Quantity]:
-        """Yield the delay of the commands, then the numbers ``UNITS`` of each joint.
+        """Yield the delay of the commands, then each of ``UNITS`` of all joints.
 
         A gain of a joint without a position actuator has a NaN model.
         """
         fit = self.fit
-        delay_error = fit.delay_error
-        yield Quantity("command_delay", "arm", "s", None, fit.delay, delay_error)
+        name, of, unit = "command_delay", "arm", "s"
+        yield Quantity(name, of, unit, None, fit.delay, fit.delay_error)
         before = servos_in_model(self.robot).numbers
         cases = [~fit.is_known, ~self.is_new, ~fit.is_shown]
         reasons = np.select(cases, [STILL, WORSE, NOT_ALONE], "")
-        for k, joint in enumerate(self.robot.joint_names):
-            arrays = before, fit.numbers, fit.errors, reasons
-            columns = [array[:, k].tolist() for array in arrays]
-            for (name, unit), *numbers, reason in zip(UNITS.items(), *columns):
-                model, value, error = numbers
+        arrays = before, fit.numbers, fit.errors, reasons
+        for (name, unit), *rows in zip(UNITS.items(), *arrays):
+            for of, model, value, error, reason in zip(self.robot.joint_names, *rows):
                 source = MODEL if reason else DATA
-                yield Quantity(name, joint, unit, model, value, error, source, reason)
+                yield Quantity(name, of, unit, model, value, error, source, reason)
 
     def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
         """Return the changes of the model file's joints and of their position actuators.
@@ -231,23 +229,21 @@ def run_servo(
             if "rollout" not in logs.accept:
                 remedy = "to write it all the same: --accept rollout"
                 failure = f"no model was written: {fault}; {remedy}"
-        written: list[Path] = []
-        notes = [*result.notes]
+        written = []
+        notes = [*result.notes, *servo_notes(result)]
         try:
-            # A URDF holds no rotor inertia, which the rollouts had: an MJCF is written beside it.
-            for kind in () if failure else dict.fromkeys(("mjcf", robot.kind)):
-                path = folder / file_access.MODEL_NAMES[kind]
+            if failure is None:
+                # A URDF holds neither the rotor inertia nor the gains that were judged.
+                path = folder / file_access.MODEL_NAMES["mjcf"]
                 # No torque was measured, so there is no residual to state.
                 target = ModelTarget(files, path, poses, rmse=0.0, mesh_dir=mesh_dir)
-                notes += write_joints(robot, *result.changes(), target, kind)
+                notes += write_joints(robot, *result.changes(), target, "mjcf")
                 written.append(path)
         except ExportError as error:
-            for path in written:
-                files.withdraw(path)
-            written = []
             failure = (
                 f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
             )
+        notes = [*dict.fromkeys(notes)]
         result = replace(result, notes=tuple(notes))
         written.append(folder / file_access.SERVO_NAME)
         files.write(written[-1], file_access.json_text(result.json_content()))
@@ -283,9 +279,9 @@ def identify_servos(
     refuse_repeated_logs(opened)
     check_commands(opened, robot.joint_names)
     fitted_logs = opened[: len(logs.measurements)]
-    fitted: list[Measurement] = [*chain(*(log.pieces for log in fitted_logs))]
+    fitted: list[Measurement] = [each for log in fitted_logs for each in log.pieces]
     tests = opened[len(fitted_logs) :]
-    held_out: list[Measurement] = [*chain(*(log.pieces for log in tests))]
+    held_out: list[Measurement] = [each for log in tests for each in log.pieces]
     if test_path is None:
         ends = [round((1.0 - HELD_OUT_SHARE) * len(piece)) for piece in fitted]
         held_out = [slice_samples(p, end, len(p)) for p, end in zip(fitted, ends)]
@@ -320,8 +316,8 @@ def identify_servos(
         before=before,
         after=after,
         goal=goal_error(held_out),
+        notes=tuple(chain(*(log.notes for log in fitted_logs))),
     )
-    notes = chain(*(log.notes for log in fitted_logs), servo_notes(result))
     q = problem.measured[:, 0]
     poses = Motion(np.arange(len(q), dtype=float), q, 0.0 * q, 0.0 * q)
-    return replace(result, notes=tuple(dict.fromkeys(notes))), poses
+    return result, poses

@@ -41,7 +41,7 @@ from robot_sysid.servo.windows import (
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
     ServoParameters,
-    mean_commands,
+    interpolate,
     servos_in_model,
 )
 
@@ -91,10 +91,9 @@ def distances(pieces: Sequence[Measurement], delay: float) -> Array:
     """
     distances = []
     for piece in pieces:
-        # The mean command from the middle of one sampling period to that of the next.
-        period = sampling_period(piece.time)
-        edges = np.append(piece.time, piece.time[-1] + period) - 0.5 * period - delay
-        command = mean_commands(piece.time, commands(piece), edges)
+        # The mean over a sampling period of commands that hold until the next one.
+        time = piece.time - 0.5 * sampling_period(piece.time) - delay
+        command = interpolate(time, piece.time, commands(piece))
         distances.append(low_pass(piece.time, command - piece.q))
     return np.concatenate(distances)
 
