@@ -23,18 +23,18 @@ BUDGETS = {
     "robot_sysid/dynamics": 5771,
     "robot_sysid/estimate": 27913,
     "robot_sysid/logs": 15530,
-    "robot_sysid/mjcf": 7336,
+    "robot_sysid/mjcf": 7342,
     "robot_sysid/model": 7963,
     "robot_sysid/motion": 17153,
     "robot_sysid/pipeline": 5839,
     "robot_sysid/records": 8610,
     "robot_sysid/report": 5078,
-    "robot_sysid/results": 11877,
+    "robot_sysid/results": 11915,
     "robot_sysid/servo": 4789,
     "robot_sysid/signals": 4423,
     "robot_sysid/simulation": 3873,
     "robot_sysid": 9480,
-    "tests": 216694,
+    "tests": 216825,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

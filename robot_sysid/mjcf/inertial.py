@@ -72,7 +72,7 @@ def plan_write_back(
     others = [body for body in bodies[1:] if np.any(body.theta)]
     emptied = []
     remainder = composite - sum_theta(others)
-    if possible_body(remainder, mass) is None:
+    if possible_body(remainder, mass, least_moment) is None:
         emptied = [body for body in others if body.welded]
         remainder += sum_theta(emptied)
     theta = possible_body(remainder, mass, least_moment)
@@ -131,8 +131,9 @@ def possible_body(
     smallest_share = 1.0 - float(moments[-1]) / size
     # Adding s to each second moment adds 2 s to each moment of inertia.
     inflation = 2.0 * max(0.0, MARGIN - smallest_share) * size
-    # Rounding alone explains second moments that are negative by SLACK.
-    if inflation > 2.0 * (SLACK + MARGIN) * size:
+    # Rounding alone explains second moments that are negative by SLACK, and a body of no mass, to
+    # which the compiler gives its least one, those that are by its least moment.
+    if inflation > 2.0 * ((SLACK + MARGIN) * size + least_moment):
         return None
     inflation = max(inflation, least_moment - float(moments[0]))
     return spatial.theta_from_com(mass, com, inertia + inflation * np.eye(3))

@@ -156,7 +156,7 @@ def _principal_moments_of(six: Array) -> Array:
 def _round_to_possible(
     values: Array, errors: Array, moments_of: Callable[[Array], Array], rounding: float
 ) -> list[float]:
-    """Return numbers of an inertia with the digits of their errors, or all for a possible body.
+    """Return numbers of an inertia with as few digits as their errors allow a possible body.
 
     Args:
         values: (m,) numbers [kg m^2].
@@ -165,34 +165,41 @@ def _round_to_possible(
         rounding: rounding error of the values [kg m^2].
     """
     least_moment = _MIN_MOMENT_SHARE * float(moments_of(values)[0])
-    rounded = round_to_errors(values, errors)
-    moments = moments_of(np.array(rounded))
-    if _is_possible(moments, rounding) and moments[0] >= least_moment:
-        return rounded
-    return round_to_errors(values, np.zeros(len(values)))
+    rounded: list[float] = []
+    for extra_digits in range(DIGITS + 1):
+        rounded = round_to_errors(values, errors, extra_digits)
+        moments = moments_of(np.array(rounded))
+        if _is_possible(moments, rounding) and moments[0] >= least_moment:
+            break
+    return rounded
 
 
-def round_to_errors(values: Iterable[float], errors: Iterable[float]) -> list[float]:
+def round_to_errors(
+    values: Iterable[float], errors: Iterable[float], extra_digits: int = 0
+) -> list[float]:
     """Return m numbers rounded at the second digit of their standard errors.
 
     Zero where they are below ``_ROUNDING`` times the largest.
 
     Args:
         values: (m,) numbers.
-        errors: (m,) standard errors, in the numbers' unit; zero for all ``DIGITS``, infinite where
-            not known.
+        errors: (m,) standard errors, in the numbers' unit; infinite where not known.
+        extra_digits: number of further digits.
     """
     numbers = np.array(list(values), dtype=float)
     sizes = np.abs(numbers)
     numbers[sizes < _ROUNDING * np.max(sizes)] = 0.0
-    return list(map(_round_to_error, numbers.tolist(), errors))
+    pairs = zip(numbers.tolist(), errors)
+    return [_round_to_error(value, error, extra_digits) for value, error in pairs]
 
 
-def _round_to_error(value: float, error: float) -> float:
+def _round_to_error(value: float, error: float, extra_digits: int) -> float:
     """Return a number rounded at the second digit of its error, with ``DIGITS`` digits at most."""
-    digits = DIGITS if math.isfinite(error) else _UNKNOWN_DIGITS
-    if 0.0 < error < math.inf:
-        value = round(value, 1 - math.floor(math.log10(error)))
+    digits = DIGITS
+    if not math.isfinite(error):
+        digits = min(_UNKNOWN_DIGITS + extra_digits, DIGITS)
+    elif error > 0.0:
+        value = round(value, 1 - math.floor(math.log10(error)) + extra_digits)
     return float(f"{value:.{digits}g}") + 0.0
 
 

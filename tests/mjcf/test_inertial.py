@@ -281,3 +281,15 @@ def test_moments_below_the_files_bound_are_raised(seed, bound):
     np.testing.assert_allclose(smallest, bound, rtol=0, atol=1e-13)
     np.testing.assert_allclose(plan.composite, plan.theta, rtol=0, atol=1e-13)
     assert "boundinertia" in plan.notes[0]
+
+
+@pytest.mark.parametrize(("bound", "is_emptied"), [(1e-6, False), (0.0, True)])
+def test_a_body_to_which_the_compiler_gives_its_least_inertia_is_no_reason_to_empty_it(
+    bound, is_emptied
+):
+    """A plate leaves no room for the least moments that boundinertia gives to a bare frame."""
+    plate = spatial.theta_from_com(0.5, np.zeros(3), np.diag([1e-4, 2e-4, 3e-4]))
+    frame = spatial.theta_from_com(1e-6, np.zeros(3), 1e-6 * np.eye(3))
+    bodies = [SubtreeBody(1, "link", plate, True), SubtreeBody(2, "tool0", frame, True)]
+    plan = plan_write_back(plate, bodies, bound)
+    assert bool(plan.emptied) == is_emptied
