@@ -386,7 +386,6 @@ def model_file(
         ]
         if any("armature" in terms for terms in joints.values()):
             omissions.append("rotor inertia")
-        urdf = replace(urdf, omissions=tuple(omissions))
         errors = file.after.relative_error, file.urdf.after.relative_error
         shares = [percent(error or 0.0) for error in errors]
         notes.append(

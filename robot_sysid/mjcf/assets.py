@@ -35,14 +35,12 @@ class Asset:
         node, attribute: the element and its attribute with the reference.
         name: the reference as written, with / between folders.
         path: the file; None if it was not found.
-        searched: the folders in which it was looked for.
     """
 
     node: Node
     attribute: str
     name: str
     path: Path | None
-    searched: tuple[Path, ...]
 
 
 def find_assets(
@@ -63,11 +61,11 @@ def find_assets(
                 candidates = _urdf_candidates(document, mesh_dir, name)
             else:
                 candidates = _mjcf_candidates(document, mesh_dir, node, name)
-            paths = list(dict.fromkeys(candidates))
             # A pipe is found, too, so that it can be refused.
-            found = (p for p in paths if os.path.exists(p) and not os.path.isdir(p))
-            searched = tuple(dict.fromkeys(path.parent for path in paths))
-            assets.append(Asset(node, attribute, name, next(found, None), searched))
+            paths = (
+                p for p in candidates if os.path.exists(p) and not os.path.isdir(p)
+            )
+            assets.append(Asset(node, attribute, name, next(paths, None)))
     return tuple(assets)
 
 
@@ -82,12 +80,9 @@ def refuse_missing_assets(document: ModelDocument, mesh_dir: Path | None) -> Non
     """Raise ModelError naming the first file that an MJCF document needs and that is missing."""
     for asset in find_assets(document, mesh_dir):
         if asset.path is None:
-            listed = ", ".join(map(str, asset.searched))
-            is_model = asset.node.tag == "model"
-            remedy = "check the path" if is_model else "pass --mesh-dir FOLDER"
             raise ModelError(
-                f"{document.path}: {asset.node.tag} file {asset.name} not found "
-                f"(looked in {listed}); {remedy}"
+                f"{document.path}: {asset.node.tag} file {asset.name} not found; check the path, "
+                "or pass --mesh-dir FOLDER"
             )
 
 

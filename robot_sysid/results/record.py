@@ -208,7 +208,6 @@ class ModelFile:
         motors: those that turn several joints; only an MJCF can hold them.
         urdf_file: of a URDF's arm with rotor inertia or such motors, the numbers of the URDF that
             is written beside this MJCF, without them.
-        omissions: of a URDF beside an MJCF, what the MJCF alone holds, as phrases for the user.
     """
 
     thetas: Array
@@ -221,7 +220,6 @@ class ModelFile:
     unchanged: tuple[str, ...] = ()
     motors: tuple[Coupling, ...] = ()
     urdf_file: ModelFile | None = None
-    omissions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

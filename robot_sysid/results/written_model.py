@@ -107,9 +107,6 @@ def write_model(
         else:
             thetas[-1] += theta
             comments.append(f"with {text} in it")
-    if result.file is not None and result.file.omissions:
-        omissions = " and ".join(result.file.omissions)
-        comments.append(f"without {omissions}, which no URDF can hold")
     bodies, written_thetas, body_notes = _body_changes(
         robot, thetas, "; ".join(comments)
     )

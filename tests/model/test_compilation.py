@@ -45,7 +45,7 @@ def world(content: str) -> str:
             "<mujoco><option gravity='0 0 -1e300'/><worldbody/></mujoco>",
             r"a value no arm has \(gravity 1e\+300\)",
         ),
-        (MESH_MODEL, r"mesh file m.obj not found \(looked in .*d\); pass --mesh-dir"),
+        (MESH_MODEL, "mesh file m.obj not found; check the path, or pass --mesh-dir"),
         (
             urdf.robot(urdf.link("a"), urdf.joint("a", "gone")),
             "joint parent or child missing",

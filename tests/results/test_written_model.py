@@ -404,10 +404,6 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
     for theta, link in zip(file.thetas, reloaded.links):
         assert_same_theta(link.theta, theta)
 
-    beside = replace(result, file=replace(links_file, omissions=("a rotor",)))
-    text = write_and_compile(robot, beside).path.read_text()
-    assert "without a rotor, which no URDF can hold" in text
-
 
 def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
     robot = load_arm(tmp_path, arms.SHARED_BODIES)
