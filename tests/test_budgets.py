@@ -30,7 +30,7 @@ BUDGETS = {
     "robot_sysid/records": 8610,
     "robot_sysid/report": 5078,
     "robot_sysid/results": 11872,
-    "robot_sysid/servo": 4789,
+    "robot_sysid/servo": 4763,
     "robot_sysid/signals": 4423,
     "robot_sysid/simulation": 3873,
     "robot_sysid": 9480,

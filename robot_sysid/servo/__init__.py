@@ -111,8 +111,8 @@ class ServoIdentification:
         A gain of a joint without a position actuator has a NaN model.
         """
         fit = self.fit
-        name, of, unit = "command_delay", "arm", "s"
-        yield Quantity(name, of, unit, None, fit.delay, fit.delay_error)
+        error = fit.delay_error
+        yield Quantity("command_delay", "arm", "s", None, fit.delay, error)
         before = servos_in_model(self.robot).numbers
         cases = [~fit.is_known, ~self.is_new, ~fit.is_shown]
         reasons = np.select(cases, [STILL, WORSE, NOT_ALONE], "")
@@ -243,13 +243,12 @@ def run_servo(
             failure = (
                 f"{error} (the identified numbers are in {file_access.SERVO_NAME})"
             )
-        notes = [*dict.fromkeys(notes)]
-        result = replace(result, notes=tuple(notes))
+        result = replace(result, notes=tuple(dict.fromkeys(notes)))
         written.append(folder / file_access.SERVO_NAME)
         files.write(written[-1], file_access.json_text(result.json_content()))
         read = [*filter(None, input_files), *read_document(robot.path).contents]
-        notes += remove_earlier(files, folder, written, read)
-    progress.note(*notes)
+        removed = remove_earlier(files, folder, written, read)
+    progress.note(*result.notes, *removed)
     lines = (*servo_lines(result), f"Results saved to {folder_text(folder)}")
     last_lines = [verdict, *use_lines(written[0])]
     if failure is not None:

@@ -172,17 +172,18 @@ class ServoFit:
     Attributes:
         numbers: (4, n) stiffness, damping, dry friction and rotor inertia of the joints.
         errors: (4, n) their standard errors.
-        delay, delay_error: by which all commands act late, and its standard error [s].
+        delay: by which all commands act late [s].
         is_fast: (n,) whether the samples do not resolve the motion of the servo.
         is_known: (n,) whether a joint moves enough to show its numbers.
+        delay_error: standard error of the delay [s]; 0 of the equations alone.
     """
 
     numbers: Array
     errors: Array
     delay: float
-    delay_error: float
     is_fast: NDArray[np.bool_]
     is_known: NDArray[np.bool_]
+    delay_error: float = 0.0
 
     @property
     def is_shown(self) -> NDArray[np.bool_]:
@@ -215,7 +216,9 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
     values = np.zeros((len(moves), 4))
     covariances = np.zeros((len(moves), 4, 4))
 
-    def fit_joints(delay: float, gain_error: Array) -> float:
+    gain_error = np.full(len(moves), FREE_GAIN)
+
+    def fit_joints(delay: float) -> float:
         """Set values and covariances of the joints that move; return the log of what they leave."""
         errors = distances(pieces, delay)
         misfit = 0.0
@@ -233,21 +236,19 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
         return misfit
 
     period = longest_period(pieces)
-    gain_error = np.full(len(moves), FREE_GAIN)
     delay = minimize_scalar(
         fit_joints,
         bounds=(0.0, MAX_DELAY_PERIODS * period),
-        args=(gain_error,),
         method="bounded",
         options={"xatol": 1e-2 * period},
     ).x
-    fit_joints(delay, gain_error)
+    fit_joints(delay)
     gain_error[:] = UNKNOWN_GAIN
     has_scale = np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * values[:, 0]
     if np.any(has_scale):
         gain *= np.median(1.0 / (values[:, 0] * gain)[has_scale])
         gain_error[has_gain] = OWN_GAIN
-    fit_joints(delay, gain_error)
+    fit_joints(delay)
 
     found = np.where(moves, 1.0 / np.maximum(values[:, 0], 1e-9), gain)
     numbers = found * values.T
@@ -265,7 +266,6 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
         numbers=np.where(moves | np.isnan(in_model), numbers, in_model),
         errors=np.sqrt(variance),
         delay=delay,
-        delay_error=0.0,
         is_fast=is_fast,
         is_known=is_fast | (doubt < LARGEST_ERROR * (values @ at_speed)),
     )

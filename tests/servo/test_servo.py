@@ -42,7 +42,7 @@ def robots(tmp_path_factory):
 def identification(robot, error=0.1):
     numbers = np.outer((GAIN, 3.0, 0.2, 0.1), np.ones(2))
     true = np.ones(2, dtype=bool)
-    fit = ServoFit(numbers, 0.01 + 0 * numbers, 0.02, 1e-3, ~true, true)
+    fit = ServoFit(numbers, 0.01 + 0 * numbers, 0.02, ~true, true, 1e-3)
     origin = DataOrigin("log log.csv", 10.0, 50.0)
     after = np.full(2, error)
     errors = np.ones(2), after, 0.5
