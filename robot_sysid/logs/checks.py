@@ -4,9 +4,8 @@ A check takes the usable rows and the robot. It returns notes (the run goes on) 
 (the numbers cannot be those of this arm). Both name the first line and a remedy.
 
 The usable rows are ``LogRows``: ``samples`` in SI units (N rows, n chain joints), ``lines`` (N,)
-their numbers in the file. Of all rows of the file, ``n_read`` hold something of this arm and
-``n_foreign`` nothing; ``anomalies`` says how many were left out why, and where the first one is;
-``empty_cells`` is title to number of the rows in which the column is empty.
+their numbers in the file. Of all rows of the file, ``n_read`` hold something of this arm;
+``anomalies`` says how many were left out why, and where the first one is.
 """
 
 from __future__ import annotations
@@ -113,7 +112,7 @@ def check_log(
 
 def require_rows(rows: LogRows, robot: RobotModel) -> None:
     """Raise InputError where there are too few rows for any other check."""
-    if not rows.n_read and rows.n_foreign:
+    if not rows.n_read:
         names = ", ".join(robot.joint_names)
         raise InputError(f"none of its rows holds a position and a torque of {names}")
     if len(rows.lines) < _FEWEST_ROWS:

@@ -151,7 +151,6 @@ class LogRows:
         lines: (N,) file lines.
         samples: the rows as a measurement (N rows).
         n_read: number of rows in the file that hold something of this arm.
-        n_foreign: number of rows that hold nothing of this arm.
         anomalies: UNREADABLE, MISSING, REPEATED and BACKWARDS to their counts.
         row_noun: what a row is called: "line", "message" or "row".
     """
@@ -160,7 +159,6 @@ class LogRows:
     samples: Measurement
     n_read: int
     anomalies: Mapping[str, Anomaly]
-    n_foreign: int
     row_noun: str
 
     def cite(self, lines: Lines) -> str:
@@ -233,9 +231,8 @@ def read_rows(
         joint_time=stamps if columns.joint_time else None,
         command=command,
     )
-    n_foreign = int(np.count_nonzero(foreign))
-    n_read = len(foreign) - n_foreign
-    return LogRows(lines, samples, n_read, anomalies, n_foreign, table.row_noun)
+    n_read = int(np.count_nonzero(~foreign))
+    return LogRows(lines, samples, n_read, anomalies, table.row_noun)
 
 
 def _read_cells(

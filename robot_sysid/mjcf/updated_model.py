@@ -380,7 +380,6 @@ def write_actuator(document: ModelDocument, change: ActuatorChange) -> None:
     ExportError unless the file itself contains it, as a position servo where it gets gains.
     """
     node = _section_child(document, "actuator", change.actuator)
-    kinds = "an element of its own"
     numbers = dict.fromkeys(change.emptied, "0")
     if node is not None and change.stiffness is not None:
         kp = format_number(change.stiffness)
@@ -391,12 +390,13 @@ def write_actuator(document: ModelDocument, change: ActuatorChange) -> None:
             "pid": servo_gains,
             "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},
         }
-        kinds = " or ".join(f"<{tag}>" for tag in gains)
         node = node if node.tag in gains else None
         numbers.update({} if node is None else gains[node.tag])
     if node is None:
-        fault = f"actuator number {change.actuator} is not written out in the file"
-        raise ExportError(f"{document.path}: {fault} as {kinds}; write it out")
+        raise ExportError(
+            f"{document.path}: actuator number {change.actuator} is not written out in the file, "
+            "or gets gains and is no <position>, <pid> or <general>; write it out"
+        )
     node.attrib.update(numbers)
 
 

@@ -26,7 +26,7 @@ from robot_sysid.records import Array
 
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """MuJoCo's types of transmission by which an actuator acts on a joint directly."""
-_AT_TENDON = (int(mujoco.mjtTrn.mjTRN_TENDON),)
+AT_TENDON = (int(mujoco.mjtTrn.mjTRN_TENDON),)
 """MuJoCo's type of transmission by which an actuator pulls a tendon."""
 _WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 """MuJoCo's type of a joint that a tendon runs over."""
@@ -67,16 +67,11 @@ def actuators_on(
 ) -> list[int]:
     """Return the ids of the actuators that pull at a joint (id) directly.
 
-    ``kinds``: other types of transmission, whose target is no joint.
+    ``kinds``: other types of transmission; ``AT_TENDON`` where the id is a tendon's.
     """
     is_of_kind = np.isin(mj_model.actuator_trntype, kinds)
     is_on_target = mj_model.actuator_trnid[:, 0] == target
     return np.flatnonzero(is_of_kind & is_on_target).tolist()
-
-
-def actuators_of_tendon(mj_model: Any, tendon: int) -> list[int]:
-    """Return the ids of the actuators that pull at a tendon (id)."""
-    return actuators_on(mj_model, tendon, _AT_TENDON)
 
 
 def driven_joints(mj_model: Any) -> set[int]:
@@ -97,7 +92,7 @@ def _transmissions(mj_model: Any) -> Iterator[Array]:
         ratios = np.zeros(mj_model.nv)
         if kind in _AT_JOINT:
             ratios[mj_model.jnt_dofadr[target]] = 1.0
-        elif kind in _AT_TENDON:
+        elif kind in AT_TENDON:
             coefficients = tendon_coefficients(mj_model, target)
             ratios = ratios if coefficients is None else coefficients
         yield ratios
@@ -234,7 +229,7 @@ def with_actuators_in_joints(mj_model: Any) -> Any:
     for actuator, (kind, target) in enumerate(zip(kinds, targets)):
         if kind in _AT_JOINT:
             owner, row = "dof", mj_model.jnt_dofadr[target]
-        elif kind in _AT_TENDON:
+        elif kind in AT_TENDON:
             owner, row = "tendon", target
         else:
             continue

@@ -33,11 +33,7 @@ from robot_sysid.mjcf.updated_model import (
     WeldedBody,
     changed_model_text,
 )
-from robot_sysid.model.actuators import (
-    actuators_of_tendon,
-    actuators_on,
-    stated_at_actuator,
-)
+from robot_sysid.model.actuators import AT_TENDON, actuators_on, stated_at_actuator
 from robot_sysid.model.bodies import link_bodies
 from robot_sysid.model.compilation import mjcf_of
 from robot_sysid.parser import load_robot_model
@@ -356,7 +352,7 @@ def _emptied_actuators(
         pulling = actuators_on(model, int(model.dof_jntid[dof]))
         owners.append((pulling, joint.numbers))
     for tendon in change.tendons:
-        owners.append((actuators_of_tendon(model, tendon.tendon), tendon.numbers))
+        owners.append((actuators_on(model, tendon.tendon, AT_TENDON), tendon.numbers))
     for actuators, numbers in owners:
         for actuator in actuators:
             emptied = stated_at_actuator(model, actuator) & {*numbers}
