@@ -174,7 +174,7 @@ def draw_arm(
         dry += 0.02 * rng.standard_normal(len(peak)) * load
     scales = 1.0 + 0.02 * is_off * rng.standard_normal(len(peak))
     tau = scales * rigid + dry * np.sign(exact.qd) + viscous * exact.qd
-    tau = tau + NOISE * nominal * _noise(rng, tau.shape, white)
+    tau = tau + NOISE * nominal * noise_samples(rng, tau.shape, white)
     if deviation == "priors":
         lag = 5e-3 * rng.standard_normal()
         late = exact.time - lag
@@ -197,7 +197,9 @@ def draw_arm(
     )
 
 
-def _noise(rng: np.random.Generator, shape: tuple[int, ...], white: bool) -> Array:
+def noise_samples(
+    rng: np.random.Generator, shape: tuple[int, ...], white: bool
+) -> Array:
     """Return noise (N, n) of unit variance, white or with a memory of 20 samples."""
     from scipy.signal import lfilter
 

@@ -41,16 +41,28 @@ def main(arguments: Sequence[str]) -> int:
     folder = record_from(FolderOptions, values).output_dir
     require_report(True)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
+    from robot_sysid.pipeline.comparison import compare_runs, sentences
     from robot_sysid.report.page import write_report
     from robot_sysid.report.runs import load_run
+    from robot_sysid.results.record import Quantity
 
     runs = [load_run(folder) for folder in values["folders"]]
     if "output_dir" not in values:
         folder = runs[0].folder
-    path = write_report(runs, folder, mesh_dir, console)
-    console.stage(f"Written: {path}")
+    differences: list[str] = []
+    changes: list[Quantity] = []
+    if len(runs) == 2:
+        try:
+            changes = compare_runs(runs, console)
+            differences = sentences(changes)
+        except SysidError as error:
+            differences = [f"no common fit of the two runs: {error}"]
+    path = write_report(runs, folder, mesh_dir, console, differences, changes)
+    console.stage(f"Written: {path}", *differences)
     verdicts = [run.content["verdict"] for run in runs]
-    console.result({"written": [str(path)], "verdicts": verdicts})
+    console.result(
+        {"written": [str(path)], "verdicts": verdicts, "differences": differences}
+    )
     if len(runs) == 1:
         console.stage(*verdicts[0])
     return 0

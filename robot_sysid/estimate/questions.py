@@ -22,6 +22,7 @@ from robot_sysid.estimate.terms import (
     LAST_LINK,
     LINKS,
     PAYLOAD,
+    SCALE_DRIFT,
     SCALES,
     TILT,
     UNKNOWN_FRICTION,
@@ -55,6 +56,9 @@ DRIFTS = 0.2
 CHANGES = 0.1
 """Standard deviation of friction's relative change from one log to the next: five logs of a UR10e
 differ by 2.5 standard errors of a single one."""
+SCALE_DRIFTS = 0.25
+"""Prior standard deviation of a torque scale's drift between two runs, from their middle to each
+[%]: without it, logs of a KUKA LWR4+ differ by 0.07 kg at the last link, eight standard errors."""
 LOADED_LOSS = 0.1
 """Prior standard deviation of the share of its load that a gear loses, in weighing a payload."""
 FILE_TILT = float(np.radians(2.0))
@@ -82,6 +86,7 @@ class Question:
         options: prior uncertainties of the arm, and the other options of the estimate.
         loaded: whether some recordings carry a payload, whose parameters are estimated.
         drifts: whether to estimate a drift of friction from the first to the last recording.
+        two_runs: whether two runs are compared, whose torque scales may differ a little.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
         link_scales: factors on the stated uncertainty of all links but the terminal one.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None before a
@@ -92,6 +97,7 @@ class Question:
     options: EstimationOptions
     loaded: bool = False
     drifts: bool = False
+    two_runs: bool = False
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
     dry: tuple[float, ...] | None = None
@@ -139,6 +145,9 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
         SCALES: scale,
         ZEROS: np.full(arm.robot.n_joints, MILLI * priors.zero),
         DRIFT: np.full(len(arm.joints), DRIFTS if question.drifts else 0.0),
+        SCALE_DRIFT: np.full(
+            len(arm.joints), PER_CENT * SCALE_DRIFTS * question.two_runs
+        ),
         TILT: np.full(2, np.radians(priors.gravity)),
         DELAY: np.full(1, MILLI * priors.delay),
     }

@@ -51,6 +51,7 @@ ZEROS = "joint offsets"
 TILT = "gravity"
 DELAY = "delay"
 DRIFT = "drift of friction"
+SCALE_DRIFT = "drift of torque scale"
 MOTORS = "couplings"
 PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
 """Names of the ten inertial parameters of the payload."""
@@ -297,6 +298,8 @@ class ArmTerms:
         yield Term(ZEROS, names_of("zero", robot.joint_names), self._zeros)
         if drifts:
             yield Term(DRIFT, names_of("drift", self.joints), self._drift)
+            scales = names_of("scale_drift", self.joints)
+            yield Term(SCALE_DRIFT, scales, self._scale_drift)
         if self.has_gravity:
             yield Term(TILT, TILT_NAMES, self._tilt, held_by=BOTH)
         yield Term(DELAY, ("delay",), self._delay)
@@ -397,6 +400,10 @@ class ArmTerms:
     def _scales(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of torque scales."""
         return self._per_joint(self._links_torque(rows, point)[:, self.indices])
+
+    def _scale_drift(self, rows: Rows, point: Point) -> Array:
+        """Return the columns (m, J, J) of torque scales' drift from recording to recording."""
+        return rows.order * self._scales(rows, point)
 
     def _zeros(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, n) of encoders that read too much [N m/rad]."""

@@ -54,6 +54,8 @@ def write_report(
     destination: Path,
     mesh_dir: Path | None = None,
     progress: Progress | None = None,
+    differences: Sequence[str] = (),
+    changes: Sequence[Any] = (),
 ) -> Path:
     """Write the page of a run, or one that compares several, and return its path.
 
@@ -62,6 +64,8 @@ def write_report(
         destination: folder to write to; need not exist.
         mesh_dir: folder of the meshes of the run's model; None for the folder that the model names.
         progress: is advanced while figures are drawn; None for no display.
+        differences: sentences on what has changed from the first run to the second.
+        changes: the numbers behind them.
 
     Raises:
         InputError: a result file has unexpected content, or the file cannot be written.
@@ -83,7 +87,11 @@ def write_report(
     name = REPORT_NAME if len(runs) == 1 else COMPARISON_NAME
     template = environment.get_template(name)
     try:
-        values: Mapping[str, Any] = {"runs": list(map(_summary_of, runs))}
+        values: Mapping[str, Any] = {
+            "runs": list(map(_summary_of, runs)),
+            "differences": differences,
+            "changes": changes,
+        }
         if len(runs) == 1:
             values = _values_of(runs[0], mesh_dir, progress or Progress())
         text = template.render(values)

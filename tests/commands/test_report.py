@@ -8,9 +8,10 @@ import sys
 
 import pytest
 
+from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.report import page, runs
 from robot_sysid.report.runs import load_run
-from tests.support import arms
+from tests.support import arms, measured_logs
 
 RUN = ("--duration 2 --sample-rate 100 --seed 1",)
 
@@ -104,3 +105,23 @@ def test_a_page_and_a_comparison(command, arm):
     assert "comparison.html" in printed.out
     text = (arm.parent / "both" / "comparison.html").read_text()
     assert "sysid_output" in text and "second" in text
+
+
+@pytest.mark.slow
+def test_two_runs_on_logs_are_compared_by_one_fit(command, arm_file):
+    robot = measured_logs.true_arm()
+    model = arm_file(measured_logs.XML)
+    for seed, name in enumerate(("first", "second")):
+        log = measured_logs.seeded_log(robot, seed, 20.0, noise_torque=0.05)
+        path = model.parent / f"{name}.csv"
+        write_measurement_csv(path, robot.joint_names, [log])
+        command.run("identify", model, f"{name}.csv", "--output-dir", name)
+    printed = command.run("report", "first", "second")
+    assert "no difference beyond the errors: mass" in printed.out
+    text = (model.parent / "first" / "comparison.html").read_text()
+    assert "no difference beyond the errors" in text and "joint1: friction [%]" in text
+    (model.parent / "second.csv").unlink()
+    printed = command.run("report", "first", "second")
+    assert (
+        "no common fit of the two runs" in printed.out and "second.csv" in printed.out
+    )

@@ -34,7 +34,16 @@ ARMS = {
     "slide": arms.robot_of(arms.SLIDE_IN_CHAIN),
 }
 MEAN_OF_SEVEN = replace(UNFILTERED, kernel=np.full(7, 1.0 / 7.0), step=3)
-LINEARISED = ("scale", "zero", "load", "drift", "tilt_1", "tilt_2", DELAY)
+LINEARISED = (
+    "scale",
+    "scale_drift",
+    "zero",
+    "load",
+    "drift",
+    "tilt_1",
+    "tilt_2",
+    DELAY,
+)
 """Parameters that multiply others: zero at the point around which they are linearised."""
 PLACE = 0.7
 """Place of the recording on the axis along which friction drifts."""
@@ -102,7 +111,8 @@ def torque_of(arm, motion, values, gravity, loaded=True):
                 other = other + torque_of_term
             else:
                 own = own + torque_of_term
-        torque[:, row] = (1.0 + value_of[f"scale[{joint}]"]) * rigid[:, j] + other
+        scale = value_of[f"scale[{joint}]"] + value_of[f"scale_drift[{joint}]"] * PLACE
+        torque[:, row] = (1.0 + scale) * rigid[:, j] + other
         torque[:, row] += (1.0 + value_of[f"drift[{joint}]"] * PLACE) * own
     for motor in arm.motors:
         speed = motion.qd @ motor.ratios

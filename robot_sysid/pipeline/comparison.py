@@ -1,0 +1,176 @@
+"""What has changed between two runs of one arm: one fit of both runs' logs.
+
+Errors that both runs share, such as those of the other links and of torque scales, are there once.
+What came on at the last link is the payload of the second run's logs, and friction drifts from one
+run to the other. Shapes: J joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from robot_sysid.config import IdentifyConfig
+from robot_sysid.diagnosis.log_checks import check_log
+from robot_sysid.dynamics.equations import names_of
+from robot_sysid.errors import InputError
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.identify import Piece, low_pass_recordings
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.terms import PAYLOAD_NAMES
+from robot_sysid.logs.reader import open_log, refuse_repeated_logs
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import RobotModel
+from robot_sysid.records.file_access import RUN_NAME, read_toml
+from robot_sysid.records.messages import PARAMETER_UNITS, Progress, with_error
+from robot_sysid.records.option_fields import immutable_value
+from robot_sysid.report.runs import Run
+from robot_sysid.results.record import Quantity
+
+SURE = 2.5
+"""Standard errors beyond which two runs differ."""
+DAILY = 0.05
+"""Standard deviation of friction's relative change from day to day, which is no difference."""
+ALL_JOINTS = "all joints alike"
+"""What a change of friction is of that is the same in all joints."""
+DIFFERS = "differs"
+"""Reason of a row in which the runs differ, beyond errors and what friction does in a day."""
+
+
+def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
+    """Return what may have changed from a first run to a second: the last link, friction.
+
+    A row is a number of the second run less that of the first, of friction in per cent of the first
+    run's; its reason is ``DIFFERS`` where the runs do.
+
+    Args:
+        runs: two runs.
+        progress: receives stages.
+
+    Raises:
+        InputError: there is no common fit of the two runs; the message says why.
+    """
+    if any(not run.content["logs"] or run.content["payload"] for run in runs):
+        raise InputError("only identifications from logs have a common fit")
+    if len({run.content["model"]["sha256"] for run in runs}) > 1:
+        raise InputError("the runs are of different model files")
+    configs = []
+    for run in runs:
+        options = read_toml(run.folder / RUN_NAME)
+        values = {key: immutable_value(value) for key, value in options.items()}
+        configs.append(IdentifyConfig.of(**values))
+    model = configs[0].model
+    robot = load_robot_model(model.path, model.mesh_dir, model.joint)
+    if robot.sha256 != runs[0].content["model"]["sha256"]:
+        raise InputError(f"{model.path} has changed since the runs")
+    logs = []
+    pieces = []
+    for config, is_second in zip(configs, (False, True)):
+        for path in config.log.measurements:
+            progress.stage(f"Reading {path}...")
+            log = open_log(robot, path, config.log)
+            # The run has accepted it: what is left out of it counts, not what is said of it.
+            accept = config.log.accept
+            log = check_log(robot, log, accept, Progress(), config.estimation)
+            logs.append(log)
+            for samples in log.pieces:
+                samples = replace(samples, qd=None)
+                order = 1.0 if is_second else -1.0
+                pieces.append(Piece(str(log.path), samples, is_second, order))
+    refuse_repeated_logs(logs)
+    progress.stage("Fitting both runs at once...")
+    config = configs[0].with_scale_prior(robot.joint_names)
+    estimation = replace(config.estimation, torques="chain", no_friction=False)
+    recordings, _ = low_pass_recordings(robot, pieces, estimation.cutoff)
+    return list(changes(of_two_runs(robot, recordings, estimation)))
+
+
+def of_two_runs(
+    robot: RobotModel, recordings: Sequence[Recording], options: EstimationOptions
+) -> Fit:
+    """Return one fit of two runs: what came on is the payload, friction and scales drift.
+
+    Args:
+        robot: the arm with its model.
+        recordings: those of the first run, not loaded and at order -1; those of the second, loaded
+            and at order 1.
+        options: priors and friction terms.
+    """
+    question = Question(options, loaded=True, drifts=True, two_runs=True)
+    fitted = solved(robot, recordings, question)
+    # What came off is no possible body.
+    return replace(fitted, values=fitted.free)
+
+
+def changes(fitted: Fit) -> Iterator[Quantity]:
+    """Yield what may have changed, from the fit of two runs."""
+    at = fitted.at(PAYLOAD_NAMES[:4])
+    values, errors = fitted.free[at], fitted.errors[at]
+    inverse = np.linalg.pinv(fitted.covariance[np.ix_(at, at)], hermitian=True)
+    # All four at once, as a normal number (Fisher's approximation of chi-square).
+    distance = np.sqrt(2.0 * values @ inverse @ values) - np.sqrt(2.0 * len(at) - 1.0)
+    body = fitted.arm.robot.body_name
+    for name, unit, value, error in zip(
+        ("m", "hx", "hy", "hz"), PARAMETER_UNITS, values, errors
+    ):
+        reason = DIFFERS if min(distance, abs(value) / error) > SURE else ""
+        yield Quantity(
+            name, body, unit, None, float(value), float(error), reason=reason
+        )
+    joints = fitted.arm.joints
+    at = fitted.at(names_of("drift", joints))
+    # Friction is 1 - d in the first run and 1 + d in the second: the logarithm of their ratio.
+    logarithms = 2.0 * np.arctanh(np.clip(fitted.free[at], -0.9, 0.9))
+    errors = 2.0 * fitted.errors[at]
+    spreads = np.hypot(errors, DAILY)
+    # A median, because one joint does not make a change of all.
+    common = float(np.median(logarithms))
+    error = float(np.sqrt(np.pi / 2.0 / np.sum(spreads**-2.0)))
+    is_common = abs(common) > SURE * error
+    yield _friction(ALL_JOINTS, common, error, is_common)
+    apart = np.abs(logarithms - common * is_common) > SURE * spreads
+    for joint, logarithm, error, differs in zip(joints, logarithms, errors, apart):
+        yield _friction(joint, logarithm, error, bool(differs))
+
+
+def _friction(of: str, logarithm: float, error: float, differs: bool) -> Quantity:
+    """Return a change of friction from the logarithm of the ratio."""
+    ratio = float(np.exp(logarithm))
+    change = 100.0 * (ratio - 1.0)
+    reason = DIFFERS if differs else ""
+    return Quantity(
+        "friction", of, "%", None, change, 100.0 * ratio * error, reason=reason
+    )
+
+
+def sentences(rows: Sequence[Quantity]) -> list[str]:
+    """Return what differs, a sentence each; or one that says how small the differences are."""
+    # The first of what has changed of a body or joint: a mass that came on has first moments, too.
+    found = {row.of: _sentence(row) for row in reversed(rows) if row.reason}
+    if found:
+        return list(found.values())[::-1]
+    mass = with_error(rows[0].value, rows[0].error, rows[0].unit)
+    friction = max(row.error or 0.0 for row in rows if row.name == "friction")
+    return [
+        f"no difference beyond the errors: mass {mass}, friction of each joint within "
+        f"± {max(friction, 100.0 * DAILY):.0f} %"
+    ]
+
+
+def _sentence(row: Quantity) -> str:
+    """Return what has changed, in words."""
+    size = with_error(abs(row.value), row.error, row.unit)
+    if row.unit == "%":
+        way = "higher" if row.value > 0.0 else "lower"
+        return f"the friction of {row.of} is {size} {way}"
+    if row.unit == "kg":
+        return f"{size} came {'on' if row.value > 0.0 else 'off'} at {row.of}"
+    moved = with_error(row.value, row.error, row.unit)
+    return (
+        f"mass times centre of mass of {row.of} along {row.name[1:]} changed by {moved}"
+    )

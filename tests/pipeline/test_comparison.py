@@ -1,0 +1,105 @@
+"""Two runs of one arm: what has changed is found with its value, and nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.errors import InputError
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.pipeline.comparison import (
+    ALL_JOINTS,
+    changes,
+    compare_runs,
+    of_two_runs,
+    sentences,
+)
+from robot_sysid.records.messages import Progress
+from tests.support.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
+
+ROBOT = four_joint_arm()
+BODY = spatial.theta_from_com(0.2, np.array([0.03, -0.02, 0.1]), 1e-4 * np.eye(3))
+NOTHING = np.zeros(10)
+ONE = np.array([0.0, 0.0, 0.3, 0.0])
+
+
+def rows_of(seed, body=NOTHING, friction=0.0, swapped=False):
+    """Return the changes between two runs, their links 10 % off the model, in either order."""
+    recordings = []
+    for is_second in (False, True):
+        arm = TrueArm(ROBOT, seed, model_error=0.1, payload=body)
+        arm.coulomb = arm.coulomb * (1.0 + friction * is_second)
+        arm.viscous = arm.viscous * (1.0 + friction * is_second)
+        motion = wide_motion([seed, is_second], duration=20.0)
+        log = arm.recording(motion, is_second, name=f"log{is_second}")
+        is_later = is_second != swapped
+        log = replace(log, is_loaded=is_later, order=1.0 if is_later else -1.0)
+        recordings.append(add_noise(log, 0.05, [seed, is_second]))
+    return list(changes(of_two_runs(ROBOT, recordings, EstimationOptions())))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_body_that_came_on_is_found_and_the_order_changes_its_sign(seed):
+    rows = rows_of(seed, body=BODY)
+    for row, true in zip(rows, BODY):
+        assert abs(row.value - true) < 3.0 * row.error
+    assert rows[0].reason and rows[0].error < 0.05
+    assert {row.of for row in rows if row.reason} == {"link3"}
+    assert sentences(rows)[0].endswith("came on at link3") and len(sentences(rows)) == 1
+    back = rows_of(seed, body=BODY, swapped=True)
+    for row, other in zip(rows, back):
+        assert row.reason == other.reason
+        if row.unit == "%":
+            assert (1.0 + row.value / 100.0) * (1.0 + other.value / 100.0) == (
+                pytest.approx(1.0, abs=0.002 * row.error)
+            )
+        else:
+            assert row.value == pytest.approx(-other.value, abs=0.1 * row.error)
+    assert sentences(back)[0].endswith("came off at link3")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_one_joints_friction_is_found(seed):
+    rows = rows_of(seed, friction=ONE)
+    (row,) = [row for row in rows if row.reason]
+    assert row.of == "joint2" and abs(row.value - 30.0) < 3.0 * row.error < 30.0
+    (sentence,) = sentences(rows)
+    assert "the friction of joint2 is" in sentence and sentence.endswith("higher")
+
+
+def test_a_change_of_all_joints_is_said_once():
+    rows = rows_of(2, friction=-0.25)
+    (row,) = [row for row in rows if row.reason]
+    assert row.of == ALL_JOINTS and row.value == pytest.approx(-25.0, abs=5.0)
+    assert sentences(rows)[0].endswith("lower")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_named_where_nothing_has_changed(seed):
+    rows = rows_of(seed)
+    assert not any(row.reason for row in rows)
+    (sentence,) = sentences(rows)
+    assert sentence.startswith("no difference beyond the errors: mass")
+
+
+@pytest.mark.parametrize(
+    ("second", "reason"),
+    [
+        ({"logs": []}, "identifications from logs"),
+        ({"payload": {"card": None}}, "identifications from logs"),
+        ({"model": {"sha256": "other"}}, "different model files"),
+        ({}, "cannot read"),
+    ],
+)
+def test_where_there_is_no_common_fit_it_is_said(second, reason, tmp_path):
+    content = {"logs": ["log"], "payload": None, "model": {"sha256": "one"}}
+    runs = [
+        SimpleNamespace(folder=tmp_path, content={**content, **changed})
+        for changed in ({}, second)
+    ]
+    with pytest.raises(InputError, match=reason):
+        compare_runs(runs, Progress())
