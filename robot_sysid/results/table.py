@@ -27,6 +27,7 @@ _LABELS = dict(
     coulomb="Coulomb friction",
     viscous="viscous friction",
     armature="rotor inertia",
+    frictionloss="dry friction",
     torque_scale="torque scale",
     offset="friction offset",
     stribeck="Stribeck friction",

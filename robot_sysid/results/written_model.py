@@ -143,26 +143,22 @@ def write_joints(
     joints: Sequence[JointChange],
     actuators: Sequence[ActuatorChange],
     target: ModelTarget,
-    file_kind: str,
-) -> tuple[str, ...]:
-    """Write a model with new numbers for its joints and servos, and return notes for the user.
+) -> None:
+    """Write an MJCF with new numbers for the joints and servos of a model.
 
     Args:
         robot: the arm as in the original model, whose links stay as they are.
         joints: new rotor inertia and friction of joints.
         actuators: new gains of position actuators.
         target: where to write.
-        file_kind: format of the file, "mjcf" or "urdf".
 
     Raises:
         ExportError: the model cannot hold the numbers, or the compiled draft does not have them or
             takes other torques; the draft is withdrawn.
     """
-    robot, target = _arm_of_kind(robot, file_kind, target)
-    joint_changes, notes = _changes_of_kind(robot, joints)
-    change = ModelChange((), target.rmse, joint_changes, None, tuple(actuators))
+    robot, target = _arm_of_kind(robot, "mjcf", target)
+    change = ModelChange((), target.rmse, tuple(joints), None, tuple(actuators))
     _write(robot, change, target, robot.thetas)
-    return notes
 
 
 def _links_without_payload(result: Result) -> Array:

@@ -237,7 +237,7 @@ def run_servo(
                 path = folder / file_access.MODEL_NAMES["mjcf"]
                 # No torque was measured, so there is no residual to state.
                 target = ModelTarget(files, path, poses, rmse=0.0, mesh_dir=mesh_dir)
-                notes += write_joints(robot, *result.changes(), target, "mjcf")
+                write_joints(robot, *result.changes(), target)
                 written.append(path)
         except ExportError as error:
             failure = (
