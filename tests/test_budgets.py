@@ -27,7 +27,7 @@ BUDGETS = {
     "robot_sysid/model": 7937,
     "robot_sysid/motion": 17153,
     "robot_sysid/pipeline": 7063,
-    "robot_sysid/records": 8610,
+    "robot_sysid/records": 8604,
     "robot_sysid/report": 5107,
     "robot_sysid/results": 11857,
     "robot_sysid/servo": 4759,

@@ -391,9 +391,8 @@ def parse_factors(text: str) -> Factors:
 
 def check_factor(value: float | Path) -> str | None:
     """Return a complaint unless a value is a file or a positive number; None where it is."""
-    if isinstance(value, Path) or (value > 0.0 and math.isfinite(value)):
-        return None
-    return f"must be positive (got {value:g}); turn a sign round in the columns file"
+    complaint = None if isinstance(value, Path) else check_positive(value)
+    return complaint and f"{complaint}; turn a sign round in the columns file"
 
 
 def joint_factors(
