@@ -180,7 +180,7 @@ def beyond_line(content: Content) -> str:
     text = with_error(abs(mass["value"]), mass["error"], "kg")
     if abs(mass["value"]) < SIGNIFICANT * mass["error"]:
         more = with_error(mass["value"], mass["error"], "kg")
-        return f"Bolted on beyond the model: nothing that the torques show ({more} on {link})"
+        return f"Bolted on beyond the model: nothing for sure ({more} on {link})"
     if mass["value"] < 0.0:
         return (
             f"Bolted on beyond the model: nothing; {link} is {text} lighter than in it"

@@ -135,8 +135,8 @@ def use_lines(path: Path) -> tuple[str, str, str]:
     return (
         f"Use this file: {path}",
         f"  mujoco.MjModel.from_xml_path({text})",
-        "It loads in every MuJoCo from 3.0 on that loads your model (checked with "
-        f"{MUJOCO_VERSION})",
+        f"It loads in MuJoCo {MUJOCO_VERSION} (tested), and in all from 3.0 on that load your "
+        "model",
     )
 
 
