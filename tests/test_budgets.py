@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 33012,
     "robot_sysid/diagnosis": 16779,
     "robot_sysid/dynamics": 5771,
-    "robot_sysid/estimate": 27986,
+    "robot_sysid/estimate": 27946,
     "robot_sysid/logs": 15514,
     "robot_sysid/mjcf": 7256,
     "robot_sysid/model": 7937,
@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 7063,
     "robot_sysid/records": 8604,
     "robot_sysid/report": 5107,
-    "robot_sysid/results": 11857,
+    "robot_sysid/results": 11855,
     "robot_sysid/servo": 4759,
     "robot_sysid/signals": 4423,
     "robot_sysid/simulation": 3873,
     "robot_sysid": 9480,
-    "tests": 217871,
+    "tests": 217838,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -359,9 +359,6 @@ def model_file(
     """Return (contents of the model file, their rows, sentences on what the file leaves out)."""
     robot = fitted.arm.robot
     thetas = file.fit.thetas
-    theta_errors = np.zeros_like(thetas)
-    for body in link_estimates(file.fit):
-        theta_errors[robot.joint_names.index(str(body.joint))] = body.errors
     joints: dict[str, dict[str, float]] = {}
     notes = []
     rows: list[Quantity] = []
@@ -397,7 +394,6 @@ def model_file(
     motors = tuple(m for m in fitted.arm.motors if m.name in fitted.question.motors)
     written = ModelFile(
         thetas,
-        theta_errors,
         joints,
         file.gravity,
         file.before,

@@ -55,8 +55,9 @@ def block_lines(content: Content, links: bool = False) -> list[str]:
         return _self_test_lines(content)
     beyond = beyond_line(content)
     lines = [beyond] if beyond else []
-    table = [*all_cells(content)]
-    if not links:
+    if links:
+        table = [*all_cells(content)]
+    else:
         rows = body_rows(content, content["body_name"])
         rows += friction_rows(content, content["joint_name"])
         table = [cells(row, label(row)) for row in rows]

@@ -197,7 +197,6 @@ class ModelFile:
 
     Attributes:
         thetas: (n, 10) parameters of the links, as in ``RobotModel.links``; zero without mass.
-        errors: (n, 10) standard errors of ``thetas``.
         joints: joint, or motor that turns several, to its terms in the file: "coulomb", "viscous",
             "armature".
         gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
@@ -211,7 +210,6 @@ class ModelFile:
     """
 
     thetas: Array
-    errors: Array
     joints: Mapping[str, Mapping[str, float]]
     gravity: Array | None
     validation_before: Validation

@@ -100,10 +100,7 @@ def body_estimate(theta):
 def file_of(robot, thetas=None, joints=None, gravity=None):
     """What a written model should hold: the model's own links and gravity where none are given."""
     thetas = robot.thetas if thetas is None else thetas
-    errors = np.full(thetas.shape, np.inf)
-    return made.model_file(
-        thetas=thetas, errors=errors, joints=joints or {}, gravity=gravity
-    )
+    return made.model_file(thetas=thetas, joints=joints or {}, gravity=gravity)
 
 
 def payload_of(robot, theta, flange_position=None, link=None):

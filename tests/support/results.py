@@ -233,7 +233,6 @@ def model_file(**changes) -> ModelFile:
     """A written model that predicts torques to 0.25 % instead of 27 %."""
     file = ModelFile(
         thetas=np.array([1.5 * THETA, 0.9 * THETA]),
-        errors=np.full((2, 10), 1e-3),
         joints={"j5": {"coulomb": 0.45, "viscous": 0.25}},
         gravity=np.array([0.0, 0.1, -9.8]),
         validation_before=validation_of(1.5, "fifths of arm.csv", 0.27),
