@@ -208,16 +208,16 @@ def read_rows(
     later[1:] = time[1:] > np.maximum.accumulate(time)[:-1]
     anomalies[BACKWARDS] = _anomaly(table, lines[usable[1:][step < 0.0]])
     anomalies[REPEATED] = _anomaly(table, lines[usable[1:][step == 0.0]])
-    lines = lines[usable[later]]
-    cells = cells[usable[later]]
-    # Full turns by which each position jumps against the row before.
-    step = np.diff(cells[:, 1 : 1 + n], axis=0)
-    turns = np.round(step / _TURN) * ~np.array(is_slide)
-    turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
-    cells[1:, 1 : 1 + n] -= _TURN * np.cumsum(turns, axis=0)
+    rows = usable[later]
     widths = [1, *map(len, columns.groups())]
     groups = np.split(cells, np.cumsum(widths)[:-1], axis=1)
-    time, q, tau, qd, stamps = map(np.ascontiguousarray, groups)
+    time, q, tau, qd, stamps = (group[rows] for group in groups)
+    for joint in np.flatnonzero(~np.array(is_slide)):
+        # Full turns by which the position jumps against the row before.
+        step = np.diff(q[:, joint])
+        turns = np.round(step / _TURN)
+        turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
+        q[1:, joint] -= _TURN * np.cumsum(turns)
     command = None
     if columns.commanded:
         # A servo's torque follows its position error, the measure of torque here [rad].
@@ -232,7 +232,7 @@ def read_rows(
         command=command,
     )
     n_read = int(np.count_nonzero(~foreign))
-    return LogRows(lines, samples, n_read, anomalies, table.row_noun)
+    return LogRows(lines[rows], samples, n_read, anomalies, table.row_noun)
 
 
 def _read_cells(
@@ -244,13 +244,17 @@ def _read_cells(
     fault of the first row that is not numbers.
     """
     used = columns.columns()
-    lines = [np.empty(0, dtype=np.int64)]
-    blocks = [np.empty((0, len(used)))]
+    lines = np.empty(0, dtype=np.int64)
+    cells = np.empty((0, len(used)))
     complaint = ""
     label = f"Reading {table.path.name}"
     for block in table.blocks([column.index for column in used]):
-        lines.append(block.lines)
-        blocks.append(block.cells)
+        # Enlarged in place: blocks that are joined at the end would take twice the memory.
+        count = len(lines)
+        lines.resize(count + len(block.lines), refcheck=False)
+        lines[count:] = block.lines
+        cells.resize((len(lines), len(used)), refcheck=False)
+        cells[count:] = block.cells
         complaint = complaint or block.complaint
         # All is done only behind the loop, though the last blocks may report a share of 1.
         done = min(block.share_read, 0.999)
@@ -258,13 +262,12 @@ def _read_cells(
             label, done, total=1.0, text=f"{table.row_noun} {block.lines[-1]}"
         )
     progress.advance(label, done=1.0, total=1.0, text="")
-    cells = np.concatenate(blocks)
     factors = np.array([column.factor for column in used])
     np.multiply(cells, factors, out=cells, where=np.isfinite(cells))
     if columns.time is None:
         time = np.arange(len(cells)) / float(columns.rate or 1.0)
         cells = np.column_stack((time, cells))
-    return np.concatenate(lines), cells, complaint
+    return lines, cells, complaint
 
 
 def _anomaly(table: LogTable, lines: Lines, first: str = "") -> Anomaly:

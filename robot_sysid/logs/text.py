@@ -24,7 +24,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import Block, LogSource, LogTable
-from robot_sysid.records import Measurement
+from robot_sysid.records import Array, Measurement
 from robot_sysid.records.file_access import atomic_file
 
 _EMPTY = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
@@ -241,6 +241,11 @@ def _is_mostly_numbers(cells: Sequence[str]) -> bool:
 def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of a log, with the columns of these indices; dates as seconds."""
     for first, lines, share in _read_lines(dialect.path, dialect.encoding, CHUNK):
+        cells = _read_plain_rows(dialect, lines)
+        if cells is not None:
+            line_numbers = np.arange(first, first + len(lines))
+            yield Block(line_numbers, cells[:, list(columns)], share_read=share)
+            continue
         numbers = []
         rows = []
         complaint = ""
@@ -257,6 +262,19 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
             rows.append(row)
         if rows:
             yield Block(np.array(numbers), np.array(rows), complaint, share_read=share)
+
+
+def _read_plain_rows(dialect: Dialect, lines: Sequence[str]) -> Array | None:
+    """Return the cells (R, C) of lines where all are rows of numbers as NumPy reads them, else None.
+
+    That is several times as fast as ``_read_row``.
+    """
+    delimiter = None if dialect.separator == " " else dialect.separator
+    try:
+        cells = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return cells if cells.shape == (len(lines), len(dialect.titles)) else None
 
 
 def _read_row(dialect: Dialect, columns: Sequence[int], line: str) -> list[float]:
