@@ -48,8 +48,9 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     """
     uses = Counter(name.rpartition("/")[2] for name in arrays)
     columns = {}
-    for name, array in arrays.items():
-        values = _dates_as_seconds(array)
+    for name, values in arrays.items():
+        if isinstance(values, np.ndarray) and values.size and values.dtype.kind in "Mm":
+            values = (values - values.flat[0]) / np.timedelta64(1, "s")
         if can_be_column(values):
             short_name = name.rpartition("/")[2]
             columns[short_name if uses[short_name] == 1 else name] = values
@@ -81,15 +82,6 @@ def can_be_column(array: Any) -> bool:
     is_numbers = hasattr(array, "dtype") and array.dtype.kind in "fiub"
     # An empty data set of HDF5 has no shape.
     return is_numbers and len(array.shape or ()) in (1, 2) and array.size > 1
-
-
-def _dates_as_seconds(array: Any) -> Any:
-    """Return an array of dates or durations as seconds from its first element, any other object
-    unchanged.
-    """
-    if isinstance(array, np.ndarray) and array.size and array.dtype.kind in "Mm":
-        return (array - array.flat[0]) / np.timedelta64(1, "s")
-    return array
 
 
 def npz_table(source: LogSource) -> LogTable:

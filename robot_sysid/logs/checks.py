@@ -1,7 +1,7 @@
 """Checks of a log's form, before anything is estimated from it.
 
-A check takes the usable rows and the robot. It returns notes (the run goes on) or raises InputError
-(the numbers cannot be those of this arm). Both name the first line and a remedy.
+A check takes the usable rows. It yields notes (the run goes on) or raises InputError (the numbers
+cannot be those of this arm). Both name the first line and a remedy.
 
 The usable rows are ``LogRows``: ``samples`` in SI units (N rows, n chain joints), ``lines`` (N,)
 their numbers in the file. Of all rows of the file, ``n_read`` hold something of this arm;
@@ -10,7 +10,7 @@ their numbers in the file. Of all rows of the file, ``n_read`` hold something of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -23,10 +23,6 @@ from robot_sysid.signals.resampling import (
     RECORDING_SEPARATION,
     sampling_period,
 )
-
-Check = Callable[[LogRows, RobotModel], "Iterable[str] | None"]
-"""Function that returns notes on the rows of a log, or None, and raises InputError for a fault."""
-
 
 # The share of rows with an anomaly above which a log is refused, the anomaly (behind "... rows")
 # and the remedy. The shares are choices: with more than 1 % of unreadable rows a file is no such
@@ -55,8 +51,6 @@ _TOLERANCES = {
         "cut the log where a second recording begins",
     ),
 }
-_ALWAYS_TOLERATED = 1
-"""Number of rows with an anomaly that is always allowed: the last row is often cut off."""
 _FEWEST_ROWS = 10
 """Least number of usable rows for which the other checks are run."""
 _LONGEST_PERIOD = 0.5
@@ -97,16 +91,18 @@ def check_log(
     Raises:
         InputError: the first fault.
     """
-    checks: list[Check] = [require_rows, clock_notes]
-    checks += [] if in_radians else [require_radians]
-    checks += [require_no_jumps, rest_notes]
-    checks += [require_torque, require_one_clock]
     notes: list[str] = []
     with prefix_input_errors(name):
         for anomaly in _TOLERANCES:
             notes += require_few(anomaly, rows)
-        for check in checks:
-            notes += check(rows, robot) or ()
+        require_rows(rows, robot)
+        notes += clock_notes(rows)
+        if not in_radians:
+            require_radians(rows, robot)
+        require_no_jumps(rows, robot)
+        notes += rest_notes(rows, robot)
+        require_torque(rows, robot)
+        require_one_clock(rows)
     return tuple(notes)
 
 
@@ -127,7 +123,8 @@ def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
     """
     share, description, remedy = _TOLERANCES[anomaly]
     count, first = rows.anomalies[anomaly]
-    allowed = max(_ALWAYS_TOLERATED, share * rows.n_read) if share else 0
+    # One is always allowed: the last row is often cut off.
+    allowed = max(1, share * rows.n_read) if share else 0
     if count > allowed:
         raise InputError(
             f"{count} of {rows.n_read} rows {description}, more than {100.0 * share:g} % "
@@ -137,7 +134,7 @@ def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
         yield f"left out rows that {description}: {count} (first: {first})"
 
 
-def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
+def clock_notes(rows: LogRows) -> Iterator[str]:
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
     period = sampling_period(rows.samples.time)
     if not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
@@ -158,7 +155,7 @@ def clock_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
         )
 
 
-def require_one_clock(rows: LogRows, robot: RobotModel) -> None:
+def require_one_clock(rows: LogRows) -> None:
     """Raise InputError where the joints' time stamps run backwards or are of another clock."""
     # (N, n) [s], or None where all joints have the row's time.
     stamps = rows.samples.joint_time

@@ -99,26 +99,15 @@ def parse_units(text: str) -> ColumnChoices:
 
 
 def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
-    """Read a columns file; InputError where a key, joint, unit or number in it is unknown."""
+    """Return the declarations in a columns file, for a chain with these joints (n,).
+
+    InputError where it cannot be read, or a key, joint, unit or number in it is unknown.
+    """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         fault = error_text(error)
         raise InputError(f"cannot read the columns file {path}: {fault}") from error
-    return parse_columns(text, path, joint_names)
-
-
-def parse_columns(text: str, path: Path, joint_names: Sequence[str]) -> ColumnChoices:
-    """Return the declarations in the text of a columns file.
-
-    Args:
-        text: of the file.
-        path: of the file, for messages.
-        joint_names: (n,) of the chain, base to terminal.
-
-    Raises:
-        InputError: a key, joint, unit or number in it is unknown.
-    """
     values = {}
     columns: dict[str, dict[str, str]] = {}
     # Not splitlines: titles may hold other line ends.

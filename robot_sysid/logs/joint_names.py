@@ -89,7 +89,14 @@ def match_joint_names(
     arm_joints = list(joint_names)
     # Equal names come before those that differ in signs only, such as arm-1 and arm_1.
     if not {*joint_names} <= {*names}:
-        arm_joints = _single_names(complete[frame], arm)
+        by_core = complete[frame]
+        for core, joint_name in zip(arm.cores, joint_names):
+            if len(by_core[core]) > 1:
+                listed = " and ".join(by_core[core])
+                raise InputError(
+                    f"the log's {listed} could both be the joint {joint_name}"
+                )
+        arm_joints = [by_core[core][0] for core in arm.cores]
     if are_opposite_sides({*chain(*frame)}, {*chain(*arm.frame)}):
         raise InputError(
             f"the log's joints {join_names(arm_joints)} are those of another arm than the model's "
@@ -174,15 +181,6 @@ def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame
         f"the log holds {len(sets)} sets of joints that could be the model's "
         f"{join_names(arm.names)}: {' and '.join(map(join_names, sets))}"
     )
-
-
-def _single_names(by_core: NamesByCore, arm: _NameSet) -> list[str]:
-    """Return the log's name of each joint; InputError where two names could be one joint."""
-    for core, joint_name in zip(arm.cores, arm.names):
-        if len(by_core[core]) > 1:
-            listed = " and ".join(by_core[core])
-            raise InputError(f"the log's {listed} could both be the joint {joint_name}")
-    return [by_core[core][0] for core in arm.cores]
 
 
 def are_opposite_sides(pieces: set[str], other_pieces: set[str]) -> bool:

@@ -198,14 +198,13 @@ def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
 TableReader = Callable[[LogSource], LogTable]
 """Reads a log of one form as a table."""
 _BAG = "a ROS bag", bag_table
-_MATLAB = "a MATLAB .mat file", arrays.matlab_table
 _HDF5 = "an HDF5 file", arrays.hdf5_table
 _TEXT = "a table of text", text_table
 _FILES: Mapping[bytes, tuple[str, TableReader]] = {
     b"\x89MCAP0": _BAG,
     b"#ROSBAG V": _BAG,
     b"SQLite format 3": _BAG,
-    b"MATLAB 5.0": _MATLAB,
+    b"MATLAB 5.0": ("a MATLAB .mat file", arrays.matlab_table),
     # .mat files are HDF5 since version 7.3.
     b"MATLAB 7.3": _HDF5,
     b"\x89HDF\r\n\x1a\n": _HDF5,
@@ -250,7 +249,11 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"cannot read the log {path}: {reason}") from error
-    form, reader = _find_form(path, is_folder, first_bytes)
+    if is_folder:
+        forms = [form for name, form in _FOLDERS.items() if (path / name).is_file()]
+    else:
+        forms = [form for head, form in _FILES.items() if first_bytes.startswith(head)]
+    form, reader = forms[0] if forms else _TEXT
     if is_folder and reader is text_table:
         raise InputError(
             f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
@@ -265,14 +268,3 @@ def _blocks(table: LogTable, form: str, columns: Sequence[int]) -> Iterator[Bloc
     """Yield the blocks of a table with these columns; what its reader raises is an InputError."""
     with as_input_errors(table.path, form):
         yield from table.blocks(columns)
-
-
-def _find_form(
-    path: Path, is_folder: bool, first_bytes: bytes
-) -> tuple[str, TableReader]:
-    """Return the form of a file or folder and its reader; text where no other one fits."""
-    if is_folder:
-        forms = [form for name, form in _FOLDERS.items() if (path / name).is_file()]
-    else:
-        forms = [form for head, form in _FILES.items() if first_bytes.startswith(head)]
-    return forms[0] if forms else _TEXT

@@ -265,7 +265,7 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
 
 
 def _read_plain_rows(dialect: Dialect, lines: Sequence[str]) -> Array | None:
-    """Return the cells (R, C) of lines where all are rows of numbers as NumPy reads them, else None.
+    """Return the cells (R, C) of lines that are all rows of plain numbers, else None.
 
     That is several times as fast as ``_read_row``.
     """
@@ -315,7 +315,7 @@ def write_measurement_csv(
     """Write samples as CSV that ``reader.open_log`` reads, with every digit.
 
     Columns are called ``<joint>_position`` and so on; the file appears when it is complete. All
-    chunks have the quantities of the first. InputError where there is no chunk.
+    chunks have the quantities of the first.
     """
     with atomic_file(path) as stream:
         writer = csv.writer(stream, lineterminator="\n")
@@ -331,5 +331,3 @@ def write_measurement_csv(
             values = [getattr(chunk, _ATTRIBUTES[q]) for q in quantities]
             rows = np.column_stack((chunk.time, *values)).tolist()
             writer.writerows(map(repr, row) for row in rows)
-        if not quantities:
-            raise InputError("there are no samples to write")

@@ -13,7 +13,11 @@ from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import mistakes
 from robot_sysid.errors import ColumnsError
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.column_map import ColumnChoices, parse_columns, recognise_columns
+from robot_sysid.logs.column_map import (
+    ColumnChoices,
+    read_columns_file,
+    recognise_columns,
+)
 from robot_sysid.records.messages import Level
 from tests.support import arms
 
@@ -31,11 +35,13 @@ FILE = (
 CORRECTIONS = [mistake.correction for mistake in mistakes(ROBOT)]
 
 
-def columns_of(titles, text):
-    choices = parse_columns(text, Path("columns.txt"), NAMES) if text else None
-    return recognise_columns(
-        ["time", *titles], ROBOT, choices or ColumnChoices(), first_row=()
-    )
+def columns_of(titles, text, folder):
+    choices = ColumnChoices()
+    if text:
+        path = folder / "declared.txt"
+        path.write_text(text)
+        choices = read_columns_file(path, NAMES)
+    return recognise_columns(["time", *titles], ROBOT, choices, first_row=())
 
 
 def refusal(titles, correction, folder, text="", payload=(), **attributes):
@@ -45,7 +51,9 @@ def refusal(titles, correction, folder, text="", payload=(), **attributes):
     """
     path = folder / "mine.txt"
     path.write_text(text)
-    columns = SimpleNamespace(**{**vars(columns_of(titles, text)), **attributes})
+    columns = SimpleNamespace(
+        **{**vars(columns_of(titles, text, folder)), **attributes}
+    )
     log = SimpleNamespace(
         path=Path("run.csv"),
         columns=columns,
@@ -74,8 +82,8 @@ def test_the_file_corrects_what_was_read(
     error = refusal(titles, correction, tmp_path, text)
     assert isinstance(error, ColumnsError)
     assert error.options == (("--columns", "run_columns.txt"),)
-    before = columns_of(titles, text)
-    after = columns_of(titles, error.draft)
+    before = columns_of(titles, text, tmp_path)
+    after = columns_of(titles, error.draft, tmp_path)
     for quantity in QUANTITIES:
         source = "position" if quantity == "velocity" else quantity
         expected = np.array([signals(before, quantity)])
