@@ -6,7 +6,7 @@ functions and the tables in the documentation all come from these records.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from pathlib import Path
@@ -15,10 +15,9 @@ from typing import Any, ClassVar, TypeVar, get_type_hints
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.logs import FittedLogOptions, LogOptions
-from robot_sysid.model import ModelOptions, PosedModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion import (
     EMPTY,
-    EXCITATIONS,
     LOADED,
     AimOptions,
     ExcitationOptions,
@@ -43,30 +42,19 @@ AnyLogConfig = TypeVar("AnyLogConfig", bound="LogConfig")
 
 
 @dataclass(frozen=True)
-class FolderOptions(OptionRecord):
-    """Where files go; none replaces ``config``, the file that the options come from."""
+class OutputOptions(OptionRecord):
+    """Where files go, what is drawn and printed of the result, and what it is to be.
+
+    No file replaces ``config``, the file that the options come from.
+    """
 
     config: Path | None = None
     output_dir: Path = option(
         Path("sysid_output"), "folder for the results", "DIR", parse=parse_folder
     )
-    links: bool = False
-    report: bool = False
-
-
-@dataclass(frozen=True)
-class OutputOptions(FolderOptions):
-    """Where the results of an estimate go, and whether they are drawn."""
-
     report: bool = option(
         False, "also write report.html, a page with figures of the result"
     )
-
-
-@dataclass(frozen=True)
-class ArmOutputOptions(OutputOptions):
-    """What an identification prints, and what it is to find."""
-
     links: bool = option(False, "print every link, not only the last one")
     torque_from: str | None = option(
         None,
@@ -79,7 +67,7 @@ class ArmOutputOptions(OutputOptions):
 
 @dataclass(frozen=True)
 class MotorOptions(OptionRecord):
-    """Whether the trajectory is written for Damiao motors, and which they are."""
+    """Whether the trajectory is written for Damiao motors, which they are, and their CAN ids."""
 
     export_damiao: bool = option(False, "also write the trajectory for Damiao motors")
     motor_type: tuple[str, ...] = option(
@@ -88,22 +76,6 @@ class MotorOptions(OptionRecord):
         "TYPE",
         repeats=True,
     )
-    can_id: tuple[int, ...] = ()
-    master_id: tuple[int, ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.export_damiao != bool(self.motor_type):
-            raise InputError(
-                "--export-damiao and --motor-type go together, one motor type per joint of the "
-                "chain"
-            )
-
-
-@dataclass(frozen=True)
-class NumberedMotorOptions(MotorOptions):
-    """Which Damiao motors a trajectory is written for, and their CAN ids."""
-
     can_id: tuple[int, ...] = option(
         (),
         "CAN id of a motor; once per joint, base first",
@@ -118,6 +90,14 @@ class NumberedMotorOptions(MotorOptions):
         default_text="CAN id + 0x10",
         repeats=True,
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.export_damiao != bool(self.motor_type):
+            raise InputError(
+                "--export-damiao and --motor-type go together, one motor type per joint of the "
+                "chain"
+            )
 
 
 _FOLDERS = ("output_dir", "mesh_dir")
@@ -134,21 +114,28 @@ class Config:
         model: the model file.
         output: files to write.
         written: names of the files that the command may write to the output folder.
+        left_out: keys of options of its records that the command does not have.
     """
 
     model: ModelOptions
-    output: FolderOptions = FolderOptions()
+    output: OutputOptions = OutputOptions()
     written: ClassVar[tuple[str, ...]] = (
         file_access.PARAMS_NAME,
         *file_access.MODEL_NAMES.values(),
     )
+    left_out: ClassVar[tuple[str, ...]] = ("keyframe", "links", "torque_from")
 
     @classmethod
-    def records(cls) -> Mapping[str, Any]:
+    def records(cls) -> dict[str, Any]:
         """Return the class of each record of options that the command has, by attribute."""
         types = get_type_hints(cls)
         names = [entry.name for entry in fields(cls) if "fixed" not in entry.metadata]
         return {name: types[name] for name in names}
+
+    @classmethod
+    def option_keys(cls) -> set[str]:
+        """Return the keys of the options that the command has."""
+        return option_fields.keys_of(*cls.records().values()) - {*cls.left_out}
 
     @classmethod
     def of(cls: type[AnyConfig], path: Path, **values: Any) -> AnyConfig:
@@ -162,10 +149,9 @@ class Config:
             InputError: an option is unknown, its value cannot be used, or it does not go with
                 another one.
         """
-        classes = cls.records()
-        option_fields.refuse_unknown(values, option_fields.keys_of(*classes.values()))
+        option_fields.refuse_unknown(values, cls.option_keys())
         records: dict[str, Any] = {}
-        for name, record_class in classes.items():
+        for name, record_class in cls.records().items():
             records[name] = option_fields.record_from(record_class, values)
         records["model"] = replace(records["model"], path=Path(path))
         return cls(**records)
@@ -205,15 +191,6 @@ def _fixed(record: OptionRecord) -> Any:
 
 
 @dataclass(frozen=True)
-class FittedTorqueOptions(EstimationOptions):
-    """Options of an estimate from simulated torques, which needs no more of them."""
-
-    friction_model: str | None = None
-    priors: Priors = Priors()
-    keep: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class MotionConfig(Config):
     """Options of a command that plans or draws a motion: base class.
 
@@ -227,10 +204,10 @@ class MotionConfig(Config):
     """
 
     trajectory: TrajectoryOptions = TrajectoryOptions()
-    excitation: ExcitationOptions = _fixed(ExcitationOptions())
+    excitation: ExcitationOptions = _fixed(ExcitationOptions(kind="sines"))
     aim: AimOptions = _fixed(AimOptions())
     limits: LimitOptions = _fixed(LimitOptions())
-    estimation: EstimationOptions = FittedTorqueOptions()
+    estimation: EstimationOptions = EstimationOptions()
     motors: MotorOptions = MotorOptions()
 
     def __post_init__(self) -> None:
@@ -279,17 +256,19 @@ class MotionConfig(Config):
 class SelfTestConfig(MotionConfig):
     """Options of ``robot-sysid MODEL``, an identification of a simulated arm."""
 
-    output: OutputOptions = OutputOptions()
-    estimation: FittedTorqueOptions = FittedTorqueOptions()
     arm: SimulatedArmOptions = SimulatedArmOptions()
+    left_out: ClassVar[tuple[str, ...]] = (
+        *("friction_model", "priors", "keep"),
+        *Config.left_out,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for stated in option_fields.given_options(self.arm):
-            if self.arm.plant_model is None and stated.key != "save_measurements":
+        for key in option_fields.given_values(self.arm):
+            if self.arm.plant_model is None and key != "save_measurements":
                 raise InputError(
-                    f"{stated.flag} belongs to a simulated plant; add --plant-model (the model "
-                    "file itself will do)"
+                    f"--{key.replace('_', '-')} belongs to a simulated plant; add --plant-model "
+                    "(the model file itself will do)"
                 )
 
     def _is_random(self) -> bool:
@@ -305,38 +284,18 @@ class PlannedTrajectoryOptions(TrajectoryOptions):
 
 
 @dataclass(frozen=True)
-class DesignOptions(ExcitationOptions):
-    """How a plan's motion is made: by a search, unless random sinusoids are asked for."""
-
-    kind: str = option(
-        "optimal",
-        "a trajectory designed to tell as much as possible, or random sinusoids",
-        flag="--excitation",
-        choices=EXCITATIONS,
-    )
-
-
-@dataclass(frozen=True)
-class PredictionOptions(EstimationOptions):
-    """Options of the estimate that a plan predicts the errors of."""
-
-    no_friction: bool = False
-    friction_model: str | None = None
-    keep: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class PlanConfig(MotionConfig):
     """Options of ``plan``."""
 
-    model: PosedModelOptions
     trajectory: PlannedTrajectoryOptions = PlannedTrajectoryOptions()
-    excitation: DesignOptions = DesignOptions()
+    excitation: ExcitationOptions = ExcitationOptions()
     aim: AimOptions = AimOptions()
     limits: LimitOptions = LimitOptions()
-    estimation: PredictionOptions = PredictionOptions()
-    motors: NumberedMotorOptions = NumberedMotorOptions()
     written: ClassVar[tuple[str, ...]] = ()
+    left_out: ClassVar[tuple[str, ...]] = (
+        *("links", "torque_from", "report"),
+        *("no_friction", "friction_model", "keep"),
+    )
 
     @property
     def plan_file(self) -> Path:
@@ -359,7 +318,6 @@ class LogConfig(Config):
         estimation: how the parameters are estimated.
     """
 
-    output: OutputOptions = OutputOptions()
     log: LogOptions = LogOptions()
     estimation: EstimationOptions = EstimationOptions()
 
@@ -387,23 +345,24 @@ class LogConfig(Config):
 class IdentifyConfig(LogConfig):
     """Options of ``identify``."""
 
-    output: ArmOutputOptions = ArmOutputOptions()
     log: FittedLogOptions = FittedLogOptions()
     written: ClassVar[tuple[str, ...]] = (*Config.written, file_access.SERVO_NAME)
+    left_out: ClassVar[tuple[str, ...]] = ("keyframe",)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.output.torque_from is None:
             return
-        useless = [*option_fields.given_options(self.estimation)]
-        for stated in option_fields.given_options(self.log):
-            if stated.key in ("torque_scale", "torque_constants"):
-                useless.append(stated)
+        useless = [*option_fields.given_values(self.estimation)]
+        for key in ("torque_scale", "torque_constants"):
+            if key in option_fields.given_values(self.log):
+                useless.append(key)
         if self.output.report or self.output.links:
-            useless.append(options_of(self.output)["report"])
-        for stated in useless:
+            useless.append("report")
+        for key in useless:
             raise InputError(
-                f"{stated.flag} is about measured torques; leave it off with --torque-from"
+                f"--{key.replace('_', '-')} is about measured torques; leave it off with "
+                "--torque-from"
             )
 
 
@@ -468,21 +427,15 @@ class PayloadOptions(OptionRecord):
 
 
 @dataclass(frozen=True)
-class LoadedOptions(EstimationOptions):
-    """Options of the estimate of a payload, which uses the torques of all joints."""
-
-    torques: str = "chain"
-    no_friction: bool = False
-
-
-@dataclass(frozen=True)
 class PayloadConfig(LogConfig):
     """Options of ``payload``."""
 
-    estimation: LoadedOptions = LoadedOptions()
-    payload: PayloadOptions = field(default_factory=PayloadOptions)
-
+    payload: PayloadOptions = PayloadOptions()
     written: ClassVar[tuple[str, ...]] = (*Config.written, file_access.CARD_NAME)
+    left_out: ClassVar[tuple[str, ...]] = (
+        *("torques", "no_friction"),
+        *Config.left_out,
+    )
 
     def __post_init__(self) -> None:
         self._require_both()

@@ -169,7 +169,9 @@ def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:
         yield "the model's connect and weld constraints are ignored"
     if mj_model.opt.density or mj_model.opt.viscosity:
         yield "the model's air or fluid drag is ignored"
-    is_nonlinear = np.any(robot.nonlinear_damping, axis=1)
+    # Coefficients of qd abs(qd) and of qd^3; MuJoCo before 3.7 has no such damping.
+    coefficients = getattr(mj_model, "dof_dampingpoly", np.zeros((mj_model.nv, 2)))
+    is_nonlinear = np.any(coefficients[robot.dof_index], axis=1)
     if np.any(is_nonlinear):
         names = ", ".join(robot.joint_names[k] for k in np.flatnonzero(is_nonlinear))
         yield (

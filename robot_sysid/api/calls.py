@@ -17,8 +17,8 @@ from robot_sysid.api.keywords import (
     arm_of,
     path_of,
     python_words,
-    records_of,
     with_keywords,
+    with_options_of,
 )
 from robot_sysid.api.results import PlanResult, Result, one_thread
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
@@ -30,7 +30,7 @@ from robot_sysid.logs.arrays import arrays_table
 from robot_sysid.logs.reader import MeasurementLog, open_log
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import read_title
-from robot_sysid.model import PosedModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
 from robot_sysid.pipeline.planning import design_motion, predict_plan
@@ -162,7 +162,7 @@ def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Measurement
     return open_log(robot, _log_source(log), record_from(LogOptions, options))
 
 
-@with_keywords(*records_of(IdentifyConfig))
+@with_options_of(IdentifyConfig)
 def identify(
     model: Model,
     log: Log | Sequence[Log],
@@ -199,7 +199,7 @@ def identify(
     return _run_quietly(IdentifyConfig.of(path_of(model), **values))
 
 
-@with_keywords(*records_of(SelfTestConfig))
+@with_options_of(SelfTestConfig)
 def self_test(model: Model, **options: Any) -> Result:
     """Identify an arm from a simulation of its model, or of another model that plays the arm.
 
@@ -213,7 +213,7 @@ def self_test(model: Model, **options: Any) -> Result:
     return _run_quietly(SelfTestConfig.of(path_of(model), **options))
 
 
-@with_keywords(*records_of(PlanConfig))
+@with_options_of(PlanConfig)
 def plan(model: Model, **options: Any) -> PlanResult:
     """Design a trajectory, or check one that was saved, and predict an identification from it.
 
@@ -236,7 +236,7 @@ def plan(model: Model, **options: Any) -> PlanResult:
     return PlanResult(config, robot, checked, printed, tuple(notes.notes))
 
 
-@with_keywords(*records_of(PayloadConfig))
+@with_options_of(PayloadConfig)
 def payload(
     model: Model,
     empty: Log | Sequence[Log],
@@ -288,7 +288,7 @@ class Regressor:
         return f"<Regressor Y {self.Y.shape}, tau {self.tau.shape}, {len(self.names)} parameters>"
 
 
-@with_keywords(PosedModelOptions)
+@with_keywords(ModelOptions)
 def joint_torque_regressor(
     model: Model, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, **options: Any
 ) -> Regressor:

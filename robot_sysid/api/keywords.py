@@ -22,7 +22,7 @@ from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.model import PosedModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import (
     InMemory,
     compiled_in_memory,
@@ -53,12 +53,12 @@ def path_of(model: Model) -> Path:
 
 
 def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
-    """Return the arm in a model; ``values`` are keywords, of which ``PosedModelOptions`` are used.
+    """Return the arm in a model; ``values`` are keywords, of which ``ModelOptions`` are used.
 
     Raises:
         InputError: it is no model, or cannot be read.
     """
-    options = option_records.record_from(PosedModelOptions, values)
+    options = option_records.record_from(ModelOptions, values)
     if is_in_memory(model):
         compiled = compiled_in_memory(model)
         return robot_from_compiled(
@@ -71,23 +71,15 @@ def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a decorated function, which the decorator keeps."""
-_FOR_COMMANDS = ("output",)
-"""Records of a command's options that its function does not have: it prints and writes nothing."""
 MOTORS = (
     BusAddress,
     BusTiming,
     PlaySettings,
     Permissions,
     RecordingOptions,
-    PosedModelOptions,
+    ModelOptions,
 )
 """Records of options of the motor commands."""
-
-
-def records_of(config: type[Config]) -> tuple[Any, ...]:
-    """Return the records of a command's options that are keywords of the function like it."""
-    records = config.records()
-    return tuple(records[name] for name in records if name not in _FOR_COMMANDS)
 
 
 def with_keywords(
@@ -101,7 +93,7 @@ def with_keywords(
 
     Args:
         records: classes of option records.
-        only: keys of the only options of the last record; empty for all.
+        only: keys of the only options; empty for all.
         defaults: defaults that the function has in place of the records'.
     """
 
@@ -115,7 +107,7 @@ def with_keywords(
         for record in records:
             for field_name, option in options_of(record).items():
                 key = option.key
-                is_left_out = record is records[-1] and only and key not in only
+                is_left_out = only and key not in only
                 # A log is an argument of its own, which has no flag either.
                 if key in own_keys or is_left_out or not option.flag.startswith("-"):
                     continue
@@ -138,6 +130,16 @@ def with_keywords(
         return call  # type: ignore[return-value]
 
     return decorate
+
+
+def with_options_of(config: type[Config]) -> Callable[[Function], Function]:
+    """Return a decorator that gives a function the options of a command as keywords.
+
+    Those of its output are left out: the function prints and writes nothing.
+    """
+    records = config.records()
+    del records["output"]
+    return with_keywords(*records.values(), only=config.option_keys())
 
 
 def _with_keyword_help(docstring: str, helps: Iterable[str]) -> str:

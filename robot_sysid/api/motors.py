@@ -19,7 +19,7 @@ from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.file_access import DAMIAO_NAME, temporary_folder
-from robot_sysid.records.option_fields import given_options
+from robot_sysid.records.option_fields import given_values, keys_of
 
 if TYPE_CHECKING:
     from robot_sysid.api.results import PlanResult
@@ -35,7 +35,9 @@ Say = Callable[[str], None]
 """Function that is called with one sentence about each event of a run."""
 
 
-@with_keywords(*MOTORS, LimitOptions, only=LIMITS, **dict.fromkeys(LIMITS))
+@with_keywords(
+    *(*MOTORS, LimitOptions), only={*keys_of(*MOTORS), *LIMITS}, **dict.fromkeys(LIMITS)
+)
 def play(
     trajectory: Path | str | PlanResult,
     *,
@@ -116,9 +118,7 @@ def _motor_file(
         raise InputError(
             "the plan is for no motors; give rs.plan export_damiao and motor_type"
         )
-    arm_options = {"model": config.model.path}
-    for option in given_options(config.model):
-        arm_options[option.key] = getattr(config.model, option.key)
+    arm_options = {"model": config.model.path, **given_values(config.model)}
     with (
         temporary_folder() as folder,
         open(folder / DAMIAO_NAME, "w", encoding="utf-8") as file,

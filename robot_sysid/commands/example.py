@@ -10,7 +10,7 @@ from shlex import quote
 
 import robot_sysid
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.config import FolderOptions, SelfTestConfig
+from robot_sysid.config import OutputOptions, SelfTestConfig
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.file_access import temporary_folder
 from robot_sysid.records.option_fields import record_from
@@ -54,7 +54,7 @@ def build_parser(full: bool = True) -> Parser:
         "name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES)
     )
     defaults = {"output_dir": "the example's name"}
-    parser.add("output", FolderOptions, only=("output_dir",), defaults=defaults)
+    parser.add("output", OutputOptions, only=("output_dir",), defaults=defaults)
     return parser.add_console_options()
 
 
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> int:
     values, console = parse_command(build_parser, arguments)
     folder = Path(values["name"])
     if "output_dir" in values:
-        folder = record_from(FolderOptions, values).output_dir
+        folder = record_from(OutputOptions, values).output_dir
     if folder.exists():
         raise InputError(
             f"{folder} exists; choose another folder with --output-dir DIR"

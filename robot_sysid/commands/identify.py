@@ -27,7 +27,7 @@ from robot_sysid.config import (
 )
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import file_access
-from robot_sysid.records.option_fields import default_of, options_of
+from robot_sysid.records.option_fields import given_values
 
 
 class CommandSpec(NamedTuple):
@@ -144,7 +144,7 @@ def build_parser(command: str = "", full: bool = True) -> Parser:
         "path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file"
     )
     for title, record in spec.config.records().items():
-        parser.add(title, record)
+        parser.add(title, record, only=spec.config.option_keys())
     if not command:
         version = f"{PROGRAM} {__version__}"
         parser.add_argument(
@@ -240,11 +240,8 @@ def settings_text(config: Config) -> str:
     """Return the TOML text of a command's options that differ from their defaults."""
     lines = [f"path = {_toml_value(config.model.path)}"]
     for name in config.records():
-        record = getattr(config, name)
-        for field_name, option in options_of(record).items():
-            value = getattr(record, field_name)
-            if value != default_of(record, field_name):
-                lines.append(f"{option.key} = {_toml_value(value)}")
+        for key, value in given_values(getattr(config, name)).items():
+            lines.append(f"{key} = {_toml_value(value)}")
     return "\n".join([*lines, ""])
 
 

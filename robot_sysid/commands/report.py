@@ -7,7 +7,7 @@ from pathlib import Path
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.config import FolderOptions
+from robot_sysid.config import OutputOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
 from robot_sysid.records.option_fields import record_from
@@ -29,7 +29,7 @@ def build_parser(full: bool = True) -> Parser:
         help="folder that a run wrote to",
     )
     defaults = {"output_dir": "the first run's own"}
-    parser.add("page", FolderOptions, only=("output_dir",), defaults=defaults)
+    parser.add("page", OutputOptions, only=("output_dir",), defaults=defaults)
     parser.add("model", ModelOptions, only=("mesh_dir",))
     return parser.add_console_options()
 
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parse_command(build_parser, arguments)
     mesh_dir = record_from(ModelOptions, values).mesh_dir
-    folder = record_from(FolderOptions, values).output_dir
+    folder = record_from(OutputOptions, values).output_dir
     require_report(True)
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline.comparison import compare_runs, sentences
@@ -77,7 +77,7 @@ def require_report(is_wanted: bool) -> None:
 
 
 def draw_report(
-    output: FolderOptions, mesh_dir: Path | None, console: Console
+    output: OutputOptions, mesh_dir: Path | None, console: Console
 ) -> str | None:
     """Draw the report of a run that has just ended; return why it is missing, or None.
 

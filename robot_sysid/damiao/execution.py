@@ -45,7 +45,7 @@ from robot_sysid.damiao.simulated import (
     simulated_motor,
 )
 from robot_sysid.errors import InputError, SysidError, error_text
-from robot_sysid.model import PosedModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Remark
 from robot_sysid.records.option_fields import record_from
@@ -82,7 +82,7 @@ class MotorRun:
         model.
         """
         robot = self.robot
-        model_options = record_from(PosedModelOptions, self.values)
+        model_options = record_from(ModelOptions, self.values)
         for key in (*vars(model_options), *motion.MODEL_LIMITS):
             if robot is None and self.values.get(key) is not None:
                 raise InputError(
@@ -192,7 +192,7 @@ class MotorRun:
             return None
         from robot_sysid.parser import load_robot_model
 
-        model = record_from(PosedModelOptions, self.values)
+        model = record_from(ModelOptions, self.values)
         return load_robot_model(
             path,
             model.mesh_dir,

@@ -13,10 +13,7 @@ from robot_sysid.records.option_fields import OptionRecord, option
 
 @dataclass(frozen=True)
 class ModelOptions(OptionRecord):
-    """Options that choose a model file (``path``, MJCF or URDF) and the arm in it.
-
-    ``keyframe`` is an option of commands that move the arm only, see ``PosedModelOptions``.
-    """
+    """Options that choose a model file (``path``, MJCF or URDF), the arm in it and its rest."""
 
     path: Path = Path()
     mesh_dir: Path | None = option(
@@ -25,13 +22,6 @@ class ModelOptions(OptionRecord):
     joint: str | None = option(
         None, "terminal joint", "NAME", default_text="found automatically"
     )
-    keyframe: str | None = None
-
-
-@dataclass(frozen=True)
-class PosedModelOptions(ModelOptions):
-    """Options that also choose the pose in which the arm is at rest."""
-
     keyframe: str | None = option(
         None,
         "keyframe in which the arm is at rest, where motions start",

@@ -210,8 +210,8 @@ class ExcitationOptions(OptionRecord):
     """
 
     kind: str = option(
-        "sines",
-        "random sinusoids, or a trajectory designed to tell as much as possible",
+        "optimal",
+        "a trajectory designed to tell as much as possible, or random sinusoids",
         flag="--excitation",
         choices=EXCITATIONS,
     )

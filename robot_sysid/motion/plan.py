@@ -17,7 +17,7 @@ from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import (
     TrajectoryOptions,
-    given_options,
+    given_values,
     require_countable,
 )
 
@@ -59,9 +59,7 @@ class MotionRequest:
         is_kept = options.plan_only or options.save is not None
         if self.played or is_kept or options.file is not None or self.is_designed:
             return True
-        return any(
-            choice.key != "max_velocity" for choice in given_options(self.limits)
-        )
+        return bool(given_values(self.limits).keys() - {"max_velocity"})
 
     @property
     def is_designed(self) -> bool:

@@ -341,17 +341,6 @@ class RobotModel:
         return np.array(self.mj_model.dof_armature[self.dof_index])
 
     @property
-    def nonlinear_damping(self) -> Array:
-        """Coefficients (n, 2) of qd abs(qd) and of qd^3 of its joints' damping [N m s^k/rad^k].
-
-        They are zero in MuJoCo before 3.7, which has no such damping.
-        """
-        coefficients = getattr(self.mj_model, "dof_dampingpoly", None)
-        if coefficients is None:
-            return np.zeros((self.n_joints, 2))
-        return np.array(coefficients[self.dof_index])
-
-    @property
     def lacks_meshes(self) -> bool:
         """Whether collision meshes of its file were left out: MuJoCo alone does not load that file,
         nor a URDF that is written from it.

@@ -143,7 +143,7 @@ class AtomicFiles:
         self._created_folders: list[Path] = []
 
     def draft(self, path: Path) -> Path:
-        """Create an empty draft of the file ``path`` and return where the draft is.
+        """Create an empty draft of the file ``path``, and its folder; return where the draft is.
 
         The draft has the suffix of ``path``, so that it can be loaded and checked before
         ``commit``. An earlier draft of ``path`` is removed.
@@ -155,7 +155,10 @@ class AtomicFiles:
         refuse_special_file(path, "choose another name to write to")
         self.withdraw(path)
         with _refusals_as_input_errors(path):
-            self.create_folder(path.parent)
+            for folder in reversed(path.parents):
+                if not os.path.exists(folder):
+                    folder.mkdir(exist_ok=True)
+                    self._created_folders.append(folder)
             self._drafts[path] = _hidden_path(path)
             # touch() and not a temporary file of tempfile: the user's umask decides who may read.
             self._drafts[path].touch(exist_ok=False)
@@ -220,13 +223,6 @@ class AtomicFiles:
             # The folder may hold a file.
             with contextlib.suppress(OSError):
                 folder.rmdir()
-
-    def create_folder(self, folder: Path) -> None:
-        """Create a folder and those above it; ``discard`` removes them if they stay empty."""
-        for new_folder in reversed((folder, *folder.parents)):
-            if not os.path.exists(new_folder):
-                new_folder.mkdir(exist_ok=True)
-                self._created_folders.append(new_folder)
 
 
 @contextlib.contextmanager

@@ -174,11 +174,14 @@ def default_of(record: Any, name: str) -> Any:
     return None if default is MISSING else default
 
 
-def given_options(record: Any) -> Iterator[Option]:
-    """Yield the options of a record whose values differ from their defaults."""
+def given_values(record: Any) -> dict[str, Any]:
+    """Return key to value of the options of a record that differ from their defaults."""
+    values = {}
     for name, stated in options_of(record).items():
-        if getattr(record, name) != default_of(record, name):
-            yield stated
+        value = getattr(record, name)
+        if value != default_of(record, name):
+            values[stated.key] = value
+    return values
 
 
 def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
@@ -212,12 +215,9 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
 
 def given_arguments(record: Any, keys: Collection[str] | None = None) -> list[str]:
     """Return the arguments of a command line that state a record's given options, of some keys."""
-    values = {}
-    for name, stated in options_of(record).items():
-        value = getattr(record, name)
-        is_wanted = keys is None or stated.key in keys
-        if is_wanted and value != default_of(record, name):
-            values[stated.key] = value
+    values = given_values(record)
+    if keys is not None:
+        values = {key: values[key] for key in values.keys() & keys}
     return command_arguments(values, record)
 
 

@@ -27,7 +27,7 @@ def make_request(trajectory=None, limits=None, excitation=None, played=False):
     settings = {"duration": DURATION, "sample_rate": 200.0, **(trajectory or {})}
     return MotionRequest(
         TrajectoryOptions(**settings),
-        excitation or ExcitationOptions(),
+        excitation or ExcitationOptions(kind="sines"),
         LimitOptions(**(limits or {})),
         EXACT_LINKS,
         played=played,

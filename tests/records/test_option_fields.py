@@ -23,7 +23,7 @@ from robot_sysid.records.option_fields import (
     check_positive,
     check_speed_factor,
     default_of,
-    given_options,
+    given_values,
     joint_factors,
     joint_values,
     option,
@@ -64,10 +64,7 @@ def test_a_record_is_made_from_keys_and_text_becomes_what_the_annotation_names()
     assert record == Oven(heat=90.0, fan_speed=3, trays=(0.2,))
     assert (default_of(record, "heat"), default_of(Oven, "trays")) == (180.0, ())
     oven = Oven(name="big", heat=200.0, recipe=Path("bread.txt"))
-    assert [given_option.flag for given_option in given_options(oven)] == [
-        "--heat",
-        "--recipe",
-    ]
+    assert given_values(oven) == {"heat": 200.0, "recipe": Path("bread.txt")}
 
 
 @pytest.mark.parametrize(

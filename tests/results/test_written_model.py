@@ -303,7 +303,9 @@ def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, f
     assert_allclose(
         reloaded.friction.viscous, factor * robot.friction.viscous, rtol=1e-12
     )
-    assert_allclose(reloaded.nonlinear_damping, robot.nonlinear_damping, rtol=1e-12)
+    assert_allclose(
+        reloaded.mj_model.dof_dampingpoly, robot.mj_model.dof_dampingpoly, rtol=1e-12
+    )
     for name in ("armature", "damping", "dampingpoly"):
         assert not np.any(getattr(written.mj_model, f"actuator_{name}"))
 
@@ -316,7 +318,8 @@ def test_nonlinear_damping_of_the_model_stays(tmp_path):
     reloaded = load_robot_model(write_and_compile(robot, result).path)
     expected = [joints[joint]["viscous"] for joint in robot.joint_names]
     assert_array_equal(reloaded.friction.viscous, expected)
-    assert_array_equal(reloaded.nonlinear_damping, [(0.3, 0.2)] * robot.n_joints)
+    coefficients = reloaded.mj_model.dof_dampingpoly[reloaded.dof_index]
+    assert_array_equal(coefficients, [(0.3, 0.2)] * robot.n_joints)
 
 
 SLACK = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")

@@ -63,7 +63,9 @@ def samples(config_type: type[Config]) -> Iterator[Sample]:
     """Yield a sample of every option of a command."""
     for name, record in config_type.records().items():
         for field, option in options_of(record).items():
-            yield Sample(name, field, option, _value(option, default_of(record, field)))
+            if option.key in config_type.option_keys():
+                value = _value(option, default_of(record, field))
+                yield Sample(name, field, option, value)
 
 
 def _value(option: Option, default: Any) -> Any:

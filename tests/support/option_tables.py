@@ -12,19 +12,14 @@ from collections.abc import Mapping, Sequence
 
 from robot_sysid.commands import ConsoleOptions, identify, motors
 from robot_sysid.commands.arguments import default_text
-from robot_sysid.config import (
-    ArmOutputOptions,
-    DesignOptions,
-    NumberedMotorOptions,
-    PayloadOptions,
-)
+from robot_sysid.config import MotorOptions, OutputOptions, PayloadOptions
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.logs import FittedLogOptions
-from robot_sysid.model import PosedModelOptions
-from robot_sysid.motion import AimOptions, LimitOptions
+from robot_sysid.model import ModelOptions
+from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.records.option_fields import (
     Option,
     TrajectoryOptions,
@@ -37,15 +32,15 @@ from tests.support.places import ROOT
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
 MAIN = identify.SPECS[""].main
 TABLES: Mapping[str, Sequence[type]] = {
-    "model and output": (PosedModelOptions, ArmOutputOptions),
+    "model and output": (ModelOptions, OutputOptions),
     "trajectory": (TrajectoryOptions,),
-    "excitation": (DesignOptions,),
+    "excitation": (ExcitationOptions,),
     "limits": (LimitOptions,),
     "measurements": (FittedLogOptions,),
     "simulated plant": (SimulatedArmOptions,),
     "estimation": (EstimationOptions,),
     "priors": (Priors,),
-    "Damiao motors": (NumberedMotorOptions,),
+    "Damiao motors": (MotorOptions,),
     "main": tuple(identify.SPECS[""].config.records().values()),
     "plan for a payload": (AimOptions,),
     "console": (ConsoleOptions,),

@@ -141,7 +141,11 @@ def record(
 ) -> None:
     """Write what the sensors of an arm in the folder report along a motion for my_arm.xml [s]."""
     robot = load_robot_model(folder / "my_arm.xml")
-    motion = TrajectoryOptions(duration, 200.0), ExcitationOptions(), LimitOptions()
+    motion = (
+        TrajectoryOptions(duration, 200.0),
+        ExcitationOptions(kind="sines"),
+        LimitOptions(),
+    )
     plan = make_plan(MotionRequest(*motion), robot, seed, Progress()).plan
     sensors = SimulatedArmOptions(noise_torque=0.05, encoder_resolution=1e-5)
     truth = load_plant(robot, folder / plant)

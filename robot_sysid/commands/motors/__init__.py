@@ -39,7 +39,7 @@ from robot_sysid.damiao.settings import (
 )
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.model import PosedModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Remark
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
@@ -200,7 +200,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
             "trajectory", metavar="TRAJECTORY", type=Path, help="damiao_trajectory.csv"
         )
     if is_run or command == "map":
-        arm = parser.add("arm", PosedModelOptions)
+        arm = parser.add("arm", ModelOptions)
         needs_model = command in ("simulate", "map")
         text = "MJCF or URDF of the arm"
         arm.add_argument(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from robot_sysid.commands.motors.session import Session
 from robot_sysid.damiao.settings import Plan
-from robot_sysid.model import PosedModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import command_arguments
@@ -51,7 +51,7 @@ def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
         record = folder / "measured.csv"
         return NextStep(sentence, session.command("play", speed=None, record=record))
     arm = session.values if session.values.get("model") else planned
-    options = command_arguments(arm, PosedModelOptions)
+    options = command_arguments(arm, ModelOptions)
     state = "motion recorded"
     if is_payload:
         state = "motion planned for payload"

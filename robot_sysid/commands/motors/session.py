@@ -18,13 +18,13 @@ from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
 from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.errors import InputError
-from robot_sysid.model import PosedModelOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
 
 _RECORDS = (
-    *(BusAddress, protocol.BusTiming, PosedModelOptions, PlaySettings, Permissions),
+    *(BusAddress, protocol.BusTiming, ModelOptions, PlaySettings, Permissions),
     *(RecordingOptions, LimitOptions),
 )
 """Classes whose options ``Session.command`` repeats."""

@@ -27,7 +27,7 @@ from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import (
     OptionRecord,
-    given_options,
+    given_values,
     option,
     parse_whole_number,
     record_from,
@@ -167,8 +167,7 @@ def setup(session: Session) -> int:
     --motor.
     """
     options = record_from(SetupOptions, session.values)
-    keys = {option.key for option in given_options(options)}
-    changes = bool(keys - {"motor"})
+    changes = bool(given_values(options).keys() - {"motor"})
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     with session.open_guarded(refuse_motion) as link:
