@@ -177,14 +177,11 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     """
     time = rows.samples.time
     q = rows.samples.q
-    limit = np.maximum(np.abs(robot.limits.lower), np.abs(robot.limits.upper))
-    # Twice the limit, but at least one full turn; two turns for a joint without limit.
-    limit = np.where(np.isfinite(limit), limit, 2.0 * np.pi)
-    reach = np.maximum(2.0 * limit, 2.0 * np.pi)
     largest = np.max(np.abs(q), axis=0)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None]
     is_often_fast = np.mean(speed > _FAST, axis=0) > _OFTEN
-    is_wrong = ~robot.is_slide & ((largest > reach) | is_often_fast)
+    # Two turns either way are more than an arm's joints have.
+    is_wrong = ~robot.is_slide & ((largest > 4.0 * np.pi) | is_often_fast)
     if not np.any(is_wrong):
         return
     joint = int(np.argmax(is_wrong))

@@ -26,8 +26,6 @@ Node = Any
 """An element of lxml's tree; its tag has no namespace unless it has a prefix."""
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Ends of the names of model files."""
-_MAX_FILES = 200
-"""Largest number of files of a model; none at hand has more than ten."""
 _COMMENT = re.compile(r"(<!--)(.*?)(-->|\Z)", re.DOTALL)
 """A comment: its begin, its text and its end."""
 _MASK = "\ue000"
@@ -190,8 +188,6 @@ def _included_path(include: Node, including: Path, document: ModelDocument) -> P
         raise ModelError(
             f"{location}: {name} is included twice or includes itself; include it once"
         )
-    if len(document.contents) > _MAX_FILES:
-        raise ModelError(f"{location}: the model includes more than {_MAX_FILES} files")
     return path
 
 

@@ -13,11 +13,7 @@ from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import mistakes
 from robot_sysid.errors import ColumnsError
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.column_map import (
-    ColumnChoices,
-    read_columns_file,
-    recognise_columns,
-)
+from robot_sysid.logs.column_map import read_columns_file, recognise_columns
 from robot_sysid.records.messages import Level
 from tests.support import arms
 
@@ -35,12 +31,8 @@ FILE = (
 CORRECTIONS = [mistake.correction for mistake in mistakes(ROBOT)]
 
 
-def columns_of(titles, text, folder):
-    choices = ColumnChoices()
-    if text:
-        path = folder / "declared.txt"
-        path.write_text(text)
-        choices = read_columns_file(path, NAMES)
+def columns_of(titles, path):
+    choices = read_columns_file(path, NAMES)
     return recognise_columns(["time", *titles], ROBOT, choices, first_row=())
 
 
@@ -51,9 +43,7 @@ def refusal(titles, correction, folder, text="", payload=(), **attributes):
     """
     path = folder / "mine.txt"
     path.write_text(text)
-    columns = SimpleNamespace(
-        **{**vars(columns_of(titles, text, folder)), **attributes}
-    )
+    columns = SimpleNamespace(**{**vars(columns_of(titles, path)), **attributes})
     log = SimpleNamespace(
         path=Path("run.csv"),
         columns=columns,
@@ -82,8 +72,9 @@ def test_the_file_corrects_what_was_read(
     error = refusal(titles, correction, tmp_path, text)
     assert isinstance(error, ColumnsError)
     assert error.options == (("--columns", "run_columns.txt"),)
-    before = columns_of(titles, text, tmp_path)
-    after = columns_of(titles, error.draft, tmp_path)
+    before = columns_of(titles, tmp_path / "mine.txt")
+    Path(error.name).write_text(error.draft)
+    after = columns_of(titles, Path(error.name))
     for quantity in QUANTITIES:
         source = "position" if quantity == "velocity" else quantity
         expected = np.array([signals(before, quantity)])

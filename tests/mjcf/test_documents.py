@@ -161,14 +161,6 @@ def test_nothing_of_a_file_that_is_no_model_is_shown(tmp_path):
     assert "hunter2" not in str(caught.value)
 
 
-def test_includes_are_not_followed_without_end(tmp_path):
-    for k in range(400):
-        text = f'<mujoco><include file="{k + 1}.xml"/></mujoco>'
-        (tmp_path / f"{k}.xml").write_text(text, encoding="utf-8")
-    with pytest.raises(ModelError, match="includes more than 200 files"):
-        read_document(tmp_path / "0.xml")
-
-
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("mark", ["<!--", "<!DOCTYPE"])
 def test_marks_that_never_end_take_no_longer_than_their_length(tmp_path, mark):

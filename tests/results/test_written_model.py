@@ -303,9 +303,8 @@ def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, f
     assert_allclose(
         reloaded.friction.viscous, factor * robot.friction.viscous, rtol=1e-12
     )
-    assert_allclose(
-        reloaded.mj_model.dof_dampingpoly, robot.mj_model.dof_dampingpoly, rtol=1e-12
-    )
+    models = reloaded.mj_model, robot.mj_model
+    assert_allclose(*(model.dof_dampingpoly for model in models), rtol=1e-12)
     for name in ("armature", "damping", "dampingpoly"):
         assert not np.any(getattr(written.mj_model, f"actuator_{name}"))
 
