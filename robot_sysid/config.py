@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_type_hints
+from typing import Any, ClassVar, TypeVar
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -117,7 +117,7 @@ class Config:
         left_out: keys of options of its records that the command does not have.
     """
 
-    model: ModelOptions
+    model: ModelOptions = ModelOptions()
     output: OutputOptions = OutputOptions()
     written: ClassVar[tuple[str, ...]] = (
         file_access.PARAMS_NAME,
@@ -127,10 +127,9 @@ class Config:
 
     @classmethod
     def records(cls) -> dict[str, Any]:
-        """Return the class of each record of options that the command has, by attribute."""
-        types = get_type_hints(cls)
-        names = [entry.name for entry in fields(cls) if "fixed" not in entry.metadata]
-        return {name: types[name] for name in names}
+        """Return the default of each record of options that the command has, by attribute."""
+        entries = [entry for entry in fields(cls) if "fixed" not in entry.metadata]
+        return {entry.name: entry.default for entry in entries}
 
     @classmethod
     def option_keys(cls) -> set[str]:
@@ -151,8 +150,8 @@ class Config:
         """
         option_fields.refuse_unknown(values, cls.option_keys())
         records: dict[str, Any] = {}
-        for name, record_class in cls.records().items():
-            records[name] = option_fields.record_from(record_class, values)
+        for name, record in cls.records().items():
+            records[name] = option_fields.record_from(type(record), values)
         records["model"] = replace(records["model"], path=Path(path))
         return cls(**records)
 
@@ -222,11 +221,6 @@ class MotionConfig(Config):
         """The file that the trajectory is written to, or None."""
         return self.trajectory.save
 
-    @property
-    def is_designed(self) -> bool:
-        """Whether the motion is found by a search."""
-        return self.trajectory.file is None and self.excitation.kind == "optimal"
-
     def with_seed(self: AnyMotionConfig) -> AnyMotionConfig:
         """Return the configuration with a seed, drawn where the run needs one and none is set."""
         if self.trajectory.seed is not None or not self._is_random():
@@ -277,17 +271,9 @@ class SelfTestConfig(MotionConfig):
 
 
 @dataclass(frozen=True)
-class PlannedTrajectoryOptions(TrajectoryOptions):
-    """Options of a motion that is planned, and not simulated."""
-
-    plan_only: bool = True
-
-
-@dataclass(frozen=True)
 class PlanConfig(MotionConfig):
     """Options of ``plan``."""
 
-    trajectory: PlannedTrajectoryOptions = PlannedTrajectoryOptions()
     excitation: ExcitationOptions = ExcitationOptions()
     aim: AimOptions = AimOptions()
     limits: LimitOptions = LimitOptions()
@@ -301,12 +287,6 @@ class PlanConfig(MotionConfig):
     def plan_file(self) -> Path:
         """The file that the trajectory is written to."""
         return self.trajectory.save or self.output.output_dir / file_access.PLAN_NAME
-
-    def limit_words(self) -> list[str]:
-        """Return the options on limits that motors have too, as words of a command line."""
-        from robot_sysid.damiao.trajectory import LIMITS
-
-        return option_fields.given_arguments(self.limits, LIMITS)
 
 
 @dataclass(frozen=True)

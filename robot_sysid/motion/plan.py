@@ -40,6 +40,7 @@ class MotionRequest:
         estimation: of the identification: whose torques are used, their noise, and how far the
             links may be off, for which torque is reserved.
         played: whether the motion will be played on an arm.
+        plan_only: whether nothing follows but the result of the plan.
         aim: purpose of the motion.
     """
 
@@ -48,6 +49,7 @@ class MotionRequest:
     limits: LimitOptions
     estimation: EstimationOptions = EstimationOptions()
     played: bool = False
+    plan_only: bool = False
     aim: AimOptions = AimOptions()
 
     @property
@@ -56,14 +58,13 @@ class MotionRequest:
         or designed, or a limit other than ``--max-velocity`` was given.
         """
         options = self.trajectory
-        is_kept = options.plan_only or options.save is not None
-        if self.played or is_kept or options.file is not None or self.is_designed:
-            return True
-        return bool(given_values(self.limits).keys() - {"max_velocity"})
+        is_kept = self.played or self.plan_only or options.save
+        limits = given_values(self.limits).keys() - {"max_velocity"}
+        return bool(is_kept or options.file or self.is_designed or limits)
 
     @property
     def is_designed(self) -> bool:
-        """Whether a trajectory is to be designed."""
+        """Whether a trajectory is to be designed, unless there is a file."""
         return self.excitation.kind == "optimal"
 
 
@@ -94,7 +95,7 @@ def make_plan(
     progress.note(*problem.notes)
     unguarded = unguarded_text(problem.unguarded)
     # The lines on a plan have this, and its verdict says what to do.
-    if unguarded and not options.plan_only:
+    if unguarded and not request.plan_only:
         progress.note(unguarded)
     return CheckedPlan(plan, problem, check_limits(problem, plan, options.sample_rate))
 

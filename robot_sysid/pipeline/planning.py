@@ -58,16 +58,16 @@ def design_motion(
         )
         for joint, motor_type in enumerate(motors.motor_type):
             spec = motor_spec(motor_type)
-            # TMAX, which no command of torque can exceed.
-            motor_limits = (spec.peak_torque, spec.limits[2])
-            max_torque[joint] = min(*motor_limits, max_torque[joint])
+            # The last limit is TMAX, which no command of torque can exceed.
+            max_torque[joint] = min(max_torque[joint], spec.peak_torque, spec.limits[2])
         limits = replace(limits, max_torque=tuple(max_torque.tolist()))
     request = MotionRequest(
         config.trajectory,
-        replace(config.excitation, kind="optimal" if config.is_designed else "sines"),
+        config.excitation,
         limits,
         config.estimation,
         played=motors.export_damiao,
+        plan_only=isinstance(config, PlanConfig),
         aim=config.aim,
     )
     seed = config.with_seed().trajectory.seed or 0
@@ -88,14 +88,13 @@ def predict_plan(
     problem = checked.problem
     plan = checked.plan
     check = checked.check
-    aim = config.aim
     rate = config.trajectory.sample_rate
     assert problem is not None and check is not None
     prediction = None
     lines = [*limit_lines(problem, plan, check)]
     options = config.estimation
     try:
-        prediction = expected_errors.predict(problem, plan, rate, options, aim)
+        prediction = expected_errors.predict(problem, plan, rate, options, config.aim)
         lines += error_lines(prediction)
     except InputError as error:
         lines.append(f"What errors it will leave cannot be predicted: {error}")
@@ -158,7 +157,9 @@ def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
     options = given_arguments(config.model)
     for path in paths:
         if path.name == DAMIAO_NAME:
-            options += config.limit_words()
+            from robot_sysid.damiao.trajectory import LIMITS
+
+            options += given_arguments(config.limits, LIMITS)
             state = "motion planned for motors"
             return step_after(state, options=options, trajectory=str(path), **words)
     if config.aim.purpose == "payload":

@@ -560,7 +560,6 @@ class TrajectoryOptions(OptionRecord):
         "FILE",
         flag="--save-trajectory",
     )
-    plan_only: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -22,7 +22,7 @@ DURATION = 4.0
 EXACT_LINKS = EstimationOptions(priors=Priors(link=0.0))
 
 
-def make_request(trajectory=None, limits=None, excitation=None, played=False):
+def make_request(trajectory=None, limits=None, excitation=None, **purpose):
     """Return a MotionRequest; the dicts are keyword arguments of its option records."""
     settings = {"duration": DURATION, "sample_rate": 200.0, **(trajectory or {})}
     return MotionRequest(
@@ -30,7 +30,7 @@ def make_request(trajectory=None, limits=None, excitation=None, played=False):
         excitation or ExcitationOptions(kind="sines"),
         LimitOptions(**(limits or {})),
         EXACT_LINKS,
-        played=played,
+        **purpose,
     )
 
 
@@ -44,7 +44,7 @@ def plan_motion(xml, seed=1, listener=None, **request):
 CHECKED = {
     "played": {"played": True},
     "designed": {"excitation": options(kind="optimal")},
-    "plan only": {"trajectory": {"plan_only": True}},
+    "plan only": {"plan_only": True},
     "saved": {"trajectory": {"save": "plan.json"}},
     "limited": {"limits": {"clearance": 0.02}},
 }
@@ -74,9 +74,10 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
     """Weighing uses half of the limits, and goes slowly."""
     limit, fastest = (3.5, 0.6) if purpose == "weight" else (7.0, 2.0)
     request = make_request(
-        {"plan_only": True},
+        None,
         {"max_torque": 7.0, "payload_reserve": load},
         options(kind=excitation),
+        plan_only=True,
     )
     aim = AimOptions(purpose=purpose)
     uncertain = EstimationOptions(priors=Priors(link=10.0))
