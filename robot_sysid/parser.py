@@ -109,8 +109,13 @@ def robot_from_compiled(
     )
     refuse_cad_units(robot)
     notes = [*robot.notes]
-    if joint is None:
-        notes += _jaw_notes(mj_model, terminal)
+    jaw = jaw_in_line(mj_model, terminal) if joint is None else None
+    if jaw is not None:
+        name = joint_label(mj_model, jaw)
+        notes.append(
+            f"joint {name} is taken for the jaw of a gripper because of its name, and held still; "
+            f"the arm ends at joint {names[-1]} (--joint {name} adds the jaw)"
+        )
     if keyframe_id is None and mj_model.nkey:
         keyframes = ", ".join(_keyframe_names(mj_model))
         none = "of several keyframes none is called home, so all joints start at their zero"
@@ -141,17 +146,6 @@ def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
 def _keyframe_names(mj_model: Any) -> list[str]:
     """Return the names of a model's keyframes in their order, "#0" for a nameless one with id 0."""
     return [mj_model.key(index).name or f"#{index}" for index in range(mj_model.nkey)]
-
-
-def _jaw_notes(mj_model: Any, terminal: int) -> Iterator[str]:
-    """Yield a sentence where the joint behind the terminal one (id) was taken for a jaw."""
-    jaw = jaw_in_line(mj_model, terminal)
-    if jaw is not None:
-        name = joint_label(mj_model, jaw)
-        yield (
-            f"joint {name} is taken for the jaw of a gripper because of its name, and held still; "
-            f"the arm ends at joint {joint_label(mj_model, terminal)} (--joint {name} adds the jaw)"
-        )
 
 
 def _notes_on_what_is_left_out(robot: RobotModel) -> Iterator[str]:

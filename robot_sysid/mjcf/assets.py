@@ -43,10 +43,10 @@ class Asset:
     path: Path | None
 
 
-def find_assets(
-    document: ModelDocument, mesh_dir: Path | None = None
-) -> tuple[Asset, ...]:
+def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> list[Asset]:
     """Return every file reference of a document, with the file where there is one.
+
+    InputError where that is a pipe, a device, or a pointer of Git LFS.
 
     In a URDF, ``package://``, ``model://`` and plain names are looked up in ``mesh_dir``, then in
     the file's folder and every folder above it, with and without the package's name.
@@ -65,15 +65,11 @@ def find_assets(
             paths = (
                 p for p in candidates if os.path.exists(p) and not os.path.isdir(p)
             )
-            assets.append(Asset(node, attribute, name, next(paths, None)))
-    return tuple(assets)
-
-
-def refuse_special_assets(document: ModelDocument, mesh_dir: Path | None) -> None:
-    """Raise InputError where a document refers to a pipe, a device, or a pointer of Git LFS."""
-    for asset in find_assets(document, mesh_dir):
-        if asset.path is not None:
-            refuse_special_file(asset.path)
+            path = next(paths, None)
+            if path is not None:
+                refuse_special_file(path)
+            assets.append(Asset(node, attribute, name, path))
+    return assets
 
 
 def refuse_missing_assets(document: ModelDocument, mesh_dir: Path | None) -> None:

@@ -188,12 +188,6 @@ def format_number(value: float) -> str:
     return repr(float(value)) if abs(value) >= _SMALLEST_NORMAL else "0.0"
 
 
-def format_rmse(rmse: float) -> str:
-    """Return the residual of an identification [N m] as comments state it."""
-    is_small = 0.0 < rmse < 1e-6
-    return f"RMSE {rmse:.3g} Nm" if is_small else f"RMSE {rmse:.6f} Nm"
-
-
 def let_inertials_count(document: ModelDocument) -> None:
     """Make ``inertiafromgeom="true"``, which overrides every ``<inertial>``, the default "auto"."""
     for node in document.settings("compiler"):

@@ -30,7 +30,6 @@ from robot_sysid.mjcf.documents import (
 from robot_sysid.mjcf.inertial import (
     format_number,
     format_numbers,
-    format_rmse,
     let_inertials_count,
     mjcf_inertial,
     urdf_inertial_about_com,
@@ -216,7 +215,8 @@ def _comment(subject: str, rmse: float, addition: str = "") -> str:
         rmse: residual of the identification [N m].
         addition: further text; "" for none.
     """
-    text = f"{OWN_COMMENT} {subject} identified with {format_rmse(rmse)}"
+    residual = f"{rmse:.3g}" if 0.0 < rmse < 1e-6 else f"{rmse:.6f}"
+    text = f"{OWN_COMMENT} {subject} identified with RMSE {residual} Nm"
     text += f"; {addition}" if addition else ""
     # A name may hold ends of lines, and dashes that would end the comment.
     return f" {re.sub('-(?=-)', '- ', ' '.join(text.split()))} "

@@ -21,11 +21,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import ModelError, error_text
-from robot_sysid.mjcf.assets import (
-    refuse_missing_assets,
-    refuse_special_assets,
-    relocate,
-)
+from robot_sysid.mjcf.assets import find_assets, refuse_missing_assets, relocate
 from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.mjcf.inertial import format_number, format_numbers
 from robot_sysid.mjcf.urdf import (
@@ -119,8 +115,8 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
         raise ModelError(
             f"a locale that has {point!r} for a decimal point spoils OBJ meshes; {remedy}"
         )
-    # MuJoCo would wait for a pipe for ever.
-    refuse_special_assets(document, mesh_dir)
+    # Refuses pipes, for which MuJoCo would wait for ever.
+    find_assets(document, mesh_dir)
     with captured_warnings() as warnings:
         if document.is_urdf:
             compiled = _compile_urdf(document, mesh_dir)

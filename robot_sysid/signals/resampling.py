@@ -150,11 +150,6 @@ _MOVING_SHARE = 0.1
 moving in a piece."""
 
 
-def splitting_gap(period: float) -> float:
-    """Return the longest step of time within a piece [s], for a sampling period [s]."""
-    return max(SPLITTING_GAP, SPLITTING_STEPS * period)
-
-
 def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
     """Return the pieces of a log between its gaps; those shorter than ``SHORTEST_PIECE`` are left
     out.
@@ -164,7 +159,8 @@ def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
     log that is not cut is its only piece, and so is one whose pieces are all too short.
     """
     step = np.diff(samples.time)
-    cuts = np.flatnonzero(step > splitting_gap(float(np.median(step)))) + 1
+    longest_step = max(SPLITTING_GAP, SPLITTING_STEPS * np.median(step))
+    cuts = np.flatnonzero(step > longest_step) + 1
     pieces = []
     for rows in np.split(np.arange(len(samples)), cuts):
         piece = slice_samples(samples, rows[0], rows[-1] + 1)
@@ -232,9 +228,8 @@ def slice_samples(samples: Measurement, start: int, stop: int) -> Measurement:
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     """Return consecutive chunks of a log as one measurement; all have the same columns."""
     chunks = list(chunks)
-    changes: dict[str, Any] = {}
-    for field in fields(Measurement):
-        if getattr(chunks[0], field.name) is not None:
-            values = [getattr(chunk, field.name) for chunk in chunks]
-            changes[field.name] = np.concatenate(values)
-    return replace(chunks[0], **changes)
+    arrays = {}
+    for name, values in vars(chunks[0]).items():
+        if values is not None:
+            arrays[name] = np.concatenate([getattr(chunk, name) for chunk in chunks])
+    return Measurement(**arrays)
