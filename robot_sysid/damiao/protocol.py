@@ -43,9 +43,7 @@ _FLOAT32_SLACK = 1e-6
 A register holds float32: a limit of 12.566 comes back as 12.5659999..., and a command of 12.566
 must still be accepted.
 """
-COMMAND_BITS = 16, 12, 12, 12, 12
-"""Bits of position, velocity, kp, kd and torque in a command."""
-LOWER_ENDS = -1.0, -1.0, 0.0, 0.0, -1.0
+_LOWER_ENDS = -1.0, -1.0, 0.0, 0.0, -1.0
 """Lower end of the range of each of a command's five fields, as a multiple of the upper end."""
 _MEASURED = [0, 1, 4]
 """Indices of position, velocity and torque among the five fields of a command."""
@@ -79,7 +77,7 @@ class _Layout:
         )
 
 
-_COMMAND = _Layout(*COMMAND_BITS)
+_COMMAND = _Layout(16, 12, 12, 12, 12)
 """Layout of a command: position, velocity, kp, kd, torque."""
 _FEEDBACK = _Layout(4, 4, 16, 12, 12, 8, 8)
 """Layout of feedback: status, CAN id, position, velocity, torque, two temperatures."""
@@ -105,7 +103,7 @@ class Scaling:
                 )
         # Ranges (n, 5) of the command's fields: position, velocity, kp, kd, torque.
         self._high = np.insert(self.limits, [2, 2], (KP_MAX, KD_MAX), axis=1)
-        self._low = self._high * LOWER_ENDS
+        self._low = self._high * _LOWER_ENDS
         # One quantisation step (n, 5) of each field.
         self._steps = (self._high - self._low) / _COMMAND.max_codes
 
@@ -115,15 +113,19 @@ class Scaling:
         position, velocity, torque = self._steps.T[_MEASURED]
         return position, velocity, torque
 
-    def _codes(self, values: Array) -> Codes:
-        """Return the integers (..., n, 5) nearest to a command's quantities, in a range its ends.
+    def _codes(
+        self, values: Array, fields: Any = slice(None), rounding: float = 0.5
+    ) -> Codes:
+        """Return the integers (..., n, F) of quantities (..., n, F), in a range its ends.
 
-        ``values`` (..., n, 5) are in the units of ``MitCommand``.
+        ``fields`` selects the F fields among the five of a command; by default all. ``rounding`` is
+        0.5 for the nearest integer, 0 for the one below.
         """
         codes_per_unit = _COMMAND.max_codes / (self._high - self._low)
+        scaled = (values - self._low[:, fields]) * codes_per_unit[:, fields]
         # floor(x + 1/2): numpy's rint rounds halves to even, which differs in the last bit.
-        nearest = np.floor((values - self._low) * codes_per_unit + 0.5)
-        return np.clip(nearest, 0, _COMMAND.max_codes).astype(np.int64)
+        codes = np.floor(scaled + rounding)
+        return np.clip(codes, 0, _COMMAND.max_codes[fields]).astype(np.int64)
 
     def _values(self, codes: Any, fields: Any = slice(None)) -> Array:
         """Return the quantities (F, ..., n) that codes (..., n, F), which may be fractional, mean.
@@ -236,6 +238,17 @@ def decode_feedback(
     measured = fields[..., 2:5] + (0.5 if half_step else 0.0)
     position, velocity, torque = scaling._values(measured, fields=_MEASURED)
     return Feedback(status, position, velocity, torque, mos, rotor)
+
+
+def encode_feedback(fields: Array, scaling: Scaling) -> Bytes:
+    """Return the frames (..., n, 8) of feedback, as motors pack it.
+
+    ``fields`` (..., n, 7) are status, CAN id, position, velocity, torque and two temperatures.
+    Quantities are rounded down and limited to their ranges.
+    """
+    codes = fields.astype(np.int64)
+    codes[..., 2:5] = scaling._codes(fields[..., 2:5], _MEASURED, rounding=0.0)
+    return _FEEDBACK.pack(codes)
 
 
 REGISTER_ID = 0x7FF

@@ -5,28 +5,12 @@ from __future__ import annotations
 import os
 
 import can
-import numpy as np
 import pytest
 
 from robot_sysid.damiao.adapters import BusLink
 from robot_sysid.damiao.bus import SystemClock
-from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.protocol import Frame, Scaling, decode_mit
-from robot_sysid.damiao.simulated import simulated_motor
+from robot_sysid.damiao.protocol import Frame
 from tests.support.realtime_arm import slcan_terminal
-
-
-def test_a_motor_reads_commands_as_the_codec_does():
-    random = np.random.default_rng(0)
-    motor = simulated_motor(DamiaoJoint("DM4340", 5, 0x15))
-    scaling = Scaling([motor.joint.spec.limits])
-    for _ in range(200):
-        command = random.integers(0, 256, 8, dtype=np.uint8)
-        meaning = decode_mit(command[None], scaling)
-        assert motor._unpack(command.tobytes()) == [
-            float(value[0]) for value in meaning
-        ]
-
 
 NEEDS_TERMINALS = pytest.mark.skipif(
     not hasattr(os, "openpty"), reason="needs pseudo-terminals"
