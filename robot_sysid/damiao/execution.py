@@ -14,17 +14,11 @@ import numpy as np
 from robot_sysid.damiao import preflight
 from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.adapters import BusAddress, open_bus
-from robot_sysid.damiao.bus import (
-    GuardedLink,
-    InspectedMotor,
-    Inspection,
-    SimulatedClock,
-    SystemClock,
-)
+from robot_sysid.damiao.bus import GuardedLink, Inspection, SimulatedClock, SystemClock
 from robot_sysid.damiao.joints import DamiaoJoint, map_joints, read_joint_map
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
 from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, refuse_harmful
-from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
+from robot_sysid.damiao.recorder import Aside, MeasurementRecorder
 from robot_sysid.damiao.references import (
     HoldingCheck,
     file_holding,
@@ -36,7 +30,6 @@ from robot_sysid.damiao.settings import (
     Plan,
     PlaySettings,
     RecordingOptions,
-    recording_header,
 )
 from robot_sysid.damiao.simulated import (
     DEFAULT_WATCHDOG,
@@ -272,8 +265,12 @@ def run(
     session = MotorSession(link, joints, scaling, plan.command_range)
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
+    path = plan.recording.record
     try:
-        recorder = _open_recorder(plan, motors, writer)
+        recorder = None
+        if path is not None:
+            registers = [motor.registers for motor in motors]
+            recorder = MeasurementRecorder(path, plan, registers, writer)
         with stop.on_signals(), recorder or contextlib.nullcontext(), session:
             player = Player(
                 session,
@@ -293,22 +290,3 @@ def run(
             f"failed: {error_text(failure)}"
         )
     return report
-
-
-def _open_recorder(
-    plan: Plan, motors: Sequence[InspectedMotor], aside: Aside
-) -> MeasurementRecorder | None:
-    """Return a recorder that writes a plan's file; None if nothing is recorded.
-
-    The registers of ``motors`` are written into the file's head; ``aside`` runs the writing.
-    """
-    recording = plan.recording
-    if recording.record is None:
-        return None
-    played = plan.trajectory
-    registers = [motor.registers for motor in motors]
-    head = recording_header(played.joints, registers, plan.settings, played.path.name)
-    centring = Centring(plan.settings.period, plan.mobility)
-    return MeasurementRecorder(
-        *(recording.record, head, played.n_joints, aside, centring, recording.overwrite)
-    )

@@ -317,8 +317,6 @@ class Player:
                 self._n_recorded += 1
                 if self._recorder:
                     self._recorder.write(time, origin, replies, acted)
-            if self._recorder:
-                self._recorder.end_cycle()
             is_lowered = self._follower is not None
             self._observer.check(
                 replies, acted, self._standing, self._rising, is_lowered
@@ -455,7 +453,6 @@ class Player:
                     time = self._clock.now() - self._origin
                     cycle = time, self._origin, replies, acted
                     self._recorder.write(*cycle, mark="# stop: ")
-                    self._recorder.end_cycle()
 
 
 _SAME_WISH = 0.2

@@ -34,13 +34,15 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import starmap
 from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.damiao.protocol import MitCommand
+from robot_sysid.damiao.protocol import MitCommand, register_text
 from robot_sysid.damiao.safety.guards import Replies
+from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
@@ -124,34 +126,33 @@ class MeasurementRecorder:
     is brought to rest first.
 
     Args:
-        path: file to write.
-        head: comment lines, without the leading "# ".
-        n_joints: number n of joints.
+        path: file to write; one that exists raises InputError unless the plan allows to replace it.
+        plan: the plan that is played.
+        registers: register values of each joint's motor, by register number.
         aside: runs the actions that write.
-        centring: corrects sampled torques to mean torques.
-        overwrite: replace an existing file; otherwise it raises InputError.
     """
 
     def __init__(
         self,
         path: Path,
-        head: Sequence[str],
-        n_joints: int,
+        plan: Plan,
+        registers: Sequence[Mapping[int, float]],
         aside: Aside,
-        centring: Centring,
-        overwrite: bool = False,
     ) -> None:
         self._aside = aside
-        self._centring = centring
+        self._centring = Centring(plan.settings.period, plan.mobility)
+        n_joints = plan.trajectory.n_joints
         columns = ["time", *trajectory_columns(n_joints)]
         for j in range(n_joints):
             columns += [f"j{j}_{signal}" for signal in _EXTRA]
-        lines = [f"# {line}" for line in head]
+        lines = [f"# {line}" for line in _head(plan, registers)]
         lines.append(",".join(columns))
+        mode = "w" if plan.recording.overwrite else "x"
         try:
-            self._file = open(path, "w" if overwrite else "x", encoding="utf-8")  # noqa: SIM115
+            # Each line goes to the operating system at once, which writes it even if this program
+            # dies.
+            self._file = open(path, mode, buffering=1, encoding="utf-8")  # noqa: SIM115
             self._file.write("\n".join(lines) + "\n")
-            self._file.flush()
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror}") from None
 
@@ -174,7 +175,6 @@ class MeasurementRecorder:
         ending = "completed"
         if error is not None:
             ending = f"stopped: {error}".replace("\n", " ")
-        self.end_cycle()
         self._aside(lambda: self._file.write(f"# end: {ending}\n"))
         self._aside(self._file.close)
         self._aside.finish()
@@ -203,10 +203,6 @@ class MeasurementRecorder:
             lambda: self._file.write(mark + self._row(time, origin, replies, acted))
         )
 
-    def end_cycle(self) -> None:
-        """Flush all rows to the operating system, which writes them even if this program dies."""
-        self._aside(self._file.flush)
-
     def _row(
         self, time: float, origin: float, replies: Replies, acted: MitCommand
     ) -> str:
@@ -233,6 +229,32 @@ class MeasurementRecorder:
             for codes in state:
                 cells.append(str(codes[j]) if replies.answered[j] else "")
         return ",".join(cells) + "\n"
+
+
+def _head(plan: Plan, registers: Sequence[Mapping[int, float]]) -> list[str]:
+    """Return the comment lines at the head of a recording, without their "# ".
+
+    The arguments are those of ``MeasurementRecorder``.
+    """
+    run = plan.settings
+    lines = ["robot-sysid motors recording", f"trajectory={plan.trajectory.path.name}"]
+    for joint in plan.trajectory.joints:
+        ids = f"can_id={joint.can_id},mode=MIT,master_id={joint.master_id}"
+        lines.append(f"motor_type={joint.motor_type},{ids}")
+    for j, values in enumerate(registers):
+        texts = starmap(register_text, sorted(values.items()))
+        lines.append(f"registers_j{j}: {','.join(texts)}")
+    lines.append(f"rate_hz={run.rate:g},speed={run.speed:g}")
+    for name, gains in (("kp", run.kp), ("kd", run.kd)):
+        lines.append(f"{name}={' '.join(map('{:g}'.format, gains))}")
+    return [
+        *lines,
+        "half_step=1: half a quantisation step added to measured position, velocity and torque, "
+        "because motors drop the fraction",
+        "centred=1: jN_tau is the measured torque plus jN_cmd_mean, the mean of held commands",
+        "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
+        "jN_doubted=1: an answer came that cannot be true; it is left out here",
+    ]
 
 
 def _numbers(values: Iterable[float]) -> list[str]:

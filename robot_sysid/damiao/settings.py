@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import starmap
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.damiao.bus import Inspection
-from robot_sysid.damiao.joints import DamiaoJoint, MotorSpec, Mounting
-from robot_sysid.damiao.protocol import (
-    KD_MAX,
-    KD_STEP,
-    KP_MAX,
-    BusTiming,
-    default_rate,
-    register_text,
-)
+from robot_sysid.damiao.joints import MotorSpec, Mounting
+from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, default_rate
 from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory, user_bounds
 from robot_sysid.errors import InputError
@@ -322,37 +314,3 @@ class Plan:
                 positions[j] = inspection.motors[joint.can_id].position
         zero = np.zeros_like(positions)
         return Mounting.of(joints).inverse.signals(positions, zero, zero)[0]
-
-
-def recording_header(
-    joints: Sequence[DamiaoJoint],
-    registers: Sequence[Mapping[int, float]],
-    run: PlaySettings,
-    source: str,
-) -> list[str]:
-    """Return the comment lines at the head of a recording, without their "# ".
-
-    Args:
-        joints: the n joints of the trajectory.
-        registers: register values of each joint's motor, by register number.
-        run: settings of the run, with one gain per joint.
-        source: name of the trajectory file.
-    """
-    lines = ["robot-sysid motors recording", f"trajectory={source}"]
-    for joint in joints:
-        ids = f"can_id={joint.can_id},mode=MIT,master_id={joint.master_id}"
-        lines.append(f"motor_type={joint.motor_type},{ids}")
-    for j, values in enumerate(registers):
-        texts = starmap(register_text, sorted(values.items()))
-        lines.append(f"registers_j{j}: {','.join(texts)}")
-    lines.append(f"rate_hz={run.rate:g},speed={run.speed:g}")
-    for name, gains in (("kp", run.kp), ("kd", run.kd)):
-        lines.append(f"{name}={' '.join(map('{:g}'.format, gains))}")
-    return [
-        *lines,
-        "half_step=1: half a quantisation step added to measured position, velocity and torque, "
-        "because motors drop the fraction",
-        "centred=1: jN_tau is the measured torque plus jN_cmd_mean, the mean of held commands",
-        "jN_time is when joint N was sampled, jN_cmd_* the command in force at that moment",
-        "jN_doubted=1: an answer came that cannot be true; it is left out here",
-    ]

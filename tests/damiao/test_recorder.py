@@ -20,8 +20,9 @@ from robot_sysid.damiao.protocol import (
 )
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.safety.guards import hide_answers
-from robot_sysid.damiao.settings import PlaySettings, RecordingOptions, recording_header
+from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import InputError
 from tests.support.motor_bench import undoubted
 from tests.support.recordings import read_recording
@@ -34,10 +35,12 @@ def recorder_for(path, types=("DM4340",), overwrite=False):
     for joint in joints:
         values = simulated_motor(joint).registers
         registers.append({number: values[number] for number in REQUIRED})
-    settings = PlaySettings(kp=(20.0,) * len(types), kd=(1.0,) * len(types), rate=250.0)
-    head = recording_header(joints, registers, settings, "swing.csv")
-    arguments = Aside(threaded=False), Centring(settings.period), overwrite
-    return MeasurementRecorder(path, head, len(joints), *arguments)
+    still = np.zeros((2, len(types)))
+    trajectory = DamiaoTrajectory(
+        Path("swing.csv"), joints, np.arange(2.0), still, still, still
+    )
+    plan = Plan(trajectory, recording=RecordingOptions(path, overwrite))
+    return MeasurementRecorder(path, plan, registers, Aside(threaded=False))
 
 
 @given(
@@ -67,7 +70,6 @@ def test_every_frame_can_be_told_back_from_the_recording(types, seed, tmp_path_f
             position, velocity, torque = commands[k]
             acted = MitCommand(position, velocity, zero, zero, torque)
             recorder.write(time, 7.0, replies, acted)
-            recorder.end_cycle()
     recording = read_recording(path)
     assert recording.ending == "completed"
     np.testing.assert_allclose(recording.columns["time"], times, atol=1e-6)
@@ -107,7 +109,6 @@ def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
     path = tmp_path / "measured.csv"
     recorder = recorder_for(path)
     recorder.write(*one_cycle(1))
-    recorder.end_cycle()
     recording = read_recording(path)
     assert len(recording.columns["time"]) == 1 and recording.ending == "cut short"
     assert list(recording.columns)[-1] == "j0_temp_rotor"
