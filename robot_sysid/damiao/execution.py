@@ -71,8 +71,8 @@ class MotorRun:
         With a model it also has the arm's inverse mass matrix at the first point, and the lower and
         the upper limits (n,) of the joints [rad].
 
-        InputError where the file does not fit the model or the joint map, or an option needs a
-        model.
+        InputError where the file does not fit the model or the joint map, an option needs a model,
+        or a recording would replace an input, or another file without --overwrite.
         """
         robot = self.robot
         model_options = record_from(ModelOptions, self.values)
@@ -94,12 +94,15 @@ class MotorRun:
 
             from_model["mobility"] = ArmStepper(robot, trajectory.q[0]).mobility()
             from_model["model_range"] = robot.limits.lower, robot.limits.upper
+        recording = record_from(RecordingOptions, self.values)
+        inputs = map(self.values.get, ("trajectory", "model", "joint_map"))
+        recording.require_free(*filter(None, inputs))
         return Plan(
             trajectory,
             settings=record_from(PlaySettings, self.values),
             timing=self.timing,
             permissions=record_from(Permissions, self.values),
-            recording=record_from(RecordingOptions, self.values),
+            recording=recording,
             limits=self._limits(),
             **from_model,
         )
@@ -127,14 +130,11 @@ class MotorRun:
     def checks(self, plan: Plan) -> list[Remark]:
         """Return a plan's checks that need no bus."""
         checks = preflight.plan_checks(plan)
-        if self.robot is None:
-            return checks
-        from robot_sysid.damiao import model_check
+        if self.robot is not None:
+            from robot_sysid.damiao.model_check import model_checks, torque_checks
 
-        checks += model_check.model_checks(plan, self._problem)
-        checks += model_check.torque_checks(
-            plan.trajectory, plan.settings.speed, self.robot
-        )
+            checks += model_checks(plan, self._problem)
+            checks += torque_checks(plan, self.robot)
         return checks
 
     @cached_property
@@ -162,12 +162,6 @@ class MotorRun:
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks
-
-    def require_free(self, plan: Plan) -> None:
-        """Raise InputError if a recording would replace an input, or a file without --overwrite."""
-        keys = "trajectory", "model", "joint_map"
-        inputs = [self.values[key] for key in keys if self.values.get(key)]
-        plan.recording.require_free(*inputs)
 
     def holding(self, plan: Plan) -> HoldingCheck:
         """Return the check of holding torques against those of the model, or else of the file."""

@@ -19,13 +19,7 @@ from robot_sysid.damiao.preflight import note, stop
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan
-from robot_sysid.damiao.trajectory import (
-    CANNOT_FOLLOW,
-    WEIGH_FIRST,
-    Bounds,
-    DamiaoTrajectory,
-    excesses,
-)
+from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, WEIGH_FIRST, Bounds, excesses
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
@@ -115,15 +109,15 @@ other sign, and 0.5 where a new load doubles the torque of a joint: this is a ju
 """
 
 
-def torque_checks(
-    trajectory: DamiaoTrajectory, speed: float, robot: RobotModel
-) -> Iterator[Remark]:
+def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     """Yield a stop for each joint whose motion needs more torque than its motor can make.
 
     Further stops are yielded where the file feeds forward another torque than the motion needs. The
-    needed torques are those of ``robot``, the model of the arm, at ``speed`` times the file's.
+    needed torques are those of ``robot``, the model of the arm.
     """
     arm = ArmTorque(robot)
+    trajectory = plan.trajectory
+    speed = plan.settings.speed
     q, qd, qdd = trajectory.q, trajectory.qd, trajectory.qdd
     needed = arm(Motion(trajectory.time, q, speed * qd, speed**2 * qdd))
     joints = trajectory.joints

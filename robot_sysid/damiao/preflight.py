@@ -20,6 +20,11 @@ from robot_sysid.records.messages import Level, Remark
 
 _REST_SPEED = 0.05
 """Largest speed at the ends of a trajectory [rad/s]: a quarter of the default approach speed."""
+_START_TEMPERATURE = 60.0
+"""Highest temperature at which a run may begin [deg C].
+
+A judgement: half way from a warm room to the limit, so that motors do not reach it during a run.
+"""
 _LEAST_WATCHDOG_CYCLES = 2 * (PAUSE + 1)
 """Least watchdog time in control cycles.
 
@@ -146,7 +151,6 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Remark]:
     limits of all joints' motors are known.
     """
     joints = plan.trajectory.joints
-    settings = plan.settings
     checks = list(_traffic_checks(inspection))
     limits = []
     for joint in joints:
@@ -158,12 +162,12 @@ def bus_checks(plan: Plan, inspection: Inspection) -> list[Remark]:
                 )
             )
             continue
-        checks += _condition_checks(motor, settings, plan.permissions, joint)
+        checks += _condition_checks(motor, plan, joint)
         if set(protocol.SCALING) <= set(motor.registers):
             limits.append(motor.limits)
     if len(limits) == len(joints):
         checks += _frame_limit_checks(plan, limits)
-        checks += _answer_time_checks(inspection.round_trip, settings)
+        checks += _answer_time_checks(inspection.round_trip, plan.settings)
         checks += _start_checks(plan, plan.joint_positions(inspection))
     driven = {joint.can_id for joint in joints}
     others = [m for m in inspection.motors.values() if m.can_id not in driven]
@@ -196,17 +200,13 @@ def _other_motor_checks(motors: Sequence[InspectedMotor]) -> Iterator[Remark]:
 
 
 def _condition_checks(
-    motor: InspectedMotor,
-    settings: PlaySettings,
-    permissions: Permissions,
-    joint: DamiaoJoint,
+    motor: InspectedMotor, plan: Plan, joint: DamiaoJoint
 ) -> Iterator[Remark]:
     """Yield the checks of one motor's registers and state.
 
     Args:
         motor: answers of the motor.
-        settings: settings of the run, with the cycle rate and the temperature at its start.
-        permissions: deviations that the user allows.
+        plan: the plan of the run.
         joint: joint that the motor drives, with which ids and scaling are compared.
     """
     name = joint.label
@@ -218,28 +218,24 @@ def _condition_checks(
         names = ", ".join(protocol.NAMES[number] for number in sorted(missing))
         yield stop(f"{name} does not answer for {names}; try again")
         return
-    yield from _id_register_checks(motor, joint)
-    yield from _scaling_checks(motor, joint, permissions)
+    stored_id = int(registers[protocol.MST_ID])
+    if {stored_id, *motor.reply_ids} != {joint.master_id}:
+        answers = ", ".join(
+            f"{reply_id:#x}" for reply_id in sorted(set(motor.reply_ids))
+        )
+        yield stop(
+            f"{name} answers on {answers} (MST_ID {stored_id:#x}) but the trajectory expects "
+            f"{joint.master_id:#x}; set it with motors setup --new-master-id, or export again with "
+            "plan --export-damiao --master-id"
+        )
+    yield from _scaling_checks(motor, joint, plan.permissions)
     mode = int(registers[protocol.CTRL_MODE])
     if mode != protocol.MIT_MODE:
         mode_name = protocol.MODES.get(mode, "unknown")
         yield stop(f"{name} is in mode {mode} ({mode_name}); set CTRL_MODE to 1 (MIT)")
     watchdog = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
-    yield from _watchdog_checks(name, watchdog, settings)
-    yield from _state_checks(motor, settings, name)
-
-
-def _id_register_checks(motor: InspectedMotor, joint: DamiaoJoint) -> Iterator[Remark]:
-    """Yield a stop where the reply id of a motor differs from its joint's."""
-    master_id = int(motor.registers[protocol.MST_ID])
-    reply_ids = sorted(set(motor.reply_ids))
-    if master_id != joint.master_id or reply_ids != [joint.master_id]:
-        answers = ", ".join(f"{reply_id:#x}" for reply_id in reply_ids)
-        yield stop(
-            f"{joint.label} answers on {answers} (MST_ID {master_id:#x}) but the trajectory "
-            f"expects {joint.master_id:#x}; set it with motors setup --new-master-id, or export "
-            "again with plan --export-damiao --master-id"
-        )
+    yield from _watchdog_checks(name, watchdog, plan.settings)
+    yield from _state_checks(motor, plan.settings, name)
 
 
 def _scaling_checks(
@@ -307,9 +303,11 @@ def _state_checks(
             f"{name} reports {fault}; find the cause, then clear it or power-cycle"
         )
     temperature = max(feedback.temperature_mos[0], feedback.temperature_rotor[0])
-    if temperature > settings.start_temperature:
-        limit = f"{settings.start_temperature:g}"
-        yield stop(f"{name} is at {temperature} deg C, above {limit}; let it cool down")
+    limit = min(_START_TEMPERATURE, settings.max_temperature)
+    if temperature > limit:
+        yield stop(
+            f"{name} is at {temperature} deg C, above {limit:g}; let it cool down"
+        )
 
 
 def _answer_time_checks(

@@ -25,11 +25,6 @@ from robot_sysid.records.option_fields import (
     option,
 )
 
-_START_TEMPERATURE = 60.0
-"""Highest temperature at which a run may begin [deg C].
-
-A judgement: half way from a warm room to the limit, so that motors do not reach it during a run.
-"""
 # Makers of arms with these motors use a stiffness of 240 N m/rad and a damping of 5 N m s/rad for
 # motors with a rated torque of 9 N m, 10 and 1.5 for 3 N m; the defaults are between these.
 _STIFFNESS = 20.0
@@ -181,11 +176,6 @@ class PlaySettings(OptionRecord):
         assert self.rate is not None
         return 1.0 / self.rate
 
-    @property
-    def start_temperature(self) -> float:
-        """Highest temperature of a motor at which a run may begin [deg C]."""
-        return min(_START_TEMPERATURE, self.max_temperature)
-
 
 @dataclass(frozen=True)
 class Permissions(OptionRecord):
@@ -312,5 +302,4 @@ class Plan:
         for j, joint in enumerate(joints):
             if joint.can_id in inspection.motors:
                 positions[j] = inspection.motors[joint.can_id].position
-        zero = np.zeros_like(positions)
-        return Mounting.of(joints).inverse.signals(positions, zero, zero)[0]
+        return Mounting.of(joints).inverse.signals(positions, positions, positions)[0]

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.model_check import model_checks, torque_checks, transfer_checks
-from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.motion.problem import build_problem
@@ -131,10 +130,8 @@ def with_its_torque(arm, seed, factor=1.0):
 
 def refusals(folder, arm, motion, **settings):
     played = trajectory_file(folder, motion)
-    settings = PlaySettings(**settings).for_motors(
-        [j.spec for j in played.joints], BusTiming()
-    )
-    return [check.text for check in torque_checks(played, settings.speed, arm)]
+    plan = Plan(played, PlaySettings(**settings))
+    return [check.text for check in torque_checks(plan, arm)]
 
 
 @given(seed=arms.SEEDS, speed=SPEEDS, factor=st.floats(0.5, 1.5))

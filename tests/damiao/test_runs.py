@@ -204,6 +204,7 @@ def extra(*joint):
         ),
         ({"start": [-2 * np.pi, 0.0]}, None, "lost its turn count"),
         ({"adapter": lambda: 0.016}, None, "use --rate 50"),
+        ({"max_temperature": 30.0}, None, "is at 31 deg C, above 30"),
     ],
 )
 def test_a_bus_or_an_arm_that_is_not_as_it_should_be_is_refused(

@@ -85,11 +85,6 @@ def test_settings_that_are_no_sensible_numbers_are_refused(name, setting):
         PlaySettings(**{name: setting})
 
 
-def test_a_motor_may_start_no_warmer_than_it_may_get():
-    assert PlaySettings().start_temperature == 60.0
-    assert PlaySettings(max_temperature=45.0).start_temperature == 45.0
-
-
 @given(specs=SPECS, timing=TIMINGS, data=st.data())
 def test_a_light_joint_is_damped_less(specs, timing, data):
     inertia = data.draw(hnp.arrays(float, len(specs), elements=INERTIA))

@@ -294,7 +294,6 @@ def _play_on(
     table = motor_table(inspection.motors.values(), plan.trajectory.joints)
     console.stage(*table, *check_lines(checks))
     preflight.require_no_stop(checks, "not played")
-    session.require_free(plan)
     if is_real and not record_from(PlayChoices, session.values).yes:
         if not confirm():
             raise InputError("not confirmed; nothing was moved")
