@@ -18,7 +18,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from robot_sysid.damiao.bus import Link, LinkError, SystemClock
+from robot_sysid.damiao.bus import LinkError, SystemClock
 from robot_sysid.damiao.protocol import BusTiming, Frame
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.installation import install_hint
@@ -177,7 +177,7 @@ class BusLink:
         )
 
 
-def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> Link:
+def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusLink:
     """Open the bus of an address and return a link over it.
 
     InputError if this fails, or an option in ``address.bus_option`` is not NAME=VALUE.

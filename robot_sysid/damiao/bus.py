@@ -77,9 +77,6 @@ class Link(Protocol):
     def receive(self, until: float) -> Frame | None:
         """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
 
-    def close(self) -> None:
-        """Release the bus."""
-
 
 class GuardedLink:
     """A link that refuses harmful frames.
@@ -195,7 +192,8 @@ class RegisterClient:
 
     def read(self, can_id: int, register: int) -> float | None:
         """Return the value of a motor's register; None if three requests get no answer."""
-        replies = self.answers(protocol.read_frame(can_id, register), limit=1)
+        request = protocol.register_frame(protocol.READ, can_id, register)
+        replies = self.answers(request, limit=1)
         return replies[0][0] if replies else None
 
     def write(self, can_id: int, register: int, value: float) -> None:
@@ -207,7 +205,7 @@ class RegisterClient:
         """
         raw = protocol.bytes_from_value(register, value)
         name = protocol.NAMES[register]
-        request = protocol.write_frame(can_id, register, raw)
+        request = protocol.register_frame(protocol.WRITE, can_id, register, raw)
         replies = self.answers(request, limit=1)
         if not replies:
             raise HardwareAbort(f"motor {can_id} did not answer to writing {name}")
@@ -224,8 +222,9 @@ class RegisterClient:
         """
         # Feedback has the low four bits of the motor's CAN id in its first byte.
         id_bits = can_id & 0xF
+        request = protocol.register_frame(protocol.REFRESH, can_id)
         for _ in range(_TRIES):
-            for frame in self._frames_after(protocol.refresh_frame(can_id)):
+            for frame in self._frames_after(request):
                 if frame.id == master_id and frame.data[0] & 0xF == id_bits:
                     return frame
         return None
@@ -248,7 +247,7 @@ class RegisterClient:
         self._link.drain()
         start = self._clock.now()
         for can_id in reply_ids:
-            self._link.send(protocol.refresh_frame(can_id))
+            self._link.send(protocol.register_frame(protocol.REFRESH, can_id))
         missing = set(reply_ids.values())
         while missing:
             frame = self._link.receive(start + _LONGEST_CYCLE)
@@ -406,7 +405,8 @@ def inspect_bus(link: GuardedLink) -> Inspection:
 
 def _inspect_motor(client: RegisterClient, can_id: int) -> InspectedMotor | None:
     """Return registers and state of the motor with a CAN id; None where nothing answers."""
-    answers = client.answers(protocol.read_frame(can_id, protocol.ESC_ID))
+    request = protocol.register_frame(protocol.READ, can_id, protocol.ESC_ID)
+    answers = client.answers(request)
     if not answers:
         return None
     registers = {}

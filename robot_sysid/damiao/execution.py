@@ -96,7 +96,7 @@ class MotorRun:
             from_model["model_range"] = robot.limits.lower, robot.limits.upper
         recording = record_from(RecordingOptions, self.values)
         inputs = map(self.values.get, ("trajectory", "model", "joint_map"))
-        recording.require_free(*filter(None, inputs))
+        recording.require_free(*inputs)
         return Plan(
             trajectory,
             settings=record_from(PlaySettings, self.values),
@@ -109,9 +109,7 @@ class MotorRun:
 
     def _limits(self) -> LimitOptions:
         """Return the user's limits of all motions; a limit that is not given forbids nothing."""
-        limits = vars(motion.NO_LIMITS)
-        given = {key: self.values[key] for key in motion.LIMITS if key in self.values}
-        return record_from(LimitOptions, {**limits, **given})
+        return record_from(LimitOptions, {**vars(motion.NO_LIMITS), **self.values})
 
     def _with_joint_map(self, joints: Sequence[DamiaoJoint]) -> tuple[DamiaoJoint, ...]:
         """Return joints (base to terminal) with the ids and mounting of the joint map.

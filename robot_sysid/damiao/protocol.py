@@ -16,7 +16,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -289,45 +288,24 @@ class Frame(NamedTuple):
     echo: bool = False
 
 
-def _special_frame(code: int, can_id: int) -> Frame:
-    """Return the frame that sends a special command (code) such as ENABLE to a motor."""
+def special_frame(code: int, can_id: int) -> Frame:
+    """Return the frame of a special command (code), such as ENABLE, to a motor."""
     return Frame(can_id, _SPECIAL + bytes([code]))
 
 
-enable_frame = partial(_special_frame, ENABLE)
-"""Return the frame that enables a motor (by CAN id), so that it follows commands."""
-disable_frame = partial(_special_frame, DISABLE)
-"""Return the frame that disables a motor (by CAN id)."""
-clear_error_frame = partial(_special_frame, CLEAR_ERROR)
-"""Return the frame by which a motor (by CAN id) leaves a fault, to the disabled state."""
-
-
-def _request(
-    operation: int, can_id: int, register: int, value: bytes = bytes(4)
+def register_frame(
+    operation: int, can_id: int, register: int = 0, value: bytes = bytes(4)
 ) -> Frame:
     """Return the frame that requests an operation on a motor's register.
 
     Args:
-        operation: READ, WRITE, REFRESH or STORE.
+        operation: READ, WRITE, REFRESH or STORE; REFRESH has no other effect than its answer.
         can_id: CAN id of the motor.
-        register: number of the register.
-        value: four little-endian bytes to write; zeros for other operations.
+        register: number of the register; 1 to STORE all.
+        value: four little-endian bytes to write (``bytes_from_value``); zeros for other operations.
     """
     head = bytes([can_id & 0xFF, can_id >> 8, operation, register])
     return Frame(REGISTER_ID, head + value)
-
-
-read_frame = partial(_request, READ)
-"""Return the frame that asks a motor (by CAN id) for the value of a register (number)."""
-write_frame = partial(_request, WRITE)
-"""Return the frame that writes four bytes to a motor's register (number); lost at power-off.
-
-Arguments: CAN id, register number, value (see ``bytes_from_value``).
-"""
-refresh_frame = partial(_request, REFRESH, register=0)
-"""Return the frame that asks a motor (by CAN id) for one feedback frame, without other effect."""
-store_frame = partial(_request, STORE, register=1)
-"""Return the frame by which a motor (by CAN id) stores all its registers in flash."""
 
 
 def is_special(data: bytes) -> bool:
@@ -465,8 +443,6 @@ PLANNING_LIMIT = 0.70
 
 A judgement: the rest is for error frames and for sending one frame in three again.
 """
-_FRAMES_PER_CYCLE = 2
-"""Frames per motor and control cycle: the command and its reply."""
 _CLASSIC_BITS = 111 + 24
 """Most bits of a classic 8-byte frame: frame and gap, and the stuff bits at worst."""
 _FD_NOMINAL_BITS = 30 + 4
@@ -510,7 +486,8 @@ def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:
         rate: control cycles per second [Hz].
         timing: frame format and bit rates of the bus.
     """
-    return n_motors * _FRAMES_PER_CYCLE * timing.frame_time * rate
+    # In each cycle a command and its reply.
+    return 2.0 * n_motors * timing.frame_time * rate
 
 
 def default_rate(n_motors: int, timing: BusTiming) -> float:

@@ -230,7 +230,8 @@ class MotorSession:
         # The state of all motors before the first one is enabled.
         answers = []
         for j, joint in enumerate(self.joints):
-            answers.append(self._ask(j, protocol.refresh_frame(joint.can_id)))
+            request = protocol.register_frame(protocol.REFRESH, joint.can_id)
+            answers.append(self._ask(j, request))
         position = np.empty(self.n_joints)
         for j, answer in enumerate(answers):
             position[j] = self._enable_one(j, *answer)
@@ -249,10 +250,11 @@ class MotorSession:
         reports the same fault twice in a row, or is not enabled after ``_ENABLE_TRIES`` commands.
         """
         joint = self.joints[j]
+        request = protocol.special_frame(protocol.ENABLE, joint.can_id)
         for _ in range(_ENABLE_TRIES):
             last_status = status
             last_position = position
-            status, position = self._ask(j, protocol.enable_frame(joint.can_id))
+            status, position = self._ask(j, request)
             agree = abs(position - last_position) <= _SAME_PLACE
             if status == ENABLED and agree:
                 return position
@@ -367,7 +369,10 @@ class MotorSession:
         """Command the motors of joints (n,) to disable, once, whatever the bus raises."""
         for j in np.flatnonzero(joints).tolist():
             with contextlib.suppress(BaseException):
-                self._link.send(protocol.disable_frame(self.joints[j].can_id))
+                request = protocol.special_frame(
+                    protocol.DISABLE, self.joints[j].can_id
+                )
+                self._link.send(request)
 
     def disable(self) -> None:
         """Disable every motor; ``unconfirmed`` then has the joints whose motors did not confirm.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory, user_boun
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
+from robot_sysid.records.file_access import refuse_overwriting
 from robot_sysid.records.option_fields import (
     OptionRecord,
     check_speed_factor,
@@ -200,21 +200,17 @@ class RecordingOptions(OptionRecord):
     record: Path | None = option(None, "write the measurement CSV", "FILE")
     overwrite: bool = option(False, "replace an existing recording")
 
-    def require_free(self, *inputs: Path) -> None:
+    def require_free(self, *inputs: Path | None) -> None:
         """Raise InputError where the recording would replace a file that must not be replaced.
 
         It never replaces one of the run's ``inputs``; without --overwrite it replaces no file.
         """
-        path = self.record
-        if path is None:
+        if self.record is None:
             return
-        if os.path.realpath(path) in {os.path.realpath(used) for used in inputs}:
+        refuse_overwriting(inputs, [("--record", self.record)])
+        if self.record.exists() and not self.overwrite:
             raise InputError(
-                f"{path} is needed for something else; choose another name"
-            )
-        if os.path.exists(path) and not self.overwrite:
-            raise InputError(
-                f"{path} exists; choose another --record file or give --overwrite"
+                f"{self.record} exists; choose another --record file or give --overwrite"
             )
 
 

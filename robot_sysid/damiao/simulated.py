@@ -239,23 +239,12 @@ class SimulatedArm:
         return self.answers(frame, time)
 
     def answers(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
-        """Send a frame to all motors at ``time`` [s] and return their answers, without simulating.
-
-        Every answer is on the bus too: another motor that takes it for a command answers it in
-        turn.
-        """
+        """Send a frame to all motors at ``time`` [s] and return their answers; simulate nothing."""
         self._read_sensors()
         self._changed = True
-        answers = []
-        for motor in self.motors:
-            answer = motor.handle(frame, time)
-            if answer is not None:
-                # A motor whose CAN id equals the low bits of an answer's id obeys the answer.
-                others = [other for other in self.motors if other is not motor]
-                further_answers = [other.handle(answer, time) for other in others]
-                answers += [answer, *filter(None, further_answers)]
+        answers = [motor.handle(frame, time) for motor in self.motors]
         self._was_enabled |= any(motor.driving for motor in self.motors)
-        return answers
+        return [answer for answer in answers if answer is not None]
 
     def _gather(self) -> None:
         """Store all motors' commands, gains and peak torques as arrays (n,) in joint space.
@@ -374,6 +363,3 @@ class SimulatedLink:
     def _deliver(self, frame: Frame) -> None:
         """Store a transmitted frame, which ``receive`` returns at the frame's time."""
         heapq.heappush(self._through, (frame.time, next(self._order), frame))
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""

@@ -113,6 +113,6 @@ BUS = {"channel": "can0", "rate": 100}
 
 def test_nothing_that_is_read_is_recorded_over(trajectory, arm):
     precious = trajectory.read_bytes()
-    with pytest.raises(rs.InputError, match="is needed for something else"):
+    with pytest.raises(rs.InputError, match="would overwrite a file that is read"):
         rs.motors.play(trajectory, **BUS, record=trajectory, overwrite=True)
     assert trajectory.read_bytes() == precious

@@ -25,7 +25,7 @@ from robot_sysid.damiao.adapters import (
     open_bus,
 )
 from robot_sysid.damiao.bus import LinkError, SimulatedClock, SystemClock
-from robot_sysid.damiao.protocol import BusTiming, Frame, disable_frame
+from robot_sysid.damiao.protocol import DISABLE, BusTiming, Frame, special_frame
 from robot_sysid.errors import InputError
 from tests.support.realtime_arm import slcan_terminal
 
@@ -269,7 +269,7 @@ def line():
 def test_thirty_bytes_go_out_per_frame(line):
     """Typed from the maker's description."""
     link, port = line
-    link.send(disable_frame(3))
+    link.send(special_frame(DISABLE, 3))
     assert os.read(port, 100) == bytes.fromhex(
         "55aa1e03 01000000 0a000000 00 03000000 00 08 00 00 ffffffffffffff fd 00"
     )

@@ -13,6 +13,7 @@ from robot_sysid.damiao.protocol import (
     KD_MAX,
     KP_MAX,
     NAMES,
+    READ,
     REGISTER_ID,
     Frame,
     MitCommand,
@@ -21,8 +22,8 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     decode_mit,
     encode_mit,
-    read_frame,
     refuse_harmful,
+    register_frame,
     value_from_bytes,
 )
 from robot_sysid.damiao.simulated import simulated_motor
@@ -219,5 +220,5 @@ def test_register_values_survive_their_four_bytes(number, data):
 
 
 def test_a_request_holds_both_bytes_of_the_motors_number():
-    frame = read_frame(0x123, register=7)
+    frame = register_frame(READ, 0x123, register=7)
     assert frame == Frame(REGISTER_ID, bytes([0x23, 0x01, 0x33, 7, 0, 0, 0, 0]))

@@ -129,7 +129,9 @@ def test_neither_what_is_there_nor_what_the_run_reads_is_written_to(
     monkeypatch.chdir(tmp_path)
     options = RecordingOptions(record=tmp_path / "m.csv", overwrite=True)
     options.require_free(Path("other.csv"))
-    with pytest.raises(InputError, match="m.csv is needed for something else; choose"):
+    with pytest.raises(
+        InputError, match="--record would overwrite a file that is read"
+    ):
         options.require_free(Path("other.csv"), Path("m.csv"))
     (tmp_path / "m.csv").write_text("precious")
     with pytest.raises(InputError, match="m.csv exists; .* --overwrite"):

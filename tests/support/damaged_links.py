@@ -188,6 +188,3 @@ class FaultyLink:
             ]
             paths.append(np.array(rows).reshape(-1, 2).T)
         return paths
-
-    def close(self):
-        self._link.close()

@@ -103,7 +103,8 @@ class MotorSetup:
                 yield self._write_register(register, value)
         if options.store:
             self._require_disabled()
-            self._link.send(protocol.store_frame(self._ids[protocol.ESC_ID]))
+            can_id = self._ids[protocol.ESC_ID]
+            self._link.send(protocol.register_frame(protocol.STORE, can_id, register=1))
             self._link.clock.sleep_until(self._link.clock.now() + _STORE_TIME)
             yield f"{self._name} keeps its values when the power goes off"
 
@@ -131,7 +132,8 @@ class MotorSetup:
         HardwareAbort where the motor still reports an error.
         """
         text = protocol.status_text(self._status())
-        self._link.send(protocol.clear_error_frame(self._ids[protocol.ESC_ID]))
+        can_id = self._ids[protocol.ESC_ID]
+        self._link.send(protocol.special_frame(protocol.CLEAR_ERROR, can_id))
         status = self._status()
         new_text = protocol.status_text(status)
         if protocol.is_fault(status):
