@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion.limit_check import first_contact
@@ -118,14 +117,8 @@ def _held_poses(problem: ExcitationProblem) -> Array:
     anywhere = rng.uniform(lower, upper, (N_POSES, problem.n_joints))
     nearness = np.linspace(1.0 / N_POSES, 1.0, N_POSES)[:, None]
     poses = problem.rest + nearness * (anywhere - problem.rest)
-    poses = poses[_is_feasible(problem, poses)]
+    # A tenth of the torque limits is left to accelerate.
+    is_held = np.all(_torque_share(problem, poses) < 0.9, axis=1)
+    poses = poses[is_held & (problem.obstacles.slack(poses)[0] >= 0.0)]
     distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
     return np.asarray(poses[np.argsort(distance)])
-
-
-def _is_feasible(problem: ExcitationProblem, poses: Array) -> NDArray[np.bool_]:
-    """Return for each of N poses (N, n) whether the arm keeps all clearances in it, and can hold it
-    and move off within the torque limits, with a tenth of them left to accelerate (N,).
-    """
-    slack, _ = problem.obstacles.slack(poses)
-    return np.all(_torque_share(problem, poses) < 0.9, axis=1) & (slack >= 0.0)

@@ -194,18 +194,12 @@ def test_other_joint_names_are_refused_another_model_of_the_same_joints_is_noted
         plan_motion(renamed, trajectory={"file": path})
 
 
-@pytest.mark.parametrize(
-    ("duration", "message"),
-    [
-        (1e12, "more than the 1e[+]09 a run can take"),
-        (float("inf"), "finite duration above 0"),
-    ],
-)
-def test_a_file_with_an_endless_duration_is_refused(path, duration, message):
+@pytest.mark.parametrize("duration", [1e12, float("inf")])
+def test_a_file_with_an_endless_duration_is_refused(path, duration):
     save_trajectory(path, unlimited_plan(), robot(TUBES).joint_names)
     text = path.read_text().replace(
         f'"duration": {DURATION}', f'"duration": {duration}'
     )
     path.write_text(text.replace("inf", "Infinity"))
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match="more than the 1e[+]09 a run can take"):
         plan_motion(TUBES, trajectory={"file": path})

@@ -84,17 +84,9 @@ def test_a_line_is_straight_and_at_rest_at_both_ends(seed):
     assert plan.duration == max(1.0, np.max(np.abs(end - begin)))
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: replace(sines(0), amplitude=np.ones((3, 6))), "has shape"),
-        (lambda: at_speed(sines(0), 1.2), "--speed must be above 0 and at most 1"),
-        (lambda: at_speed(sines(0), np.nan), "--speed must be above 0 and at most 1"),
-    ],
-)
-def test_invalid_trajectories_are_refused(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
+def test_invalid_trajectories_are_refused():
+    with pytest.raises(InputError, match="has shape"):
+        replace(sines(0), amplitude=np.ones((3, 6)))
 
 
 EARLIER = {
@@ -126,7 +118,6 @@ def saved_text(**changes):
             saved_text(version=1),
             "not a trajectory of version 2 .*; plan the motion again",
         ),
-        (saved_text(kind="splines"), "kind of .*'splines'; valid: sines"),
         (saved_text(phase=None), "lacks the entry 'phase'"),
         (saved_text(center=["x", 0, 0]), "not a usable trajectory"),
         (saved_text(joints=NAMES[:2]), "a trajectory of 3 joints names 2: base, elbow"),
