@@ -16,16 +16,16 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 4418,
-    "robot_sysid/commands": 10695,
-    "robot_sysid/damiao": 33012,
+    "robot_sysid/api": 4412,
+    "robot_sysid/commands": 10693,
+    "robot_sysid/damiao": 32655,
     "robot_sysid/diagnosis": 16779,
     "robot_sysid/dynamics": 5771,
     "robot_sysid/estimate": 27946,
     "robot_sysid/logs": 15451,
     "robot_sysid/mjcf": 7191,
     "robot_sysid/model": 7914,
-    "robot_sysid/motion": 17152,
+    "robot_sysid/motion": 17058,
     "robot_sysid/pipeline": 7061,
     "robot_sysid/records": 8514,
     "robot_sysid/report": 5107,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4388,
     "robot_sysid/simulation": 3873,
     "robot_sysid": 9278,
-    "tests": 217829,
+    "tests": 217551,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -29,7 +29,6 @@ from robot_sysid.records.option_fields import (
     OptionRecord,
     given_values,
     option,
-    parse_whole_number,
     record_from,
 )
 
@@ -42,13 +41,9 @@ _STORE_TIME = 0.05
 class SetupOptions(OptionRecord):
     """Changes of one motor by ``motors setup``; without any, the motors are listed."""
 
-    motor: int | None = option(
-        None, "CAN id of the motor to change", "ID", parse=parse_whole_number
-    )
-    new_id: int | None = option(None, "new CAN id", "ID", parse=parse_whole_number)
-    new_master_id: int | None = option(
-        None, "new id it answers on", "ID", parse=parse_whole_number
-    )
+    motor: int | None = option(None, "CAN id of the motor to change", "ID")
+    new_id: int | None = option(None, "new CAN id", "ID")
+    new_master_id: int | None = option(None, "new id it answers on", "ID")
     mit: bool = option(False, "set the control mode to MIT")
     watchdog: float | None = option(None, "set its watchdog, 0 for none", "S [s] >= 0")
     clear_error: bool = option(False, "clear its error, once you know its cause")
