@@ -31,7 +31,7 @@ BUDGETS = {
     "robot_sysid/report": 5107,
     "robot_sysid/results": 11855,
     "robot_sysid/servo": 4759,
-    "robot_sysid/signals": 4388,
+    "robot_sysid/signals": 4382,
     "robot_sysid/simulation": 3873,
     "robot_sysid": 9278,
     "tests": 217551,

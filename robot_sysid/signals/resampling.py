@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 
@@ -217,7 +216,7 @@ def select_pieces(pieces: list[Measurement], most_time: float) -> list[Measureme
 
 def slice_samples(samples: Measurement, start: int, stop: int) -> Measurement:
     """Return the consecutive samples from index ``start`` to before ``stop`` of a log, as views."""
-    changes: dict[str, Any] = {}
+    changes = {}
     for field in fields(Measurement):
         values = getattr(samples, field.name)
         if values is not None:
@@ -232,4 +231,4 @@ def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
     for name, values in vars(chunks[0]).items():
         if values is not None:
             arrays[name] = np.concatenate([getattr(chunk, name) for chunk in chunks])
-    return Measurement(**arrays)
+    return replace(chunks[0], **arrays)
