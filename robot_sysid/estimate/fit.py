@@ -267,7 +267,7 @@ class Fit:
         for term, span in zip(self.equations.terms, self.equations.spans):
             if term.cause == PAYLOAD and deviations:
                 shared = float(np.linalg.norm([*deviations.values()])) / len(owners)
-                effects[-1, span] = shared * self.values[span]
+                effects[-1, span] = shared * self.free[span]
             if term.cause not in (FRICTION, FURTHER_FRICTION):
                 continue
             for k, name in enumerate(term.names, span.start):

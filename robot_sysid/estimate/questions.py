@@ -86,7 +86,6 @@ class Question:
         options: prior uncertainties of the arm, and the other options of the estimate.
         loaded: whether some recordings carry a payload, whose parameters are estimated.
         drifts: whether to estimate a drift of friction from the first to the last recording.
-        two_runs: whether two runs are compared, whose torque scales may differ a little.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
         link_scales: factors on the stated uncertainty of all links but the terminal one.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None before a
@@ -97,7 +96,6 @@ class Question:
     options: EstimationOptions
     loaded: bool = False
     drifts: bool = False
-    two_runs: bool = False
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
     dry: tuple[float, ...] | None = None
@@ -146,7 +144,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
         ZEROS: np.full(arm.robot.n_joints, MILLI * priors.zero),
         DRIFT: np.full(len(arm.joints), DRIFTS if question.drifts else 0.0),
         SCALE_DRIFT: np.full(
-            len(arm.joints), PER_CENT * SCALE_DRIFTS * question.two_runs
+            len(arm.joints), PER_CENT * SCALE_DRIFTS * question.loaded
         ),
         TILT: np.full(2, np.radians(priors.gravity)),
         DELAY: np.full(1, MILLI * priors.delay),

@@ -298,6 +298,7 @@ class ArmTerms:
         yield Term(ZEROS, names_of("zero", robot.joint_names), self._zeros)
         if drifts:
             yield Term(DRIFT, names_of("drift", self.joints), self._drift)
+        if loaded:
             scales = names_of("scale_drift", self.joints)
             yield Term(SCALE_DRIFT, scales, self._scale_drift)
         if self.has_gravity:

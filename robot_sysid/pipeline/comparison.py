@@ -101,7 +101,7 @@ def of_two_runs(
             and at order 1.
         options: priors and friction terms.
     """
-    question = Question(options, loaded=True, drifts=True, two_runs=True)
+    question = Question(options, loaded=True, drifts=True)
     fitted = solved(robot, recordings, question)
     # What came off is no possible body.
     return replace(fitted, values=fitted.free)

@@ -58,7 +58,8 @@ def identify_payload(
     is_loaded = np.arange(len(logs)) >= len(options.empty)
     positions = order_positions(logs, options.order)
     drifts = positions is not None and is_drift_identifiable(is_loaded, positions)
-    order = np.zeros(len(logs)) if positions is None else positions
+    # Where the order is not known, a drift may have come with the payload.
+    order = 2.0 * is_loaded - 1.0 if positions is None else positions
     cutoff = config.estimation.cutoff
     datasets, notes = _datasets(robot, logs, is_loaded, order, cutoff)
     if not drifts:
@@ -98,7 +99,7 @@ def _datasets(
         robot: the arm.
         logs: k logs; each piece between long holes becomes a data set.
         is_loaded: (k,) whether a log was recorded with the payload.
-        positions: (k,) of ``order_positions``; all zero where the order is not known.
+        positions: (k,) of ``order_positions``.
         cutoff: of the low-pass [Hz]; None for the lowest that any log requires.
     """
     pieces = []

@@ -17,7 +17,7 @@ from robot_sysid.records import Flange
 from robot_sysid.records.messages import Progress, with_error
 from robot_sysid.results.record import Verdict
 from tests.support.core_fits import ORIGIN, fit_recordings
-from tests.support.payload_logs import PAYLOAD, TrueArm, four_joint_arm
+from tests.support.payload_logs import PAYLOAD, TrueArm, add_torque, four_joint_arm
 
 ROBOT = four_joint_arm()
 FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
@@ -64,6 +64,20 @@ def test_a_scale_of_all_torques_is_within_the_payloads_error(factor):
     assert mass == pytest.approx(factor * PAYLOAD[0], rel=0.01)
     error = fitted.errors[fitted.names.index("m(payload)")]
     assert 0.014 < error / mass < 0.025
+
+
+def test_scales_that_change_when_the_payload_comes_on_are_within_the_error():
+    """Two logs of other motions: 0.3 % more torque of a heavy arm is no payload."""
+    arm = TrueArm(ROBOT, 3, payload=np.zeros(10))
+    empty, loaded = (
+        replace(log, order=order)
+        for log, order in zip(arm.abba(3, sigma=0.02), (-1.0, 1.0))
+    )
+    (rows,) = loaded.chunks(1)
+    loaded = add_torque(loaded, 0.003 * rows.recording.torque)
+    fitted = fit_recordings(ROBOT, [empty, loaded], loaded=True)
+    at = fitted.names.index("m(payload)")
+    assert abs(fitted.free[at]) < 2.0 * fitted.errors[at]
 
 
 def test_a_refused_payload_has_one_error_of_its_mass(recordings):
