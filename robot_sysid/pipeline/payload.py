@@ -59,7 +59,7 @@ def identify_payload(
     positions = order_positions(logs, options.order)
     drifts = positions is not None and is_drift_identifiable(is_loaded, positions)
     # Where the order is not known, a drift may have come with the payload.
-    order = 2.0 * is_loaded - 1.0 if positions is None else positions
+    order = np.where(is_loaded, 1.0, -1.0) if positions is None else positions
     cutoff = config.estimation.cutoff
     datasets, notes = _datasets(robot, logs, is_loaded, order, cutoff)
     if not drifts:

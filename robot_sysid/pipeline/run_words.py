@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from robot_sysid.config import Config, PayloadConfig
+from robot_sysid.config import Config, IdentifyConfig, PayloadConfig
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import given_arguments
 from robot_sysid.results.next_steps import step_after
+from robot_sysid.results.quantities import BEYOND
 from robot_sysid.results.record import Result
+from robot_sysid.results.table import SIGNIFICANT
 from robot_sysid.results.verdict import UNKNOWN
 
+SHARP = 20.0
+"""Mass of what is bolted on, in standard errors, above which weighing it by difference gains
+little: payloads are weighed to 1 to 5 %."""
 _READING = ("columns", "units", "torque_scale", "torque_constants", "topic")
 """Keys of the options that hold for every log of the same arm."""
 
@@ -26,9 +31,20 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
     if not result.is_measured:
         return step_after("self-test passed", model=model, options=arm, folder=folder)
     if not isinstance(config, PayloadConfig):
-        if result.body.errors[0] < UNKNOWN * result.body.mass:
+        if not result.body.errors[0] < UNKNOWN * result.body.mass:
+            return step_after("mass not known", model=model, options=arm, folder=folder)
+        part = result.quantity("mass", BEYOND)
+        if not isinstance(config, IdentifyConfig) or part is None or not part.error:
             return None
-        return step_after("mass not known", model=model, options=arm, folder=folder)
+        if not SIGNIFICANT <= part.value / part.error <= SHARP:
+            return None
+        return step_after(
+            "part bolted on",
+            model=model,
+            log=[str(log) for log in config.log.measurements],
+            options=arm + given_arguments(config.log, _READING),
+            folder=folder,
+        )
     payload = config.payload
     empty = [str(log) for log in payload.empty if isinstance(log, Path)]
     if payload.known_mass is None or payload.save_torque_scale is None or not empty:

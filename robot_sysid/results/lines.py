@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import ITSELF
 from robot_sysid.records.messages import Detail, percent, with_error
 from robot_sysid.results.cards import NOT_KNOWN
@@ -55,29 +56,28 @@ def block_lines(content: Content, links: bool = False) -> list[str]:
         return _self_test_lines(content)
     beyond = beyond_line(content)
     lines = [beyond] if beyond else []
+    link = content["body_name"]
+    rows = body_rows(content, link) + friction_rows(content, content["joint_name"])
+    table = [cells(row, label(row)) for row in rows]
+    title = f"{link} with its load"
     if links:
         table = [*all_cells(content)]
-    else:
-        rows = body_rows(content, content["body_name"])
-        rows += friction_rows(content, content["joint_name"])
-        table = [cells(row, label(row)) for row in rows]
-    lines += table_lines(table, "Before -> after")
-    if any("prior" in row[-1] for row in table):
-        lines.append(
-            "  prior: the model says more of this number than the recordings do"
-        )
-    return lines
+        title = "Before -> after"
+    return [*lines, *table_lines(table, title)]
 
 
 def _self_test_lines(content: Content) -> list[str]:
     """Return the block "Identified parameters: ..." of the model's own simulation."""
     rows = {row["name"]: row for row in content["quantities"]}
     lines = ["Identified parameters:"]
-    blocks = (("Mass", "mass"), ("CoM moment", "hx hy hz"))
-    for title, names in (*blocks, ("Inertia", "Ixx Ixy Ixz Iyy Iyz Izz")):
-        numbers = _decimals_text([rows[name]["value"] for name in names.split()])
+    for title, names in (
+        ("Mass", ("mass",)),
+        ("CoM moment", PARAMETER_NAMES[1:4]),
+        ("Inertia", PARAMETER_NAMES[4:]),
+    ):
+        numbers = _decimals_text([rows[name]["value"] for name in names])
         numbers = numbers if title == "Mass" else f"[{numbers}]"
-        lines.append(f"  {title}: {numbers} {rows[names.split()[0]]['unit']}")
+        lines.append(f"  {title}: {numbers} {rows[names[0]]['unit']}")
     for term in ("coulomb", "viscous"):
         if term in rows:
             number = _friction_text(rows[term]["value"])
@@ -114,11 +114,10 @@ def _friction_text(value: float) -> str:
 def more_lines(content: Content) -> list[str]:
     """Return the lines below the block; those for --verbose only are ``Detail``."""
     lines: list[str] = []
-    changes = largest_changes(content)
     if content["question"] == PAYLOAD:
         lines += _payload_lines(content)
-    elif changes and content["failure"] is None and content["source"] != ITSELF:
-        lines.append(f"Changed most, compared with the errors: {changes}")
+    elif content["failure"] is None:
+        lines += largest_changes(content)
     lines += _validation_lines(content)
     if content["file"] is not None and content["file"]["kept"]:
         lines.append(Detail(f"As in the model: {', '.join(content['file']['kept'])}"))

@@ -47,6 +47,12 @@ STEPS: Mapping[str, tuple[str, str]] = {
         "Next, plan a motion that shows the mass better, and compare the ± that it promises",
         "plan {model} {options} --output-dir {folder}/planned",
     ),
+    "part bolted on": (
+        "Next, if what is bolted on can be taken off, record a log without it and weigh it by "
+        "difference, with a much smaller ±",
+        "payload {model} --empty {folder}/empty.csv --loaded {log} {options} --output-dir "
+        "{folder}/weighed",
+    ),
     "torque scales known": (
         "Next, identify the arm with these torque scales, as in every later run",
         "identify {model} {log} {options} --torque-scale {scales}",

@@ -46,6 +46,13 @@ HEADINGS = ("", "model", "identified", "±", "in the file", "unit", "change")
 """Headings of a table, in the order of ``cells``."""
 _WITHIN = "within ±"
 """Cell of a change that is smaller than the standard error."""
+_LEGEND = {
+    "±": "standard error of all causes, the true value is within two of them in 95 of 100 cases",
+    _WITHIN: "changed by less, the model's number may be right",
+    "prior": "the model says more of this number than the recordings do",
+    "at its bound": "the torques ask for a value that cannot be, such as friction below zero",
+}
+"""Words in a table to what they mean."""
 _MAX_RELATIVE_CHANGE = 10.0
 """Relative change beyond which the change itself is stated, not a percentage."""
 SIGNIFICANT = 2.0
@@ -152,9 +159,14 @@ def shown_columns(rows: Iterable[Sequence[str]], title: str) -> list[tuple[str, 
 
 
 def table_lines(rows: Iterable[Sequence[str]], title: str = "") -> list[str]:
-    """Return rows of cells as aligned lines under their headings, see ``shown_columns``."""
+    """Return rows of cells as aligned lines under their headings, and what their words mean.
+
+    See ``shown_columns``.
+    """
     lines = aligned_lines(shown_columns(rows, title), HEADINGS[1:5])
-    return list(map("  {}".format, lines))
+    text = "\n".join(lines)
+    meanings = [f"{word}: {_LEGEND[word]}" for word in _LEGEND if word in text]
+    return list(map("  {}".format, (*lines, "; ".join(meanings))))
 
 
 def all_cells(content: Content) -> Iterator[tuple[str, ...]]:
@@ -192,8 +204,8 @@ def beyond_line(content: Content) -> str:
     return f"Bolted on beyond the model: {text}{position}"
 
 
-def largest_changes(content: Content) -> str:
-    """Return the changes of masses, friction and rotors that stand out most from their errors."""
+def largest_changes(content: Content) -> Iterator[str]:
+    """Yield a line on the masses, friction and rotors that changed most beside their errors."""
     changes = []
     for row in content["quantities"]:
         names = ("mass", "coulomb", "viscous", "armature")
@@ -204,5 +216,6 @@ def largest_changes(content: Content) -> str:
                 text = f"{label(row)} of {row['of']} {change(row)}"
                 unit = "" if text.endswith("%") else f" {row['unit']}"
                 changes.append((size, f"{text}{unit}"))
-    largest = sorted(changes, reverse=True)[:4]
-    return ", ".join(text for _, text in largest)
+    largest = [text for _, text in sorted(changes, reverse=True)[:4]]
+    if largest:
+        yield f"Changed most, compared with the errors: {', '.join(largest)}"

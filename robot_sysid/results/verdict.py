@@ -13,7 +13,7 @@ from pathlib import Path
 from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.records import ITSELF
 from robot_sysid.records.file_access import CARD_NAME, models_in
-from robot_sysid.records.messages import NextStep, percent
+from robot_sysid.records.messages import NextStep, percent, with_error
 from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD, Verdict
 
@@ -109,31 +109,35 @@ def _improvements(content: Content) -> Iterator[str]:
         # A payload is part of both models: the change is that of links and friction.
         load = "" if payload is None else " with the payload"
         shares = before_after_text(file["before"], file["after"])
-        yield f"torque error{load} on held-out data {shares}"
+        yield f"torque error{load} on held-out data, constant offsets aside, {shares}"
     if payload is not None and payload["known_mass"] is not None:
         yield "torque scales follow from the known mass"
         return
-    of = content["body_name"] if payload is None else PAYLOAD
+    of, name = PAYLOAD, "the payload"
+    if payload is None:
+        of = name = content["body_name"]
     rows = [row for row in content["quantities"] if row["of"] == of]
     row = next((row for row in rows if row["name"] == "mass"), None)
     if row is None or row["error"] is None or row["value"] <= 0.0:
-        yield "the mass is not identifiable by itself"
+        yield f"the mass of {name} alone is not identifiable"
         return
-    share = row["error"] / row["value"]
-    mass = f"the mass is known to {percent(share)}"
-    if share >= UNKNOWN:
-        mass = f"the mass is not known (± {percent(share)})"
-    yield f"{mass}, limited by {row['reason']}" if row["reason"] else mass
+    mass = with_error(row["value"], row["error"], "kg")
+    text = f"{name} weighs {mass}"
+    if row["error"] >= UNKNOWN * row["value"]:
+        text = f"the mass of {name} alone is not known: {mass}"
+    yield f"{text}, ± mostly from {row['reason']}" if row["reason"] else text
 
 
-def use_lines(path: Path) -> tuple[str, str, str]:
+def use_lines(path: Path, contents: str = "") -> tuple[str, str, str]:
     """Return which model file to use, which MuJoCo loads it, and a line of Python that does.
 
-    ``path`` is that of the written file, which has been compiled by the installed MuJoCo.
+    Args:
+        path: of the written file, which has been compiled by the installed MuJoCo.
+        contents: what the file is of, behind a comma; "" for the arm.
     """
     text = json.dumps(str(path), ensure_ascii=False)
     return (
-        f"Use this file: {path}",
+        f"Use this file{contents}: {path}",
         f"  mujoco.MjModel.from_xml_path({text})",
         f"It loads in MuJoCo {MUJOCO_VERSION} (tested), and in all from 3.0 on that load your "
         "model",
@@ -153,10 +157,11 @@ def last_lines(
     lines = [verdict_line(content)]
     if content["failure"] is not None:
         return tuple(lines)
+    contents = ", the arm with its payload" if content["payload"] else ""
     # A self-test writes back what its model says already.
     if content["source"] != ITSELF:
         for path in models_in(files)[:1]:
-            lines += use_lines(path)
+            lines += use_lines(path, contents)
     if content["payload"] is not None:
         flange = content["payload"]["flange"]["name"]
         start = f"Copy into the controller, in the frame of {flange}"

@@ -48,10 +48,10 @@ def brief_lines(lines):
 def test_measured_data_gets_a_table_changes_and_validation():
     result = made.found(validation=(made.validation_of(0.05),))
     table = block_lines(result)
-    heading = "Before -> after model identified ± unit change"
+    heading = "link6 with its load model identified ± unit change"
     assert " ".join(table[0].split()) == heading
     assert table[1].split()[:5] == ["mass", "1.0000", "2.0000", "0.0020", "kg"]
-    assert len(table) == 13
+    assert len(table) == 14 and table[-1].startswith("  ±: standard error ")
     lines = more_lines(result)
     changes, validation = brief_lines(lines)
     assert changes.startswith("Changed most, compared with the errors: ")
@@ -100,6 +100,6 @@ def test_a_payloads_block():
     result = made.payload()
     lines = [*block_lines(result), *more_lines(result)]
     assert lines[0] == "Identified payload, in the frame of site 'flange':"
-    assert len(brief_lines(lines)) == 12
+    assert len(brief_lines(lines)) == 13
     assert re.split(r"  +", lines[2].strip()) == ["mass", "1.200", "0.010", "kg"]
     assert line_starting(lines, "Terminal link with it: 2.000 ± 0.010 kg")

@@ -1,0 +1,40 @@
+"""What to do after an identification, with the command that does it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from robot_sysid.config import IdentifyConfig
+from robot_sysid.pipeline.run_words import step_after_run
+from robot_sysid.results.quantities import BEYOND
+from robot_sysid.results.record import Quantity
+from tests.support import results as made
+
+
+@pytest.mark.parametrize(
+    ("mass_error", "part", "error", "command"),
+    [
+        (1.2, 0.8, 1.2, "plan"),
+        (0.2, 0.8, 0.2, "payload"),
+        (0.2, 0.3, 0.2, None),
+        (0.2, -0.8, 0.2, None),
+        (0.02, 0.8, 0.02, None),
+    ],
+)
+def test_what_is_bolted_on_is_weighed_where_one_log_shows_it_roughly(
+    mass_error, part, error, command
+):
+    result = made.found(made.with_value("m", 2.0, mass_error))
+    beyond = Quantity("mass", BEYOND, "kg", None, part, error)
+    result = replace(result, quantities=(*result.quantities, beyond))
+    config = IdentifyConfig.of(path="arm.xml", measurements=("log.csv",), units="deg")
+    step = step_after_run(config, result)
+    if command is None:
+        assert step is None
+        return
+    assert step.command[1:3] == (command, "arm.xml")
+    if command == "payload":
+        at = step.command.index("--loaded")
+        assert step.command[at + 1 : at + 4] == ("log.csv", "--units", "deg")
