@@ -163,7 +163,7 @@ class Result(record.Result):
         for k, (axis, joint) in enumerate(zip(axes, traces.joints)):
             axis.plot(traces.time, traces.measured[:, k], label="measured", **dots)
             axis.plot(traces.time, traces.predicted[:, k], label="predicted", **line)
-            axis.set_ylabel(f"{joint}\n[{'N' if traces.is_slide[k] else 'N m'}]")
+            axis.set_ylabel(f"{joint}\n[{'N' if traces.is_slide[k] else 'N·m'}]")
         axes[-1].set_xlabel("time [s]")
         axes[0].legend(loc="upper right", ncols=2)
         return figure

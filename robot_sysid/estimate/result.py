@@ -21,7 +21,7 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import held_out_logs, validation
 from robot_sysid.estimate.identifiability import analyse_identifiability
 from robot_sysid.estimate.links import LINK_KINDS
-from robot_sysid.estimate.options import FILE_FRICTION
+from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.questions import CHANGES
 from robot_sysid.estimate.terms import (
     FRICTION,
@@ -125,7 +125,9 @@ def link_result(
     verdict = Verdict.TORQUES_ONLY if is_better else Verdict.UNEXPLAINED
     remarks = [*refusals, judgement, *map(verdict.remark, doubts)]
     # Links that took up the torque of missed friction say nothing of the model's.
-    remarks += () if missed else wrong_links(other_links)
+    is_kept = FILE_LINKS in written.unchanged
+    remedy = "" if is_kept else "the written model has it corrected"
+    remarks += () if missed else wrong_links(other_links, remedy)
     mass = float(written.thetas[-1, 0])
     if abs(mass - last_link.mass) > 2.0 * last_link.errors[0]:
         text = (
@@ -386,10 +388,9 @@ def model_file(
         errors = file.after.relative_error, file.urdf.after.relative_error
         shares = [percent(error or 0.0) for error in errors]
         notes.append(
-            f"{MODEL_NAMES['urdf']} lacks {' and '.join(omissions)}, which no URDF can hold; its "
-            "links take up the torque of what it lacks, so that their masses differ from the "
-            f"identified ones; {MODEL_NAMES['mjcf']} holds everything (torque error on held-out "
-            f"data {shares[0]}, of the URDF {shares[1]})"
+            f"{MODEL_NAMES['mjcf']} has a torque error of {shares[0]}, {MODEL_NAMES['urdf']} of "
+            f"{shares[1]}: no URDF can hold {' and '.join(omissions)}, and its masses are off to "
+            "make up for that"
         )
     motors = tuple(m for m in fitted.arm.motors if m.name in fitted.question.motors)
     written = ModelFile(
@@ -473,8 +474,9 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
         sine = float(np.linalg.norm(np.cross(level, file.gravity)))
         angle = math.degrees(math.atan2(sine, level @ file.gravity))
         yield (
-            f"the written model's gravity is turned by {angle:.2f} degrees: the base is tilted by "
-            "that, or encoder zeros look like it (--keep gravity leaves it alone)"
+            f"gravity in the written model (its <option>, which other readers of URDF ignore) is "
+            f"turned by {angle:.2f} degrees: the base is tilted by that, or encoder zeros are off; "
+            "--keep gravity leaves it alone"
         )
 
 

@@ -261,15 +261,15 @@ def implausible_joints(
         # A limit of zero means that the model states none.
         if dry > min(robot.limits.torque[index] or np.inf, strongest):
             yield Verdict.IMPLAUSIBLE.remark(
-                f"{name} would have {dry:.3g} N m of dry friction or more"
+                f"{name} would have {dry:.3g} N·m of dry friction or more"
             )
         if not slide and rotor > inertia > 0.0:
             yield Verdict.IMPLAUSIBLE.remark(
-                f"{name} would have a rotor of {rotor:.3g} kg m^2 or more"
+                f"{name} would have a rotor of {rotor:.3g} kg·m² or more"
             )
 
 
-def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[Remark]:
+def wrong_links(links: Sequence[BodyEstimate], remedy: str = "") -> Iterator[Remark]:
     """Yield a doubt on each link whose first moment in the model the recordings contradict.
 
     Mass and centre of mass of a link are confounded with each other and with those of neighbouring
@@ -278,6 +278,7 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[Remark]:
 
     Args:
         links: estimates, with the model's bodies as their ``prior``.
+        remedy: what is done about it in the written model.
     """
     for link in links:
         if link.prior is None or not np.any(link.prior.theta[1:4]):
@@ -291,10 +292,10 @@ def wrong_links(links: Sequence[BodyEstimate]) -> Iterator[Remark]:
         if np.all(link.is_determined[1:4]) and deviation > least:
             text = (
                 f"{link.name} of the model is probably wrong: its mass times the distance of its "
-                f"centre of mass is {with_error(moment, error, 'kg m')}, in the model "
-                f"{expected:.3g}; the torques do not separate mass and distance"
+                f"centre of mass is {with_error(moment, error, 'kg·m')}, in the model "
+                f"{expected:.3g}, and torques show no more than that product"
             )
-            yield Remark(Level.DOUBTS, link.name, text)
+            yield Remark(Level.DOUBTS, link.name, text, remedy)
 
 
 def judge_file(

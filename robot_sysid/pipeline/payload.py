@@ -113,7 +113,7 @@ def _datasets(
 
 def _no_drift_note(count: int, is_order_known: bool) -> str:
     """Return the sentence that says why no drift of friction is estimated from logs, so many."""
-    reason = "their order does not tell it from the payload"
+    reason = "in this order it looks like a payload"
     if not is_order_known and count != 2:
         reason = "the order in which they were recorded is not known (--order tells it)"
     return (

@@ -113,7 +113,7 @@ def number_groups(body: BodyEstimate) -> dict[str, Any]:
     if mass <= 0.0 or not _is_possible(moments, rounding):
         listed = ", ".join(f"{moment:.4g}" for moment in moments)
         raise ExportError(
-            f"a payload of {mass:.4g} kg with principal moments of inertia {listed} kg m^2 is not "
+            f"a payload of {mass:.4g} kg with principal moments of inertia {listed} kg·m² is not "
             "a possible rigid body, so there is no card for a controller; record longer or faster "
             "motion"
         )

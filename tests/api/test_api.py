@@ -300,7 +300,7 @@ def test_a_plot_shows_every_joint(result, monkeypatch):
     pytest.importorskip("matplotlib")
     axes = result.plot().axes
     assert [axis.get_ylabel() for axis in axes] == [
-        f"joint{k}\n[N m]" for k in range(4)
+        f"joint{k}\n[N·m]" for k in range(4)
     ]
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(

@@ -98,7 +98,7 @@ def judge_joint(**terms):
         (judge_link(radius=0.6), IMPLAUSIBLE, "radius of gyration is 0.6 m"),
         (judge_link(mass=10.4, error=np.inf), IMPLAUSIBLE, "do not show the mass"),
         (judge_joint(coulomb=30.0, viscous=200.0, armature=0.5), OK, ""),
-        (judge_joint(coulomb=141.2), IMPLAUSIBLE, "141 N m of dry friction"),
+        (judge_joint(coulomb=141.2), IMPLAUSIBLE, "141 N·m of dry friction"),
         (judge_joint(armature=1e3), IMPLAUSIBLE, "rotor"),
         (judge_payload(error=0.4), OK, ""),
         (judge_payload(mass=-1.0), Verdict.SWAPPED, "-1"),
@@ -227,4 +227,4 @@ def test_a_link_is_named_whose_first_moment_is_clearly_wrong(distance, error, is
     assert len(named) == is_named
     for remark in named:
         assert (remark.level, remark.about) == (Level.DOUBTS, link.name)
-        assert "0.150 ± 0.010 kg m, in the model 0.1;" in remark.text
+        assert "0.150 ± 0.010 kg·m, in the model 0.1," in remark.text
