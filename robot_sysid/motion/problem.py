@@ -32,6 +32,11 @@ from robot_sysid.trajectory import (
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
 """The families of joint limits, in the order of their columns."""
+LIMIT_SHARE = 0.99
+"""Share of the limits the search uses; the rest covers peaks between grid points.
+
+A peak between two of 25 points per period is cos(pi / 25) = 0.992 of itself at the nearer one.
+"""
 OBSTACLE_LENGTH = 0.05
 """A slack of minus this length [m] counts as much as exceeding a limit by 100 %."""
 ROUNDING = 1e-9
@@ -236,7 +241,10 @@ def build_problem(
         InputError: the arm breaks a limit already at rest; says which.
     """
     motion_limits, assumed = _limits(robot, limits, shakes_gently)
-    start_pose = np.clip(robot.reference, motion_limits.lower, motion_limits.upper)
+    # A motion that starts outside what the search uses would break its limits, however small.
+    center = motion_limits.center
+    span = LIMIT_SHARE * (motion_limits.upper - center)
+    start_pose = np.clip(robot.reference, center - span, center + span)
     moved = []
     for name, q, reference in zip(robot.joint_names, start_pose, robot.reference):
         if q != reference:

@@ -36,6 +36,7 @@ from robot_sysid.motion import TOP_FREQUENCY_HZ, ExcitationOptions
 from robot_sysid.motion.information import Criterion, PriorKnowledge, gradient_of
 from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import (
+    LIMIT_SHARE,
     OBSTACLE_LENGTH,
     ROUNDING,
     ExcitationProblem,
@@ -74,11 +75,6 @@ MEMORY = 20
 REPAIRS = (1.0, *(1.0 - 1e-3 * 2.0 ** np.arange(10)), 0.2, 0.1)
 """Factors by which a motion that breaks a limit is scaled down, tried in turn until it keeps all
 limits."""
-LIMIT_SHARE = 0.99
-"""Share of the limits the search uses; the rest covers peaks between grid points.
-
-A peak between two of 25 points per period is cos(pi / 25) = 0.992 of itself at the nearer one.
-"""
 EXTRA_SLACK = 0.003
 """Distance that the search keeps in addition to the required one [m].
 

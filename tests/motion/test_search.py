@@ -251,6 +251,14 @@ def test_the_limit_that_no_draw_keeps_is_named():
         design_excitation(design, default_rng(0))
 
 
+def test_an_arm_that_rests_at_its_limits_has_a_motion():
+    """As a Trossen WXAI does, folded: its shoulder and elbow turn one way only."""
+    folded = arms.serial_arm((arms.Z, arms.Y, arms.X), joint='range="0 2"')
+    design = make_design(folded)
+    assert np.all(design.problem.limits.lower > 0.0)
+    assert np.isfinite(draw_trajectory(design, 0, 0).score)
+
+
 DESIGNS = list(map(make_design, (arms.THREE, TUBES_AND_POST, arms.SLIDE_IN_CHAIN)))
 
 
