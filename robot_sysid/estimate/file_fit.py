@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
+from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Fit, fit
 from robot_sysid.estimate.held_out import validation
@@ -25,6 +26,7 @@ from robot_sysid.estimate.options import (
 )
 from robot_sysid.estimate.questions import FILE_TILT, links_term
 from robot_sysid.estimate.terms import (
+    LAST_LINK,
     LINKS,
     MOTORS,
     PAYLOAD_NAMES,
@@ -173,6 +175,9 @@ def _terms(estimate: Fit, unchanged: Sequence[str], kind: str) -> list[Term]:
             continue
         if key == LINKS:
             term = links_term(arm, estimate.question)
+        elif key == LAST_LINK:
+            hanging = [each.theta for each in arm.robot.bodies if not each.welded]
+            term = replace(term, least=np.sum([np.zeros(N_INERTIAL), *hanging], axis=0))
         elif term.cause == MOTORS:
             term = term.only(term.names[:2])
         terms.append(term)

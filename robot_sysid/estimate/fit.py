@@ -15,7 +15,7 @@ Shapes: p parameters in the sums, k of them estimated, J joints with equations, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -665,18 +665,22 @@ def _within_bounds(
     return equations.inside(values), start, is_free
 
 
-def _bodies(equations: Equations) -> list[NDArray[np.int64]]:
-    """Return the indices (10,) of each body among the estimated parameters."""
-    bodies = []
+def _bodies(equations: Equations) -> Iterator[tuple[NDArray[np.int64], Array]]:
+    """Yield the indices (10,) of each body among the estimated parameters.
+
+    With them comes the body (10,) that it has to contain, zero for none.
+    """
     for term, span in zip(equations.terms, equations.spans):
         if term.bodies:
-            bodies += list(np.arange(span.start, span.stop).reshape(-1, N_INERTIAL))
-    return bodies
+            indices = np.arange(span.start, span.stop)
+            least = np.zeros(len(indices)) if term.least is None else term.least
+            yield from zip(*(each.reshape(-1, N_INERTIAL) for each in (indices, least)))
 
 
 def _are_possible(equations: Equations, values: Array) -> bool:
     """Tell whether all estimated bodies are possible at values (k,)."""
-    return all(spatial.is_consistent(values[body]) for body in _bodies(equations))
+    bodies = _bodies(equations)
+    return all(spatial.is_consistent(values[body] - least) for body, least in bodies)
 
 
 def _possible(
@@ -698,14 +702,16 @@ def _possible(
     rows = root.T * length
     target = np.linalg.solve(root, right_side / length)
     usual = np.zeros(len(at))
+    contained = np.zeros(len(at))
     links = []
-    for body in _bodies(equations):
+    for body, least in _bodies(equations):
         link = np.searchsorted(at, body)
         links.append(link)
-        usual[link] = equations.usual[body]
+        usual[link] = equations.usual[body] - least
+        contained[link] = least
     values = start.copy()
-    values[at] = consistent_least_squares(
-        rows, target, LinksProblem(tuple(links), usual), has_hidden
+    values[at] = contained + consistent_least_squares(
+        rows, target - rows @ contained, LinksProblem(tuple(links), usual), has_hidden
     )
     return values
 

@@ -153,6 +153,8 @@ class Term:
         held_by: kinds of model files that can hold the parameters.
         bodies: whether each ten parameters have to be a possible body.
         usual: (k,) values that parameters keep which nothing shows; the model's.
+        least: (k,) bodies beside which each of the term's bodies has to be possible, such as
+            fingers on joints of their own, which keep their inertia; None for none.
     """
 
     cause: str
@@ -164,6 +166,7 @@ class Term:
     held_by: frozenset[str] = frozenset()
     bodies: bool = False
     usual: Array | None = None
+    least: Array | None = None
 
     def only(self, names: Sequence[str]) -> Term:
         """Return the term with some of its parameters, whose errors have to be independent."""

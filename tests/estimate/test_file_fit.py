@@ -20,6 +20,7 @@ from robot_sysid.estimate.options import FILE_FRICTION as FRICTION
 from robot_sysid.estimate.options import FILE_GRAVITY as GRAVITY
 from robot_sysid.estimate.options import FILE_LINKS as LINKS
 from robot_sysid.estimate.options import FILE_ROTORS as ROTORS
+from robot_sysid.records import InertialParameters, SubtreeBody
 from robot_sysid.results.prediction import torque_error
 from tests.support import arms
 from tests.support.core_fits import filter_logs, fit_recordings
@@ -196,3 +197,17 @@ def test_a_motor_that_turns_two_joints_is_in_the_mjcf_alone(plant, robot):
     assert file.after.relative_error < 0.2 * file.urdf.after.relative_error
     kept = file_of(robot, recordings, (GRAVITY, FRICTION))
     assert not any("+" in name for name in kept.fit.names)
+
+
+def test_a_last_link_leaves_a_possible_body_beside_its_fingers(robot, recording):
+    """Fingers on joints of their own keep their inertia in a written model."""
+    without = file_of(robot, recording)
+    free = InertialParameters(without.fit.thetas[-1])
+    inertia = np.diag([1.02, 0.5, 0.5]) * free.inertia_com
+    theta = spatial.theta_from_com(0.3 * free.mass, free.com, inertia)
+    finger = SubtreeBody(99, "finger", theta, welded=False)
+    assert not spatial.is_consistent(free.theta - theta)
+    gripper = replace(robot, bodies=(*robot.bodies, finger))
+    file = file_of(gripper, recording)
+    assert spatial.is_consistent(file.fit.thetas[-1] - theta)
+    assert file.after.relative_error < 1.2 * without.after.relative_error
