@@ -70,10 +70,10 @@ def drawn_links(robot, rng):
         theta = robot.links[number].theta
         next_joint = robot.links[number + 1].translation
         mass, com, inertia = spatial.com_from_theta(theta)
-        _, moves = own_errors(theta, 1.0, float(np.linalg.norm(next_joint)))
-        turns = own_errors(theta, share, float(np.linalg.norm(next_joint)))[0][4:, 4:]
+        errors = own_errors(theta, float(np.linalg.norm(next_joint)))
+        turns = share * errors[4:, 4:]
         grown = 1.0 + heavier + share * rng.normal()
-        size = float(moves[1, 0]) / mass
+        size = float(errors[1, 1]) / mass
         outward = com / max(float(np.linalg.norm(com)), 1e-9)
         moved = com + size * (longer * outward + share * rng.normal(size=3))
         off = spatial.symmetric_from_six(np.diag(turns) * rng.normal(size=6))

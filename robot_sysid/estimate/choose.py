@@ -67,9 +67,7 @@ def solved(
 
     def arm_of(motors: Sequence[Coupling]) -> ArmTerms:
         """Return all terms of the arm with some motors."""
-        return ArmTerms(
-            robot, options.torques, motors, friction, question.loaded, question.drifts
-        )
+        return ArmTerms(robot, options.torques, motors, friction, question.loaded)
 
     # Each round has a pass for residuals and one for sums, which begin with a pass.
     n_steps = 1 + 2 * (_ROUNDS if question.loaded else 2)
@@ -231,10 +229,9 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
     curvature, pull = eliminate(normal, columns[own])
     mean = prior.mean[own]
     links = [arm.others[k] for k in np.flatnonzero(stated)]
-    thetas = tuple(tuple(body) for body in mean.reshape(-1, N_INERTIAL))
-    lengths = tuple(link_lengths(arm.robot, links))
+    thetas = mean.reshape(-1, N_INERTIAL)
     share = PER_CENT * fitted.question.options.priors.link
-    directions = share * link_directions(thetas, lengths)
+    directions = share * link_directions(thetas, link_lengths(arm.robot, links))
     return LinkEvidence(
         len(links),
         directions.T @ curvature @ directions,

@@ -17,7 +17,7 @@ from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Fit, fit
-from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.held_out import error_in, validation
 from robot_sysid.estimate.options import (
     FILE_FRICTION,
     FILE_GRAVITY,
@@ -25,6 +25,7 @@ from robot_sysid.estimate.options import (
     FILE_ROTORS,
 )
 from robot_sysid.estimate.questions import FILE_TILT, links_term
+from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import (
     LAST_LINK,
     LINKS,
@@ -127,6 +128,29 @@ def _fit_kind(
         rotors,
         gravity,
     )
+
+
+def errors_on(
+    file: FileFit, recordings: Sequence[Recording], source: str
+) -> tuple[Validation, Validation]:
+    """Return the errors of the given model and of the file on a log that was not fitted.
+
+    The offset of each joint's sensor is that of this log.
+
+    Args:
+        file: the fit of the file.
+        recordings: stretches of the other log.
+        source: its name.
+    """
+    other = file.fit.of(file.fit.arm.sums(recordings, file.fit.point))
+    blocks = range(len(other.sums.logs))
+    errors = []
+    for values in ({}, file.fit.by_name):
+        solved = _solved(other, [other.arm.terms["offset"]], values)
+        error = error_in(solved, solved.values, solved.inverse, blocks, source)
+        errors.append(error)
+    before, after = errors
+    return before, after
 
 
 def _known_offsets(fitted: Fit) -> Term:

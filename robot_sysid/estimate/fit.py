@@ -259,9 +259,14 @@ class Fit:
         """Covariance (k, k) of what torque scales do beyond their columns.
 
         Friction and rotors are in units of the sensor: their relative error is that of their
-        joint's scale. A payload has that of an error which all scales share.
+        joint's scale. A payload has that of an error which all scales share, which the prior of
+        its question leaves out.
         """
-        deviations = self._scale_deviations
+        question = self.question
+        stated = scale_spread(self.arm, question.options, question.loaded)
+        deviations = dict(zip(self.arm.joints, stated.tolist()))
+        if SCALES not in (term.cause for term in self.equations.terms):
+            deviations = {}
         owners = [*deviations]
         effects = np.zeros((len(owners) + 1, len(self.names)))
         for term, span in zip(self.equations.terms, self.equations.spans):
@@ -278,18 +283,6 @@ class Fit:
                     scale * self.values[k]
                 )
         return effects.T @ effects
-
-    @cached_property
-    def _scale_deviations(self) -> dict[str, float]:
-        """Joint to the stated deviation of its torque scale; empty where none is estimated.
-
-        What the scales share counts, which the prior of a payload's question leaves out.
-        """
-        if SCALES not in (term.cause for term in self.equations.terms):
-            return {}
-        question = self.question
-        deviations = scale_spread(self.arm, question.options, question.loaded)
-        return dict(zip(self.arm.joints, deviations.tolist()))
 
     @property
     def errors(self) -> Array:
@@ -423,10 +416,8 @@ class Fit:
         gain = 0.5 * (factor.T @ pull) @ moved - 0.5 * np.linalg.slogdet(inner)[1]
         return float(gain), factor @ moved
 
-    def refit(self, terms: Sequence[Term]) -> Fit:
-        """Return the fit of other terms to the question, from this noise on; bodies may be
-        impossible.
-        """
+    def refit(self, terms: Sequence[Term], possible: bool = False) -> Fit:
+        """Return the fit of other terms to the question, from this noise on."""
         return fit(
             self.arm,
             self.recordings,
@@ -436,7 +427,7 @@ class Fit:
             self.question,
             noise=self.noise,
             correlation=self.correlation,
-            possible=False,
+            possible=possible,
         )
 
     @property

@@ -34,10 +34,7 @@ def validation(fitted: Fit) -> Validation:
     """Return the held-out error of the recordings that were fitted."""
     blocks = range(len(fitted.sums.logs))
     expected = np.sum(fitted.expected_held_out, axis=0)
-    record = _record(fitted, fitted.held_out, blocks, OWN_SOURCE)
-    squares = np.sum(fitted.held_out, axis=0)
-    informative = _is_informative(fitted, squares, expected, blocks)
-    return replace(record, is_informative=informative)
+    return _record(fitted, fitted.held_out, expected, blocks, OWN_SOURCE)
 
 
 def held_out_logs(fitted: Fit) -> list[Validation]:
@@ -47,20 +44,12 @@ def held_out_logs(fitted: Fit) -> list[Validation]:
     not identify.
     """
     names = list(dict.fromkeys(fitted.sums.logs))
-    if len(names) < 2:
-        return []
     tests = []
-    for name in names:
+    for name in names if len(names) > 1 else ():
         blocks = [k for k, log in enumerate(fitted.sums.logs) if log == name]
         source = f"{name}, predicted from the other logs"
-        values, inverse = fitted.without(blocks)
-        squares = np.zeros(len(fitted.sums.joints))
-        expected = np.zeros(len(fitted.sums.joints))
-        for block in blocks:
-            squares += fitted.equations.own.squared_residuals(values, block)
-            expected += fitted.expected(inverse, block)
-        test = _record(fitted, squares, blocks, source)
-        if _is_informative(fitted, squares, expected, blocks):
+        test = error_in(fitted, *fitted.without(blocks), blocks, source)
+        if test.is_informative:
             tests.append(test)
     return tests
 
@@ -71,47 +60,49 @@ def predicted(fitted: Fit, recordings: Sequence[Recording], source: str) -> Vali
     Raises:
         InputError: the recordings hold no usable samples.
     """
-    sums = fitted.arm.sums(recordings, fitted.next_point())
-    other = fitted.of(sums)
-    blocks = range(len(sums.logs))
-    squares = sums.squared_residuals(other.full)
-    expected = np.sum([other.expected(fitted.covariance, k) for k in blocks], axis=0)
-    test = _record(other, squares, blocks, source)
-    return replace(
-        test, is_informative=_is_informative(other, squares, expected, blocks)
-    )
+    other = fitted.of(fitted.arm.sums(recordings, fitted.next_point()))
+    blocks = range(len(other.sums.logs))
+    return error_in(other, other.values, fitted.covariance, blocks, source)
+
+
+def error_in(
+    fitted: Fit, values: Array, covariance: Array, blocks: Sequence[int], source: str
+) -> Validation:
+    """Return the error of an estimate (k,) with its covariance (k, k) in blocks of a fit's sums."""
+    own = fitted.equations.own
+    squares = np.array([own.squared_residuals(values, block) for block in blocks])
+    expected = np.sum([fitted.expected(covariance, b) for b in blocks], axis=0)
+    return _record(fitted, squares, expected, blocks, source)
 
 
 def _record(
-    fitted: Fit, squares: Array, blocks: Sequence[int], source: str
+    fitted: Fit, squares: Array, expected: Array, blocks: Sequence[int], source: str
 ) -> Validation:
-    """Return sums of squared errors, (J,) or of each block (B, J), over some blocks as a record."""
-    sums = fitted.sums
-    torque = np.sum(sums.squared_torque[list(blocks)], axis=0)
-    counts = np.sum(sums.counts[list(blocks)], axis=0)
-    return validation_of(sums.joints, np.atleast_2d(squares), torque, counts, source)
-
-
-def _is_informative(
-    fitted: Fit, squares: Array, expected: Array, blocks: Sequence[int]
-) -> bool:
-    """Tell whether held-out errors test a fit.
+    """Return squared errors in some blocks as a record, which says whether they test a fit.
 
     They do if they are as small as noise, or if they exceed the variance of the prediction. Large
     errors that this variance explains only mean that the fitted rows do not identify the torque.
 
     Args:
-        squares: (J,) squared errors [N^2 m^2].
+        squares: (B, J) squared errors [N^2 m^2].
         expected: (J,) squared errors to expect if the model is right [N^2 m^2].
-        blocks: that were predicted.
+        blocks: (B,) that were predicted.
+        source: of the blocks, in words.
     """
-    noise = np.sum(fitted.sums.counts[list(blocks)], axis=0) * fitted.noise**2
+    sums = fitted.sums
+    torque = np.sum(sums.squared_torque[list(blocks)], axis=0)
+    counts = np.sum(sums.counts[list(blocks)], axis=0)
+    noise = counts * fitted.noise**2
     used = noise > 0.0
-    if not np.any(used):
-        return False
-    if np.sqrt(np.mean(squares[used] / noise[used])) <= NOISE_EXPLAINS:
-        return True
-    return bool(np.sqrt(np.mean(squares[used] / expected[used])) > NOISE_EXPLAINS)
+    is_informative = False
+    if np.any(used):
+        total = np.sum(squares, axis=0)[used]
+        of_noise, of_all = (
+            np.sqrt(np.mean(total / size[used])) for size in (noise, expected)
+        )
+        is_informative = bool(of_noise <= NOISE_EXPLAINS or of_all > NOISE_EXPLAINS)
+    test = validation_of(sums.joints, squares, torque, counts, source)
+    return replace(test, is_informative=is_informative)
 
 
 def is_clearly_lower(errors: Array, reference: Array) -> bool:

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -43,18 +42,19 @@ class LinkScales:
         mass: factor on the independent error of each link's mass.
         centre_of_mass: factor on the independent error of each link's centre of mass.
         inertia: factor on the independent error of each link's inertia.
-        common: factor on the relative errors in mass and in distance that all links share.
     """
 
     mass: float = 1.0
     centre_of_mass: float = 1.0
     inertia: float = 1.0
-    common: float = 1.0
 
     def of_directions(self, n_links: int) -> Array:
-        """Return the factor (10 L + 2,) on each column of ``link_directions`` of L links."""
+        """Return the factor (10 L + 2,) on each column of ``link_directions`` of L links.
+
+        Errors that all links share stay as the user states them.
+        """
         one_link = np.repeat((self.mass, self.centre_of_mass, self.inertia), (1, 3, 6))
-        return np.append(np.tile(one_link, n_links), (self.common, self.common))
+        return np.append(np.tile(one_link, n_links), (1.0, 1.0))
 
 
 AS_STATED = LinkScales()
@@ -82,7 +82,7 @@ def link_factor(
             square distance of its mass from the joint.
         scales: factors on these standard deviations, per kind of error.
     """
-    directions = link_directions(tuple(map(tuple, thetas)), tuple(lengths))
+    directions = link_directions(thetas, lengths)
     scaled = directions * scales.of_directions(len(thetas))
     return share * np.asarray(np.linalg.cholesky(scaled @ scaled.T), dtype=float)
 
@@ -105,21 +105,22 @@ def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> 
     return link_factor(thetas, share, link_lengths(robot, links))
 
 
-@lru_cache(maxsize=8)
 def link_directions(
-    thetas: tuple[tuple[float, ...], ...], lengths: tuple[float, ...]
+    thetas: Sequence[Array] | Array, lengths: Sequence[float] | Array
 ) -> Array:
     """Return the effects (10 L, 10 L + 2) of independent errors on the parameters of L links.
 
     One column per error, for a relative standard deviation of one: each link's mass (1), centre of
     mass (3) and inertia (6), then the common errors of all masses and of all distances of a centre
-    of mass from its joint. The array is cached: do not change it. Per link, ``thetas`` has the ten
-    inertial parameters of the model, ``lengths`` the distance from its joint to the next one [m].
+    of mass from its joint. Per link, ``thetas`` has the ten inertial parameters of the model,
+    ``lengths`` the distance from its joint to the next one [m].
     """
     directions = np.zeros((10 * len(thetas), 10 * len(thetas) + 2))
-    for index, (theta, length) in enumerate(zip(np.array(thetas), lengths)):
+    for index, (theta, length) in enumerate(zip(thetas, lengths)):
         block = slice(10 * index, 10 * (index + 1))
-        directions[block, block], moved = own_errors(theta, share=1.0, length=length)
+        errors = own_errors(theta, length)
+        moved = errors[:, 1:4]
+        directions[block, block] = errors
         _, com, _ = spatial.com_from_theta(theta)
         distance = float(np.linalg.norm(com))
         # Common errors scale all parameters with the mass, and move the centre of mass outwards.
@@ -128,28 +129,26 @@ def link_directions(
     return directions
 
 
-def own_errors(theta: Array, share: float, length: float) -> tuple[Array, Array]:
+def own_errors(theta: Array, length: float) -> Array:
     """Return the effects of a link's independent errors on its ten inertial parameters.
 
-    Returns (10, 10), one column per error, of one standard deviation: mass (1), centre of mass
-    along x, y, z (3), inertia (6); and (10, 3), the columns of the centre of mass alone.
+    Returns (10, 10), one column per error, for a relative standard deviation of one: mass (1),
+    centre of mass along x, y, z (3), inertia (6).
 
     Args:
         theta: (10,) the model's parameters of the link.
-        share: relative standard deviation of the errors.
         length: distance from the link's joint to the next one [m].
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     size = max(ROD * spatial.characteristic_length(theta), length, LEAST_SIZE)
     # A link with little or no inertia in the model counts as a tenth of its size wide.
     moment = max(float(np.trace(inertia)) / 3.0, mass * (0.1 * size) ** 2)
-    columns = []
-    for step in share * size * np.eye(3):
+    columns = [theta]
+    for step in size * np.eye(3):
         ahead = spatial.theta_from_com(mass, com + step, inertia)
         behind = spatial.theta_from_com(mass, com - step, inertia)
         columns.append(0.5 * (ahead - behind))  # central difference
-    turns = list(2.0 * share * moment * np.eye(10)[4:])
-    return np.column_stack([share * theta, *columns, *turns]), np.column_stack(columns)
+    return np.column_stack([*columns, *(2.0 * moment * np.eye(10)[4:])])
 
 
 MASS_SCALES = (2.0, 4.0, 8.0)
@@ -164,8 +163,6 @@ USUAL_INERTIA_SCALE = 2.0
 """Median of the log-normal prior of ``inertia``; its standard deviation is one octave."""
 EXPECTED = LinkScales(4.0, USUAL_COM_SCALE, USUAL_INERTIA_SCALE)
 """Factors for mass, centre of mass and inertia that are expected without any recording."""
-LINK_KINDS = ("mass", "centre_of_mass", "inertia")
-"""Fields of ``LinkScales`` that are estimated."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +190,7 @@ class LinkEvidence:
 def average_scales(evidence: LinkEvidence) -> LinkScales:
     """Return the root mean square of each factor on the links' prior over its posterior on a grid.
 
-    The factor ``common`` stays at one. A root mean square and not the most likely factor, because
+    A root mean square and not the most likely factor, because
     the prior has to allow for large values where the data hardly determines a factor.
     """
     # (combinations, 3): factors of mass, centre of mass and inertia.

@@ -22,6 +22,7 @@ from robot_sysid.estimate.result import (
     model_file,
     quantity,
     result_notes,
+    select,
 )
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.estimate.trust import (
@@ -59,7 +60,7 @@ def written_payload(fitted: Fit) -> tuple[Array, str]:
     """
     theta = fitted.values[fitted.at(PAYLOAD_NAMES)]
     mass, com, _ = spatial.com_from_theta(theta)
-    body = _body(fitted, PAYLOAD_NAMES, theta)
+    body = body_estimate(fitted, "payload", select(fitted, PAYLOAD_NAMES), theta, None)
     if mass <= 0.0 or is_inertia_known(body):
         return theta, ""
     moments, errors = principal_moments(body)
@@ -71,12 +72,6 @@ def written_payload(fitted: Fit) -> tuple[Array, str]:
     if not np.all(np.isfinite(errors)):
         reason = "the payload's inertia is not identifiable from these torques"
     return spatial.aluminium_ball(mass, com), reason
-
-
-def _body(fitted: Fit, names: Sequence[str], theta: Array) -> BodyEstimate:
-    """Return a body with named parameters, in the frame of the terminal body."""
-    selection = np.eye(len(fitted.names))[fitted.at(names)]
-    return body_estimate(fitted, "payload", selection, theta, None)
 
 
 def payload_result(
@@ -161,20 +156,15 @@ def _in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimate:
     """Return the payload at parameters (k,), in the flange frame."""
     # The change of frame is linear: its matrix has the images of the ten unit bodies as columns.
     to_flange = np.stack(list(map(flange.to_flange, np.eye(10))), axis=1)
-    at = fitted.at(PAYLOAD_NAMES)
-    combinations = to_flange @ np.eye(len(fitted.names))[at]
-    return body_estimate(fitted, "payload", combinations, to_flange @ values[at], None)
+    combinations = to_flange @ select(fitted, PAYLOAD_NAMES)
+    return body_estimate(fitted, "payload", combinations, combinations @ values, None)
 
 
 def _link_with(fitted: Fit, values: Array) -> BodyEstimate:
     """Return the terminal link with the payload, at parameters (k,)."""
-    selection = np.eye(len(fitted.names))
-    at = fitted.at(PARAMETER_NAMES)
-    of_payload = fitted.at(PAYLOAD_NAMES)
-    combinations = selection[at] + selection[of_payload]
-    theta = values[at] + values[of_payload]
+    combinations = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
     name = fitted.arm.robot.body_name
-    return body_estimate(fitted, name, combinations, theta, None)
+    return body_estimate(fitted, name, combinations, combinations @ values, None)
 
 
 def _payload_record(
@@ -223,11 +213,6 @@ def _kinds(fitted: Fit) -> dict[str, bool]:
     return dict(sorted(kinds.items(), key=lambda pair: pair[1]))
 
 
-def _blocks(fitted: Fit, names: Sequence[str]) -> list[int]:
-    """Return the blocks of named logs."""
-    return [k for k, log in enumerate(fitted.sums.logs) if log in names]
-
-
 def contradiction(fitted: Fit, flange: Flange) -> str:
     """Return a sentence on recordings of one kind that contradict each other; "" where they agree.
 
@@ -242,7 +227,7 @@ def contradiction(fitted: Fit, flange: Flange) -> str:
         if not same:
             continue
         factor = np.diag(spatial.parameter_scale(max(mass, 0.1), 0.1))
-        blocks = _blocks(fitted, [name])
+        blocks = [k for k, log in enumerate(fitted.sums.logs) if log == name]
         gain, theta = fitted.offered(PARAMETER_NAMES, factor, blocks)
         expected = fitted.free[fitted.at(PAYLOAD_NAMES)] * is_loaded
         total = expected + theta

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from robot_sysid.estimate.file_fit import FileFit
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import held_out_logs, validation
 from robot_sysid.estimate.identifiability import analyse_identifiability
-from robot_sysid.estimate.links import LINK_KINDS
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.questions import CHANGES
 from robot_sysid.estimate.terms import (
@@ -91,6 +90,7 @@ def link_result(
     tests: Sequence[Validation],
     origin: DataOrigin,
     notes: Sequence[str] = (),
+    file_tests: Sequence[tuple[Validation, Validation]] = (),
 ) -> Result:
     """Return the result for an arm from recordings without a payload.
 
@@ -101,9 +101,10 @@ def link_result(
     Args:
         fitted: the fit of all terms.
         file: the fit of the model file.
-        tests: errors on logs that were not fitted.
+        tests: errors of the fit on logs that were not fitted.
         origin: where the recordings come from.
         notes: sentences for the user so far.
+        file_tests: errors of the given model and of the model file on the same logs.
     """
     robot = fitted.arm.robot
     tests = (validation(fitted), *tests, *held_out_logs(fitted))
@@ -116,6 +117,8 @@ def link_result(
     refusals += implausible_joints(robot, common.quantities, fitted.torque)
     written, file_rows, file_notes = model_file(fitted, file)
     judgement = judge_file(file.before, file.after)
+    # A file that is worse on another log than the given model is not trustworthy.
+    on_others = [judge_file(b, a, data=b.source) for b, a in file_tests]
     missed = missed_friction(fitted)
     share, sentence = unexplained_share(fitted)
     doubts = [sentence] if share > UNEXPLAINED else []
@@ -124,6 +127,7 @@ def link_result(
     is_better = judgement.about == Verdict.BETTER.name
     verdict = Verdict.TORQUES_ONLY if is_better else Verdict.UNEXPLAINED
     remarks = [*refusals, judgement, *map(verdict.remark, doubts)]
+    remarks += [each for each in on_others if each.level is Level.REFUSES]
     # Links that took up the torque of missed friction say nothing of the model's.
     is_kept = FILE_LINKS in written.unchanged
     remedy = "" if is_kept else "the written model has it corrected"
@@ -148,7 +152,7 @@ def link_result(
         common,
         remarks=(*remarks, *says(sentences)),
         quantities=(*common.quantities, *beyond_model(last_link), *file_rows),
-        file=written,
+        file=replace(written, other_validations=tuple(file_tests)),
         validation=tests,
     )
 
@@ -174,7 +178,6 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
     links = {link.name: link for link in link_estimates(fitted)}
     rows = itertools.chain(*(body_quantities(links[name], name) for name in links))
     signals = signals_of(fitted)
-    scales = fitted.question.link_scales
     return Result(
         robot=robot,
         question=question,
@@ -185,7 +188,7 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
         links=links,
         friction_model="-".join(fitted.question.friction) or "none",
         cutoff=signals[0].cutoff if signals else None,
-        link_scales={name: getattr(scales, name) for name in LINK_KINDS},
+        link_scales=asdict(fitted.question.link_scales),
     )
 
 
@@ -194,7 +197,7 @@ def signals_of(fitted: Fit) -> list[ProcessedSignals]:
     return [recording.signals for recording in fitted.recordings]
 
 
-def _select(fitted: Fit, names: Sequence[str]) -> Array:
+def select(fitted: Fit, names: Sequence[str]) -> Array:
     """Return the 0/1 matrix (m, k) that selects named estimated parameters."""
     return np.eye(len(fitted.names))[fitted.at(names)]
 
@@ -242,7 +245,7 @@ def link_estimates(fitted: Fit) -> Iterator[BodyEstimate]:
             yield body_estimate(
                 fitted,
                 link.body_name,
-                _select(fitted, names),
+                select(fitted, names),
                 theta,
                 link.theta,
                 robot.joint_names[index],

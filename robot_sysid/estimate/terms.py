@@ -187,7 +187,6 @@ class ArmTerms:
         motors: motors that turn several joints, or candidates for such motors.
         friction: names of the friction terms that have columns.
         loaded: whether some recordings carry a payload.
-        drifts: whether friction may drift from recording to recording.
 
     Attributes:
         joints: names of the J joints with equations.
@@ -203,7 +202,6 @@ class ArmTerms:
         motors: Sequence[Coupling] = (),
         friction: Sequence[str] = ALL_FRICTION,
         loaded: bool = False,
-        drifts: bool = False,
     ) -> None:
         self.robot = robot
         self.motors = tuple(motors)
@@ -215,7 +213,7 @@ class ArmTerms:
         self.has_gravity = bool(np.any(gravity_vector(robot)))
         self._beyond = BeyondRigidBodies(robot)
         self.model = self._model_values()
-        self.terms = {term_key(term): term for term in self._terms(loaded, drifts)}
+        self.terms = {term_key(term): term for term in self._terms(loaded)}
         self.names = tuple(n for term in self.terms.values() for n in term.names)
 
     def _model_values(self) -> dict[str, float]:
@@ -243,7 +241,7 @@ class ArmTerms:
         gravity = gravity_vector(self.robot)
         return Point(thetas, thetas, np.zeros(N_INERTIAL), gravity)
 
-    def _terms(self, loaded: bool, drifts: bool) -> Iterator[Term]:
+    def _terms(self, loaded: bool) -> Iterator[Term]:
         """Yield all terms, those of bodies first."""
         robot = self.robot
         usual = usual_bodies(robot)
@@ -299,9 +297,8 @@ class ArmTerms:
             )
         yield Term(SCALES, names_of("scale", self.joints), self._scales)
         yield Term(ZEROS, names_of("zero", robot.joint_names), self._zeros)
-        if drifts:
-            yield Term(DRIFT, names_of("drift", self.joints), self._drift)
         if loaded:
+            yield Term(DRIFT, names_of("drift", self.joints), self._drift)
             scales = names_of("scale_drift", self.joints)
             yield Term(SCALE_DRIFT, scales, self._scale_drift)
         if self.has_gravity:

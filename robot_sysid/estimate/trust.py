@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from robot_sysid.estimate.fit import Fit, fit
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import NOISE_EXPLAINS, is_clearly_lower, validation
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import InertialParameters, RobotModel, Validation
@@ -159,15 +159,8 @@ def missed_friction(fitted: Fit) -> str:
     for term in fitted.equations.terms:
         names = [name for name in term.names if name.partition("[")[0] not in missed]
         kept.append(term.only(names))
-    complete = fit(
-        fitted.arm,
-        fitted.recordings,
-        fitted.point,
-        fitted.sums,
-        [*(term for term in kept if term.names), *added],
-        fitted.question,
-        correlation=fitted.correlation,
-    )
+    terms = [*(term for term in kept if term.names), *added]
+    complete = fitted.refit(terms, possible=True)
     joints = []
     for row, joint in enumerate(fitted.arm.joints):
         given = fitted.held_out[:, row]

@@ -59,7 +59,7 @@ def _arm_terms(
     """Return all terms of an arm; its motors are those that the model states."""
     motors, _ = motors_of(problem.robot, options.torques)
     friction = friction_columns(options)
-    return ArmTerms(problem.robot, options.torques, motors, friction, loaded, loaded)
+    return ArmTerms(problem.robot, options.torques, motors, friction, loaded)
 
 
 def _question(

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from robot_sysid.config import IdentifyConfig, SelfTestConfig
 from robot_sysid.diagnosis.log_checks import check_log
+from robot_sysid.estimate.file_fit import errors_on
 from robot_sysid.estimate.held_out import predicted
 from robot_sysid.estimate.identify import (
     Piece,
@@ -23,7 +22,6 @@ from robot_sysid.estimate.identify import (
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_ROTORS
 from robot_sysid.estimate.result import link_result, traces_of
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.trust import judge_file
 from robot_sysid.logs.reader import (
     MeasurementLog,
     open_log,
@@ -31,14 +29,10 @@ from robot_sysid.logs.reader import (
     refuse_repeated_logs,
 )
 from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.model.compilation import compile_model
-from robot_sysid.records import DataOrigin, Motion, MotionPlan, RobotModel
-from robot_sysid.records.file_access import MODEL_NAMES, atomic_files, temporary_folder
-from robot_sysid.records.messages import Level, Progress
-from robot_sysid.results.prediction import torque_error
-from robot_sysid.results.record import ModelTarget, Result
+from robot_sysid.records import DataOrigin, MotionPlan, RobotModel
+from robot_sysid.records.messages import Progress
+from robot_sysid.results.record import Result
 from robot_sysid.results.verification import CHECKPOINTS
-from robot_sysid.results.written_model import write_model
 from robot_sysid.signals.resampling import join_measurements, piece_notes, split_at_gaps
 from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import CHUNK, sample_count
@@ -167,54 +161,14 @@ def _identify_pieces(
     if options.no_friction:
         keep += (FILE_FRICTION, FILE_ROTORS)
     fitted, file = identify_link(robot, recordings, options, progress, keep)
-    errors = [predicted(fitted, log, name) for name, log in test_recordings.items()]
-    result = link_result(fitted, file, errors, origin, notes)
+    errors = []
+    of_file = []
+    for name, others in test_recordings.items():
+        errors.append(predicted(fitted, others, name))
+        of_file.append(errors_on(file, others, name))
+    result = link_result(fitted, file, errors, origin, notes, of_file)
     checkpoints = signals.motion(
         np.linspace(0, len(signals) - 1, CHECKPOINTS).astype(int)
     )
-    all_tests = tuple(itertools.chain.from_iterable(test_recordings.values()))
-    result = _with_file_tests(result, all_tests, checkpoints, config.model.mesh_dir)
     traces = partial(traces_of, fitted, file)
     return replace(result, checkpoints=checkpoints, traces=traces)
-
-
-def _with_file_tests(
-    result: Result,
-    tests: Sequence[Recording],
-    checkpoints: Motion,
-    mesh_dir: Path | None,
-) -> Result:
-    """Return the result with the written file's own error on other logs, by inverse dynamics.
-
-    A file that is worse on one of them than the given model is not trustworthy.
-
-    Args:
-        result: the identification; returned as it is where it is written to no file.
-        tests: the other logs, low-passed.
-        checkpoints: motion on which the written model must reproduce the predicted torque.
-        mesh_dir: the user's mesh folder, if any.
-    """
-    file = result.written_file
-    if file is None or not tests:
-        return result
-    robot = result.robot
-    error_pairs = []
-    with temporary_folder() as folder:
-        path = folder / MODEL_NAMES["mjcf"]  # the content tells MJCF from URDF
-        with atomic_files() as files:
-            rmse = result.estimate.rmse
-            write_model(result, ModelTarget(files, path, checkpoints, rmse, mesh_dir))
-        written = compile_model(path).mj_model
-        for dataset in tests:
-            error_before = torque_error(
-                robot.mj_model, robot, dataset.signals, dataset.name
-            )
-            error_after = torque_error(written, robot, dataset.signals, dataset.name)
-            error_pairs.append((error_before, error_after))
-    file = replace(file, other_validations=tuple(error_pairs))
-    remarks = [*result.remarks]
-    for before, after in error_pairs:
-        judgement = judge_file(before, after, data=before.source)
-        if judgement.level is Level.REFUSES:
-            remarks.append(judgement)
-    return replace(result, file=file, remarks=tuple(remarks))

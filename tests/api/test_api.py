@@ -131,13 +131,11 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
     workshop, monkeypatch
 ):
     """Also where the fitted log holds too little of the other one's motion to be contradicted."""
-    errors = iter((0.13, 0.21))
 
-    def error_of(mj_model, robot, signals, source):
-        error = next(errors)
-        return results.validation_of(error, source, relative=error)
+    def errors_on(file, recordings, source):
+        return [results.validation_of(e, source, relative=e) for e in (0.13, 0.21)]
 
-    monkeypatch.setattr("robot_sysid.pipeline.recordings.torque_error", error_of)
+    monkeypatch.setattr("robot_sysid.pipeline.recordings.errors_on", errors_on)
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
     other = slice_samples(log.samples, 0, 1200)
     worse = rs.identify(

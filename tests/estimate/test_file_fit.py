@@ -15,15 +15,15 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     with_gravity,
 )
-from robot_sysid.estimate.file_fit import fit_file
+from robot_sysid.estimate.file_fit import errors_on, fit_file
 from robot_sysid.estimate.options import FILE_FRICTION as FRICTION
 from robot_sysid.estimate.options import FILE_GRAVITY as GRAVITY
 from robot_sysid.estimate.options import FILE_LINKS as LINKS
 from robot_sysid.estimate.options import FILE_ROTORS as ROTORS
 from robot_sysid.records import InertialParameters, SubtreeBody
-from robot_sysid.results.prediction import torque_error
 from tests.support import arms
 from tests.support.core_fits import filter_logs, fit_recordings
+from tests.support.file_judge import torque_error
 from tests.support.measured_logs import log_of, plan_of
 
 MIDDLE = np.array([0.0, 1.0, 0.0])
@@ -87,13 +87,18 @@ def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
     after = file.after.relative_error
     assert all(map(spatial.is_consistent, file.fit.thetas))
     signals = recording[0].signals
-    error = torque_error(robot.mj_model, robot, signals, "log").relative_error
+    error = torque_error(robot.mj_model, robot, signals)
     assert before == pytest.approx(error, rel=0.05)
     assert after < 0.02 * before
     model = compiled(robot, file)
     for log in (recording[0], other[0]):
-        error = torque_error(model, robot, log.signals, "file").relative_error
+        error = torque_error(model, robot, log.signals)
         assert error == pytest.approx(after, rel=0.25)
+    stated = errors_on(file, other, "other")
+    assert [each.source for each in stated] == ["other", "other"]
+    for each, mj_model in zip(stated, (robot.mj_model, model)):
+        error = torque_error(mj_model, robot, other[0].signals)
+        assert each.relative_error == pytest.approx(error, rel=0.02)
     # It has only the terms that a file holds, and each joint's sensor offset.
     terms = {name.partition("[")[0] for name in file.fit.names if "[" in name}
     assert terms == {"coulomb", "viscous", "offset"} and file.gravity is None
@@ -121,6 +126,11 @@ def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
     recordings = record(tilted, robot)
     file = file_of(robot, recordings)
     assert angle_between(file.gravity, gravity_vector(tilted)) < 0.3
+    other = record(tilted, robot, 2)
+    model = compiled(robot, file)
+    error = torque_error(model, robot, other[0].signals)
+    _, stated = errors_on(file, other, "other")
+    assert stated.relative_error == pytest.approx(error, rel=0.05)
     kept = file_of(robot, recordings, (GRAVITY,))
     assert kept.gravity is None and not {"tilt_1", "tilt_2"} & set(kept.fit.names)
     assert kept.after.relative_error > file.after.relative_error

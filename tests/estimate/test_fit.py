@@ -240,7 +240,7 @@ def test_what_is_put_in_is_found_with_its_value_and_nothing_else_is(key, seed):
     """The gain is that of the log marginal likelihood, exactly so with the same noise."""
     truth = TrueArm(ROBOT, seed, model_error=0.0)
     recordings = truth.abba(seed, sigma=0.02)[::3]
-    arm = ArmTerms(ROBOT, motors=tuple(neighbours(ROBOT))[:1], loaded=True, drifts=True)
+    arm = ArmTerms(ROBOT, motors=tuple(neighbours(ROBOT))[:1], loaded=True)
     names = [name for term in arm.terms.values() for name in term.names]
     point = replace(arm.start(), friction=dict(zip(names, truth.values(names))))
     size = np.full(len(arm.terms[key].names), PUT_IN[key])

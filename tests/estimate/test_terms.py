@@ -54,7 +54,7 @@ def arm_of(robot, torques="chain"):
     """Return all terms of an arm, with two motors that turn two joints each."""
     motors = tuple(neighbours(robot))[:2] if torques == "chain" else ()
     friction = tuple(term for term in TERMS if term != "stribeck")
-    return ArmTerms(robot, torques, motors, friction, loaded=True, drifts=True)
+    return ArmTerms(robot, torques, motors, friction, loaded=True)
 
 
 def random_values(arm, rng):
