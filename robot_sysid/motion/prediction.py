@@ -103,7 +103,7 @@ def limit_lines(
 def error_lines(prediction: Prediction) -> Iterator[str]:
     """Yield the errors that an identification will state, and their largest causes."""
     yield f"{prediction.recordings}, it determines {prediction.subject} with these errors:"
-    mass, centre = float(prediction.errors[0]), prediction.centre_error
+    mass, centre = prediction.errors[0], prediction.centre_error
     # The causes, the one with the largest error of the mass first.
     causes = sorted(prediction.by_cause.items(), key=lambda cause: -cause[1][0])
     if np.isfinite(mass):

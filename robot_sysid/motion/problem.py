@@ -245,19 +245,19 @@ def build_problem(
     center = motion_limits.center
     span = LIMIT_SHARE * (motion_limits.upper - center)
     start_pose = np.clip(robot.reference, center - span, center + span)
-    moved = []
-    for name, q, reference in zip(robot.joint_names, start_pose, robot.reference):
-        if q != reference:
-            moved.append(f"{name} at {q:.3f} instead of {reference:.3f}")
-    notes = []
-    if moved:
-        notes.append(
-            "the reference configuration is at or beyond a position limit; the motion starts and "
-            f"ends with {', '.join(moved)}"
-        )
+    moved = [
+        f"{name} at {q:.3f} instead of {reference:.3f}"
+        for name, q, reference in zip(robot.joint_names, start_pose, robot.reference)
+        if q != reference
+    ]
+    note = (
+        "the reference configuration is at or beyond a position limit; the motion starts and "
+        f"ends with {', '.join(moved)}"
+    )
     spaces = _half_spaces(robot, limits, start_pose)
-    links = (robot.n_joints - 1, *other_links(robot))
-    rows = tuple(range(robot.n_joints)) if torques == "chain" else (robot.n_joints - 1,)
+    n_joints = robot.n_joints
+    links = (n_joints - 1, *other_links(robot))
+    rows = tuple(range(0 if torques == "chain" else n_joints - 1, n_joints))
     return ExcitationProblem(
         robot=robot,
         rest=start_pose,
@@ -272,7 +272,7 @@ def build_problem(
         rows=rows,
         sigma=joint_values(noise_torque, robot.n_joints, "the prior noise")[list(rows)],
         assumed=assumed,
-        notes=tuple(notes),
+        notes=(note,) if moved else (),
         unguarded=unguarded_links(robot),
     )
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -407,12 +408,10 @@ def _infeasibility(draws: list[Draw]) -> str:
             "no drawn trajectory shows all that these joints could show of the link; use a longer "
             "--duration"
         )
-    names, counts = np.unique(reasons, return_counts=True)
-    worst = int(np.argmax(counts))
+    ((name, count),) = Counter(reasons).most_common(1)
     return (
-        f"no trajectory is feasible: {counts[worst]} of {len(draws)} random ones, however small, "
-        f"are stopped by the {names[worst]}; relax that limit or change the model's reference "
-        "configuration"
+        f"no trajectory is feasible: {count} of {len(draws)} random ones, however small, are "
+        f"stopped by the {name}; relax that limit or change the model's reference configuration"
     )
 
 
