@@ -191,7 +191,7 @@ class Console(ConsoleOptions, Progress):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._bar: Any = None
-        self._printed_at = 0.0
+        self._printed_at = time.monotonic()
         self._noted: set[str] = set()
         self.json_lines: list[str] = []
 
@@ -222,8 +222,9 @@ class Console(ConsoleOptions, Progress):
         the run goes on.
         """
         if not sys.stderr.isatty():
-            if text:
-                self._print_progress(f"{label}: {100.0 * done / total:.0f} %, {text}")
+            per_cent = round(100.0 * done / total)
+            if text and per_cent:
+                self._print_progress(f"{label}: {per_cent} %, {text}")
             return
         if self._bar is None or self._bar.desc != label:
             from tqdm import tqdm
@@ -243,9 +244,8 @@ class Console(ConsoleOptions, Progress):
             self.close()
 
     def _print_progress(self, line: str) -> None:
-        """Print a line once per ``PROGRESS_INTERVAL``, for the first time after one interval."""
+        """Print a line where none was printed for ``PROGRESS_INTERVAL``."""
         now = time.monotonic()
-        self._printed_at = self._printed_at or now
         if now - self._printed_at >= PROGRESS_INTERVAL:
             self._printed_at = now
             print_line(line, sys.stderr)

@@ -97,7 +97,9 @@ def _check_log(
     count = len(log.samples)
     rate = (count - 1) / log.duration
     console.stage(f"{count} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
-    findings, _ = check_pieces(robot, log.pieces, divided=log.torque_scale)
+    findings, _ = check_pieces(
+        robot, log.pieces, divided=log.torque_scale, progress=console
+    )
     console.stage(*(finding.line() for finding in findings))
     console.result(
         {

@@ -10,7 +10,7 @@ Then it joins the fit, and the others are scored again.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -192,11 +192,12 @@ class Contest:
         choices = float(np.log(explanation.choices))
         return Score(explanation, gain - choices, current, log)
 
-    def ranked(self, current: Fit) -> list[Score]:
+    def ranked(self, current: Fit, advance: Callable[[], None]) -> list[Score]:
         """Return the scores of the best explanations that are possible, the largest gain first.
 
         Of those of one check and joint that differ in a setting, the best one counts. A fault makes
-        noise slow, and hides in it: explanations are compared as if it were white.
+        noise slow, and hides in it: explanations are compared as if it were white. ``advance`` is
+        called after each that is tried.
         """
         ones = np.ones(len(current.noise))
         white = self.rows.fit(current.equations.terms, current, ones)
@@ -210,6 +211,7 @@ class Contest:
         scores: list[Score] = []
         for _, explanation in sorted(best.values(), key=lambda pair: -pair[0]):
             score = self.score(current, explanation, self.rows)
+            advance()
             if explanation.is_possible(*score.values) and score.explains:
                 scores.append(score)
             if len(scores) == _REFITTED:
@@ -248,7 +250,8 @@ def findings(
     recordings: Sequence[Recording],
     options: EstimationOptions,
     divided: Array,
-    share: float = 0.0,
+    share: float,
+    advance: Callable[[], None],
 ) -> list[Finding]:
     """Return what is wrong with a log or its model; nothing where the log fits its model.
 
@@ -258,6 +261,7 @@ def findings(
         options: prior uncertainties of the estimate.
         divided: (n,) torque scales by which the torques were divided already.
         share: by which time is too long if recorded velocities are right; 0 where they say nothing.
+        advance: is called after each explanation and correction that is tried.
     """
     first = log = LogFit.of(robot, recordings, options)
     if is_computed(log):
@@ -271,7 +275,7 @@ def findings(
     rounds: list[list[Score]] = []
     corrected: list[Finding] = []
     while len(rounds) + len(corrected) < _MOST_ROUNDS:
-        ranked = contest.ranked(log.fit)
+        ranked = contest.ranked(log.fit, advance)
         winner = ranked[0] if ranked and ranked[0].gain > CLEAR else None
         best = log if winner is None else winner.log
         found = [scores[0].explanation for scores in rounds]
@@ -280,7 +284,7 @@ def findings(
         if not rounds or log.misfit > UNEXPLAINED or not log.is_plausible:
             terms = [each.term for each in found]
             is_turned = bool(winner and winner.explanation.term.cause in LIKE_GRAVITY)
-            tried = corrections(log, best, terms, options, divided, is_turned)
+            tried = corrections(log, best, terms, options, divided, is_turned, advance)
         is_exchanged = bool(tried) and tried[0].finding.about in ("order", "tilt")
         # An exchange of joints also gives one of them torque that is far too large for it.
         if odd_unit and not corrected and not is_exchanged:

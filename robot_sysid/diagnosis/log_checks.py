@@ -48,6 +48,8 @@ SLOWEST_RATE = 10.0
 """Sampling rate below which a motion cannot be differentiated [Hz]."""
 SLOWEST = 0.05
 """Speed that at least one joint has to reach [rad/s]."""
+TRYING = "Trying explanations"
+"""Label of the progress of the contest of explanations."""
 
 
 def slow_findings(recordings: Sequence[Recording]) -> Iterator[Finding]:
@@ -347,7 +349,7 @@ def check_pieces(
         links_known: whether the model's links are taken as right; if not, findings of ``OF_LINKS``
             are only notes.
         divided: (n,) torque scales by which the torques were divided already.
-        progress: is advanced part by part of a long log; None to show nothing.
+        progress: is advanced while the log is looked at; None to show nothing.
 
     Raises:
         InputError: the log is too short to be looked at.
@@ -373,7 +375,18 @@ def check_pieces(
         # Later checks count only where earlier ones find nothing.
         ratios = velocity_ratios(pieces)
         share = time_share(ratios)
-        found = findings(robot, recordings, options, scales, share)
+        n_tried = 0
+
+        def advance() -> None:
+            """Show that one more explanation was tried."""
+            nonlocal n_tried
+            n_tried += 1
+            # Nobody knows how many follow; a log without a fault takes about ten.
+            progress.advance(TRYING, n_tried / (n_tried + 10.0), 1.0, "")
+
+        progress.advance(TRYING, 0.0, 1.0, "")
+        found = findings(robot, recordings, options, scales, share, advance)
+        progress.advance(TRYING, 1.0, 1.0, "")
         found = found or [*slow_findings(recordings)]
         # Where another fault is found, torque that is odd time and again is of that fault.
         raw += [f for f in contacts if f.level is Level.SAYS or not found]
@@ -405,10 +418,10 @@ def _touched(
     windows = [*cut_pieces(pieces, _PART, _OVERLAP)]
     count = min(math.ceil(duration(pieces) / _PART), len(windows))
     parts = np.array_split(np.arange(len(windows)), count)
-    for number, part in enumerate(parts, start=1):
+    for number, part in enumerate(parts):
+        progress.advance("Looking for contacts", number, count, "")
         recordings = low_pass([windows[k] for k in part], options.cutoff)
         yield from unusual_torque(robot, recordings, options)
-        progress.advance("Looking for what is wrong with the log", number, count, "")
 
 
 def check_log(

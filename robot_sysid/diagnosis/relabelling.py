@@ -11,9 +11,9 @@ of recorded to true torque.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import chain, combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,6 +188,7 @@ def corrections(
     options: EstimationOptions,
     divided: Array,
     is_of_gravity: bool,
+    advance: Callable[[], None],
 ) -> list[Correction]:
     """Return the plausible corrections of mistakes, the largest gain first.
 
@@ -202,19 +203,20 @@ def corrections(
         options: prior uncertainties of the estimate.
         divided: (n,) torque scales by which the torques were divided already.
         is_of_gravity: whether gravity in another direction may explain the log.
+        advance: is called after each correction.
     """
-    tried = [*wrong_columns(log, found, options)]
+    tried = [wrong_columns(log, found, options)]
     is_far = best.misfit > GROSS or not best.is_plausible
     ratio = float(np.median(log.torque_ratio[log.loaded]))
     if is_far or abs(np.log(ratio)) > np.log(ODD):
-        tried += wrong_scales(log, found, options, divided)
+        tried.append(wrong_scales(log, found, options, divided))
     if is_of_gravity or (is_far and log.fit.arm.has_gravity):
-        tried += mounted(log, found, options)
-    plausible = [
-        each
-        for each in tried
-        if each.log.is_plausible and each.log.misfit < max(0.7 * log.misfit, LITTLE)
-    ]
+        tried.append(mounted(log, found, options))
+    plausible = []
+    for each in chain.from_iterable(tried):
+        advance()
+        if each.log.is_plausible and each.log.misfit < max(0.7 * log.misfit, LITTLE):
+            plausible.append(each)
     return sorted(plausible, key=lambda correction: -correction.gain)
 
 

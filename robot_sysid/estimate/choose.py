@@ -74,7 +74,7 @@ def solved(
 
     def advance(step: int) -> None:
         """Show that so many steps are done."""
-        progress.advance("Solving the equations", step, n_steps, f"step {step}")
+        progress.advance("Solving the equations", step, n_steps, "")
 
     advance(0)
     arm = arm_of((*stated, *offered))

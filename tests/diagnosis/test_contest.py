@@ -27,7 +27,7 @@ def test_a_right_log_fits_shows_the_link_and_has_no_explanation(truth, contest):
     mass, error = contest.log.last_mass
     assert abs(mass - truth.theta[0]) < 3.0 * error
     recordings = contest.log.fit.recordings
-    assert findings(truth.robot, recordings, OPTIONS, np.ones(5)) == []
+    assert findings(truth.robot, recordings, OPTIONS, np.ones(5), 0.0, list) == []
 
 
 def test_each_explanation_is_found_with_the_value_that_is_put_in(contest):
@@ -62,12 +62,15 @@ def test_deviations_that_the_prior_allows_are_not_named(truth):
     recordings = low_pass([log], None)
     declared = EstimationOptions(priors=Priors(scale=40.0))
     for options, is_named in ((OPTIONS, True), (declared, False)):
-        found = findings(truth.robot, recordings, options, np.ones(5))
+        found = findings(truth.robot, recordings, options, np.ones(5), 0.0, list)
         assert bool(found) is is_named
 
 
 def test_torque_that_nothing_explains_is_said(truth):
     noise = 5.0 * np.random.default_rng(0).normal(size=truth.log.tau.shape)
     recordings = low_pass([replace(truth.log, tau=noise)], None)
-    names = {f.about for f in findings(truth.robot, recordings, OPTIONS, np.ones(5))}
+    names = {
+        f.about
+        for f in findings(truth.robot, recordings, OPTIONS, np.ones(5), 0.0, list)
+    }
     assert names & {"model", "unexplained"}
