@@ -8,11 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics.equations import (
-    TERMINAL_FRICTION,
-    Equations,
-    friction_per_joint,
-)
+from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
 from robot_sysid.parser import load_robot_model
 from robot_sysid.regressor import wrench_regressor
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
@@ -42,7 +38,7 @@ def recorded_arm(request):
 
 def collect(robot, measurements):
     """Return the information of measurements about the terminal link."""
-    equations = Equations(robot, "chain", friction_per_joint(robot, TERMINAL_FRICTION))
+    equations = Equations(robot, "chain", {robot.terminal_joint: TERMINAL_FRICTION})
     return collect_sysid_data(equations, measurements)
 
 

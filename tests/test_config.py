@@ -9,11 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
-from robot_sysid.dynamics.friction import (
-    DEFAULT_MEASURED,
-    FrictionModel,
-    friction_model,
-)
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_terms
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import (
     DEFAULT_TERMINAL,
@@ -171,10 +167,10 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ({}, friction_model(DEFAULT_MEASURED)),
-        ({"no_friction": True}, FrictionModel(())),
-        ({"friction_model": "coulomb-load"}, friction_model("coulomb-load")),
-        ({"torques": "terminal"}, friction_model(DEFAULT_TERMINAL)),
+        ({}, friction_terms(DEFAULT_MEASURED)),
+        ({"no_friction": True}, ()),
+        ({"friction_model": "coulomb-load"}, friction_terms("coulomb-load")),
+        ({"torques": "terminal"}, friction_terms(DEFAULT_TERMINAL)),
     ],
 )
 def test_friction_has_the_usual_terms_unless_it_is_said(options, expected):

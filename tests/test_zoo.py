@@ -15,11 +15,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import (
-    TERMINAL_FRICTION,
-    Equations,
-    friction_per_joint,
-)
+from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimate.options import EstimationOptions
@@ -152,10 +148,9 @@ def test_another_link_than_the_models_is_found(model, joint):
     robot = load(model, joint)
     heavier, theta = with_heavier_link(robot)
     plant = arms.robot_of(heavier, robot.terminal_joint)
-    options = EstimationOptions()
     motion = TrajectoryOptions()
-    terms = friction_per_joint(robot, TERMINAL_FRICTION)
-    equations = Equations(robot, options.torques, terms)
+    terms = {robot.terminal_joint: TERMINAL_FRICTION}
+    equations = Equations(robot, "chain", terms)
     motions = motion_chunks(excitation(robot, motion.duration), motion.sample_rate)
     information = collect_sysid_data(equations, simulate_inverse(plant, motions))
     estimate = identify_parameters(information, equations.prior)

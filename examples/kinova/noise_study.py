@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from validate_regressor import with_link
 
 from robot_sysid.dynamics.equations import Equations
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_model
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_terms
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.fit import fit
 from robot_sysid.estimate.identifiability import visible_space
@@ -120,7 +120,8 @@ class NoiseStudy:
         )
         self.plan = plan or random_plan(self.robot, seed)
         self.signals = self.record()
-        self.friction = (friction_model(DEFAULT_MEASURED),) * self.robot.n_joints
+        terms = friction_terms(DEFAULT_MEASURED)
+        self.friction = dict.fromkeys(self.robot.joint_names, terms)
         self.recording = Recording("log", self.signals)
         self.arm = ArmTerms(self.robot)
         self.names = self._equations().names

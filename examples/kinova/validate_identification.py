@@ -7,7 +7,7 @@ what must succeed exactly to what a real arm does. Exit code 0 when the exact on
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,13 +17,7 @@ from numpy.typing import NDArray
 from validate_regressor import with_link
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import (
-    NO_FRICTION,
-    TERMINAL_FRICTION,
-    Equations,
-    friction_per_joint,
-)
-from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
 from robot_sysid.estimate.triangles import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, MotionPlan, RobotModel
@@ -60,11 +54,14 @@ def identify(
     plant: RobotModel,
     plan: MotionPlan,
     torques: str = "chain",
-    friction: Sequence[FrictionModel] | None = None,
+    joints: Iterable[str] = (),
 ) -> Estimate:
-    """Identify ``robot``'s terminal link from torques that ``plant`` produces along a plan."""
-    terms = friction or friction_per_joint(robot, TERMINAL_FRICTION)
-    equations = Equations(robot, torques, terms)
+    """Identify ``robot``'s terminal link from torques that ``plant`` produces along a plan.
+
+    The friction of the terminal joint is identified too, and that of ``joints``.
+    """
+    friction = dict.fromkeys([*joints, robot.terminal_joint], TERMINAL_FRICTION)
+    equations = Equations(robot, torques, friction)
     measurements = simulate_inverse(plant, motion_chunks(plan, SAMPLE_RATE))
     return identify_parameters(
         collect_sysid_data(equations, measurements), equations.prior
@@ -117,7 +114,7 @@ def payload_by_difference(
     )
     bare = truth.prior.theta - tool
     unloaded = replace(truth, mj_model=with_link(truth, bare))
-    equations = Equations(guess, "chain", (NO_FRICTION,) * guess.n_joints)
+    equations = Equations(guess, "chain", {})
     information = InformationAccumulator(
         equations.names, equations.joints, equations.columns
     )
@@ -140,8 +137,7 @@ def links_from_the_catalogue(
     print(
         "\n5. The truth, when all other links are only guessed (not expected to be exact)"
     )
-    everywhere = (TERMINAL_FRICTION,) * guess.n_joints
-    estimate = identify(guess, truth, plan, friction=everywhere)
+    estimate = identify(guess, truth, plan, joints=guess.joint_names)
     compare(model_parameters(truth), estimate, guess)
     verdict = "a" if estimate.inertial.is_consistent else "no"
     print(f"   residual {estimate.rmse:.3f} N m; {verdict} possible rigid body")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import NO_FRICTION, Equations
+from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion, RobotModel
@@ -78,7 +78,7 @@ def both_torques(
     robot: RobotModel, theta: Array, motion: Motion
 ) -> tuple[Array, Array]:
     """Return torques (N, n) without friction: MuJoCo's, and known part + Y theta."""
-    equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
+    equations = Equations(robot, "chain", {})
     still = np.zeros_like(motion.q)
     measured = Measurement(motion.time, motion.q, motion.qd, still, motion.qdd)
     rows, right_sides = zip(*equations.rows(measured))

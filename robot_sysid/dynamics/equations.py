@@ -8,32 +8,19 @@ simulation, whose torques are MuJoCo's.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.friction import FrictionModel
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import BeyondRigidBodies, LinkDynamics
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, RobotModel
 
-TERMINAL_FRICTION = FrictionModel(("coulomb", "viscous"))
+TERMINAL_FRICTION = ("coulomb", "viscous")
 """Friction terms that are estimated of the terminal joint from simulated data."""
-NO_FRICTION = FrictionModel(terms=())
-"""No friction terms are estimated: the friction of the robot's model is taken as known."""
-
-
-def friction_per_joint(
-    robot: RobotModel, model: FrictionModel
-) -> tuple[FrictionModel, ...]:
-    """Return the friction terms that are estimated of each chain joint: n models, base to terminal.
-
-    Those of ``model`` are estimated of the terminal joint; the others keep the model's friction.
-    """
-    return (NO_FRICTION,) * (robot.n_joints - 1) + (model,)
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -70,8 +57,8 @@ class Equations:
         robot: the arm, with n chain joints.
         torques: "chain" for the equations of all chain joints, "terminal" for the last joint's
             only.
-        friction: n friction models, the terms to estimate of each chain joint; where a joint has no
-            terms, the friction of the robot's model is taken as known.
+        friction: joint to the friction terms, names of ``friction.TERMS`` but the load, that are
+            estimated of it; all else of the model's friction is taken as known.
 
     Attributes:
         joint_indices: chain indices of the joints whose torques are used, one equation per sample
@@ -84,33 +71,24 @@ class Equations:
     """
 
     def __init__(
-        self, robot: RobotModel, torques: str, friction: Sequence[FrictionModel]
+        self, robot: RobotModel, torques: str, friction: Mapping[str, Sequence[str]]
     ) -> None:
-        self._friction = tuple(friction)
-        # The model's friction at the joints whose friction is not estimated; zero at the others.
-        is_known = np.array([not model.terms for model in friction])
-        coulomb = np.where(is_known, robot.friction.coulomb, 0.0)
-        viscous = np.where(is_known, robot.friction.viscous, 0.0)
-        self._known = replace(robot.friction, coulomb=coulomb, viscous=viscous)
-        # (n,) rotor inertia in the model, of the joints whose rotor inertia is estimated.
-        is_estimated = np.array(["armature" in model.terms for model in friction])
-        self._estimated_armature = np.where(is_estimated, robot.armature, 0.0)
         self._dynamics = LinkDynamics(robot)
         self._beyond = BeyondRigidBodies(robot)
-        self._model_thetas = robot.thetas
+        self._friction = robot.friction
         self._known_thetas = robot.thetas
         self._known_thetas[-1] = 0.0
         n = robot.n_joints
         self.joint_indices = tuple(range(0 if torques == "chain" else n - 1, n))
         self.joints = tuple(robot.joint_names[j] for j in self.joint_indices)
+        self._terms = [friction.get(joint, ()) for joint in self.joints]
         model = {**vars(robot.friction), "armature": robot.armature}
         names = list(PARAMETER_NAMES)
         prior = robot.prior.theta.tolist()
         columns: list[NDArray[np.int64]] = []
-        for j, joint in zip(self.joint_indices, self.joints):
-            terms = self._friction[j].terms
+        for j, joint, terms in zip(self.joint_indices, self.joints, self._terms):
             own = np.arange(len(terms)) + len(names)
-            names += self._friction[j].parameter_names(joint)
+            names += [f"{term}[{joint}]" for term in terms]
             prior += [model.get(term, np.zeros(n))[j] for term in terms]
             columns.append(np.concatenate((np.arange(N_INERTIAL), own)))
         self.names = tuple(names)
@@ -135,13 +113,13 @@ class Equations:
                 "a log without velocities or accelerations; differentiate it first"
             )
         links = self._dynamics.motion(q, qd, qdd)
-        beyond = self._beyond.torque(q, qd, qdd)
-        known = beyond + links.torque(self._known_thetas)
-        known += self._known.torque(qd) - self._estimated_armature * qdd
-        # The gear's load is computed from the model: the measured torque includes friction.
-        load = beyond + links.torque(self._model_thetas)
+        known = self._beyond.torque(q, qd, qdd) + links.torque(self._known_thetas)
+        known += self._friction.torque(qd)
         terminal = links.columns([len(links.screws) - 1])
-        for j in self.joint_indices:
-            friction = self._friction[j].columns(qd[:, j], qdd[:, j], load[:, j])
-            rows = np.concatenate((terminal[:, j], friction), axis=1)
-            yield rows, measurement.tau[:, j] - known[:, j]
+        no_load = np.zeros(len(q))
+        for j, terms, at in zip(self.joint_indices, self._terms, self.columns):
+            friction = [TERMS[term](qd[:, j], qdd[:, j], no_load) for term in terms]
+            rows = np.column_stack((terminal[:, j], *friction))
+            # What is estimated of the model's friction is not known.
+            estimated = rows[:, N_INERTIAL:] @ self.prior[at[N_INERTIAL:]]
+            yield rows, measurement.tau[:, j] - known[:, j] + estimated

@@ -77,8 +77,8 @@ TERMS: Mapping[str, Callable[[Array, Array, Array], Array]] = {
     "sigmoid": lambda qd, qdd, load: np.tanh(qd / 0.05),
     **{term: partial(_fading, speed=v) for term, v in FADING_SPEEDS.items()},
 }
-"""Term name to the function that returns its column (N,) from qd, qdd and load (N,), see
-``FrictionModel.columns``; a new term is one more line here."""
+"""Term name to the function that returns its column (N,) from velocities [rad/s],
+accelerations [rad/s^2] and loads of the gear [N m], (N,) each; a new term is one more line."""
 
 DRY_TERMS = ("coulomb", "sqrt", "stribeck", "sigmoid", *FADING_SPEEDS)
 """Terms whose columns depend on a speed alone and are not smooth where it changes sign."""
@@ -87,44 +87,8 @@ DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
 """Name of the default friction model for measured data."""
 
 
-@dataclass(frozen=True)
-class FrictionModel:
-    """The friction terms of one joint: names of ``TERMS``, in the order of the columns.
-
-    Raises InputError where a term is named twice.
-    """
-
-    terms: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        if len(set(self.terms)) != len(self.terms):
-            raise InputError(
-                f"friction terms {list(self.terms)} name a term twice; use each once"
-            )
-
-    @property
-    def name(self) -> str:
-        """The terms joined by "-", or "none"."""
-        return "-".join(self.terms) or "none"
-
-    def parameter_names(self, joint: str) -> tuple[str, ...]:
-        """Return the parameter name of each column, for instance ``coulomb[joint6]``."""
-        return tuple(f"{term}[{joint}]" for term in self.terms)
-
-    def columns(self, qd: Array, qdd: Array, load: Array) -> Array:
-        """Return the regressor columns (N, k) of one joint's k friction terms.
-
-        Args:
-            qd: (N,) velocities [rad/s].
-            qdd: (N,) accelerations [rad/s^2].
-            load: (N,) torques that its gear transmits [N m].
-        """
-        columns = [TERMS[term](qd, qdd, load) for term in self.terms]
-        return np.stack(columns).T if columns else np.empty((len(qd), 0))
-
-
-def friction_model(name: str) -> FrictionModel:
-    """Return the friction model with a name: "none", or terms joined by "-" or "+".
+def friction_terms(name: str) -> tuple[str, ...]:
+    """Return the terms of a friction model: "none", or names of ``TERMS`` joined by "-" or "+".
 
     A leading "+" adds terms to the default for measured data, so "+sqrt" is
     "coulomb-viscous-offset-armature-sqrt".
@@ -142,7 +106,11 @@ def friction_model(name: str) -> FrictionModel:
                 f"unknown friction term {term!r} in {name!r}; join any of {', '.join(TERMS)} with "
                 f"'-', as in {DEFAULT_MEASURED}, or use none"
             )
-    return FrictionModel(terms)
+    if len(set(terms)) != len(terms):
+        raise InputError(
+            f"friction terms {list(terms)} name a term twice; use each once"
+        )
+    return terms
 
 
 @dataclass(frozen=True)
@@ -168,4 +136,4 @@ class Coupling:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the motor's parameters, such as ``coulomb[joint_5+joint_6]``."""
-        return FrictionModel(self.terms).parameter_names(self.name)
+        return tuple(f"{term}[{self.name}]" for term in self.terms)

@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.file_access import read_json, read_toml
@@ -17,10 +16,6 @@ from robot_sysid.records.option_fields import (
     options_of,
     record_from,
 )
-
-if TYPE_CHECKING:
-    from robot_sysid.dynamics.friction import FrictionModel
-
 
 TORQUE_CHOICES = ("chain", "terminal")
 """Values of the option ``torques``: equations of all joints that carry the terminal link, or of
@@ -177,18 +172,18 @@ class EstimationOptions(OptionRecord):
                 if is_given:
                     raise InputError(f"{flag} and --no-friction exclude each other")
         if self.friction_model is not None:
-            from robot_sysid.dynamics.friction import friction_model
+            from robot_sysid.dynamics.friction import friction_terms
 
-            friction_model(str(self.friction_model))
+            friction_terms(str(self.friction_model))
 
     @property
-    def friction(self) -> FrictionModel:
+    def friction(self) -> tuple[str, ...]:
         """Friction terms of every joint; none with the option ``no_friction``."""
-        from robot_sysid.dynamics.friction import FrictionModel, friction_model
+        from robot_sysid.dynamics.friction import friction_terms
 
         if self.no_friction:
-            return FrictionModel(())
-        return friction_model(self.friction_model or self._default_friction)
+            return ()
+        return friction_terms(self.friction_model or self._default_friction)
 
     @property
     def _default_friction(self) -> str:
@@ -203,9 +198,9 @@ class EstimationOptions(OptionRecord):
 
         A sigmoid is no lack of Coulomb friction.
         """
-        from robot_sysid.dynamics.friction import friction_model
+        from robot_sysid.dynamics.friction import friction_terms
 
-        terms = self.friction.terms
+        terms = self.friction
         given = {*terms, "coulomb"} if "sigmoid" in terms else {*terms}
-        default = friction_model(self._default_friction).terms
+        default = friction_terms(self._default_friction)
         return tuple(term for term in default if term not in given)

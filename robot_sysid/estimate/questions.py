@@ -104,14 +104,12 @@ class Question:
     @property
     def friction(self) -> tuple[str, ...]:
         """Friction terms of every joint that are estimated without a prior."""
-        return self.options.friction.terms
+        return self.options.friction
 
 
 def friction_columns(options: EstimationOptions) -> tuple[str, ...]:
     """Return the names of the friction terms that need columns."""
-    return tuple(
-        dict.fromkeys((*USUAL_FRICTION, *options.friction.terms, *UNKNOWN_FRICTION))
-    )
+    return tuple(dict.fromkeys((*USUAL_FRICTION, *options.friction, *UNKNOWN_FRICTION)))
 
 
 def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]:

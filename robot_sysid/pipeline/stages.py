@@ -21,13 +21,7 @@ from robot_sysid.config import (
     PlanConfig,
     SelfTestConfig,
 )
-from robot_sysid.dynamics.equations import (
-    NO_FRICTION,
-    TERMINAL_FRICTION,
-    Equations,
-    friction_per_joint,
-    split_name,
-)
+from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
@@ -263,8 +257,8 @@ def run_self_test(
     options = config.estimation
     rate = config.trajectory.sample_rate
     progress.stage("Running MuJoCo simulation...")
-    model = NO_FRICTION if options.no_friction else TERMINAL_FRICTION
-    equations = Equations(robot, options.torques, friction_per_joint(robot, model))
+    terms = () if options.no_friction else TERMINAL_FRICTION
+    equations = Equations(robot, options.torques, {robot.terminal_joint: terms})
     simulated = simulate_inverse(robot, motion_chunks(plan, rate))
     count = math.ceil(sample_count(plan.duration, rate) / CHUNK)
     tracked = progress.track(simulated, "Collecting regressor data", count)
@@ -288,7 +282,7 @@ def run_self_test(
         remarks=(verdict, *says(robot.notes)),
         torques=options.torques,
         data=DataOrigin(ITSELF, plan.duration, rate, seed),
-        friction_model=model.name,
+        friction_model="-".join(terms) or "none",
         checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
     )
     of_body = body_quantities(result.body, robot.body_name)

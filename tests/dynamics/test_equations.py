@@ -13,11 +13,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import (
-    TERMINAL_FRICTION,
-    Equations,
-    friction_per_joint,
-)
+from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.identifiability import VisibleSpace, visible_space
 from robot_sysid.model.bodies import composite_theta
@@ -102,9 +98,9 @@ class Fit:
         return np.abs(self.values - truth) / (scale_of(truth) + 1.0)
 
 
-def identify(robot, measurements, torques="chain", friction=TERMINAL_FRICTION):
+def identify(robot, measurements):
     """Return a Fit of the terminal link and joint friction to the measurements."""
-    equations = Equations(robot, torques, friction_per_joint(robot, friction))
+    equations = Equations(robot, "chain", {robot.terminal_joint: TERMINAL_FRICTION})
     information = collect_sysid_data(equations, measurements)
     return solve(information, equations.prior)
 
@@ -164,7 +160,7 @@ def test_identified_parameters_are_exact_and_the_others_keep_the_prior(
 
 @pytest.mark.parametrize("missing", ["qd", "qdd"])
 def test_a_measurement_without_derivatives_is_refused(missing):
-    equations = Equations(SEVEN, "chain", friction_per_joint(SEVEN, TERMINAL_FRICTION))
+    equations = Equations(SEVEN, "chain", {})
     with pytest.raises(InputError, match="differentiate it first"):
         collect_sysid_data(
             equations, [replace(measure(SEVEN, 5)[0], **{missing: None})]

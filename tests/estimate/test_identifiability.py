@@ -12,11 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from robot_sysid.dynamics.equations import (
-    TERMINAL_FRICTION,
-    Equations,
-    friction_per_joint,
-)
+from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
 from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
 from robot_sysid.estimate.triangles import InformationAccumulator
 from robot_sysid.records import Measurement
@@ -202,7 +198,7 @@ def random_states(robot, rng, joints, samples):
 
 def information_of_states(robot, torques, q, qd, qdd):
     """Return square-root information of the package's own equations for some states."""
-    friction = friction_per_joint(robot, TERMINAL_FRICTION)
+    friction = {robot.terminal_joint: TERMINAL_FRICTION}
     equations = Equations(robot, torques, friction)
     measurement = Measurement(np.arange(len(q)) / 100.0, q, qd, np.zeros_like(q), qdd)
     accumulator = InformationAccumulator(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import NO_FRICTION, Equations
+from robot_sysid.dynamics.equations import Equations
 from robot_sysid.model.compilation import compiled_in_memory
 from robot_sysid.parser import robot_from_compiled
 from robot_sysid.records import Measurement, Motion
@@ -259,7 +259,7 @@ def seeded_motion(seed, n_joints, n_samples=20):
 
 def rows_and_rest(robot, motion):
     """Rows (N, n, 10) of the terminal link and the torque (N, n) of the rest of the arm."""
-    equations = Equations(robot, "chain", [NO_FRICTION] * robot.n_joints)
+    equations = Equations(robot, "chain", {})
     q, qd, qdd = motion
     still = Measurement(np.arange(len(q)), q, qd, np.zeros_like(q), qdd)
     rows, right_sides = zip(*equations.rows(still))
