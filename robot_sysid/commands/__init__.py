@@ -222,9 +222,8 @@ class Console(ConsoleOptions, Progress):
         the run goes on.
         """
         if not sys.stderr.isatty():
-            per_cent = round(100.0 * done / total)
-            if text and per_cent:
-                self._print_progress(f"{label}: {per_cent} %, {text}")
+            if text and done:
+                self._print_progress(f"{label}: {100.0 * done / total:.0f} %, {text}")
             return
         if self._bar is None or self._bar.desc != label:
             from tqdm import tqdm

@@ -46,15 +46,15 @@ def main(arguments: Sequence[str]) -> int:
     try:
         _check_log(path, model_path, log_options, model_options, console)
     except InputError as error:
+        # A columns file that the error suggests replaces the one in use.
+        is_replaced = isinstance(error, ColumnsError)
         if error.command == "payload":
             from robot_sysid.pipeline.run_words import add_weighing_commands
 
             arm = replace(model_options, path=model_path)
             add_weighing_commands(error, arm, log_options, path)
         # Only that command has these options, or who has stated columns goes on to it.
-        elif error.command == "identify" or isinstance(error, ColumnsError):
-            # A columns file that the error suggests replaces the one in use.
-            is_replaced = isinstance(error, ColumnsError)
+        elif error.command == "identify" or is_replaced:
             columns = None if is_replaced else values.get("columns")
             options = {**values, "columns": columns}
             words = _next_step(model_path, path, options).command[1:]

@@ -30,6 +30,7 @@ from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import (
     DELAY,
     LAST_LINK,
+    SCALES,
     TILT,
     ZEROS,
     ArmTerms,
@@ -222,26 +223,15 @@ def last_weight(arm: ArmTerms, rows: Rows, gravity: Array) -> Array:
     return moves.columns([arm.robot.n_joints - 1])[:, arm.indices, :4]
 
 
-def diagonal(columns: Column) -> Column:
-    """Return a torque (m, J) as columns (m, J, J): each joint's own."""
-
-    def spread(rows: Rows, point: Point) -> Array:
-        """Return the columns (m, J, J)."""
-        torque = columns(rows, point)
-        return torque[:, :, None] * np.eye(torque.shape[1])
-
-    return spread
-
-
 def along(fitted: Fit, columns: Column) -> Column:
-    """Return a torque (m, J) times the time, from -1 at the begin of the log to 1 at its end."""
+    """Return a torque (m, ...) times the time, from -1 at the begin of the log to 1 at its end."""
     first = fitted.recordings[0].motion.time[0]
     last = fitted.recordings[-1].motion.time[-1]
 
     def drifting(rows: Rows, point: Point) -> Array:
-        """Return the torque (m, J)."""
+        """Return the torque (m, ...)."""
         time = (2.0 * rows.motion.time - first - last) / (last - first)
-        return np.asarray(columns(rows, point)) * time[:, None]
+        return (columns(rows, point).T * time).T
 
     return drifting
 
@@ -252,12 +242,12 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
     A common scale and links that are all too heavy make the same torques.
     """
     arm = fitted.arm
-    links = partial(rigid, arm)
+    scales = arm.terms[SCALES].columns
     yield from per_joint(
         arm,
         "torque-scale",
         "",
-        diagonal(links),
+        scales,
         0.4,
         "torque of {owner} reads {value} too {much|little} for the model's links, or the links "
         "that it carries are {heavier|lighter} than in the model",
@@ -271,7 +261,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         arm,
         "torque-scale",
         "drift",
-        diagonal(along(fitted, links)),
+        along(fitted, scales),
         0.15,
         "the torque scale of {owner} {rises|falls} by {value} over the log",
         "let motors and sensors warm up, and record again",
@@ -295,7 +285,9 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         arm,
         "delay",
         "",
-        diagonal(lambda rows, point: arm.terms[DELAY].columns(rows, point)[:, :, 0]),
+        lambda rows, point: (
+            arm.terms[DELAY].columns(rows, point) * np.eye(len(arm.joints))
+        ),
         0.04,
         "torque of {owner} is {value} {later|earlier} than position",
         "record torques and positions of all joints at the same instant",
@@ -616,15 +608,15 @@ def warming(fitted: Fit) -> Iterator[Explanation]:
     spread = 0.5 * np.maximum(np.abs(dry), 0.01 * typical_torque(fitted.sums))
 
     def excess(constant: float, rows: Rows, point: Point) -> Array:
-        """Return the torque (m, J) of friction above that at the end."""
+        """Return the torque (m, J, J) of friction above that at the end."""
         decay = np.exp((first - rows.motion.time) / constant)
-        return arm.friction_column("coulomb", rows, point) * decay[:, None]
+        return arm.terms["coulomb"].columns(rows, point) * decay[:, None, None]
 
     for constant in WARM_UP:
         yield single(
             "friction",
             f"{constant}",
-            diagonal(partial(excess, constant)),
+            partial(excess, constant),
             spread,
             "friction falls over the log",
             "let the arm warm up before it is recorded",

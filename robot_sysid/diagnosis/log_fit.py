@@ -137,10 +137,7 @@ def log_rows(
 
     def make(rows: Rows) -> tuple[Array, Array, Mask]:
         """Return the columns, right-hand sides and mask of used rows of a chunk."""
-        columns = [term.columns(rows, point) for term in arm.terms.values()]
-        tau = rows.recording.torque[rows.span][:, arm.indices] - arm.known(rows)
-        used = rows.recording.used[rows.span][:, arm.indices]
-        chunks.append((np.concatenate(columns, axis=2), tau, used))
+        chunks.append(arm.equations(rows, point))
         return chunks[-1]
 
     sums = add_up(recordings, arm.names, arm.joints, make)

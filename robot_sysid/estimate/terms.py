@@ -311,17 +311,15 @@ class ArmTerms:
 
     def sums(self, recordings: Sequence[Recording], point: Point) -> Sums:
         """Return the sums of all rows, linearised around a point."""
-        terms = [*self.terms.values()]
-
-        def make(rows: Rows) -> tuple[Array, Array, Mask]:
-            """Return the columns, right-hand sides and mask of used rows of a chunk."""
-            columns = np.concatenate(
-                [term.columns(rows, point) for term in terms], axis=2
-            )
-            tau = rows.recording.torque[rows.span][:, self.indices] - self.known(rows)
-            return columns, tau, rows.recording.used[rows.span][:, self.indices]
-
+        make = partial(self.equations, point=point)
         return add_up(recordings, self.names, self.joints, make)
+
+    def equations(self, rows: Rows, point: Point) -> tuple[Array, Array, Mask]:
+        """Return (columns (m, J, p), right-hand sides (m, J), used (m, J)) of a chunk of rows."""
+        columns = [term.columns(rows, point) for term in self.terms.values()]
+        tau = rows.recording.torque[rows.span][:, self.indices] - self.known(rows)
+        used = rows.recording.used[rows.span][:, self.indices]
+        return np.concatenate(columns, axis=2), tau, used
 
     def torque(self, rows: Rows, point: Point, values: Mapping[str, float]) -> Array:
         """Return the torque (m, J) of named parameters, the known torque added [N m]."""
