@@ -174,33 +174,16 @@ def handle_stop_signals(
 
 
 @contextlib.contextmanager
-def delay_signals(signals: tuple[signal.Signals, ...] = STOP_SIGNALS) -> Iterator[None]:
-    """Hold signals back inside the block, and deliver those that arrived when it ends.
-
-    A process that is started inside the block never gets them, where the system has signal masks.
-    """
+def delay_signals() -> Iterator[None]:
+    """Hold the stop signals back inside the block, and raise those that arrived when it ends."""
     # Numbers of the signals that arrived: setdefault(number, frame) is called as their handler.
     arrived: dict[int, Any] = {}
-    with contextlib.ExitStack() as cleanup:
-        if hasattr(signal, "pthread_sigmask"):  # Windows has no masks.
-            mask = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
-            cleanup.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
-        if _in_main_thread():
-            # A signal that another thread receives has its Python handler called in this one.
-            handled = [n for n in signals if signal.getsignal(n) is not None]
-            handlers = {n: signal.signal(n, arrived.setdefault) for n in handled}
-            cleanup.callback(_deliver, arrived, handlers)
-        yield
-
-
-def _deliver(
-    arrived: Mapping[int, Any], handlers: Mapping[signal.Signals, Any]
-) -> None:
-    """Restore the handlers, then raise each signal that arrived."""
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
-    for arrived_number in arrived:
-        signal.raise_signal(arrived_number)
+    try:
+        with handle_stop_signals(arrived.setdefault):
+            yield
+    finally:
+        for number in arrived:
+            signal.raise_signal(number)
 
 
 @contextlib.contextmanager
