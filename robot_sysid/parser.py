@@ -23,14 +23,19 @@ from robot_sysid.model.chain import (
     joint_limits,
     resolve_joint,
 )
-from robot_sysid.model.compilation import CompiledModel, compile_model
+from robot_sysid.model.compilation import (
+    InMemory,
+    compile_model,
+    compiled_in_memory,
+    is_in_memory,
+)
 from robot_sysid.model.units import refuse_cad_units
 from robot_sysid.records import RobotModel
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
 
 
 def load_robot_model(
-    model: str | os.PathLike[str],
+    model: str | os.PathLike[str] | InMemory,
     mesh_dir: str | os.PathLike[str] | None = None,
     joint: str | None = None,
     max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
@@ -39,7 +44,7 @@ def load_robot_model(
     """Load an MJCF or URDF file and find the arm in it.
 
     Args:
-        model: the file.
+        model: the file, or an ``MjSpec`` or ``MjModel``.
         mesh_dir: folder of its meshes; default as the file says.
         joint: name of the terminal joint; default found automatically.
         max_velocity: speed limit of hinge joints, one number or one per joint [rad/s]; a lower
@@ -51,22 +56,12 @@ def load_robot_model(
         AmbiguousJointError: several joints could be the terminal one.
         InputError: there is no such keyframe; lists those there are.
     """
-    path = Path(model)
-    compiled = compile_model(path, None if mesh_dir is None else Path(mesh_dir))
-    return robot_from_compiled(compiled, path, joint, max_velocity, keyframe)
-
-
-def robot_from_compiled(
-    compiled: CompiledModel,
-    path: Path,
-    joint: str | None,
-    max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
-    keyframe: str | None = None,
-) -> RobotModel:
-    """Return the arm in a compiled model; other arguments and errors as in ``load_robot_model``.
-
-    ``path``: of the model file, for the record; nothing is read from it.
-    """
+    path = Path("model")
+    if is_in_memory(model):
+        compiled = compiled_in_memory(model)
+    else:
+        path = Path(model)
+        compiled = compile_model(path, None if mesh_dir is None else Path(mesh_dir))
     mj_model = compiled.mj_model
     terminal = (
         find_terminal_joint(mj_model)

@@ -23,13 +23,8 @@ from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.model.compilation import (
-    InMemory,
-    compiled_in_memory,
-    file_of,
-    is_in_memory,
-)
-from robot_sysid.parser import load_robot_model, robot_from_compiled
+from robot_sysid.model.compilation import InMemory, file_of, is_in_memory
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel
 from robot_sysid.records import option_fields as option_records
 from robot_sysid.records.option_fields import Option, default_of, options_of, value_text
@@ -59,13 +54,9 @@ def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
         InputError: it is no model, or cannot be read.
     """
     options = option_records.record_from(ModelOptions, values)
-    if is_in_memory(model):
-        compiled = compiled_in_memory(model)
-        return robot_from_compiled(
-            compiled, Path("model"), options.joint, keyframe=options.keyframe
-        )
+    source = model if is_in_memory(model) else path_of(model)
     return load_robot_model(
-        path_of(model), options.mesh_dir, options.joint, keyframe=options.keyframe
+        source, options.mesh_dir, options.joint, keyframe=options.keyframe
     )
 
 

@@ -6,8 +6,6 @@ public model files do. ``random_chain`` and ``rigid_bodies`` are hypothesis stra
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 from hypothesis import strategies as st
@@ -15,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import Equations
-from robot_sysid.model.compilation import compiled_in_memory
-from robot_sysid.parser import robot_from_compiled
+from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
 
 X = "1 0 0"
@@ -226,10 +223,7 @@ def compile_xml(xml):
 def robot_of(xml, joint=None, max_velocity=2.0, keyframe=None):
     """RobotModel of an XML string or a compiled model."""
     mj_model = compile_xml(xml) if isinstance(xml, str) else xml
-    compiled = compiled_in_memory(mj_model)
-    return robot_from_compiled(
-        compiled, Path("inline.xml"), joint, max_velocity, keyframe
-    )
+    return load_robot_model(mj_model, None, joint, max_velocity, keyframe)
 
 
 def write_body(mj_model, body, theta):
