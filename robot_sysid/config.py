@@ -102,6 +102,11 @@ class MotorOptions(OptionRecord):
 
 _FOLDERS = ("output_dir", "mesh_dir")
 """Keys of options that name a folder."""
+_RESULT_NAMES = (
+    *(file_access.PARAMS_NAME, file_access.SERVO_NAME, file_access.CARD_NAME),
+    *file_access.MODEL_NAMES.values(),
+)
+"""Names of files that a run may write to its output folder."""
 _WRITTEN = "save-"
 """Part of the flags of options that name a file to write."""
 
@@ -113,16 +118,11 @@ class Config:
     Attributes:
         model: the model file.
         output: files to write.
-        written: names of the files that the command may write to the output folder.
         left_out: keys of options of its records that the command does not have.
     """
 
     model: ModelOptions = ModelOptions()
     output: OutputOptions = OutputOptions()
-    written: ClassVar[tuple[str, ...]] = (
-        file_access.PARAMS_NAME,
-        *file_access.MODEL_NAMES.values(),
-    )
     left_out: ClassVar[tuple[str, ...]] = ("keyframe", "links", "torque_from")
 
     @classmethod
@@ -177,7 +177,7 @@ class Config:
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""
-        for name in self.written:
+        for name in _RESULT_NAMES:
             yield "--output-dir", self.output.output_dir / name
         for flag, path in self._files():
             if _WRITTEN in flag:
@@ -277,7 +277,6 @@ class PlanConfig(MotionConfig):
     excitation: ExcitationOptions = ExcitationOptions()
     aim: AimOptions = AimOptions()
     limits: LimitOptions = LimitOptions()
-    written: ClassVar[tuple[str, ...]] = ()
     left_out: ClassVar[tuple[str, ...]] = (
         *("links", "torque_from", "report"),
         *("no_friction", "friction_model", "keep"),
@@ -326,7 +325,6 @@ class IdentifyConfig(LogConfig):
     """Options of ``identify``."""
 
     log: FittedLogOptions = FittedLogOptions()
-    written: ClassVar[tuple[str, ...]] = (*Config.written, file_access.SERVO_NAME)
     left_out: ClassVar[tuple[str, ...]] = ("keyframe",)
 
     def __post_init__(self) -> None:
@@ -411,7 +409,6 @@ class PayloadConfig(LogConfig):
     """Options of ``payload``."""
 
     payload: PayloadOptions = PayloadOptions()
-    written: ClassVar[tuple[str, ...]] = (*Config.written, file_access.CARD_NAME)
     left_out: ClassVar[tuple[str, ...]] = (
         *("torques", "no_friction"),
         *Config.left_out,

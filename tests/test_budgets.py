@@ -16,13 +16,13 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 4412,
+    "robot_sysid/api": 4383,
     "robot_sysid/commands": 10689,
     "robot_sysid/damiao": 32655,
     "robot_sysid/diagnosis": 16769,
     "robot_sysid/dynamics": 5503,
     "robot_sysid/estimate": 27937,
-    "robot_sysid/logs": 15451,
+    "robot_sysid/logs": 15409,
     "robot_sysid/mjcf": 7191,
     "robot_sysid/model": 7914,
     "robot_sysid/motion": 17055,
@@ -33,8 +33,8 @@ BUDGETS = {
     "robot_sysid/servo": 4759,
     "robot_sysid/signals": 4382,
     "robot_sysid/simulation": 3873,
-    "robot_sysid": 9278,
-    "tests": 217470,
+    "robot_sysid": 9059,
+    "tests": 217449,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

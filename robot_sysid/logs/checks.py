@@ -24,32 +24,25 @@ from robot_sysid.signals.resampling import (
     sampling_period,
 )
 
-# The share of rows with an anomaly above which a log is refused, the anomaly (behind "... rows")
-# and the remedy. The shares are choices: with more than 1 % of unreadable rows a file is no such
-# table; with 5 % of rows missing, most filter windows are still complete.
+# The share of rows with an anomaly above which a log is refused, and the remedy. The shares are
+# choices: with more than 1 % of unreadable rows a file is no such table; with 5 % of rows missing,
+# most filter windows are still complete.
 _TOLERANCES = {
     UNREADABLE: (
         0.01,
-        "are no rows of numbers",
         "mend the recording, or name the right columns with --columns FILE; time may be in "
         "seconds, or such as 2024-05-01T12:00:00.005",
     ),
     MISSING: (
         0.05,
-        "have empty or NaN cells",
         "record all joints, and position and torque, in one row, or keep a broken column that is "
         "not needed out ('velocity = none') with --columns FILE",
     ),
     REPEATED: (
         0.05,
-        "repeat the time stamp before them",
         "write the time with more digits, or 'rate = HZ' in --columns FILE for evenly spaced rows",
     ),
-    BACKWARDS: (
-        0.0,
-        "run backwards in time",
-        "cut the log where a second recording begins",
-    ),
+    BACKWARDS: (0.0, "cut the log where a second recording begins"),
 }
 _FEWEST_ROWS = 10
 """Least number of usable rows for which the other checks are run."""
@@ -95,7 +88,7 @@ def check_log(
     with prefix_input_errors(name):
         for anomaly in _TOLERANCES:
             notes += require_few(anomaly, rows)
-        require_rows(rows, robot)
+        require_rows(rows)
         notes += clock_notes(rows)
         if not in_radians:
             require_radians(rows, robot)
@@ -106,11 +99,8 @@ def check_log(
     return tuple(notes)
 
 
-def require_rows(rows: LogRows, robot: RobotModel) -> None:
+def require_rows(rows: LogRows) -> None:
     """Raise InputError where there are too few rows for any other check."""
-    if not rows.n_read:
-        names = ", ".join(robot.joint_names)
-        raise InputError(f"none of its rows holds a position and a torque of {names}")
     if len(rows.lines) < _FEWEST_ROWS:
         usable_rows = count_text(len(rows.lines), "usable row")
         raise InputError(f"the log has only {usable_rows}; record longer")
@@ -121,17 +111,17 @@ def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
 
     ``anomaly`` is a key of ``_TOLERANCES``.
     """
-    share, description, remedy = _TOLERANCES[anomaly]
+    share, remedy = _TOLERANCES[anomaly]
     count, first = rows.anomalies[anomaly]
     # One is always allowed: the last row is often cut off.
     allowed = max(1, share * rows.n_read) if share else 0
     if count > allowed:
         raise InputError(
-            f"{count} of {rows.n_read} rows {description}, more than {100.0 * share:g} % "
+            f"{count} of {rows.n_read} rows {anomaly}, more than {100.0 * share:g} % "
             f"(first: {first}); {remedy}"
         )
     if count:
-        yield f"left out rows that {description}: {count} (first: {first})"
+        yield f"left out rows that {anomaly}: {count} (first: {first})"
 
 
 def clock_notes(rows: LogRows) -> Iterator[str]:

@@ -122,14 +122,11 @@ def as_input_errors(path: Path, form: str) -> Iterator[None]:
         ) from error
 
 
-UNREADABLE = "unreadable"
-"""Rows without numbers, or with numbers that cannot be true."""
-MISSING = "missing"
-"""Rows with an empty or NaN cell."""
-REPEATED = "repeated"
-"""Rows with the time stamp of the row before."""
-BACKWARDS = "backwards"
-"""Rows of an earlier time than the row before."""
+# Anomalies, as messages say them behind "... rows". Numbers that cannot be true are none.
+UNREADABLE = "are no rows of numbers"
+MISSING = "have empty or NaN cells"
+REPEATED = "repeat the time stamp before them"
+BACKWARDS = "run backwards in time"
 _TURN = 2.0 * np.pi
 # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
 _WRAP_TOLERANCE = 0.5
