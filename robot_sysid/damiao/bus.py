@@ -410,7 +410,7 @@ def _inspect_motor(client: RegisterClient, can_id: int) -> InspectedMotor | None
     if not answers:
         return None
     registers = {}
-    for number in protocol.LOGGED:
+    for number in protocol.REQUIRED:
         value = client.read(can_id, number)
         if value is not None:
             registers[number] = value

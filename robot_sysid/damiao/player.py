@@ -324,7 +324,7 @@ class Player:
 
     def _stop_if_asked(self) -> None:
         """Raise HardwareAbort if a stop was requested, or recording failed."""
-        if self._stop.count:
+        if self._stop.reason:
             raise HardwareAbort(self._stop.reason)
         failure = self._recorder.failure if self._recorder else None
         if failure is not None:
@@ -471,20 +471,17 @@ class StopRequest:
     bursts when a terminal is closed or a computer shuts down.
 
     Attributes:
-        count: number of requests so far.
-        reason: reason of the first request, or "".
+        reason: reason of the first request; "" before.
         insisted: whether the run has to end at once.
     """
 
     def __init__(self) -> None:
-        self.count = 0
         self.reason = ""
         self.insisted = False
         self._interrupted_at = float("inf")
 
     def __call__(self, reason: str, insist: bool = False) -> None:
         """Request a stop for a ``reason``; with ``insist``, at once."""
-        self.count += 1
         self.reason = self.reason or reason
         self.insisted |= insist
 

@@ -360,20 +360,16 @@ MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
 """Name of each control mode, by the value of register CTRL_MODE."""
 
 NAMES = {
-    0: "UV_Value", 1: "KT_Value", 2: "OT_Value", 3: "OC_Value", MST_ID: "MST_ID", ESC_ID: "ESC_ID",
-    TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", 11: "Damp", 12: "Inertia", 14: "sw_ver", 16: "NPP",
-    17: "Rs", 19: "Flux", 20: "Gr", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX", 29: "OV_Value",
-    30: "GREF",
+    MST_ID: "MST_ID", ESC_ID: "ESC_ID", TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", PMAX: "PMAX",
+    VMAX: "VMAX", TMAX: "TMAX",
 }  # fmt: skip
 """The maker's name of each register, by its number."""
-INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, 14, 16)
+INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE)
 """Registers that hold an unsigned integer; all other registers hold a float."""
 SCALING = (PMAX, VMAX, TMAX)
 """Registers of the scaling limits, in the order of ``Scaling.limits``."""
-REQUIRED = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, *SCALING)
-"""Registers whose values have to be known before anything is played."""
-LOGGED = (*REQUIRED, 20, 2, 3, 0, 29, 1, 30, 11, 12, 14, 16, 17, 19)
-"""Registers that are read before playing and written into the recording's header."""
+REQUIRED = (*INTEGERS, *SCALING)
+"""Registers that have to be known before anything is played; a recording's head has them."""
 
 
 def value_from_bytes(number: int, raw: bytes) -> float:
@@ -449,10 +445,6 @@ _FD_NOMINAL_BITS = 30 + 4
 """Most bits of an 8-byte CAN-FD frame at the nominal bit rate: unstuffed and stuff bits."""
 _FD_DATA_BITS = 96 + 17
 """Most bits of an 8-byte CAN-FD frame at the data bit rate: unstuffed and stuff bits."""
-_CLASSIC_RATE_HZ = 250.0
-"""Highest default cycle rate on a classic bus [Hz]."""
-_FD_RATE_HZ = 500.0
-"""Highest default cycle rate on a CAN-FD bus [Hz]."""
 _BIT_RATE = "RATE [bit/s] > 0"
 """Placeholder and condition of the bit rate options in the help text."""
 
@@ -495,7 +487,7 @@ def default_rate(n_motors: int, timing: BusTiming) -> float:
 
     It is 250 (classic) or 500 (FD), or less where that would load the bus to more than 70 %.
     """
-    max_rate = _FD_RATE_HZ if timing.fd else _CLASSIC_RATE_HZ
+    max_rate = 500.0 if timing.fd else 250.0
     full_rate = PLANNING_LIMIT / bus_load(n_motors, rate=1.0, timing=timing)
     return handy_rate(min(full_rate, max_rate))
 

@@ -24,7 +24,6 @@ from robot_sysid.damiao.safety.guards import (
     Mask,
     Replies,
     SampleFilter,
-    hide_answers,
 )
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -331,10 +330,15 @@ class MotorSession:
             self._link.send(Frame(self.joints[j].can_id, self._sent_data[j]))
         came, time, feedback = self._receive(commanded, until)
         believed, jump = self._filter.believe(came, time, feedback, acted)
+        measured = feedback.position, feedback.velocity, feedback.torque
+        q, qd, tau = np.where(believed, measured, np.nan)
+        status = np.where(believed, feedback.status, NO_STATUS)
         return Replies(
             answered=believed,
             time=time,
-            feedback=hide_answers(feedback, believed),
+            feedback=replace(
+                feedback, status=status, position=q, velocity=qd, torque=tau
+            ),
             requested=commanded,
             command=self._command,
             doubted=came & ~believed,

@@ -172,9 +172,7 @@ def simulated_motor(
     ``watchdog`` is the time without a command after which the motor stops [s].
     """
     peak = joint.spec.peak_torque
-    # Registers that are only read are zero.
     registers = {
-        **dict.fromkeys(protocol.LOGGED, 0.0),
         protocol.MST_ID: float(joint.master_id),
         protocol.ESC_ID: float(joint.can_id),
         protocol.CTRL_MODE: float(protocol.MIT_MODE),

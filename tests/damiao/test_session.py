@@ -33,7 +33,7 @@ def test_inspection_reads_everything_and_changes_nothing():
     registers_before = [dict(m.registers) for m in bench.motors]
     inspection = inspect_bus(bench.link)
     assert sorted(inspection.motors) == [1, 2]
-    assert set(inspection.motors[1].registers) == set(protocol.LOGGED)
+    assert set(inspection.motors[1].registers) == set(protocol.REQUIRED)
     assert inspection.motors[2].limits == (12.5, 10.0, 28.0)
     assert inspection.motors[2].feedback.temperature_mos[0] == 31
     assert [m.registers for m in bench.motors] == registers_before
@@ -41,10 +41,18 @@ def test_inspection_reads_everything_and_changes_nothing():
     assert {frame.id for frame in bench.bus.sent} == {REGISTER_ID}
 
 
+class Locked(dict):
+    """Registers that keep their values."""
+
+    def __setitem__(self, number, value):
+        pass
+
+
 def test_a_refused_write_is_noticed():
     bench = Bench()
-    with pytest.raises(HardwareAbort, match="motor 1 refused Gr = 0.5 and keeps 0"):
-        setup_client(bench).write(1, 20, 0.5)
+    bench.motors[0].registers = Locked(bench.motors[0].registers)
+    with pytest.raises(HardwareAbort, match="motor 1 refused VMAX = 0.5 and keeps 10"):
+        setup_client(bench).write(1, protocol.VMAX, 0.5)
 
 
 def test_a_motor_that_is_not_there_does_not_answer():

@@ -190,7 +190,7 @@ def main() -> None:
     link = RecordingLink(terminal, clock)
     with contextlib.closing(link), stop.on_signals():
         print(f"--channel {device}", flush=True)
-        report = serve(arm, link, clock, lambda: not stop.count)
+        report = serve(arm, link, clock, lambda: not stop.reason)
     if options.frames is not None:
         lines = [f"{frame.id} {frame.data.hex()}" for frame in link.received]
         options.frames.write_text("\n".join(lines))

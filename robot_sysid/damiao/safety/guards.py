@@ -198,17 +198,6 @@ class SampleFilter:
         return jumps, bends, ~(jumps | accelerates | bends | heats)
 
 
-def hide_answers(feedback: protocol.Feedback, is_kept: Mask) -> protocol.Feedback:
-    """Return feedback of n joints in which only the answers of joints ``is_kept`` (n,) are left.
-
-    The other joints have ``NO_STATUS`` and NaN.
-    """
-    measured = feedback.position, feedback.velocity, feedback.torque
-    q, qd, tau = np.where(is_kept, measured, np.nan)
-    status = np.where(is_kept, feedback.status, NO_STATUS)
-    return replace(feedback, status=status, position=q, velocity=qd, torque=tau)
-
-
 _WINDOW = 0.2
 """Time over which velocity is integrated [s]: long against a cycle, short against a swing."""
 _LEAST_WINDOWS = 10
