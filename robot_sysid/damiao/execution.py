@@ -150,12 +150,12 @@ class MotorRun:
 
         ``real`` tells whether the motors are real ones, whose directions are checked too.
         """
-        checks = preflight.bus_checks(plan, inspection)
+        checks = [*preflight.bus_checks(plan, inspection)]
         q = plan.joint_positions(inspection)
-        if np.all(np.isfinite(q)):
-            for transfer in plan.transfers(q) if self.robot is not None else ():
-                from robot_sysid.damiao.model_check import transfer_checks
+        if self.robot is not None and np.all(np.isfinite(q)):
+            from robot_sysid.damiao.model_check import transfer_checks
 
+            for transfer in plan.transfers(q):
                 checks += transfer_checks(self._problem, *transfer)
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))

@@ -33,7 +33,7 @@ from robot_sysid.damiao.references import (
 )
 from robot_sysid.damiao.safety.guards import Mask, Replies
 from robot_sysid.damiao.safety.observer import Observer
-from robot_sysid.damiao.session import MotorSession
+from robot_sysid.damiao.session import REPLY_SHARE, MotorSession
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, error_text, handle_stop_signals
 from robot_sysid.records import Array
@@ -95,11 +95,6 @@ It is short, so that the arm does not sink; for the rest of the ramp the standin
 """
 _LEAST_LIFT_STEPS = 4.0
 """Number of steps up to which gains rise at once: in steps as long as that, the arm would fall."""
-_REPLY_SHARE = 0.9
-"""Share of a cycle for which replies are waited for; the rest is for the checks.
-
-Motors get this time even if the computer began the cycle late; then the next cycle is skipped.
-"""
 _DEAF = 0.15
 """Time without any answer after which a stop ends [s].
 
@@ -352,7 +347,7 @@ class Player:
         # A motor makes no torque before its first command.
         zero = 0.0 * torque
         acted = self._command or command._replace(kp=zero, kd=zero, torque=zero)
-        until = self._clock.now() + _REPLY_SHARE * self._settings.period
+        until = self._clock.now() + REPLY_SHARE * self._settings.period
         replies = self._session.exchange(command, until, joints, braking)
         self._observer.update(replies)
         self._reference = reference

@@ -12,7 +12,7 @@ from robot_sysid.damiao import trajectory as motion
 from robot_sysid.damiao.bus import InspectedMotor, Inspection
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, id_problems, limits_agree
 from robot_sysid.damiao.references import HoldingCheck
-from robot_sysid.damiao.session import PAUSE
+from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
 from robot_sysid.damiao.settings import Permissions, Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
@@ -35,8 +35,6 @@ _LONG_WATCHDOG = 0.5
 """Watchdog time above which an arm that nobody commands falls or runs far [s] (a judgement)."""
 _NO_WATCHDOG = 5.0
 """Watchdog time above which the watchdog is no protection at all [s] (a judgement)."""
-_ANSWER_SHARE = 0.9
-"""Share of a control cycle for which the player waits for answers."""
 
 
 note = partial(Remark, Level.SAYS, "")
@@ -144,46 +142,40 @@ def _frame_limit_checks(
         yield stop(f"{excess}; export a smaller trajectory")
 
 
-def bus_checks(plan: Plan, inspection: Inspection) -> list[Remark]:
-    """Return the checks of a plan against the answers of the motors on the bus.
+def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
+    """Yield the checks of a plan against the answers of the motors on the bus.
 
     Frame limits, answer time and the distance from the first point are only checked if the scaling
     limits of all joints' motors are known.
     """
-    joints = plan.trajectory.joints
-    checks = list(_traffic_checks(inspection))
-    limits = []
-    for joint in joints:
-        motor = inspection.motors.get(joint.can_id)
-        if motor is None:
-            checks.append(
-                stop(
-                    f"{joint.label} does not answer; check power, wiring, its id, bit rate, --fd"
-                )
-            )
-            continue
-        checks += _condition_checks(motor, plan, joint)
-        if set(protocol.SCALING) <= set(motor.registers):
-            limits.append(motor.limits)
-    if len(limits) == len(joints):
-        checks += _frame_limit_checks(plan, limits)
-        checks += _answer_time_checks(inspection.round_trip, plan.settings)
-        checks += _start_checks(plan, plan.joint_positions(inspection))
-    driven = {joint.can_id for joint in joints}
-    others = [m for m in inspection.motors.values() if m.can_id not in driven]
-    return [*checks, *_other_motor_checks(others)]
-
-
-def _traffic_checks(inspection: Inspection) -> Iterator[Remark]:
-    """Yield a stop for each sign of another program, or clashing ids."""
     if inspection.unsolicited:
         yield stop(
             f"{inspection.unsolicited} frames came without being asked for: another program is "
             "talking to these motors; end it first"
         )
-    ids = [(can_id, motor.master_id) for can_id, motor in inspection.motors.items()]
-    for problem in id_problems(ids):
-        yield stop(problem)
+    motors = inspection.motors
+    ids = [(can_id, motor.master_id) for can_id, motor in motors.items()]
+    yield from map(stop, id_problems(ids))
+    joints = plan.trajectory.joints
+    limits = []
+    for joint in joints:
+        motor = motors.get(joint.can_id)
+        if motor is None:
+            yield stop(
+                f"{joint.label} does not answer; check power, wiring, its id, bit rate, --fd"
+            )
+            continue
+        yield from _condition_checks(motor, plan, joint)
+        if set(protocol.SCALING) <= set(motor.registers):
+            limits.append(motor.limits)
+    if len(limits) == len(joints):
+        yield from _frame_limit_checks(plan, limits)
+        yield from _answer_time_checks(inspection.round_trip, plan.settings)
+        yield from _start_checks(plan, plan.joint_positions(inspection))
+    driven = {joint.can_id for joint in joints}
+    yield from _other_motor_checks(
+        [motor for can_id, motor in motors.items() if can_id not in driven]
+    )
 
 
 def _other_motor_checks(motors: Sequence[InspectedMotor]) -> Iterator[Remark]:
@@ -313,12 +305,12 @@ def _state_checks(
 def _answer_time_checks(
     round_trip: float | None, settings: PlaySettings
 ) -> Iterator[Remark]:
-    """Yield a stop where not all motors' answers come within 0.9 of a control cycle.
+    """Yield a stop where not all motors' answers come while the player waits for them.
 
     ``round_trip`` is the time from the commands to the last answer [s]; None where it is unknown.
     """
-    if round_trip is not None and round_trip > _ANSWER_SHARE * settings.period:
-        rate = protocol.handy_rate(_ANSWER_SHARE / round_trip)
+    if round_trip is not None and round_trip > REPLY_SHARE * settings.period:
+        rate = protocol.handy_rate(REPLY_SHARE / round_trip)
         yield stop(
             f"all motors have answered after {1e3 * round_trip:.1f} ms, too late for "
             f"{settings.rate:g} Hz: commands and samples would be mixed up; use --rate {rate:g} or "

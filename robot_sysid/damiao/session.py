@@ -47,8 +47,11 @@ _MOST_CREDIT = 0.02
 
 It is the default of ``PlaySettings.max_lateness``.
 """
+REPLY_SHARE = 0.9
+"""Share of a control cycle for which replies are waited for; the rest is for the checks.
 
-
+Motors get this time even if the computer began the cycle late; then the next cycle is skipped.
+"""
 PAUSE = 4
 """Number of cycles without any answer of a motor after which a missing answer counts as lost.
 

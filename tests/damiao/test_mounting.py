@@ -83,7 +83,7 @@ def test_a_motor_that_another_program_has_enabled_is_refused(tmp_path, gripper):
     run.assert_never_moved()
     silent = inspect_bus(run.link)
     silent.motors[8] = replace(silent.motors[8], feedback=None)
-    assert words in stops(bus_checks(run.plan, silent))[0]
+    assert words in stops([*bus_checks(run.plan, silent)])[0]
 
 
 # --- how the arm is left --------------------------------------------------------------------------

@@ -285,7 +285,7 @@ class Rig:
         inspection = inspect_bus(self.link)
         others = self._phase, file_holding(self.plan.trajectory)
         try:
-            self.checks = bus_checks(self.plan, inspection)
+            self.checks = [*bus_checks(self.plan, inspection)]
             self.plan.recording.require_free()
             self.report = run(self.link, self.plan, inspection, self.stop, *others)
         except Exception as error:
