@@ -36,9 +36,9 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.damiao.protocol import MitCommand
-from robot_sysid.errors import InputError, error_text
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array
-from robot_sysid.records.file_access import refuse_special_file, write_atomically
+from robot_sysid.records.file_access import read_text, write_atomically
 
 RPM = 2.0 * pi / 60.0
 """One revolution per minute [rad/s]."""
@@ -279,27 +279,26 @@ def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
     They have no motor type. InputError where the file is unreadable or incomplete, a row is wrong,
     or names or ids clash.
     """
-    refuse_special_file(path, "give a joint map")
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            lines = [line for line in file if line.strip() and not line.startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read {path}: {error_text(error)}") from None
-    if any("\0" in line for line in lines):
+    text = read_text(path, "give a joint map")
+    if "\0" in text:
         raise InputError(f"{path} is not text: it has zero bytes")
-    table = csv.DictReader(lines, skipinitialspace=True)
+    lines = text.splitlines()
+    rows = [line for line in lines if line.strip() and not line.startswith("#")]
+    table = csv.DictReader(rows, skipinitialspace=True)
     titles = [title.strip() for title in table.fieldnames or ()]
     if set(titles) != set(_COLUMNS):
         raise InputError(f"{path}: expected the columns {', '.join(_COLUMNS)}")
-    rows = [_parse_row(row, f"{path}, row {k}") for k, row in enumerate(table, start=1)]
-    if not rows:
+    joints = [
+        _parse_row(row, f"{path}, row {k}") for k, row in enumerate(table, start=1)
+    ]
+    if not joints:
         raise InputError(f"{path} has no lines")
-    for name, count in Counter(row.name for row in rows).items():
+    for name, count in Counter(joint.name for joint in joints).items():
         if count > 1:
             raise InputError(f"{path} names {name} twice")
-    for problem in id_problems([(row.can_id, row.master_id) for row in rows]):
+    for problem in id_problems([(joint.can_id, joint.master_id) for joint in joints]):
         raise InputError(f"{path}: {problem}")
-    return tuple(rows)
+    return tuple(joints)
 
 
 def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:

@@ -34,7 +34,7 @@ from robot_sysid.damiao.joints import (
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
-from robot_sysid.records.file_access import atomic_file, refuse_special_file
+from robot_sysid.records.file_access import atomic_file, read_text
 from robot_sysid.records.option_fields import joint_values
 
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
@@ -252,14 +252,7 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     InputError where the file cannot be read or is no trajectory; it names the line that is wrong.
     """
     path = Path(path)
-    refuse_special_file(path, "give a trajectory file")
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            lines = file.readlines()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not a text file") from None
+    lines = read_text(path, "give a trajectory file").splitlines()
     # Comment lines, one line of column titles, then one line of numbers per row.
     comments = list(takewhile(lambda line: line.startswith("#"), lines))
     joints = []

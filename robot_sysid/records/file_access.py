@@ -41,8 +41,6 @@ _DRAFT_PREFIX = ".robot-sysid-"
 """Begin of the name of a draft, a hidden file that is renamed when it is complete."""
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
 """First line of a file that Git LFS leaves in the place of a large one."""
-_MAX_INTEGER_DIGITS = 300
-"""Digits up to which an integer of a JSON file fits into a float, of at most 1.8e308."""
 
 
 def models_in(files: Iterable[Path]) -> list[Path]:
@@ -77,6 +75,15 @@ def refuse_special_file(
         )
 
 
+def read_text(path: Path, remedy: str) -> str:
+    """Return the content of a text file in UTF-8, or raise InputError that ends with a remedy."""
+    refuse_special_file(path, remedy)
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read {path}: {error_text(error)}; {remedy}") from None
+
+
 def read_json(path: Path, remedy: str) -> Any:
     """Return the content of a JSON file; an integer too large for a float becomes infinite.
 
@@ -87,21 +94,17 @@ def read_json(path: Path, remedy: str) -> Any:
     Raises:
         InputError: the file cannot be read, or is no JSON.
     """
-    refuse_special_file(path, remedy)
+    text = read_text(path, remedy)
     try:
-        return json.loads(
-            path.read_text(encoding="utf-8-sig"), parse_int=_number_of_digits
-        )
-    except OSError as error:
-        reason = error_text(error)
+        return json.loads(text, parse_int=_number_of_digits)
     except (ValueError, RecursionError) as error:
         reason = f"it is not JSON: {error}"
     raise InputError(f"cannot read {path}: {reason}; {remedy}")
 
 
 def _number_of_digits(digits: str) -> int | float:
-    """Return the integer that digits state, infinite where no float is that large."""
-    return int(digits) if len(digits) < _MAX_INTEGER_DIGITS else float(digits)
+    """Return the integer that digits state, infinite where no float is that large: 1.8e308."""
+    return int(digits) if len(digits) < 300 else float(digits)
 
 
 def read_toml(path: Path) -> Mapping[str, Any]:
@@ -110,10 +113,10 @@ def read_toml(path: Path) -> Mapping[str, Any]:
         import tomllib
     else:
         import tomli as tomllib
-    refuse_special_file(path, "give a TOML file")
+    text = read_text(path, "give a TOML file")
     try:
-        return dict(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError) as error:
+        return tomllib.loads(text)
+    except ValueError as error:
         raise InputError(f"cannot read {path}: {error_text(error)}") from None
 
 
@@ -159,7 +162,9 @@ class AtomicFiles:
                 if not os.path.exists(folder):
                     folder.mkdir(exist_ok=True)
                     self._created_folders.append(folder)
-            self._drafts[path] = _hidden_path(path)
+            # A hidden name, with the path's suffix cut to 25 characters.
+            name = f"{_DRAFT_PREFIX}{os.urandom(4).hex()}{path.suffix[-25:]}"
+            self._drafts[path] = path.with_name(name)
             # touch() and not a temporary file of tempfile: the user's umask decides who may read.
             self._drafts[path].touch(exist_ok=False)
         return self._drafts[path]
@@ -266,11 +271,6 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
 
     with tempfile.TemporaryDirectory(dir=parent, prefix=_DRAFT_PREFIX) as name:
         yield Path(name)
-
-
-def _hidden_path(path: Path) -> Path:
-    """Return a new hidden path in the folder of ``path``, with its suffix cut to 25 characters."""
-    return path.with_name(f"{_DRAFT_PREFIX}{os.urandom(4).hex()}{path.suffix[-25:]}")
 
 
 def require_writable(folder: Path) -> None:

@@ -24,10 +24,6 @@ _TERM_UNITS: Mapping[str, tuple[str, str]] = {
 """Friction term, speed parameter of one, or joint zero to its unit in a hinge and in a slide."""
 _MAX_DECIMALS = 6
 """Decimals up to which a number is written without exponent."""
-_MAX_PERCENT = 1000.0
-"""Percentage beyond which only "over 1000 %" is written."""
-_MIN_PERCENT = 0.01
-"""Percentage below which only "under 0.01 %" is written."""
 
 
 def number_text(value: float, error: float | None = None) -> str:
@@ -72,10 +68,10 @@ def percent(share: float) -> str:
     for NaN.
     """
     size = 100.0 * abs(share)
-    if not size <= _MAX_PERCENT:
-        return "over 1000 %" if size > _MAX_PERCENT else "not known"
-    if 0.0 < size < _MIN_PERCENT:
-        return f"under {_MIN_PERCENT:g} %"
+    if not size <= 1000.0:
+        return "over 1000 %" if size > 1000.0 else "not known"
+    if 0.0 < size < 0.01:
+        return "under 0.01 %"
     return f"{100.0 * share:.2g} %" if size < 99.5 else f"{100.0 * share:.0f} %"
 
 
