@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
-from robot_sysid.damiao.protocol import (
-    REQUIRED,
-    Feedback,
-    MitCommand,
-    Scaling,
-    decode_feedback,
-)
+from robot_sysid.damiao.protocol import Feedback, MitCommand, Scaling, decode_feedback
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
@@ -31,10 +24,7 @@ from tests.support.recordings import read_recording
 def recorder_for(path, types=("DM4340",), overwrite=False):
     """A recorder that writes at once, for motors of these types."""
     joints = damiao_joints(types, len(types))
-    registers = []
-    for joint in joints:
-        values = simulated_motor(joint).registers
-        registers.append({number: values[number] for number in REQUIRED})
+    registers = [simulated_motor(joint).registers for joint in joints]
     still = np.zeros((2, len(types)))
     trajectory = DamiaoTrajectory(
         Path("swing.csv"), joints, np.arange(2.0), still, still, still
@@ -63,13 +53,9 @@ def test_every_frame_can_be_told_back_from_the_recording(types, seed, tmp_path_f
     zero = np.zeros(n)
     with recorder_for(path, types) as recorder:
         for k, time in enumerate(times):
-            state = decode_feedback(raw[k], scaling, half_step=True)
-            measured = np.where(
-                answered[k], (state.position, state.velocity, state.torque), np.nan
-            )
-            feedback = replace(
-                state, **dict(zip(("position", "velocity", "torque"), measured))
-            )
+            feedback = decode_feedback(raw[k], scaling, half_step=True)
+            for values in (feedback.position, feedback.velocity, feedback.torque):
+                values[~answered[k]] = np.nan
             stamp = np.where(answered[k], stamps[k], np.nan)
             replies = undoubted(answered[k], stamp + 7.0, feedback, answered[k])
             position, velocity, torque = commands[k]
