@@ -62,10 +62,10 @@ class ServoArm:
                 at += 1
                 target = command[at]
             for _ in range(2):
-                pull = self.stiffness * (target - arm.q)
-                asks = pull - self.servo_damping * arm.qd
+                spring = self.stiffness * (target - arm.q)
+                asks = spring - self.servo_damping * arm.qd
                 free = np.abs(asks) <= self.limit
-                torque = np.where(free, pull, np.sign(asks) * self.limit)
+                torque = np.where(free, spring, np.sign(asks) * self.limit)
                 arm.step(torque, self.damping - np.where(free, 0.0, self.servo_damping))
         return positions
 

@@ -141,14 +141,14 @@ def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
     terms = arm_question(log.arm, question, torque)
     equations = Equations(log.sums, terms, log.held)
     own = log.columns[:, :, equations.index]
-    known = log.columns @ equations.full(np.zeros_like(equations.usual))
+    known = log.columns @ equations.full(np.zeros_like(equations.reference))
     rows = np.concatenate((own, (log.right_sides - known)[:, :, None]), axis=2)
     size = 0.05 * typical
     weights = log.used.astype(float)
     for _ in range(_ROUNDS):
         share = weights / (_CORRELATED * size**2)
         products = np.einsum("kjp,kj,kjq->pq", rows, share, rows, optimize=True)
-        values, _ = solve(products + equations.prior, equations.usual)
+        values, _ = solve(products + equations.prior, equations.reference)
         left = (rows[:, :, -1] - own @ values) * log.used
         for joint, residual in enumerate(left.T):
             used = np.abs(residual[log.used[:, joint]])

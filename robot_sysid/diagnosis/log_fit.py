@@ -155,7 +155,7 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     error = dry + np.inf
     equations = fitted.equations
     normal = equations.data(fitted.weights) + equations.prior
-    values, inverse = solve(normal, equations.usual)
+    values, inverse = solve(normal, equations.reference)
     for name in set(names_of("coulomb", joints)).intersection(fitted.names):
         row = joints.index(split_name(name)[1])
         (at,) = fitted.at([name])

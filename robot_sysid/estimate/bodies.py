@@ -1,15 +1,15 @@
 """Physically consistent bodies: least squares in which all bodies are possible.
 
 Minimises ||A x - b||^2 over the ten parameters of every body and all other parameters, with each
-body's pseudo-inertia P (4, 4) at least a small share of that of its usual body P0: a consistent
+body's pseudo-inertia P (4, 4) at least a small share of that of its reference body P0: a consistent
 body that is expected without any data, such as the model's. A body is consistent where its
 pseudo-inertia is positive definite (Wensing, Kim, Slotine, "Linear matrix inequalities for
 physically consistent inertial parameter identification", IEEE Robotics and Automation Letters 3(1),
-2018). Directions without data stay at the usual bodies where that costs hardly anything.
+2018). Directions without data stay at the reference bodies where that costs hardly anything.
 
-The problem is convex, and Clarabel solves it. Each body is expressed relative to its usual body,
-P = L K L^T with P0 = L L^T; its coordinates z are the coefficients of K - 1 in an orthonormal basis
-of symmetric matrices, which are also the rows of Clarabel's cone.
+The problem is convex, and Clarabel solves it. Each body is expressed relative to its reference
+body, P = L K L^T with P0 = L L^T; its coordinates z are the coefficients of K - 1 in an orthonormal
+basis of symmetric matrices, which are also the rows of Clarabel's cone.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from robot_sysid.estimate.identifiability import visible_space
 from robot_sysid.records import Array
 
 LEAST_SHARE = 1e-6
-"""Least eigenvalue of a body's pseudo-inertia, relative to that of its usual body; more for bodies
-that are expected to be larger than ``SPREADS``, as rounding is relative to their size."""
+"""Least eigenvalue of a body's pseudo-inertia, relative to that of its reference body; more for
+bodies that are expected to be larger than ``SPREADS``, as rounding is relative to their size."""
 SPREADS = (1.0, 10.0, 100.0)
-"""Standard deviations of a body from its usual body that are tried, as shares of it: the smallest
-one is used that fits hardly worse, so that what data hardly shows stays near the usual body."""
+"""Standard deviations of a body from its reference body that are tried, as shares of it: the
+smallest one is used that fits hardly worse, so that what data hardly shows stays near it."""
 WIDEST = 1e5
-"""Largest spread, for a usual body that is far too small."""
+"""Largest spread, for a reference body that is far too small."""
 TOLERANCES = (1e-8, 1e-6)
 """Relative errors of the solution that are tried: where rounding ends a search for the first one,
 the second one is reached before."""
@@ -43,9 +43,9 @@ HARDLY = 3.0
 expected to decrease this sum by the number of parameters."""
 # Largest norm of the equations.
 _HEAVIEST = 1e7
-# Weight of rows that hold directions without data at the usual bodies, in shares of them.
+# Weight of rows that hold directions without data at the reference bodies, in shares of them.
 _PIN = 1e4
-# Share of the largest eigenvalue to which those of an inconsistent usual body are raised.
+# Share of the largest eigenvalue to which those of an inconsistent reference body are raised.
 _FLOOR = 1e-6
 # Standard deviation of other parameters, whose columns have unit length: holds those without data.
 _UNSEEN = 1e5
@@ -64,7 +64,7 @@ class LinksProblem:
     Attributes:
         links: per link (10,) indices of its parameters, in the order of
             ``spatial.PARAMETER_NAMES``.
-        prior: (p,) parameters of the usual bodies at these indices, zero elsewhere.
+        prior: (p,) parameters of the reference bodies at these indices, zero elsewhere.
     """
 
     links: tuple[NDArray[np.int64], ...]
@@ -72,7 +72,7 @@ class LinksProblem:
 
     @cached_property
     def bodies(self) -> tuple[tuple[Array, Array], ...]:
-        """Per link (theta, U): usual body (10,), made consistent, and U (10, 10).
+        """Per link (theta, U): reference body (10,), made consistent, and U (10, 10).
 
         The coordinates z (10,) of a link stand for the body theta + U z.
         """
@@ -92,28 +92,28 @@ def consistent_least_squares(
     """Return x (p,) of nearly the least ||A x - b|| with which all bodies are consistent.
 
     The squared residuals are at most ``HARDLY`` above the least. Within this limit, directions that
-    A does not show are held at the usual bodies if that is possible, and bodies have the smallest
-    of ``SPREADS``, or a larger spread where they lie beyond all of these.
+    A does not show are held at the reference bodies if that is possible, and bodies have the
+    smallest of ``SPREADS``, or a larger spread where they lie beyond all of these.
 
     Args:
         matrix: A (M, p), whitened, so that residuals have unit variance.
         right_side: b (M,).
-        problem: which of the p parameters are links, and their usual bodies.
+        problem: which of the p parameters are links, and their reference bodies.
         has_hidden: whether A may not show some direction.
 
     Raises:
         SysidError: the search does not converge.
     """
     size = matrix.shape[1]
-    # Coordinates y stand for x = usual + unit y: z of each link, other columns of unit length.
+    # Coordinates y stand for x = reference + unit y: z of each link, other columns of unit length.
     length = np.linalg.norm(matrix, axis=0)
     unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
-    usual = np.zeros(size)
+    reference = np.zeros(size)
     for link, (theta, units) in zip(problem.links, problem.bodies):
-        usual[link] = theta
+        reference[link] = theta
         unit[np.ix_(link, link)] = units
     # A few rows with the same squares.
-    rows = np.column_stack((matrix @ unit, right_side - matrix @ usual))
+    rows = np.column_stack((matrix @ unit, right_side - matrix @ reference))
     triangle = np.asarray(np.linalg.qr(rows, mode="r"))
 
     def cost(y: Array) -> float:
@@ -126,7 +126,7 @@ def consistent_least_squares(
     best = _solve(equations, problem, spreads[-1])
     bodies = np.concatenate(problem.links)
     while spreads[-1] < WIDEST and np.linalg.norm(best[bodies]) > spreads[-1]:
-        # The pull to the usual bodies keeps the larger ones away that the data shows.
+        # The prior around the reference bodies keeps the larger ones away that the data shows.
         spreads.append(10.0 * spreads[-1])
         best = _solve(equations, problem, spreads[-1])
     limit = cost(best) + HARDLY
@@ -143,8 +143,8 @@ def consistent_least_squares(
         with suppress(SysidError):
             y = _solve(np.vstack((equations, held)), problem, spread)
             if cost(y) <= limit:
-                return np.asarray(usual + unit @ y)
-    return np.asarray(usual + unit @ best)
+                return np.asarray(reference + unit @ y)
+    return np.asarray(reference + unit @ best)
 
 
 def _solve(rows: Array, problem: LinksProblem, deviation: float) -> Array:
@@ -153,7 +153,7 @@ def _solve(rows: Array, problem: LinksProblem, deviation: float) -> Array:
     Args:
         rows: equations [A b] (M, p + 1) in these coordinates.
         problem: which of the parameters are links.
-        deviation: standard deviation of bodies from their usual bodies, as a share of them.
+        deviation: standard deviation of bodies from their reference bodies, as a share of them.
 
     Raises:
         SysidError: the search does not converge.

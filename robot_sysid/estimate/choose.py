@@ -226,7 +226,7 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
     columns = np.arange(span.start, span.stop)
     at = np.append(columns, len(normal) - 1)
     normal[np.ix_(at, at)] -= rows.T @ rows
-    curvature, pull = eliminate(normal, columns[own])
+    curvature, gradient = eliminate(normal, columns[own])
     mean = prior.mean[own]
     links = [arm.others[k] for k in np.flatnonzero(stated)]
     thetas = mean.reshape(-1, N_INERTIAL)
@@ -235,7 +235,7 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
     return LinkEvidence(
         len(links),
         directions.T @ curvature @ directions,
-        directions.T @ (pull - curvature @ mean),
+        directions.T @ (gradient - curvature @ mean),
     )
 
 

@@ -68,7 +68,7 @@ class Equations:
         index: (k,) of the estimated parameters in ``sums.names``.
         own: the sums in the estimated parameters alone.
         names: (k,) their names.
-        usual: (k,) values that stay where nothing shows them.
+        reference: (k,) values that stay where nothing shows them.
         prior: (k + 1, k + 1) products of the priors' equations.
     """
 
@@ -81,7 +81,7 @@ class Equations:
         self.own = sums.of(self.names, held)
         size = len(self.names)
         self.prior = np.zeros((size + 1, size + 1))
-        self.usual = np.zeros(size)
+        self.reference = np.zeros(size)
         self.lower = np.full(size, -np.inf)
         self.upper = np.full(size, np.inf)
         self.spans: list[slice] = []
@@ -93,13 +93,13 @@ class Equations:
             self.spans.append(span)
             self.lower[span] = term.lower
             self.upper[span] = term.upper
-            if term.usual is not None:
-                self.usual[span] = term.usual
+            if term.reference is not None:
+                self.reference[span] = term.reference
             if term.prior is not None:
                 at = np.append(np.arange(span.start, span.stop), size)
                 self.prior[np.ix_(at, at)] += term.prior.rows.T @ term.prior.rows
                 self.log_prior += np.linalg.slogdet(term.prior.factor)[1]
-                self.usual[span] = term.prior.mean
+                self.reference[span] = term.prior.mean
 
     def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the products (k + 1, k + 1) of weighted rows, the held torque subtracted."""
@@ -122,21 +122,21 @@ class Equations:
 
 
 def solve(
-    normal: Array, usual: Array, is_free: NDArray[np.bool_] | None = None
+    normal: Array, reference: Array, is_free: NDArray[np.bool_] | None = None
 ) -> tuple[Array, Array]:
     """Return (solution (k,), inverse (k, k)) of products [A b]'[A b] (k + 1, k + 1).
 
-    Directions that nothing shows stay at ``usual`` (k,). Parameters that are not ``is_free`` (k,)
-    stay there, too; their rows of the inverse are zero.
+    Directions that nothing shows stay at ``reference`` (k,). Parameters that are not ``is_free``
+    (k,) stay there, too; their rows of the inverse are zero.
     """
-    size = len(usual)
+    size = len(reference)
     at = np.arange(size) if is_free is None else np.flatnonzero(is_free)
     matrix = normal[np.ix_(at, at)]
-    gradient = normal[at, -1] - normal[at, :size] @ usual
+    gradient = normal[at, -1] - normal[at, :size] @ reference
     unit = _inverse(matrix)
     inverse = np.zeros((size, size))
     inverse[np.ix_(at, at)] = unit
-    values = usual.copy()
+    values = reference.copy()
     values[at] += unit @ gradient
     # One step of refinement: the inverse of nearly singular equations has lost digits.
     values[at] += unit @ (normal[at, -1] - normal[at, :size] @ values)
@@ -175,7 +175,7 @@ class Fit:
         values: (k,) the estimate.
         inverse: (k, k) covariance that noise and priors imply.
         alone: (B, k) estimate without each block in turn.
-        start: (k,) values of parameters that are held at a bound, usual values of the others.
+        start: (k,) values of parameters that are held at a bound, of the others the reference.
         is_free: (k,) which parameters are not held at a bound.
         question: that was asked.
     """
@@ -381,7 +381,7 @@ class Fit:
         Noise is that of this fit: its size counts, by the number of independent rows.
         """
         normal = self.equations.data(self.weights) + self.equations.prior
-        values, inverse = solve(normal, self.equations.usual)
+        values, inverse = solve(normal, self.equations.reference)
         change = np.append(-values, 1.0)
         misfit = float(change @ normal @ change)
         independent = np.sum(self.sums.counts, axis=0) / self.correlation
@@ -408,12 +408,12 @@ class Fit:
         normal = self.normal
         if blocks is not None:
             normal = self.sums.normal(self.weights, blocks)
-        pull = normal[at, -1] - normal[at, :-1] @ self.equations.full(self.free)
+        gradient = normal[at, -1] - normal[at, :-1] @ self.equations.full(self.free)
         crossed = normal[np.ix_(at, self.equations.index)]
         unseen = normal[np.ix_(at, at)] - crossed @ self.inverse @ crossed.T
         inner = np.eye(len(at)) + factor.T @ unseen @ factor
-        moved = np.linalg.solve(inner, factor.T @ pull)
-        gain = 0.5 * (factor.T @ pull) @ moved - 0.5 * np.linalg.slogdet(inner)[1]
+        moved = np.linalg.solve(inner, factor.T @ gradient)
+        gain = 0.5 * (factor.T @ gradient) @ moved - 0.5 * np.linalg.slogdet(inner)[1]
         return float(gain), factor @ moved
 
     def refit(self, terms: Sequence[Term], possible: bool = False) -> Fit:
@@ -506,7 +506,7 @@ def fit(
     for _ in range(_NOISE_ROUNDS):
         weights = 1.0 / (noise * np.sqrt(correlation))
         normal = equations.data(weights) + equations.prior
-        values, inverse = solve(normal, equations.usual)
+        values, inverse = solve(normal, equations.reference)
         previous = noise
         noise = np.maximum(_noise(equations, values, inverse, weights), least)
         if np.max(np.abs(noise / previous - 1.0)) < _SETTLED:
@@ -514,7 +514,7 @@ def fit(
     weights = 1.0 / (noise * np.sqrt(correlation))
     data = equations.data(weights)
     normal = data + equations.prior
-    _, inverse = solve(normal, equations.usual)
+    _, inverse = solve(normal, equations.reference)
 
     def unrestricted(start: Array, is_free: NDArray[np.bool_]) -> Array:
         """Return the solution in which bodies may be impossible."""
@@ -525,7 +525,7 @@ def fit(
         has_hidden = bool(np.any(_hidden(inverse, normal)))
         return _possible(equations, normal, is_free, start, has_hidden)
 
-    free, start, is_free = _within_bounds(equations, equations.usual, unrestricted)
+    free, start, is_free = _within_bounds(equations, equations.reference, unrestricted)
     values = free
     if possible and not _are_possible(equations, free):
         values, start, is_free = _within_bounds(
@@ -571,7 +571,9 @@ def expected(
         noise: (J,) of an independent row [N m].
     """
     equations = _equations(arm, sums, terms, values)
-    _, inverse = solve(equations.data(1.0 / noise) + equations.prior, equations.usual)
+    _, inverse = solve(
+        equations.data(1.0 / noise) + equations.prior, equations.reference
+    )
     given = equations.held[equations.index]
     return Fit(
         arm,
@@ -692,17 +694,17 @@ def _possible(
     root = np.linalg.cholesky(scaled)
     rows = root.T * length
     target = np.linalg.solve(root, right_side / length)
-    usual = np.zeros(len(at))
+    prior = np.zeros(len(at))
     contained = np.zeros(len(at))
     links = []
     for body, least in _bodies(equations):
         link = np.searchsorted(at, body)
         links.append(link)
-        usual[link] = equations.usual[body] - least
+        prior[link] = equations.reference[body] - least
         contained[link] = least
     values = start.copy()
     values[at] = contained + consistent_least_squares(
-        rows, target - rows @ contained, LinksProblem(tuple(links), usual), has_hidden
+        rows, target - rows @ contained, LinksProblem(tuple(links), prior), has_hidden
     )
     return values
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 from robot_sysid.errors import prefix_input_errors
 from robot_sysid.estimate.choose import solved
-from robot_sysid.estimate.file_fit import FileFit, fit_file
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.payload import written_payload
 from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.restricted_fit import RestrictedFit, fit_file
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.records.messages import Detail, Progress
@@ -101,7 +101,7 @@ def identify_link(
     options: EstimationOptions,
     progress: Progress,
     unchanged: Sequence[str] = (),
-) -> tuple[Fit, FileFit]:
+) -> tuple[Fit, RestrictedFit]:
     """Return the fits of all terms and of the model file, from recordings without a payload.
 
     Args:
@@ -122,7 +122,7 @@ def identify_payload(
     question: Question,
     progress: Progress,
     unchanged: Sequence[str] = (),
-) -> tuple[Fit, Fit, FileFit | None]:
+) -> tuple[Fit, Fit, RestrictedFit | None]:
     """Return the fits with the known mass, without it, and of the arm's model file.
 
     The first two are one where no mass is known.

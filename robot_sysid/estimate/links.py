@@ -172,18 +172,18 @@ class LinkEvidence:
     Attributes:
         n_links: L, number of other links whose parameters the model states.
         curvature: (10 L + 2, 10 L + 2) M, second derivative along ``link_directions``.
-        pull: (10 L + 2,) v, gradient along them.
+        gradient: (10 L + 2,) v, first derivative along them.
     """
 
     n_links: int
     curvature: Array
-    pull: Array
+    gradient: Array
 
     def log_likelihood(self, scale: Array) -> float:
         """Return log p(S) up to a constant, S = diag(scale) with ``scale`` (10 L + 2,)."""
         matrix = np.eye(len(scale)) + scale[:, None] * self.curvature * scale
         factor = np.linalg.cholesky(matrix)
-        half = np.linalg.solve(factor, scale * self.pull)
+        half = np.linalg.solve(factor, scale * self.gradient)
         return float(0.5 * half @ half - np.sum(np.log(np.diag(factor))))
 
 

@@ -13,9 +13,9 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import CLEAR
-from robot_sysid.estimate.file_fit import FileFit
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.restricted_fit import RestrictedFit
 from robot_sysid.estimate.result import (
     body_estimate,
     common_result,
@@ -77,7 +77,7 @@ def written_payload(fitted: Fit) -> tuple[Array, str]:
 def payload_result(
     fitted: Fit,
     weighed: Fit,
-    file: FileFit | None,
+    file: RestrictedFit | None,
     flange: Flange,
     origin: DataOrigin,
     sentences: Sequence[str],

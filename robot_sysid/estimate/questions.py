@@ -33,7 +33,7 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
-from robot_sysid.model.bodies import usual_bodies
+from robot_sysid.model.bodies import reference_bodies
 from robot_sysid.records import Array
 from robot_sysid.records.option_fields import joint_values
 
@@ -182,12 +182,12 @@ def _payload(arm: ArmTerms, question: Question) -> Term:
 def links_term(arm: ArmTerms, question: Question) -> Term:
     """Return the term of all links but the last, with the model's bodies as prior.
 
-    A placeholder of the model counts as a usual body with an error as large as itself.
+    A placeholder of the model counts as a reference body with an error as large as itself.
     """
     robot = arm.robot
-    usual = usual_bodies(robot)
+    reference = reference_bodies(robot)
     links = list(arm.others)
-    thetas = np.array([usual[robot.links[link].body_name] for link in links])
+    thetas = np.array([reference[robot.links[link].body_name] for link in links])
     lengths = np.array(link_lengths(robot, links))
     stated = is_stated(arm)
     share = PER_CENT * question.options.priors.link
@@ -208,9 +208,9 @@ def links_term(arm: ArmTerms, question: Question) -> Term:
 def is_stated(arm: ArmTerms) -> NDArray[np.bool_]:
     """Return which of the links before the last the model states, not with a placeholder."""
     robot = arm.robot
-    usual = usual_bodies(robot)
+    reference = reference_bodies(robot)
     stated = [
-        usual[robot.links[link].body_name] is robot.links[link].theta
+        reference[robot.links[link].body_name] is robot.links[link].theta
         for link in arm.others
     ]
     return np.array(stated, dtype=bool)
@@ -243,7 +243,7 @@ def _unknown_friction(
         if name not in friction:
             term = replace(arm.terms[name], cause=FURTHER_FRICTION, lower=-np.inf)
             prior = independent(deviations)
-            yield replace(term, prior=prior, usual=None)
+            yield replace(term, prior=prior, reference=None)
 
 
 def scale_spread(arm: ArmTerms, options: EstimationOptions, loaded: bool) -> Array:

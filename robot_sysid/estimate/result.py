@@ -16,12 +16,12 @@ import numpy as np
 from robot_sysid.dynamics.equations import link_names, split_name
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimate.file_fit import FileFit
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import held_out_logs, validation
 from robot_sysid.estimate.identifiability import analyse_identifiability
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.questions import CHANGES
+from robot_sysid.estimate.restricted_fit import RestrictedFit
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
@@ -86,7 +86,7 @@ _MOST_ROWS = 1500
 
 def link_result(
     fitted: Fit,
-    file: FileFit,
+    file: RestrictedFit,
     tests: Sequence[Validation],
     origin: DataOrigin,
     notes: Sequence[str] = (),
@@ -359,7 +359,7 @@ def _rows(fitted: Fit, names: Sequence[str]) -> Array:
 
 
 def model_file(
-    fitted: Fit, file: FileFit
+    fitted: Fit, file: RestrictedFit
 ) -> tuple[ModelFile, list[Quantity], list[str]]:
     """Return (contents of the model file, their rows, sentences on what the file leaves out)."""
     robot = fitted.arm.robot
@@ -409,7 +409,7 @@ def model_file(
     return written, rows, notes
 
 
-def _file_terms(fitted: Fit, file: FileFit) -> Iterator[Quantity]:
+def _file_terms(fitted: Fit, file: RestrictedFit) -> Iterator[Quantity]:
     """Yield the friction terms and rotor inertia of joints and motors in the model file.
 
     A rotor is written, with its error, where it differs from the model's. The offset of a torque
@@ -434,7 +434,7 @@ def _file_terms(fitted: Fit, file: FileFit) -> Iterator[Quantity]:
             yield Quantity("armature", owner, unit, model_rotor, rotor, error, FILE)
 
 
-def _offset_notes(file: FileFit) -> Iterator[str]:
+def _offset_notes(file: RestrictedFit) -> Iterator[str]:
     """Yield a sentence on torque offsets that are larger than a file's held-out error."""
     fitted = file.fit
     squares = 0.0
@@ -483,7 +483,7 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
         )
 
 
-def traces_of(fitted: Fit, file: FileFit | None) -> Traces:
+def traces_of(fitted: Fit, file: RestrictedFit | None) -> Traces:
     """Return the measured torques, and the predictions of the written file and the given model.
 
     Without a file, the fit's predictions replace those of the file. Both predictions contain the

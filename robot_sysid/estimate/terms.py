@@ -37,7 +37,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.estimate.rows import Mask, Recording, Rows, Sums, add_up
-from robot_sysid.model.bodies import usual_bodies
+from robot_sysid.model.bodies import reference_bodies
 from robot_sysid.records import Array, RobotModel
 
 # Causes, as they are called in results.
@@ -152,7 +152,7 @@ class Term:
         lower, upper: bounds of all of them, infinite where there is none.
         held_by: kinds of model files that can hold the parameters.
         bodies: whether each ten parameters have to be a possible body.
-        usual: (k,) values that parameters keep which nothing shows; the model's.
+        reference: (k,) values that parameters keep which nothing shows; the model's.
         least: (k,) bodies beside which each of the term's bodies has to be possible, such as
             fingers on joints of their own, which keep their inertia; None for none.
     """
@@ -165,7 +165,7 @@ class Term:
     upper: float = np.inf
     held_by: frozenset[str] = frozenset()
     bodies: bool = False
-    usual: Array | None = None
+    reference: Array | None = None
     least: Array | None = None
 
     def only(self, names: Sequence[str]) -> Term:
@@ -174,8 +174,8 @@ class Term:
         prior = self.prior
         if prior is not None:
             prior = Prior(prior.mean[at], prior.factor[np.ix_(at, at)])
-        usual = None if self.usual is None else self.usual[at]
-        return replace(self, names=tuple(names), prior=prior, usual=usual)
+        reference = None if self.reference is None else self.reference[at]
+        return replace(self, names=tuple(names), prior=prior, reference=reference)
 
 
 class ArmTerms:
@@ -244,25 +244,25 @@ class ArmTerms:
     def _terms(self, loaded: bool) -> Iterator[Term]:
         """Yield all terms, those of bodies first."""
         robot = self.robot
-        usual = usual_bodies(robot)
+        reference = reference_bodies(robot)
         yield Term(
             LAST_LINK,
             PARAMETER_NAMES,
             partial(self._links, [robot.n_joints - 1]),
             bodies=True,
             held_by=BOTH,
-            usual=usual[robot.body_name],
+            reference=reference[robot.body_name],
         )
         if self.others:
             names = [name for link in self.others for name in link_names(robot, link)]
-            bodies = [usual[robot.links[link].body_name] for link in self.others]
+            bodies = [reference[robot.links[link].body_name] for link in self.others]
             yield Term(
                 LINKS,
                 tuple(names),
                 partial(self._links, list(self.others)),
                 bodies=True,
                 held_by=BOTH,
-                usual=np.concatenate(bodies),
+                reference=np.concatenate(bodies),
             )
         if loaded:
             yield Term(
@@ -270,7 +270,7 @@ class ArmTerms:
                 PAYLOAD_NAMES,
                 self._payload,
                 bodies=True,
-                usual=usual[robot.body_name],
+                reference=reference[robot.body_name],
             )
         for name in self.friction:
             held_by = {
@@ -284,7 +284,7 @@ class ArmTerms:
                 partial(self._friction, name),
                 lower=-np.inf if name in ("offset", "sqrt") else 0.0,
                 held_by=held_by.get(name, frozenset()),
-                usual=self._values(names_of(name, self.joints)),
+                reference=self._values(names_of(name, self.joints)),
             )
         for motor in self.motors:
             yield Term(
@@ -293,7 +293,7 @@ class ArmTerms:
                 partial(self._motor, motor),
                 lower=0.0,
                 held_by=frozenset(("mjcf",)),
-                usual=motor.model,
+                reference=motor.model,
             )
         yield Term(SCALES, names_of("scale", self.joints), self._scales)
         yield Term(ZEROS, names_of("zero", robot.joint_names), self._zeros)

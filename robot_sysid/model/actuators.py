@@ -27,7 +27,7 @@ from robot_sysid.records import Array
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """MuJoCo's types of transmission by which an actuator acts on a joint directly."""
 AT_TENDON = (int(mujoco.mjtTrn.mjTRN_TENDON),)
-"""MuJoCo's type of transmission by which an actuator pulls a tendon."""
+"""MuJoCo's type of transmission by which an actuator acts on a tendon."""
 _WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 """MuJoCo's type of a joint that a tendon runs over."""
 _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -65,7 +65,7 @@ def gear_ratio(mj_model: Any, actuator: int) -> float:
 def actuators_on(
     mj_model: Any, target: int, kinds: Sequence[int] = _AT_JOINT
 ) -> list[int]:
-    """Return the ids of the actuators that pull at a joint (id) directly.
+    """Return the ids of the actuators that act on a joint (id) directly.
 
     ``kinds``: other types of transmission; ``AT_TENDON`` where the id is a tendon's.
     """
@@ -85,7 +85,7 @@ def driven_joints(mj_model: Any) -> set[int]:
 def _transmissions(mj_model: Any) -> Iterator[Array]:
     """Yield each actuator's speed before its gear per speed of each joint (nv,), in their order.
 
-    It is zero for all joints where an actuator pulls neither at a joint nor at a fixed tendon.
+    It is zero for all joints where an actuator acts neither on a joint nor on a fixed tendon.
     """
     kinds = mj_model.actuator_trntype.tolist()
     for kind, target in zip(kinds, mj_model.actuator_trnid[:, 0].tolist()):
@@ -114,7 +114,7 @@ def tendon_coefficients(mj_model: Any, tendon: int) -> Array | None:
 def torque_limits(mj_model: Any, joints: tuple[int, ...]) -> Array:
     """Return the torque (n,) that each joint (id) can make either way [N m or N].
 
-    It is infinite without limit. Where actuators pull a joint one way only, it is their torque.
+    It is infinite without limit. Where actuators drive a joint one way only, it is their torque.
     """
     # Smallest and largest torque of each degree of freedom.
     torques = np.zeros((mj_model.nv, 2))

@@ -47,7 +47,7 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
     return axes @ np.diag(mj_model.body_inertia[body_id]) @ axes.T
 
 
-def usual_bodies(robot: RobotModel) -> dict[str, Array]:
+def reference_bodies(robot: RobotModel) -> dict[str, Array]:
     """Return body name to plausible inertial parameters (10,) of each link with mass.
 
     These are the model's own (the identical array). Where the model has only a placeholder, much

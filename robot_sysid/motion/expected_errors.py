@@ -28,7 +28,7 @@ from robot_sysid.estimate.questions import (
 )
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
-from robot_sysid.model.bodies import usual_bodies
+from robot_sysid.model.bodies import reference_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, AimOptions
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
 from robot_sysid.motion.prediction import Prediction, unidentifiable
@@ -127,7 +127,7 @@ def typical_load(problem: ExcitationProblem) -> Array:
     """
     robot = problem.robot
     mass = problem.reserve or TYPICAL_LOAD * float(np.sum(robot.thetas[:, 0]))
-    body = usual_bodies(robot)[robot.body_name]
+    body = reference_bodies(robot)[robot.body_name]
     return mass / body[0] * body
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from robot_sysid.config import IdentifyConfig, SelfTestConfig
 from robot_sysid.diagnosis.log_checks import check_log
-from robot_sysid.estimate.file_fit import errors_on
 from robot_sysid.estimate.held_out import predicted
 from robot_sysid.estimate.identify import (
     Piece,
@@ -20,6 +19,7 @@ from robot_sysid.estimate.identify import (
     shared_notes,
 )
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_ROTORS
+from robot_sysid.estimate.restricted_fit import errors_on
 from robot_sysid.estimate.result import link_result, traces_of
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.logs.reader import (

@@ -74,7 +74,7 @@ torque limit far from its command."""
 _OUTLIER = 5.0
 """Residual, in root mean squares of the first fit, from which on a sample is left out."""
 _CORRELATED_ROLLOUTS = 30.0
-"""The same of the position errors of rollouts, which last until the servo pulls them back."""
+"""The same of the position errors of rollouts, which last until the servo brings them back."""
 _STEP = 0.3
 """Relative step of central differences by the numbers of a fast servo: one that is at its limit
 again and again makes rollouts rough on smaller scales."""

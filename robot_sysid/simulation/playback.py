@@ -329,8 +329,8 @@ class ServoRollouts:
         # As MuJoCo has them: those of the nu actuators, then the forces on the joints.
         inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))
         inputs[:, :, rows] = command[:, :, driven]
-        pull = servos.stiffness * ~driven * (command - spring_rest)
-        inputs[:, :, self.model.nu + robot.dof_index] = pull
+        spring = servos.stiffness * ~driven * (command - spring_rest)
+        inputs[:, :, self.model.nu + robot.dof_index] = spring
         return self.play(windows, inputs)
 
     def play(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:

@@ -84,7 +84,7 @@ def test_links_are_possible_bodies_whatever_the_data(thetas, seed):
 
 
 def is_admitted(values, problem):
-    """Tell whether all bodies have their least share of the usual bodies."""
+    """Tell whether all bodies have their least share of the reference bodies."""
     for link in problem.links:
         root = np.linalg.cholesky(spatial.pseudo_inertia(problem.prior[link]))
         inverse = np.linalg.inv(root)

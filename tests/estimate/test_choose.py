@@ -228,7 +228,7 @@ def test_the_evidence_of_a_fit_is_that_without_the_links_prior(noisy_fit):
     directions = 0.05 * link_directions(thetas, lengths)
     scale = noisy_fit.question.link_scales.of_directions(evidence.n_links)
     inner = np.eye(len(scale)) + scale[:, None] * evidence.curvature * scale
-    found = directions @ (scale * np.linalg.solve(inner, scale * evidence.pull))
+    found = directions @ (scale * np.linalg.solve(inner, scale * evidence.gradient))
     moved = noisy_fit.free[span] - term.prior.mean
     assert_allclose(found, moved, atol=1e-3 * np.max(np.abs(moved)))
 

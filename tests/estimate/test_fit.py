@@ -83,7 +83,7 @@ def payload_error(fitted, payload=PAYLOAD):
 @settings(max_examples=4)
 @given(arms.SEEDS)
 def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
-    """Priors pull by the square of the noise, and exact data leaves the least noise."""
+    """Priors act by the square of the noise, and exact data leaves the least noise."""
     arm = TrueArm(ROBOT, seed, model_error=0.0)
     arm.thetas[-1] = random_body(np.random.default_rng(seed))
     recording = arm.recording(wide_motion(seed), False)
@@ -172,8 +172,8 @@ def test_bounds_are_kept_and_the_rest_is_the_best_beside_them():
     equations = fitted.equations
     normal = equations.data(fitted.weights) + equations.prior
     change = np.append(-fitted.free, 1.0)
-    pull = (normal @ change)[:-1] / np.sqrt(np.diag(normal)[:-1])
-    assert np.max(np.abs(pull[~held])) < 1e-3 * np.max(np.abs(pull[held]))
+    gradient = (normal @ change)[:-1] / np.sqrt(np.diag(normal)[:-1])
+    assert np.max(np.abs(gradient[~held])) < 1e-3 * np.max(np.abs(gradient[held]))
 
 
 def test_no_estimate_is_an_impossible_body_and_a_possible_one_stays(plant, robot):

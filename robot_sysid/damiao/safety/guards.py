@@ -441,7 +441,7 @@ class CommandBounds:
         error = np.nan_to_num(position - q)
         most_stiffness = self.torque / np.maximum(np.abs(error), 1e-9)
         stiffness = np.minimum(command.kp, most_stiffness)
-        pull = stiffness * error
+        spring = stiffness * error
         fed = np.clip(np.nan_to_num(command.torque), -self.torque, self.torque)
-        fed = np.clip(fed, -self.torque - pull, self.torque - pull)
+        fed = np.clip(fed, -self.torque - spring, self.torque - spring)
         return MitCommand(position, velocity, stiffness, command.kd, fed)

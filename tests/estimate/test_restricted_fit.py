@@ -15,11 +15,11 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     with_gravity,
 )
-from robot_sysid.estimate.file_fit import errors_on, fit_file
 from robot_sysid.estimate.options import FILE_FRICTION as FRICTION
 from robot_sysid.estimate.options import FILE_GRAVITY as GRAVITY
 from robot_sysid.estimate.options import FILE_LINKS as LINKS
 from robot_sysid.estimate.options import FILE_ROTORS as ROTORS
+from robot_sysid.estimate.restricted_fit import errors_on, fit_file
 from robot_sysid.records import InertialParameters, SubtreeBody
 from tests.support import arms
 from tests.support.core_fits import filter_logs, fit_recordings

@@ -46,8 +46,8 @@ offsets of a KUKA LWR4+ are not known better."""
 
 
 @dataclass(frozen=True)
-class FileFit:
-    """The fit of a model file.
+class RestrictedFit:
+    """The fit restricted to what a model file can hold.
 
     Attributes:
         fit: of the terms that the file holds, and of sensors' offsets.
@@ -67,12 +67,12 @@ class FileFit:
     after: Validation
     rotors: Mapping[str, float]
     gravity: Array | None = None
-    urdf: FileFit | None = None
+    urdf: RestrictedFit | None = None
 
 
 def fit_file(
     estimate: Fit, unchanged: Sequence[str], carried: Array | None = None
-) -> FileFit:
+) -> RestrictedFit:
     """Return the fit of the model file.
 
     A URDF can hold neither rotor inertia nor motors that turn several joints. For a URDF of an arm
@@ -96,7 +96,7 @@ def fit_file(
 
 def _fit_kind(
     estimate: Fit, unchanged: tuple[str, ...], kind: str, carried: Array | None
-) -> FileFit:
+) -> RestrictedFit:
     """Return the fit of a file of one kind."""
     arm = estimate.arm
     rotors = select_rotors(estimate, unchanged, kind)
@@ -119,7 +119,7 @@ def _fit_kind(
             fitted = _solved(estimate, [*terms, tilt], held)
             angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
             gravity = turn_gravity(fitted.point.gravity, angles)
-    return FileFit(
+    return RestrictedFit(
         fitted,
         kind,
         tuple(sorted(unchanged)),
@@ -131,7 +131,7 @@ def _fit_kind(
 
 
 def errors_on(
-    file: FileFit, recordings: Sequence[Recording], source: str
+    file: RestrictedFit, recordings: Sequence[Recording], source: str
 ) -> tuple[Validation, Validation]:
     """Return the errors of the given model and of the file on a log that was not fitted.
 
