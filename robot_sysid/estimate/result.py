@@ -130,7 +130,7 @@ def link_result(
     remarks += [each for each in on_others if each.level is Level.REFUSES]
     # Links that took up the torque of missed friction say nothing of the model's.
     is_kept = FILE_LINKS in written.unchanged
-    remedy = "" if is_kept else "the written model has it corrected"
+    remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"
     remarks += () if missed else wrong_links(other_links, remedy)
     mass = float(written.thetas[-1, 0])
     if abs(mass - last_link.mass) > 2.0 * last_link.errors[0]:
@@ -391,8 +391,8 @@ def model_file(
         errors = file.after.relative_error, file.urdf.after.relative_error
         shares = [percent(error or 0.0) for error in errors]
         notes.append(
-            f"{MODEL_NAMES['mjcf']} has a torque error of {shares[0]}, {MODEL_NAMES['urdf']} of "
-            f"{shares[1]}: no URDF can hold {' and '.join(omissions)}, and its masses are off to "
+            f"{MODEL_NAMES['urdf']} has a torque error of {shares[1]}, {MODEL_NAMES['mjcf']} of "
+            f"{shares[0]}. No URDF can hold {' and '.join(omissions)}, so masses in it are off to "
             "make up for that"
         )
     motors = tuple(m for m in fitted.arm.motors if m.name in fitted.question.motors)
@@ -477,9 +477,9 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
         sine = float(np.linalg.norm(np.cross(level, file.gravity)))
         angle = math.degrees(math.atan2(sine, level @ file.gravity))
         yield (
-            f"gravity in the written model (its <option>, which other readers of URDF ignore) is "
-            f"turned by {angle:.2f} degrees: the base is tilted by that, or encoder zeros are off; "
-            "--keep gravity leaves it alone"
+            f"gravity in the written model is turned by {angle:.2f} degrees, because the base is "
+            "tilted or encoder zeros are off (--keep gravity leaves it alone). It stands in the "
+            "file's <option>, which readers of URDF other than MuJoCo ignore"
         )
 
 

@@ -95,8 +95,8 @@ def plan_write_back(
     moments = np.linalg.eigvalsh(spatial.com_from_theta(theta)[2])
     if inflation > SLACK * float(np.sum(moments)):  # by more than rounding
         notes.append(
-            "the model file cannot hold moments of inertia as small as identified, by its "
-            f"compiler's boundinertia, so all three are written {inflation:.2g} kg m^2 larger"
+            f"the moments of inertia of '{name}' are smaller than the file's compiler admits "
+            f"(boundinertia), so all three are written {inflation:.2g} kg m^2 larger"
         )
     return WriteBack(theta, emptied, composite + added, tuple(notes))
 

@@ -116,10 +116,9 @@ def _use_absolute_meshes(
     relocate(document, folder=None, mesh_dir=mesh_dir)
     if removed:
         yield MeshesLeftOut(
-            "collision meshes that are missing or unreadable to MuJoCo were left out "
-            f"({', '.join(sorted(removed))}), which changes no dynamics; a written URDF still "
-            "names them, so MuJoCo by itself loads it only once they are there, and a written MJCF "
-            "is without them"
+            f"collision meshes that MuJoCo cannot find or read are left out, which changes no "
+            f"dynamics: {', '.join(sorted(removed))}. MuJoCo loads a written URDF once they are "
+            "there, and a written MJCF without them"
         )
 
 
