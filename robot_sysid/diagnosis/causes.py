@@ -198,12 +198,6 @@ def per_joint(
         yield single(check, f"{key} {owner}", own, spread, sentence, remedy, **fields)
 
 
-def rigid(arm: ArmTerms, rows: Rows, point: Point) -> Array:
-    """Return the torque (m, J) of the point's links [N m]."""
-    thetas = point.carried(rows.is_loaded)
-    return rows.links_torque(arm.robot, point.gravity, thetas)[:, arm.indices]
-
-
 def at_rest(arm: ArmTerms, rows: Rows, gravity: Array) -> LinksMotion:
     """Return all links at rest in the positions of rows, under a gravity (3,)."""
     q = rows.motion.q
@@ -339,7 +333,7 @@ def time_base(fitted: Fit) -> Iterator[Explanation]:
 
     def inertial(rows: Rows, point: Point) -> Array:
         """Return the torque (m, J) per unit of a constant error."""
-        return 2.0 * (rigid(arm, rows, point) - weight(arm, rows, point))
+        return 2.0 * (arm.links_torque(rows, point) - weight(arm, rows, point))
 
     def with_drift(rows: Rows, point: Point) -> Array:
         """Return the torque (m, J, 2) per unit of a change to the end, and of a constant error."""
@@ -577,7 +571,9 @@ def crosstalk(fitted: Fit) -> Iterator[Explanation]:
 
     def column(other: int, joint: int, rows: Rows, point: Point) -> Array:
         """Return the torque (m, J) of another joint at one joint."""
-        return rigid(arm, rows, point)[:, [other]] * np.eye(len(arm.joints))[joint]
+        return (
+            arm.links_torque(rows, point)[:, [other]] * np.eye(len(arm.joints))[joint]
+        )
 
     for joint, name in enumerate(arm.joints):
         for other in {joint - 1, joint + 1}.intersection(range(len(arm.joints))):

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.log_fit import LogRows, log_rows
-from robot_sysid.estimate.fit import Equations, solve
+from robot_sysid.estimate.fit import equations_of, solve
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question, arm_question, friction_columns
 from robot_sysid.estimate.rows import Recording
@@ -139,7 +139,7 @@ def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
     torque = log.sums.rms_torque
     question = Question(options, dry=tuple((_DRY * torque).tolist()))
     terms = arm_question(log.arm, question, torque)
-    equations = Equations(log.sums, terms, log.held)
+    equations = equations_of(log.arm, log.sums, terms, {})
     own = log.columns[:, :, equations.index]
     known = log.columns @ equations.full(np.zeros_like(equations.reference))
     rows = np.concatenate((own, (log.right_sides - known)[:, :, None]), axis=2)

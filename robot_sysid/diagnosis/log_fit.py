@@ -61,11 +61,6 @@ class LogRows:
     right_sides: Array
     used: Mask
 
-    @property
-    def held(self) -> Array:
-        """Values (p,) of parameters that are not estimated: the model's."""
-        return np.array([self.arm.model.get(name, 0.0) for name in self.sums.names])
-
     @cached_property
     def typical_torque(self) -> Array:
         """``typical_torque`` (J,) of the rows."""

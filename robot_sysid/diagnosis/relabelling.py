@@ -125,17 +125,14 @@ def corrected(
     return right
 
 
-def mistakes(
-    robot: RobotModel, moving: Sequence[int] | None = None
-) -> Iterator[Finding]:
+def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Finding]:
     """Yield every mistake in signs, order and units of angles that is tried, with its correction.
 
-    ``moving`` are the numbers of the joints that move, all by default: columns of a joint that
-    stands still say nothing of whose they are.
+    ``moving`` are the numbers of the joints that move: columns of a joint that stands still say
+    nothing of whose they are.
     """
     names = tuple(robot.joint_names)
     n = len(names)
-    moving = range(n) if moving is None else moving
     of_factors = ColumnCorrection.of_factors
 
     def mistake(

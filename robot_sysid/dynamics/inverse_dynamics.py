@@ -32,7 +32,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -202,28 +201,17 @@ class LinksMotion:
     steps: tuple[Array, ...]
     screws: tuple[Array, ...]
 
-    @cached_property
-    def to_links(self) -> Array:
-        """The matrices (n, N, 6, 6) that take twists from the base's frame to each link's."""
-        to_links = [np.moveaxis(self.steps[0], -1, 0)]
-        for step in self.steps[1:]:
-            to_links.append(np.moveaxis(step, -1, 0) @ to_links[-1])
-        return np.array(to_links)
+    def jacobians(self) -> Iterator[Array]:
+        """Yield, link by link, the twists J_ij (n, 6, N) of the joints up to it in its frame.
 
-    @cached_property
-    def joint_twists(self) -> Array:
-        """Each joint's screw in the base's frame (6, n, N)."""
-        screws = np.array(self.screws).T[:, :, None]
-        samples = self.velocity[0].shape[1]
-        return self._to_base(np.tile(screws, samples))
-
-    def _to_base(self, twists: Array) -> Array:
-        """Return twists (6, n, N) of the links' frames in the base's frame."""
-        shape = self.to_links.shape
-        blocks = self.to_links.reshape(*shape[:2], 2, 3, 2, 3)
-        # Ad(T) is Ad(T^-1) with each of its four (3, 3) blocks transposed in place.
-        to_base = blocks.swapaxes(-1, -3).reshape(shape)
-        return np.einsum("inab,bin->ain", to_base, twists)
+        It is one array, which the next step changes; entries of joints beyond the link are not set.
+        """
+        jacobian = np.empty((len(self.screws), *self.velocity[0].shape))
+        for link, (step, screw) in enumerate(zip(self.steps, self.screws)):
+            for twist in jacobian[:link]:
+                twist[:] = np.einsum("abn,bn->an", step, twist)
+            jacobian[link] = screw[:, None]
+            yield jacobian
 
     def columns(self, links: Sequence[int]) -> Array:
         """Return the joint torque regressor (N, n, 10 len(links)) of the links with these indices,
@@ -234,12 +222,8 @@ class LinksMotion:
         joints = len(self.velocity)
         samples = self.velocity[0].shape[1]
         columns = np.zeros((joints, len(links), N_INERTIAL, samples))
-        # Row j is the twist J_ij of joint j in the frame of the present link i; changed in place.
-        jacobian = np.empty((joints, 6, samples))
-        for link in range(max(links, default=-1) + 1):
-            for twist in jacobian[:link]:
-                twist[:] = np.einsum("abn,bn->an", self.steps[link], twist)
-            jacobian[link] = self.screws[link][:, None]
+        reached = range(max(links, default=-1) + 1)
+        for link, jacobian in zip(reached, self.jacobians()):
             for number in np.flatnonzero(np.equal(links, link)):
                 motion = self.velocity[link].T, self.acceleration[link].T
                 wrench = wrench_regressor(*motion)

@@ -498,7 +498,7 @@ def fit(
         correlation: (J,) rows that count as one independent row; one by default.
         possible: whether bodies have to be possible ones.
     """
-    equations = _equations(arm, sums, terms, held or {})
+    equations = equations_of(arm, sums, terms, held or {})
     correlation = np.ones(len(sums.joints)) if correlation is None else correlation
     torque = sums.rms_torque
     least = max(_LEAST_NOISE * float(np.sqrt(np.mean(torque**2))), 1e-12)
@@ -570,7 +570,7 @@ def expected(
         values: name to value of parameters that differ from the model's; no torque is read.
         noise: (J,) of an independent row [N m].
     """
-    equations = _equations(arm, sums, terms, values)
+    equations = equations_of(arm, sums, terms, values)
     _, inverse = solve(
         equations.data(1.0 / noise) + equations.prior, equations.reference
     )
@@ -592,7 +592,7 @@ def expected(
     )
 
 
-def _equations(
+def equations_of(
     arm: ArmTerms, sums: Sums, terms: Sequence[Term], held: Mapping[str, float]
 ) -> Equations:
     """Return the equations of a question, without parameters that have neither data nor prior.

@@ -361,18 +361,16 @@ class ArmTerms:
 
     def friction_column(self, name: str, rows: Rows, point: Point) -> Array:
         """Return the column (m, J) of a friction term at each joint."""
-        if name in DRY_TERMS:
-            dry = rows.low_passed(name, lambda m: TERMS[name](m.qd, m.qdd, m.q))
-        elif name == "load":
-            dry = rows.low_passed(
-                "coulomb", lambda m: TERMS["coulomb"](m.qd, m.qdd, m.q)
-            )
+        if name == "load":
+            coulomb = self.friction_column("coulomb", rows, point)
             at_gear = replace(point, thetas=point.links)
-            dry = dry * np.abs(self._links_torque(rows, at_gear))
+            return coulomb * np.abs(self.links_torque(rows, at_gear))
+        if name in DRY_TERMS:
+            column = rows.low_passed(name, lambda m: TERMS[name](m.qd, m.qdd, m.q))
         else:
             motion = rows.motion
-            dry = TERMS[name](motion.qd, motion.qdd, motion.q)
-        return dry[:, self.indices]
+            column = TERMS[name](motion.qd, motion.qdd, motion.q)
+        return column[:, self.indices]
 
     def _friction(self, name: str, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of a friction term."""
@@ -391,14 +389,15 @@ class ArmTerms:
         )
         return own[:, None, :] * motor.ratios[self.indices][:, None]
 
-    def _links_torque(self, rows: Rows, point: Point) -> Array:
-        """Return the torque (m, n) of the point's links [N m]."""
+    def links_torque(self, rows: Rows, point: Point) -> Array:
+        """Return the torque (m, J) of the point's links [N m]."""
         thetas = point.carried(rows.is_loaded)
-        return rows.links_torque(self.robot, point.gravity, thetas)
+        torque = rows.links_torque(self.robot, point.gravity, thetas)
+        return torque[:, self.indices]
 
     def _scales(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of torque scales."""
-        return self._per_joint(self._links_torque(rows, point)[:, self.indices])
+        return self._per_joint(self.links_torque(rows, point))
 
     def _scale_drift(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of torque scales' drift from recording to recording."""

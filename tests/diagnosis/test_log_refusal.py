@@ -28,7 +28,7 @@ FILE = (
     "# mine\ntime = #1\nposition = #2, #3, #4\nvelocity = #5, #6, #7\n"
     "torque = #8, #9, #10\ntorque.joint1 = 0.5 * #9\n"
 )
-CORRECTIONS = [mistake.correction for mistake in mistakes(ROBOT)]
+CORRECTIONS = [mistake.correction for mistake in mistakes(ROBOT, range(3))]
 
 
 def columns_of(titles, path):

@@ -93,10 +93,6 @@ class Fit:
     def is_identified(self):
         return np.array(self.space.is_identified)
 
-    def error(self, truth):
-        """Deviation of each parameter in units of its typical size, at least 1 in SI units."""
-        return np.abs(self.values - truth) / (scale_of(truth) + 1.0)
-
 
 def identify(robot, measurements):
     """Return a Fit of the terminal link and joint friction to the measurements."""
@@ -148,7 +144,9 @@ def test_identified_parameters_are_exact_and_the_others_keep_the_prior(
     # Torques carry about 14 digits, of which weak columns and the condition number eat some.
     condition = space.singular[0] / space.singular[-1]
     digits = 1e-8 + 1e-14 * estimate.torque_size * condition * space.scale
-    assert np.all((estimate.error(truth) < digits)[estimate.is_identified])
+    # In units of its typical size, at least 1 in SI units.
+    error = np.abs(estimate.values - truth) / (scale_of(truth) + 1.0)
+    assert np.all((error < digits)[estimate.is_identified])
     moved = (estimate.values - estimate.prior) / space.scale
     size = np.linalg.norm(moved) + np.linalg.norm(
         (truth - estimate.prior) / space.scale

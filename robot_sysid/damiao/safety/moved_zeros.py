@@ -233,8 +233,8 @@ class MovedZeroCheck:
         columns = motion.columns(self._links)[0]
         yield
         # A force at the end does work with the linear velocity (rows 3 to 5) of the last link.
-        twists = motion.to_links[-1, 0] @ motion.joint_twists[:, :, 0]
-        errors = np.hstack([columns @ self._factor, twists[3:].T])
+        *_, twists = motion.jacobians()
+        errors = np.hstack([columns @ self._factor, twists[:, 3:, 0]])
         errors /= self._doubt[:, None]
         links, load, force = np.split(errors, [-7, -3], axis=1)
         # Dry friction is rounded off below 0.02 rad/s.
