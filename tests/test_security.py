@@ -22,7 +22,6 @@ HELD = {
     "a `<!DOCTYPE>`": f"{DOCUMENTS}test_a_doctype_in_another_file_is_not_opened",
     "an `<include>`": f"{DOCUMENTS}test_nothing_of_a_file_that_is_no_model_is_shown",
     "a model that includes itself": f"{DOCUMENTS}test_includes_that_fail_are_one_line",
-    "includes nested": f"{DOCUMENTS}test_includes_are_not_followed_without_end",
     "comments that": f"{DOCUMENTS}test_marks_that_never_end_take_no_longer_than_their_length",
     "elements nested": f"{DOCUMENTS}test_what_is_no_model_is_refused_in_one_line",
     "a pipe or a device in place of a model": f"{DOCUMENTS}test_a_pipe_is_not_waited_for",

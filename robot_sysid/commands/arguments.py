@@ -13,9 +13,6 @@ from robot_sysid.errors import EXIT_CODES, InputError, prefix_input_errors
 from robot_sysid.records import option_fields as options
 from robot_sysid.records.file_access import read_toml
 
-_NOT_IN_FILE = ("config", "help", "help_all", "version")
-"""Options that a configuration file cannot hold."""
-
 
 class _Formatter(argparse.HelpFormatter):
     """Help on wide lines, with an option and its meaning side by side."""
@@ -100,7 +97,8 @@ class Parser(argparse.ArgumentParser):
             action.nargs = "*" if action.nargs == "+" else "?"
             action.required = False
         content = read_toml(path)
-        known = {action.dest for action in self._actions} - {*_NOT_IN_FILE}
+        known = {action.dest for action in self._actions}
+        known -= {"config", "help", "help_all", "version"}
         with prefix_input_errors(f"{path}: {self.prog}"):
             options.refuse_unknown(content, known)
         given = vars(self.parse_args(arguments))
@@ -113,7 +111,7 @@ class Parser(argparse.ArgumentParser):
         return values
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        for line in message.rstrip("\n").split("\n"):
+        for line in message.splitlines():
             print_line(line, file or sys.stdout)
 
     def add(

@@ -228,7 +228,7 @@ def _write_settings(config: Config) -> None:
     path = config.output.output_dir / file_access.RUN_NAME
     if isinstance(config, PlanConfig):
         path = config.plan_file.with_suffix(".toml")
-    if file_access.is_same_file(path, config.output.config):
+    if path.resolve() == Path(config.output.config or "").resolve():
         return
     (command,) = (name for name in SPECS if SPECS[name].config is type(config))
     words = f"{PROGRAM} {command}".strip()

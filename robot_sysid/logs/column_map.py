@@ -43,7 +43,7 @@ from robot_sysid.logs.titles import (
     match_joints,
     read_title,
 )
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import RobotModel
 from robot_sysid.records.messages import count_text
 
 _JOINT_KEYS = (*QUANTITIES, "joint_time", "command")
@@ -225,12 +225,6 @@ class ColumnMap:
         """Return all columns: time, where there is one, then ``groups`` one after the other."""
         time = [self.time] if self.time else []
         return [*time, *chain.from_iterable(self.groups())]
-
-    def with_torque_factor(self, factor: Array) -> ColumnMap:
-        """Return a copy in which each joint's torque is multiplied by a factor (n,) as well."""
-        pairs = zip(self.torque, factor.tolist())
-        torque = [replace(column, factor=k * column.factor) for column, k in pairs]
-        return replace(self, torque=tuple(torque))
 
     def describe(self) -> tuple[str, ...]:
         """Return one sentence on the columns that are used, and one on the others."""

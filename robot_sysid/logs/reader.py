@@ -115,7 +115,9 @@ def open_log(
     columns = _map_columns(table, path, robot, options)
     constants = joint_factors(options.torque_constants, names, CONSTANTS)[0]
     scale = joint_factors(options.torque_scale, names, SCALE)[0]
-    columns = columns.with_torque_factor(constants / scale)
+    factors = zip(columns.torque, (constants / scale).tolist())
+    torque = [replace(column, factor=k * column.factor) for column, k in factors]
+    columns = replace(columns, torque=tuple(torque))
     rows = read_rows(table, columns, robot.is_slide.tolist(), progress)
     check_notes = check_log(str(path), rows, robot, columns.angle_declared)
     pieces = tuple(map(LogPiece.of, split_at_gaps(rows.samples)))

@@ -20,7 +20,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TypeVar
+from typing import Any
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.joint_names import (
@@ -31,15 +31,13 @@ from robot_sysid.logs.joint_names import (
 )
 from robot_sysid.records import RobotModel
 
-T = TypeVar("T")
-
 
 def token_set(text: str) -> frozenset[str]:
     """Return the tokens of a text, which are separated by blanks."""
     return frozenset(text.split())
 
 
-def by_token(vocabulary: Mapping[T, str]) -> dict[str, T]:
+def by_token(vocabulary: Mapping[Any, str]) -> dict[str, Any]:
     """Return token to meaning, from a table of meaning to tokens that are separated by blanks."""
     meanings = {}
     for meaning, tokens in vocabulary.items():

@@ -289,11 +289,6 @@ def require_writable(folder: Path) -> None:
         )
 
 
-def is_same_file(path: Path, other: Path | None) -> bool:
-    """Return whether both paths lead to the same file, which exists; False where one is None."""
-    return other is not None and path.exists() and path.samefile(other)
-
-
 def refuse_overwriting(
     read_paths: Iterable[Path | None], written_paths: Iterable[tuple[str, Path]]
 ) -> None:

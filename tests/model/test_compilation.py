@@ -40,7 +40,7 @@ def world(content: str) -> str:
     [
         (world(BODY.format("")), "inertia of moving bodies .*name .*b.*line .*1"),
         (world("\n<body foo='1'/>"), "unrecognized attribute: 'foo' .*'body', line 2"),
-        (world(f"<body pos='0 nan 0'>{INERTIAL}</body>"), "not a number .body_pos"),
+        (world(f"<body pos='0 nan 0'>{INERTIAL}</body>"), "no arm has .body_pos nan"),
         (
             "<mujoco><option gravity='0 0 -1e300'/><worldbody/></mujoco>",
             r"a value no arm has \(gravity 1e\+300\)",
