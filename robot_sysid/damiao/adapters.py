@@ -60,19 +60,10 @@ _SEND_TIMEOUT = 0.05
 It is more than a busy computer makes a program wait (a cycle may be 20 ms late), and less than
 motors on another bus can wait for their next command: watchdogs take 0.1 s or more.
 """
-_FULL_PATIENCE = 1.5e-3
-"""Time for which a frame is offered again to a full queue [s].
-
-A queue that is full for longer does not empty within a control cycle.
-"""
-_FULL_PAUSE = 2e-4
-"""Time between two attempts to send to a full queue [s]."""
 _FULL = (
     "the CAN bus takes no more frames because nobody acknowledges them: check the motors' power, "
     "the wiring and the termination (60 ohm between the two wires)"
 )
-_PLAUSIBLE_AGE = 1.0
-"""Age of a frame above which its time stamp must be of another clock [s]."""
 
 
 def import_can() -> Any:
@@ -115,7 +106,8 @@ class BusLink:
     def send(self, frame: Frame) -> None:
         """Send a frame, tried for 1.5 ms while the queue is full; else LinkError."""
         message = can_message(frame)
-        patience = self._clock.now() + _FULL_PATIENCE
+        # A queue that is full for longer does not empty within a control cycle.
+        patience = self._clock.now() + 1.5e-3
         while True:
             try:
                 return self._bus.send(message, timeout=_SEND_TIMEOUT)
@@ -130,7 +122,7 @@ class BusLink:
                     ) from error
                 if self._clock.now() >= patience:
                     raise LinkError(_FULL) from error
-            self._clock.sleep_until(self._clock.now() + _FULL_PAUSE)
+            self._clock.sleep_until(self._clock.now() + 2e-4)
 
     def receive(self, until: float) -> Frame | None:
         """Return the next data frame with a standard id; None if none came by ``until`` [s].
@@ -166,7 +158,8 @@ class BusLink:
         the adapter stamps by another clock, the frame gets the present time.
         """
         age = time.time() - message.timestamp
-        if not 0.0 <= age < _PLAUSIBLE_AGE:
+        # An older frame is stamped by another clock.
+        if not 0.0 <= age < 1.0:
             age = 0.0
         return Frame(
             id=message.arbitration_id,
@@ -231,18 +224,12 @@ def _bus_options(interface: str, timing: BusTiming) -> dict[str, Any]:
     return options
 
 
-_PATIENCE = 1e-3
-"""Time for which a serial port waits for a byte before it is asked again [s]."""
-_LONGEST = 256
-"""More bytes than any line or packet of a serial adapter has."""
 _LINE_END = re.compile(rb"[\r\a]")
 """End of a line of slcan: a carriage return, or a bell where it refuses a command."""
 PACKET = re.compile(rb"\xaa.{14}\x55", re.DOTALL)
 """A packet from the maker's adapter."""
 _HEAD = bytes([0x55, 0xAA, 30, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
 """First bytes of a packet to the maker's adapter, up to the type of id."""
-_A_FRAME = 0x11
-"""Type of a packet from the maker's adapter that holds a received frame."""
 
 
 class SerialReader:
@@ -259,7 +246,8 @@ class SerialReader:
 
     def __init__(self, port: Any, end: re.Pattern[bytes]) -> None:
         # Setting a port's time-out takes long, so it is not set for each reading.
-        port.timeout = _PATIENCE
+        # Time for which the port waits for a byte before it is asked again [s].
+        port.timeout = 1e-3
         port.write_timeout = _SEND_TIMEOUT
         self._port = port
         self._end = end
@@ -271,7 +259,8 @@ class SerialReader:
         while (end := self._end.search(self._received)) is None:
             time_left = max(until - time.monotonic(), 0.0)
             piece = self._port.read(self._port.in_waiting or int(time_left > 0.0))
-            self._received = self._received[-_LONGEST:] + piece
+            # No line or packet of a serial adapter has as many bytes.
+            self._received = self._received[-256:] + piece
             if not piece and time_left == 0.0:
                 return None
         line = self._received[: end.end()]
@@ -318,7 +307,8 @@ class SerialAdapter:
     def recv(self, timeout: float) -> Any:
         """Return the next message, or None; it waits for at most ``timeout`` [s]."""
         line = self._read(timeout)
-        if line is None or line[-15] != _A_FRAME:
+        # Other packets hold no received frame.
+        if line is None or line[-15] != 0x11:
             return None
         frame = Frame(int.from_bytes(line[-13:-9], "little"), line[-9:-1])
         return can_message(frame, timestamp=time.time())

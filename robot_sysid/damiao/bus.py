@@ -126,8 +126,6 @@ _PRIORITY_ASIDE = 10
 It is above that of other programs, because a thread that is interrupted while it holds Python's
 lock delays the control loop too.
 """
-_SWITCH_INTERVAL = 2e-4
-"""Time after which a busy thread gives way [s]; Python's default is longer than a control cycle."""
 
 
 @contextlib.contextmanager
@@ -144,7 +142,8 @@ def undisturbed_processor(live: bool = True) -> Iterator[None]:
     switch_interval = sys.getswitchinterval()
     gc.collect()
     gc.disable()
-    sys.setswitchinterval(_SWITCH_INTERVAL)
+    # Time after which a busy thread gives way [s]; Python's default is longer than a control cycle.
+    sys.setswitchinterval(2e-4)
     takes_priority = live and sys.platform == "linux"
     takes_priority = takes_priority and os.sched_getscheduler(0) == os.SCHED_OTHER
     try:
@@ -175,8 +174,6 @@ def _schedule(policy: int, priority: int, aside: int) -> None:
 
 _TRIES = 3
 """How often a request is sent: a frame may be lost where another program just used the bus."""
-_LONGEST_CYCLE = 0.1
-"""Time after which answers are no longer waited for [s]: they are useless to a control loop."""
 
 
 class RegisterClient:
@@ -250,7 +247,8 @@ class RegisterClient:
             self._link.send(protocol.register_frame(protocol.REFRESH, can_id))
         missing = set(reply_ids.values())
         while missing:
-            frame = self._link.receive(start + _LONGEST_CYCLE)
+            # Later answers are useless to a control loop.
+            frame = self._link.receive(start + 0.1)
             if frame is None:
                 return None
             if not frame.echo:
@@ -299,18 +297,13 @@ class RegisterClient:
         """
         self._link.drain()
         self._link.send(request)
-        until = self._clock.now() + _ASK_TIMEOUT
+        # Twice the delay of a slow adapter (16 ms).
+        until = self._clock.now() + 0.03
         while (frame := self._link.receive(until)) is not None:
             if not frame.echo and len(frame.data) == 8:
                 yield frame
 
 
-_ALL_IDS = range(1, 16)
-"""CAN ids that motors may have: feedback has four bits for them."""
-_LISTEN = 0.05
-"""Time to listen before requesting anything [s]: shows programs that send at 40 Hz or more."""
-_ASK_TIMEOUT = 0.03
-"""Time for which an answer is waited for [s]: twice the delay of a slow adapter (16 ms)."""
 _ROUNDS = 20
 """How often all motors are requested at once, for the 90th percentile of their answering time."""
 
@@ -381,13 +374,15 @@ def inspect_bus(link: GuardedLink) -> Inspection:
 
     No motor is enabled or changed.
     """
-    until = link.clock.now() + _LISTEN
+    # Shows programs that send at 40 Hz or more.
+    until = link.clock.now() + 0.05
     unsolicited = 0
     while (frame := link.receive(until)) is not None:
         unsolicited += not frame.echo
     client = RegisterClient(link)
     motors = {}
-    for can_id in _ALL_IDS:
+    # Feedback has four bits for them.
+    for can_id in range(1, 16):
         motor = _inspect_motor(client, can_id)
         if motor is not None:
             motors[can_id] = motor

@@ -56,10 +56,6 @@ class PlayedPath:
         return Motion(time, q, slope, np.zeros_like(q))
 
 
-_SHORT = 0.02
-"""Largest motion of a joint in a transfer that is too short to be judged [rad]."""
-
-
 def transfer_checks(
     problem: ExcitationProblem, name: str, begin: Array, end: Array
 ) -> Iterator[Remark]:
@@ -69,7 +65,7 @@ def transfer_checks(
     touch where the arm stands, and the model has a contact too many. ``name`` is the begin of the
     message: "on the way to the first point" or "... to where it is parked".
     """
-    if np.max(np.abs(end - begin)) <= _SHORT:
+    if np.max(np.abs(end - begin)) <= 0.02:
         return
     contact = first_contact(problem, LineTrajectory(begin, end))
     if contact is not None:

@@ -93,15 +93,6 @@ _LIFT_SHARE = 0.2
 
 It is short, so that the arm does not sink; for the rest of the ramp the standing arm is observed.
 """
-_LEAST_LIFT_STEPS = 4.0
-"""Number of steps up to which gains rise at once: in steps as long as that, the arm would fall."""
-_DEAF = 0.15
-"""Time without any answer after which a stop ends [s].
-
-By then the watchdogs (0.1 s, plus half of that) have stopped the motors, or the bus has failed.
-"""
-_LONGEST_CARRIED = 2.0
-"""Time after which a stopped arm is disabled even if it has not come to rest [s]."""
 
 
 @dataclass(frozen=True)
@@ -338,7 +329,8 @@ class Player:
         commanded too.
         """
         n_steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
-        rise = 1.0 / n_steps if n_steps > _LEAST_LIFT_STEPS else 1.0
+        # In steps longer than that, the arm would fall.
+        rise = 1.0 / n_steps if n_steps > 4.0 else 1.0
         self._gain = min(self._gain + rise, 1.0)
         position, velocity, torque = reference
         command = MitCommand(
@@ -382,7 +374,8 @@ class Player:
             self._session.switch_off(self._observer.to_switch_off)
             self._observer.failed |= self._observer.to_switch_off
             carried = self._carry_from(self._reference)
-            self._stop_phase(carried, _LONGEST_CARRIED)
+            # Then the arm is disabled even if it has not come to rest.
+            self._stop_phase(carried, 2.0)
             if self._settings.park is not None and not self._stop.insisted:
                 self._stop_phase(self._lower_from(carried.last), paths.LONGEST_LOWERING)
 
@@ -432,7 +425,9 @@ class Player:
         origin = self._timer.next_deadline
         while self._timer.next_deadline <= origin + duration:
             deadline = self._timer.wait(lenient=True)
-            silent = self._clock.now() - self._heard_at > _DEAF
+            # By then the watchdogs (0.1 s, plus half of that) have stopped the motors, or the bus
+            # has failed.
+            silent = self._clock.now() - self._heard_at > 0.15
             # Where all motors have failed or are silent, commands have no effect any more.
             hopeless = bool(np.all(self._observer.failed)) or silent
             is_done = self._follower is not None and self._follower.is_done
@@ -448,14 +443,6 @@ class Player:
                     time = self._clock.now() - self._origin
                     cycle = time, self._origin, replies, acted
                     self._recorder.write(*cycle, mark="# stop: ")
-
-
-_SAME_WISH = 0.2
-"""Time within which two interrupts count as one [s].
-
-One key press may arrive twice: from the terminal, and passed on by the program that started this
-one. A busy computer passes it on in less time; a person who presses twice takes longer.
-"""
 
 
 class StopRequest:
@@ -493,5 +480,8 @@ class StopRequest:
         if number == signal.SIGINT:
             now = time.monotonic()
             self._interrupted_at = min(self._interrupted_at, now)
-            insists = now - self._interrupted_at > _SAME_WISH
+            # One key press may arrive twice: from the terminal, and passed on by the program that
+            # started this one. A busy computer passes it on in less time; a person who presses
+            # twice takes longer.
+            insists = now - self._interrupted_at > 0.2
         self(f"stopped by {signal.Signals(number).name}", insist=insists)

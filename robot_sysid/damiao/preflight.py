@@ -18,8 +18,6 @@ from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Level, Remark
 
-_REST_SPEED = 0.05
-"""Largest speed at the ends of a trajectory [rad/s]: a quarter of the default approach speed."""
 _START_TEMPERATURE = 60.0
 """Highest temperature at which a run may begin [deg C].
 
@@ -31,8 +29,6 @@ _LEAST_WATCHDOG_CYCLES = 2 * (PAUSE + 1)
 A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one. The
 watchdog has to outlast two such waits in succession.
 """
-_LONG_WATCHDOG = 0.5
-"""Watchdog time above which an arm that nobody commands falls or runs far [s] (a judgement)."""
 _NO_WATCHDOG = 5.0
 """Watchdog time above which the watchdog is no protection at all [s] (a judgement)."""
 
@@ -80,7 +76,8 @@ def _motion_checks(plan: Plan) -> Iterator[Remark]:
     """Yield a stop where a trajectory has a speed at an end, or velocities do not fit positions."""
     trajectory = plan.trajectory
     end_speed = float(np.max(np.abs(trajectory.qd[[0, -1]]))) * plan.settings.speed
-    if end_speed > _REST_SPEED:
+    # A quarter of the default approach speed.
+    if end_speed > 0.05:
         yield stop(
             f"the trajectory starts or ends at {end_speed:.2f} rad/s; it has to start and end at "
             "rest"
@@ -271,7 +268,8 @@ def _watchdog_checks(
             f"{watchdog} is not from {1e3 * least:g} to {1e3 * _NO_WATCHDOG:g} ms (0 is none: the "
             f"arm would go on if this program died); {remedy}"
         )
-    elif timeout > _LONG_WATCHDOG:
+    # Until then an arm that nobody commands falls or runs far.
+    elif timeout > 0.5:
         yield note(f"{watchdog} is long; {remedy}")
 
 

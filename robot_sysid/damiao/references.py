@@ -205,8 +205,6 @@ the joint), or None.
 
 _NEAR = 0.1
 """Distance from a pose in which its torque holds the arm [rad]: 2 N m at 20 N m/rad."""
-_GENTLE = 0.5
-"""Acceleration below which a torque is that at rest [rad/s^2]: 1 N m at 2 kg m^2."""
 
 
 @dataclass(frozen=True)
@@ -293,7 +291,8 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
         doubt,
         source="the trajectory feeds forward",
         pose=q[0],
-        is_at_rest=bool(acceleration[row] < _GENTLE),
+        # Slower, a torque is that at rest: 1 N m at 2 kg m^2.
+        is_at_rest=bool(acceleration[row] < 0.5),
         carries_arm=bool(np.any(np.abs(trajectory.tau) > doubt)),
     )
 
@@ -319,8 +318,6 @@ _ADDED_STIFFNESS = 0.8
 _STEADY = 0.6
 _LEAVING = 0.4
 _SPEED_SCALE = 0.3
-_BLEND_TIME = 0.1
-"""Least time in which the feed-forward torque changes to the torque that holds at rest [s]."""
 _REST_SPEED = 0.05
 """Velocity below which a joint is at rest [rad/s] (a judgement)."""
 
@@ -403,8 +400,8 @@ class CarriedStop:
         # Where the joints should be now (n,) [rad].
         goal = position - self._offset
         self._relieve(time, goal)
-        # The feed-forward torque is blended from the last one to that at rest.
-        share = min(time / max(self.duration, _BLEND_TIME), 1.0)
+        # The feed-forward torque is blended from the last one to that at rest, in 0.1 s or more.
+        share = min(time / max(self.duration, 0.1), 1.0)
         torque = self._begin.torque + share * (self._fed - self._begin.torque)
         difference = np.nan_to_num(velocity - self._qd)
         torque = torque + (self._lift(goal) + _ADDED_DAMPING * self._kd * difference)

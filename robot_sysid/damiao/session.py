@@ -28,8 +28,6 @@ from robot_sysid.damiao.safety.guards import (
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
-_DISABLE_REPEATS = 5
-"""How often each motor is commanded to disable: single frames may be lost, five are not."""
 _DISABLE_SPACING = 2e-3
 """Time between two disable commands to a motor [s], in which a full queue of 14 frames empties."""
 _CONFIRM_TIMEOUT = 0.02
@@ -38,10 +36,6 @@ _CONFIRM_PATIENCE = 0.5
 """Time for which motors are asked to confirm that they are disabled [s], should a bus fail."""
 _ENABLE_TRIES = 3
 """How often a motor is commanded to enable, at most."""
-_SAME_PLACE = 0.02
-"""Difference up to which two positions of an arm that is not driven yet agree [rad]."""
-_LONGEST_PAUSE = 0.2
-"""Longest time since the last command that counts for how far the next one may move [s]."""
 _MOST_CREDIT = 0.02
 """Most time that one command may leave unused for the next one to move in [s].
 
@@ -257,7 +251,8 @@ class MotorSession:
             last_status = status
             last_position = position
             status, position = self._ask(j, request)
-            agree = abs(position - last_position) <= _SAME_PLACE
+            # The arm is not driven yet.
+            agree = abs(position - last_position) <= 0.02
             if status == ENABLED and agree:
                 return position
             # One report of a fault may be a damaged frame; two equal ones are the motor's own.
@@ -315,9 +310,10 @@ class MotorSession:
         last = np.where(
             np.isnan(self.sent_position), command.position, self.sent_position
         )
-        # It includes time that the last command did not use: after a cycle that began late, the
-        # next one follows in less time than there is between two positions of the trajectory.
-        elapsed = np.minimum(now - self._moved_until, _LONGEST_PAUSE)
+        # At most 0.2 s. Time that the last command did not use is included: after a cycle that began
+        # late, the next one follows in less time than there is between two positions of the
+        # trajectory.
+        elapsed = np.minimum(now - self._moved_until, 0.2)
         bounds = last, elapsed, self._filter.last.q
         if braking:
             command = self._bounds.confine(command, *bounds)
@@ -387,7 +383,8 @@ class MotorSession:
         An error of one motor, or of the bus, does not prevent commands to the others.
         """
         self._takes_any_answer = True
-        for repeat in range(_DISABLE_REPEATS):
+        # Single frames may be lost, five are not.
+        for repeat in range(5):
             if repeat:
                 self.clock.sleep_until(self.clock.now() + _DISABLE_SPACING)
             # The next of the five attempts, and the confirmation, tell whether it worked.

@@ -39,8 +39,6 @@ _LEAST_SHARE = 0.4
 """Least damping of a light joint, as a share of the usual: models often lack rotor inertia."""
 _TRANSFER_PEAK = 3.08
 """Peak acceleration of a transfer, at most, relative to its peak speed over its least duration."""
-_SPEED_MARGIN = 1.1
-"""Largest speed of commands relative to the trajectory's, whose rows are rounded."""
 _EACH = "one for all or one per joint"
 # Arguments of options whose default depends on the type of each motor.
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
@@ -276,7 +274,8 @@ class Plan:
         speeds = np.vstack([self.trajectory.slopes, self.trajectory.qd])
         peak_speed = self.settings.speed * np.abs(speeds).max(axis=0)
         speed = np.maximum(peak_speed, self.settings.approach_speed)
-        return CommandRange(lower, upper, _SPEED_MARGIN * speed)
+        # The trajectory's rows are rounded.
+        return CommandRange(lower, upper, 1.1 * speed)
 
     def transfers(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
         """Yield name, begin and end (n,) [rad] of the motions before and after the trajectory.

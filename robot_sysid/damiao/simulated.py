@@ -32,8 +32,6 @@ DEFAULT_WATCHDOG = 0.1
 """Default watchdog time of simulated motors [s], as docs/damiao.md recommends for real ones."""
 _NOTHING = (0.0,) * 5
 """Command without effect: position, velocity, kp, kd and torque are zero."""
-_SAME_TIME = 1e-9
-"""Difference below which two times are equal [s]: rounding errors of sums are smaller."""
 
 
 @dataclass
@@ -221,7 +219,8 @@ class SimulatedArm:
         """
         if not self._was_enabled:
             self.time = max(self.time, until)
-        while until - self.time > _SAME_TIME:
+        # Rounding errors of sums are smaller.
+        while until - self.time > 1e-9:
             duration = min(self.mechanism.timestep, until - self.time)
             self.time += duration
             for motor in self.motors:

@@ -396,8 +396,6 @@ _WINDOW = 0.1
 
 Over this time 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
 """
-_LEAST_ROWS = 4
-"""Least number of rows in a window."""
 
 
 def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | None:
@@ -411,8 +409,8 @@ def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | 
     time = trajectory.time
     step = np.diff(time)[:, None]
     qd = trajectory.qd
-    # Number of rows from the begin of a window to its end; a shorter file has one window.
-    rows = max(round(_WINDOW / float(np.median(step))), _LEAST_ROWS)
+    # Number of rows, at least four, from the begin of a window to its end; a shorter file has one.
+    rows = max(round(_WINDOW / float(np.median(step))), 4)
     rows = min(rows, len(time) - 1)
     integral, doubt = np.zeros((2, *qd.shape))
     integral[1:] = np.cumsum(0.5 * (qd[1:] + qd[:-1]) * step, axis=0)

@@ -46,13 +46,9 @@ KEPT_SHARE = 0.5
 DEEPEST_TOUCH = 1e-3
 """How deep two bodies may be inside each other at rest to count as touching, as parked arms do [m];
 deeper they collide, and no motion may start there."""
-_TOUCH_ROOM = 1e-4
-"""How much deeper than at rest a touching pair may get [m]: the error of MuJoCo's depths."""
 _NEIGHBOUR_POSTURES = 361
 """Number of positions, evenly spread over a joint's range, at which the distance of the bodies on
 its two sides is computed."""
-_UNLIMITED_TRAVEL = 1.0
-"""Travel assumed for a slide joint without limits [m]."""
 
 
 @dataclass(frozen=True)
@@ -295,7 +291,8 @@ class Clearance:
                     f"{self._label(a, b)} ({-1e3 * distance:.2g} mm deep)"
                 )
             elif distance <= 0.0:
-                required = distance - _TOUCH_ROOM
+                # Deeper by the error of MuJoCo's depths.
+                required = distance - 1e-4
             self._required[a, b] = self._required[b, a] = required
         return collisions
 
@@ -395,7 +392,8 @@ def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
     mj_model = robot.mj_model
     anchors = data.xanchor[mj_model.dof_jntid[robot.dof_index]]
     travel = np.where(robot.is_slide, robot.limits.upper - robot.limits.lower, 0.0)
-    travel[~np.isfinite(travel)] = _UNLIMITED_TRAVEL
+    # Assumed for a slide without limits.
+    travel[~np.isfinite(travel)] = 1.0
     # From each joint's anchor to the next one, which a slide there moves away by its travel.
     lengths = np.linalg.norm(np.diff(anchors, axis=0), axis=1) + travel[1:]
     # The ball about each body's origin that holds all its geoms.

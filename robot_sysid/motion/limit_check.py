@@ -33,10 +33,6 @@ TOUCH = 1e-6
 """By how much a clearance may be missed [m]: MuJoCo's tolerance for distances of convex shapes. The
 approach is a sum with rounding errors, so a motion that just keeps a clearance may miss it by
 1e-9 m."""
-SMALLEST = 2.0**-9
-"""Smallest factor by which ``scale_to_limits`` scales a motion."""
-SHRINKAGE = 0.95
-"""Factor by which it makes a motion smaller each time."""
 FINEST_RATE_HZ = 4000.0
 """Highest rate of collision tests, where bodies are near each other [Hz]: a body at 2 m/s moves
 0.5 mm between two tests."""
@@ -128,8 +124,8 @@ def scale_to_limits(
     rate = max(LEAST_RATE_HZ, sample_rate)
     factor = 1.0
     scaled = plan
-    while factor > SMALLEST and not keeps_limits(problem, scaled, rate):
-        factor *= SHRINKAGE
+    while factor > 2.0**-9 and not keeps_limits(problem, scaled, rate):
+        factor *= 0.95
         scaled = plan.scale_amplitudes(factor)
     return scaled, factor
 

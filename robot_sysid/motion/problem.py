@@ -46,8 +46,6 @@ DEFAULT_NOISE_TORQUE = 0.3
 RESERVED_DEVIATIONS = 2.0
 """Reserve of torque for errors of the links' parameters, in standard deviations of the torque that
 these errors cause."""
-_LEVEL = 0.9
-"""Cosine of the slope up to which a keep-out plane counts as the ground."""
 
 
 @dataclass(frozen=True)
@@ -342,5 +340,6 @@ def _half_spaces(
     base = mounting_plane(robot, start_pose)
     if options.below_base or base is None:
         return spaces
-    is_ground = [space.normal @ base.normal > _LEVEL for space in spaces]
+    # The cosine of a slope: a plane that is less steep is a ground.
+    is_ground = [space.normal @ base.normal > 0.9 for space in spaces]
     return spaces if any(is_ground) else (*spaces, base)

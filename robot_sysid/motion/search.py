@@ -51,8 +51,6 @@ LONGEST_FADE = 1.5
 """Longest time in which a designed trajectory leaves its start, and in which it returns [s]. To
 leave by 1 rad in this time takes 7.5 / 1.5^2 = 3.3 rad/s^2, a quarter of the acceleration of a
 sinusoid of 1 rad at 0.6 Hz."""
-FEWEST_HARMONICS = 3
-"""Least number of harmonics of a designed trajectory, however short it is."""
 LONGEST_PERIOD = 60.0
 """Longest period of a designed trajectory [s]; a longer trajectory repeats itself, so that the time
 of a search grows only in proportion to its duration."""
@@ -71,8 +69,6 @@ arms another minute of search would then gain at most 5 %."""
 LARGEST_LEAD = 0.05
 """How much better (relative, in the mean standard deviation) the motion that breaks limits may be
 than the best one that keeps them when a search ends; it goes on while the lead is larger."""
-MEMORY = 20
-"""Gradient pairs L-BFGS keeps: the upper end of what Nocedal, Wright, section 7.2, recommend."""
 REPAIRS = (1.0, *(1.0 - 1e-3 * 2.0 ** np.arange(10)), 0.2, 0.1)
 """Factors by which a motion that breaks a limit is scaled down, tried in turn until it keeps all
 limits."""
@@ -125,8 +121,8 @@ class Design:
         self.options = options
         self.duration = motion.duration
         base = math.ceil(self.duration / LONGEST_PERIOD) / self.duration
-        # A quotient that rounding puts just below a whole number counts as that number.
-        count = max(FEWEST_HARMONICS, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
+        # At least three. A quotient that rounding puts just below a whole number counts as that.
+        count = max(3, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         self.size = 2 * count + 1
         # A constant, sines and cosines.
         number = np.arange(1.0, count + 1.0)
@@ -283,7 +279,8 @@ def improve(
     """
     from scipy.optimize import minimize
 
-    # The optimiser works on the flat array of x / unit.
+    # The optimiser works on the flat array of x / unit, with 20 gradient pairs: the upper end of
+    # what Nocedal, Wright, section 7.2, recommend.
     unit = design.unit
     shape = candidate.x.shape
 
@@ -299,7 +296,7 @@ def improve(
         jac=True,
         method="L-BFGS-B",
         callback=lambda _: tick(),
-        options={"maxiter": design.options.iterations, "maxcor": MEMORY, "maxls": 30},
+        options={"maxiter": design.options.iterations, "maxcor": 20, "maxls": 30},
     )
     x = unit * found.x.reshape(shape)
     _, _, multipliers = penalised_objective(design, candidate, x)

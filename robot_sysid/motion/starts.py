@@ -21,13 +21,9 @@ N_POSES = 3000
 """Number of random poses tried as a start."""
 CREEP = 1e-3
 """Speed at which there is dry friction and hardly anything else [rad/s or m/s]."""
-MOST_STARTS = 50
-"""Largest number of poses to which the straight line is checked, until one is free."""
 
 GENTLE = 0.6
 """Speed that no joint exceeds between poses, however fast it could be [rad/s or m/s]."""
-UNSURE_SHARE = 0.5
-"""Share of the torque limits that weighing uses: the arm may need twice what its model says."""
 
 
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
@@ -61,8 +57,9 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
         remedy = (
             f"raise the torque limit of {joint} in the model if the joint can carry it"
         )
-    # A pose that is held and touches nothing, if possible with a free straight line there.
-    poses = _held_poses(problem)[:MOST_STARTS]
+    # A pose that is held and touches nothing, if possible with a free straight line there, which
+    # is checked for the nearest fifty.
+    poses = _held_poses(problem)[:50]
     if not len(poses):
         raise InputError(
             f"no trajectory is feasible: {reason}, and none of many other poses within the "
@@ -84,7 +81,8 @@ def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
     limits = problem.limits
     velocity = np.minimum(limits.velocity, GENTLE)
     acceleration = limits.acceleration * velocity / limits.velocity
-    torque = UNSURE_SHARE * limits.torque
+    # The arm may need twice what its model says.
+    torque = 0.5 * limits.torque
     slow = replace(limits, velocity=velocity, acceleration=acceleration, torque=torque)
     return replace(problem, limits=slow)
 

@@ -50,8 +50,6 @@ MAX_WINDOWS = 60
 """Number of windows of one horizon that are played, spread evenly over the pieces of the logs."""
 NO_ACTUATOR = -1
 """Value in place of a MuJoCo actuator id for a joint without an actuator that a rollout can use."""
-_LARGEST = 1e6
-"""Position beyond which a rollout has diverged [rad or m]."""
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 """MuJoCo's bits for the state from which a rollout starts."""
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
@@ -347,10 +345,10 @@ class ServoRollouts:
         # A state is the time, then the positions, then more.
         states = np.concatenate((starts[:, None], states), axis=1)
         q = states[:, :, 1 + self.robot.qpos_index]
-        # The clock of a rollout that diverges stands still, or starts again.
+        # Positions of a rollout that diverges become huge; its clock stands still, or starts again.
         timestep = model.opt.timestep
         late = timestep * np.arange(q.shape[1]) - states[:, :, 0]
-        is_well = np.all(np.abs(q) < _LARGEST, axis=2) & (late < 0.5 * timestep)
+        is_well = np.all(np.abs(q) < 1e6, axis=2) & (late < 0.5 * timestep)
         q[~np.logical_and.accumulate(is_well, axis=1)] = np.nan
         return np.asarray(q)
 

@@ -200,8 +200,6 @@ class SampleFilter:
 
 _WINDOW = 0.2
 """Time over which velocity is integrated [s]: long against a cycle, short against a swing."""
-_LEAST_WINDOWS = 10
-"""Least number of windows from which the scale of velocities is judged."""
 _VELOCITY_TOLERANCE = 0.03
 """Error of this scale that is accepted: VMAX of two types differ by a tenth or more (45 and 50)."""
 _LEAST_SLIP = 0.02
@@ -279,9 +277,8 @@ class VelocityCheck:
         n_joints = len(velocity_step)
         self.explained: Array = np.expm1(fades) / fades
         self._rounding = 0.5 * velocity_step * _WINDOW
-        self.scale = ScaleCheck(
-            self._rounding, _LEAST_WINDOWS, _VELOCITY_TOLERANCE, self.explained
-        )
+        # Judged from ten windows on.
+        self.scale = ScaleCheck(self._rounding, 10, _VELOCITY_TOLERANCE, self.explained)
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
         # Time and position (2, n) at which each joint's window begins.
