@@ -162,6 +162,6 @@ def test_encoding_and_decoding_one_cycle_of_all_joints(benchmark):
     def cycle():
         """Encode one command and decode its replies."""
         encode_mit(command, scaling)
-        return decode_feedback(replies, scaling, half_step=True)
+        return decode_feedback(replies, scaling)
 
     assert benchmark(cycle).position.shape == (JOINTS,)

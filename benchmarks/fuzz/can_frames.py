@@ -162,7 +162,7 @@ def _codec(frames: list[Frame]) -> None:
     for ranges in ([(12.5, 10.0, 28.0)], limits):
         try:
             scaling = Scaling(ranges)
-            assert np.all(np.isfinite(decode_feedback(raw, scaling, True).position))
+            assert np.all(np.isfinite(decode_feedback(raw, scaling).position))
             encode_mit(decode_mit(raw, scaling), scaling)
         except SysidError:
             continue

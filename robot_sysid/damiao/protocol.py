@@ -221,21 +221,16 @@ def decode_mit(frames: Bytes, scaling: Scaling) -> MitCommand:
     return MitCommand(*scaling._values(_COMMAND.unpack(frames)))
 
 
-def decode_feedback(
-    frames: Bytes, scaling: Scaling, half_step: bool = False
-) -> Feedback:
+def decode_feedback(frames: Bytes, scaling: Scaling) -> Feedback:
     """Return the feedback, fields (..., n), in frames (..., n, 8).
 
-    Args:
-        frames: data of the frames.
-        scaling: ranges of the n motors.
-        half_step: add half a quantisation step to position, velocity and torque. A motor truncates
-            when it packs a value, so that received values are half a step too low on average.
+    Half a quantisation step is added to position, velocity and torque: a motor truncates when it
+    packs a value, so that received values are half a step too low on average.
     """
     fields = _FEEDBACK.unpack(frames)
     status, *_, mos, rotor = np.moveaxis(fields, -1, 0)
-    measured = fields[..., 2:5] + (0.5 if half_step else 0.0)
-    position, velocity, torque = scaling._values(measured, fields=_MEASURED)
+    centred = fields[..., 2:5] + 0.5
+    position, velocity, torque = scaling._values(centred, fields=_MEASURED)
     return Feedback(status, position, velocity, torque, mos, rotor)
 
 

@@ -310,8 +310,8 @@ class MotorSession:
         last = np.where(
             np.isnan(self.sent_position), command.position, self.sent_position
         )
-        # At most 0.2 s. Time that the last command did not use is included: after a cycle that began
-        # late, the next one follows in less time than there is between two positions of the
+        # At most 0.2 s. It includes time that the last command did not use: after a cycle that
+        # began late, the next one follows in less time than there is between two positions of the
         # trajectory.
         elapsed = np.minimum(now - self._moved_until, 0.2)
         bounds = last, elapsed, self._filter.last.q
@@ -430,7 +430,7 @@ class MotorSession:
                 raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
                 received[j] = frame.time
                 missing -= 1
-        decoded = protocol.decode_feedback(raw, self.scaling, half_step=True)
+        decoded = protocol.decode_feedback(raw, self.scaling)
         q, qd, tau = self._mounting.inverse.signals(
             decoded.position, decoded.velocity, decoded.torque
         )

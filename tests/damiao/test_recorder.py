@@ -48,12 +48,12 @@ def test_every_frame_can_be_told_back_from_the_recording(types, seed, tmp_path_f
     commands = rng.uniform(-10.0, 10.0, (cycles, 3, n))
     times = 0.004 * np.arange(cycles)
     stamps = times[:, None] + rng.uniform(1e-4, 2e-3, (cycles, n))
-    sent = decode_feedback(raw, scaling, half_step=True)
+    sent = decode_feedback(raw, scaling)
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
     zero = np.zeros(n)
     with recorder_for(path, types) as recorder:
         for k, time in enumerate(times):
-            feedback = decode_feedback(raw[k], scaling, half_step=True)
+            feedback = decode_feedback(raw[k], scaling)
             for values in (feedback.position, feedback.velocity, feedback.torque):
                 values[~answered[k]] = np.nan
             stamp = np.where(answered[k], stamps[k], np.nan)
