@@ -233,7 +233,10 @@ class RegisterClient:
         effect on the motor.
         """
         frame = self.refresh(motor.can_id, motor.reply_ids[0])
-        return None if frame is None else motor.decode_feedback(frame.data)
+        if frame is None or min(motor.limits) <= 0.0:
+            return None
+        data = np.frombuffer(frame.data, np.uint8)
+        return decode_feedback(data[None], Scaling([motor.limits]))
 
     def seconds_to_refresh(self, reply_ids: Mapping[int, int]) -> float | None:
         """Return the time until all motors, requested at once, have answered [s].
@@ -338,13 +341,6 @@ class InspectedMotor:
     def limits(self) -> tuple[float, ...]:
         """PMAX, VMAX and TMAX in the motor's registers [rad, rad/s, N m]; 0 where unknown."""
         return tuple(self.registers.get(number, 0.0) for number in protocol.SCALING)
-
-    def decode_feedback(self, data: bytes) -> Feedback | None:
-        """Return the state, fields (1,), in a feedback frame's 8 bytes; None without limits."""
-        if min(self.limits) <= 0.0:
-            return None
-        frames = np.frombuffer(data, dtype=np.uint8).reshape(1, 8)
-        return decode_feedback(frames, Scaling([self.limits]))
 
     @property
     def position(self) -> float:
