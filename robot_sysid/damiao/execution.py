@@ -155,8 +155,7 @@ class MotorRun:
         if self.robot is not None and np.all(np.isfinite(q)):
             from robot_sysid.damiao.model_check import transfer_checks
 
-            for transfer in plan.transfers(q):
-                checks += transfer_checks(self._problem, *transfer)
+            checks += transfer_checks(self._problem, q, plan.trajectory.q[0])
         if real:
             checks += preflight.direction_checks(plan, self.holding(plan))
         return checks

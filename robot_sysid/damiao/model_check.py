@@ -57,20 +57,22 @@ class PlayedPath:
 
 
 def transfer_checks(
-    problem: ExcitationProblem, name: str, begin: Array, end: Array
+    problem: ExcitationProblem, begin: Array, end: Array
 ) -> Iterator[Remark]:
-    """Yield a stop where the arm touches something on the line between two poses (n,) [rad].
+    """Yield a stop where the arm touches something on its way to the trajectory's first point.
 
-    A line on which all joints move less than 0.02 rad is not looked at: bodies that touch there
-    touch where the arm stands, and the model has a contact too many. ``name`` is the begin of the
-    message: "on the way to the first point" or "... to where it is parked".
+    The way is the line between two poses (n,) [rad]. A line on which all joints move less than 0.02
+    rad is not looked at: bodies that touch there touch where the arm stands, and the model has a
+    contact too many.
     """
     if np.max(np.abs(end - begin)) <= 0.02:
         return
     contact = first_contact(problem, LineTrajectory(begin, end))
     if contact is not None:
-        text = f"{name} the model's {contact.label} touch; bring the arm nearer by hand"
-        yield stop(text)
+        yield stop(
+            f"on the way to the first point the model's {contact.label} touch; bring the arm "
+            "nearer by hand"
+        )
 
 
 def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:

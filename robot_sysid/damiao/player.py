@@ -170,7 +170,7 @@ class Player:
         self._standing_states: list[Array] = []
 
     def play(self, trajectory: ReferenceFunction, duration: float) -> PlayReport:
-        """Enable the motors, play a trajectory of ``duration`` [s], rest, park, return a report.
+        """Enable the motors, play a trajectory of ``duration`` [s], rest, lower, return a report.
 
         The session disables the motors afterwards. After any error, motors that still answer are
         brought to rest; then HardwareAbort states the cause.
@@ -192,7 +192,7 @@ class Player:
         )
 
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
-        """Go through the phases of a run: enable, raise gains, approach, play, rest, park.
+        """Go through the phases of a run: enable, raise gains, approach, play, rest, lower.
 
         ``trajectory`` takes ``duration`` [s]. Any fault, or a request to stop, raises.
         """
@@ -202,7 +202,10 @@ class Player:
         self._announce("enabling the motors")
         start = self._session.enable()
         standing = Reference(start, np.zeros_like(start), self._holding.torque(start))
-        approach, approach_time = self._transfer(standing, first)
+        approach, approach_time = paths.transfer_reference(
+            *(standing, first, settings.approach_speed, settings.approach_time),
+            carries=self._holding.torque,
+        )
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
         self._rising = True
@@ -217,15 +220,9 @@ class Player:
         self._announce("coming to rest")
         last = trajectory(duration)
         self._phase(hold_reference(last), settings.rest_time)
-        self._leave(last, at_start=standing)
-
-    def _transfer(
-        self, start: Reference, target: Reference
-    ) -> tuple[ReferenceFunction, float]:
-        """Return the slow motion from rest at ``start`` to rest at ``target``, and its time [s]."""
-        speed, shortest = self._settings.approach_speed, self._settings.approach_time
-        carries = self._holding.torque
-        return paths.transfer_reference(start, target, speed, shortest, carries)
+        if settings.park is not None:
+            self._announce("lowering the arm")
+            self._phase(self._lower_from(last), paths.LONGEST_LOWERING)
 
     def _hold_and_compare(self, reference: Reference) -> None:
         """Hold the arm still for ``rest_time``, and compare its torques with the expected ones.
@@ -239,22 +236,6 @@ class Player:
             second_half = self._standing_states[len(self._standing_states) // 2 :]
             q, commanded_torque = np.mean(second_half, axis=0)
             self._holding(q, commanded_torque)
-
-    def _leave(self, last: Reference, at_start: Reference) -> None:
-        """Park the arm as the settings say: not at all, lowered, or where it stood.
-
-        ``last`` is the present reference, ``at_start`` that of the arm before it first moved.
-        """
-        if self._settings.park is None:
-            return
-        if self._settings.park == "rest":
-            self._announce("lowering the arm")
-            self._phase(self._lower_from(last), paths.LONGEST_LOWERING)
-            return
-        parking, parking_time = self._transfer(last, at_start)
-        self._announce(f"parking ({parking_time:.1f} s)")
-        self._phase(parking, parking_time)
-        self._phase(hold_reference(at_start), self._settings.rest_time)
 
     def _lower_from(self, begin: Reference) -> paths.Lowering:
         """Return the reference that lowers the arm from ``begin``.

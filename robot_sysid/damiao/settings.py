@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -116,9 +116,9 @@ class PlaySettings(OptionRecord):
     max_temperature: float = option(80.0, "of power stage and winding", "T [°C] >= 0")
     park: str | None = option(
         None,
-        "where to leave it: rest (lowered) or start (where it stood)",
+        "with rest, lower it until no joint carries a load",
         "WHERE",
-        choices=("rest", "start"),
+        choices=("rest",),
         default_text="disabled where it ends",
     )
     max_missed: int = 3
@@ -224,8 +224,7 @@ class Plan:
         recording: files to write.
         mobility: the arm's inverse mass matrix (n, n) at the first point [1/(kg m^2)]; None without
             a model.
-        limits: user's limits of the trajectory and of the transfers to its first point and to the
-            parking pose.
+        limits: user's limits of the trajectory and of the transfer to its first point.
         model_range: least and greatest joint positions (n,) of the model [rad]; None without one.
 
     The settings become complete when the plan is made: ``PlaySettings.for_motors`` fills them in.
@@ -249,7 +248,7 @@ class Plan:
             )
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(specs, self.timing, self.mobility)
-        # Transfers keep the user's limits, too.
+        # The transfer keeps the user's limits, too.
         bounds = user_bounds(self.limits, self.trajectory.n_joints)
         speed = min(settings.approach_speed, float(np.min(bounds.velocity)))
         time = _TRANSFER_PEAK * speed / float(np.min(bounds.acceleration))
@@ -276,16 +275,6 @@ class Plan:
         speed = np.maximum(peak_speed, self.settings.approach_speed)
         # The trajectory's rows are rounded.
         return CommandRange(lower, upper, 1.1 * speed)
-
-    def transfers(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
-        """Yield name, begin and end (n,) [rad] of the motions before and after the trajectory.
-
-        The first leads from q (n,) [rad], where the arm stands, to the first point; with --park
-        start, a second leads back to q.
-        """
-        yield "on the way to the first point", q, self.trajectory.q[0]
-        if self.settings.park == "start":
-            yield "on the way to where it is parked", self.trajectory.q[-1], q
 
     def joint_positions(self, inspection: Inspection) -> Array:
         """Return the positions (n,) [rad] of the trajectory's joints when the bus was inspected.

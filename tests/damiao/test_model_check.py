@@ -192,5 +192,5 @@ def test_each_way_is_compared_too(angle):
     robot = arms.robot_of(WALL, max_velocity=np.inf)
     ends = np.zeros(1), np.array([angle])
     problem = build_problem(robot, NO_LIMITS)
-    stops = [check.text for check in transfer_checks(problem, "going", *ends)]
+    stops = [check.text for check in transfer_checks(problem, *ends)]
     assert ["wall" in text for text in stops] == [True] * (angle > 1.5)

@@ -113,21 +113,11 @@ def test_an_arm_is_lowered_until_nothing_pulls(tmp_path):
 
 @pytest.mark.slow
 def test_an_arm_that_is_stopped_is_lowered_too(tmp_path):
-    run = rig(tmp_path, motion=lift_motion(), start=[STANDING] * 2, park="start")
+    run = rig(tmp_path, motion=lift_motion(), start=[STANDING] * 2, park="rest")
     run.during("playing", 0.3, lambda r: r.stop("stopped by SIGTERM"))
     run.run(settle=0.0)
     assert str(run.error) == "stopped by SIGTERM"
     assert np.max(np.abs(run.arm.mechanism.q)) < 0.1 and run.states() == [DISABLED] * 2
-
-
-@pytest.mark.slow
-def test_an_arm_is_parked_slowly(tmp_path):
-    run = rig(tmp_path, motion=lift_motion(), start=[0.6, 0.8], park="start")
-    speeds = fastest_after(run, "parking")
-    run.run(settle=0.0)
-    assert run.error is None
-    np.testing.assert_allclose(run.arm.mechanism.q, [0.6, 0.8], atol=0.03)
-    assert np.max(speeds) < 0.4
 
 
 @pytest.mark.slow
