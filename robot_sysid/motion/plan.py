@@ -13,7 +13,7 @@ from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import WEIGHT, AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.motion.trajectories import at_speed, load_trajectory
-from robot_sysid.records import MotionPlan, RobotModel
+from robot_sysid.records import RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import (
     TrajectoryOptions,
@@ -119,7 +119,7 @@ def _plan_at_full_speed(
     problem: ExcitationProblem | None,
     rng: np.random.Generator,
     progress: Progress,
-) -> MotionPlan:
+) -> trajectory.SineTrajectory:
     """Return the trajectory at full speed.
 
     Args:

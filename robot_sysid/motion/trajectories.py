@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
@@ -57,22 +57,17 @@ class LineTrajectory:
         )
 
 
-def _numbers(plan: MotionPlan) -> dict[str, Any]:
-    """Return a dict from names to the numbers that define a trajectory."""
-    trajectory: Any = plan
-    return {entry.name: getattr(plan, entry.name) for entry in fields(trajectory)}
-
-
-def at_speed(plan: MotionPlan, speed: float) -> MotionPlan:
+def at_speed(plan: SineTrajectory, speed: float) -> SineTrajectory:
     """Return the trajectory scaled in time by s = ``speed``: q(s t), s q'(s t), s^2 q''(s t).
 
     The option makes s at most 1: a faster motion would break the limits it was made for.
     """
-    numbers = _numbers(plan)
-    for name in ("duration", "fade"):
-        numbers[name] = numbers[name] / speed
-    numbers["frequency_hz"] = speed * numbers["frequency_hz"]
-    return SineTrajectory(**numbers)
+    return replace(
+        plan,
+        frequency_hz=speed * plan.frequency_hz,
+        duration=plan.duration / speed,
+        fade=plan.fade / speed,
+    )
 
 
 class SavedTrajectory(NamedTuple):
@@ -84,7 +79,7 @@ class SavedTrajectory(NamedTuple):
         sha256: checksum of the model file that it was made for; "" if unknown.
     """
 
-    plan: MotionPlan
+    plan: SineTrajectory
     joint_names: tuple[str, ...]
     sha256: str
 
@@ -107,8 +102,9 @@ def save_trajectory(
     }
     if sha256:
         content["model_sha256"] = sha256
+    coefficients: Any = plan
     # The repr of a float is exact.
-    for name, number in {"kind": "sines", **_numbers(plan)}.items():
+    for name, number in {"kind": "sines", **asdict(coefficients)}.items():
         content[name] = np.asarray(number).tolist()
     with atomic_file(path) as file:
         json.dump(content, file, indent=1)
