@@ -25,10 +25,9 @@ it in this direction, else empty.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
@@ -270,7 +269,7 @@ class Mounting:
 
 
 _COLUMNS = ["joint", "can_id", "master_id", "direction", "offset", "verified"]
-"""All columns of a joint map file, in the order in which they are written."""
+"""The columns of a joint map file, in their order."""
 
 
 def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
@@ -279,18 +278,15 @@ def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
     They have no motor type. InputError where the file is unreadable or incomplete, a row is wrong,
     or names or ids clash.
     """
-    text = read_text(path, "give a joint map")
-    if "\0" in text:
-        raise InputError(f"{path} is not text: it has zero bytes")
-    lines = text.splitlines()
-    rows = [line for line in lines if line.strip() and not line.startswith("#")]
-    table = csv.DictReader(rows, skipinitialspace=True)
-    titles = [title.strip() for title in table.fieldnames or ()]
-    if set(titles) != set(_COLUMNS):
+    table = []
+    for line in read_text(path, "give a joint map").splitlines():
+        if line.strip() and not line.startswith("#"):
+            table.append([cell.strip() for cell in line.split(",")])
+    if table[:1] != [_COLUMNS]:
         raise InputError(f"{path}: expected the columns {', '.join(_COLUMNS)}")
-    joints = [
-        _parse_row(row, f"{path}, row {k}") for k, row in enumerate(table, start=1)
-    ]
+    joints = []
+    for number, cells in enumerate(table[1:], start=1):
+        joints.append(_parse_row(cells, f"{path}, row {number}"))
     if not joints:
         raise InputError(f"{path} has no lines")
     for name, count in Counter(joint.name for joint in joints).items():
@@ -343,24 +339,24 @@ def map_joints(
     return tuple(mounted)
 
 
-def _parse_row(row: Mapping[str, str | None], where: str) -> DamiaoJoint:
+def _parse_row(cells: Sequence[str], where: str) -> DamiaoJoint:
     """Return the joint in one row of a joint map file, checked.
 
     Args:
-        row: text of the cell by column title.
+        cells: texts of the row's cells.
         where: file and row number, with which the message of an InputError begins.
     """
-    cells = {key.strip(): (cell or "").strip() for key, cell in row.items() if key}
     try:
+        name, can_id, master_id, direction, offset, verified = cells
         # Base 0 reads decimal numbers and such as 0x12.
         joint = DamiaoJoint(
             motor_type="",
-            can_id=int(cells["can_id"], base=0),
-            master_id=int(cells["master_id"], base=0),
-            name=cells["joint"],
-            direction=int(cells["direction"]),
-            offset=float(cells["offset"]),
-            verified=cells["verified"],
+            can_id=int(can_id, base=0),
+            master_id=int(master_id, base=0),
+            name=name,
+            direction=int(direction),
+            offset=float(offset),
+            verified=verified,
         )
         is_known = joint.verified in ("", BY_HAND) and joint.direction in (1, -1)
         if is_known and math.isfinite(joint.offset):

@@ -134,7 +134,7 @@ TITLES = "joint,can_id,master_id,direction,offset,verified\n"
         (TITLES + "a,1,17,1,0,\na,2,18,1,0,\n", "names a twice"),
         (TITLES + "a,1,17,1,0,\nb,1,18,1,0,\n", "used by more than one motor"),
         (TITLES + "a,1,17,1,nan,\n", "row 1: expected"),
-        (TITLES + "a\0,1,17,1,0,\n", "zero bytes"),
+        (TITLES + "a,1,17,1\n", "row 1: expected"),
     ],
 )
 def test_a_map_that_is_none_is_refused_with_its_row(tmp_path, text, message):
