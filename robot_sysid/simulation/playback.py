@@ -172,14 +172,14 @@ def servos_in_model(robot: RobotModel) -> ServoParameters:
     )
 
 
-def servo_model(robot: RobotModel, timestep: float) -> Any:
-    """Return a copy of an arm's compiled MuJoCo model, set up for rollouts with a time step [s].
+def servo_model(robot: RobotModel) -> Any:
+    """Return a copy of an arm's compiled MuJoCo model, set up for rollouts in steps of ``STEP``.
 
     Its actuators do nothing yet.
     """
     model = forward_model(robot)
     model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    model.opt.timestep = timestep
+    model.opt.timestep = STEP
     model.opt.tolerance = 1e-8
     # A rollout that diverges must not go on from the start; a chain has no islands to be found.
     for name in ("AUTORESET", "ISLAND"):
@@ -281,16 +281,15 @@ class ServoRollouts:
 
     Args:
         robot: the arm as in the model file.
-        timestep: time step of the model [s], until ``positions`` sets that of its windows.
 
     Attributes:
         robot: as given.
         model: the copy.
     """
 
-    def __init__(self, robot: RobotModel, timestep: float = STEP) -> None:
+    def __init__(self, robot: RobotModel) -> None:
         self.robot = robot
-        self.model = servo_model(robot, timestep)
+        self.model = servo_model(robot)
         self._pool: Any = None
         threads = 1
         # Older releases play one rollout at a time.

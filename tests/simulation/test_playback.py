@@ -74,7 +74,7 @@ def test_actuators_and_contacts_of_the_model_do_not_act():
 @pytest.mark.parametrize("name", ["coupled fingers", "home keyframe"])
 def test_joints_behind_the_chain_stay_where_they_are(name):
     robot = robot_of(MODELS[name])
-    model = playback.servo_model(robot, 0.002)
+    model = playback.servo_model(robot)
     data = mujoco.MjData(model)
     speed = np.full(robot.n_joints, 2.0)
     set_chain_state(robot, model, data, robot.reference, speed)
@@ -116,7 +116,7 @@ def test_the_models_own_servos_move_it_as_mujoco_does():
 def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
     robot = robot_of(XML)
     servos = playback.servos_in_model(robot)
-    model = playback.servo_model(robot, 0.002)
+    model = playback.servo_model(robot)
     playback.set_servos(model, robot, TRUTH)
     playback.set_servos(model, robot, replace(servos, damping=factor * servos.damping))
     np.testing.assert_allclose(
@@ -130,7 +130,7 @@ def test_friction_is_as_firm_as_in_a_file_with_the_numbers():
     """MuJoCo keeps from compilation how firmly friction holds; a stale value lets it creep."""
     robot = robot_of(XML.replace(' armature=".05"', ""))
     servos = replace(playback.servos_in_model(robot), armature=np.full(2, 0.05))
-    model = playback.servo_model(robot, 0.002)
+    model = playback.servo_model(robot)
     playback.set_servos(model, robot, servos)
     compiled = robot_of(XML).mj_model
     np.testing.assert_allclose(model.dof_invweight0, compiled.dof_invweight0, rtol=1e-9)
