@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 31989,
     "robot_sysid/diagnosis": 16670,
     "robot_sysid/dynamics": 5354,
-    "robot_sysid/estimate": 27918,
+    "robot_sysid/estimate": 27913,
     "robot_sysid/logs": 15384,
     "robot_sysid/mjcf": 7190,
     "robot_sysid/model": 7901,
@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 6886,
     "robot_sysid/records": 8475,
     "robot_sysid/report": 5107,
-    "robot_sysid/results": 11648,
+    "robot_sysid/results": 11609,
     "robot_sysid/servo": 4759,
     "robot_sysid/signals": 4382,
     "robot_sysid/simulation": 3857,
     "robot_sysid": 9059,
-    "tests": 217298,
+    "tests": 217292,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

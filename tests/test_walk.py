@@ -96,7 +96,7 @@ def walk_from_gripper(path, arm, options=()):
 
 def walk_from_recording(path, model, arm, record_again=None):
     """Look at a recording without any option and do what is printed next; return the walk."""
-    walk = Walk(arm, runs_remedies=False, record_again=record_again)
+    walk = Walk(arm, False, record_again, has_tool=False)
     walk.follow(shlex.join(["robot-sysid", "log", str(path), str(model)]))
     require_done(walk, "Use this file: ")
     return walk

@@ -59,7 +59,6 @@ from robot_sysid.results.quantities import (
     NOT_SHOWN,
     PRIOR_SHARE,
     body_quantities,
-    cause_text,
     file_quantities,
 )
 from robot_sysid.results.record import (
@@ -261,7 +260,7 @@ def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
     for name, index in zip(cause_of, fitted.at([*cause_of])):
         kind, owner = split_name(name)
         error = float(fitted.errors[index])
-        reason = cause_text(max(causes, key=lambda cause: float(causes[cause][index])))
+        reason = max(causes, key=lambda cause: float(causes[cause][index]))
         source = DATA if shares[index] >= PRIOR_SHARE else MODEL
         if name in fitted.at_bound:
             error = math.nan

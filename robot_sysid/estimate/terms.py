@@ -41,12 +41,12 @@ from robot_sysid.model.bodies import reference_bodies
 from robot_sysid.records import Array, RobotModel
 
 # Causes, as they are called in results.
-LINKS = "links"
+LINKS = "the other links' parameters"
 LAST_LINK = "last link"
 PAYLOAD = "payload"
 FRICTION = "friction"
 FURTHER_FRICTION = "friction model"
-SCALES = "torque scale"
+SCALES = "the torque scales"
 ZEROS = "joint offsets"
 TILT = "gravity"
 DELAY = "delay"

@@ -27,17 +27,6 @@ _INDICES = (*range(10), *range(1, 10))
 """Index of the inertial parameter whose share and causes a row has."""
 _ROUNDING = 1e-9
 """Share of a body's scale below which a number is rounding error: models are written to 1e-9."""
-_CAUSE_TEXTS = {
-    "links": "the other links' parameters",
-    "torque scale": "the torque scales",
-    "common torque scale": "the common scale of torques and masses",
-}
-"""Cause of error, a term of the fit, to its name in a sentence, where that is another one."""
-
-
-def cause_text(cause: str) -> str:
-    """Return the name of a cause of error as it stands in a sentence."""
-    return _CAUSE_TEXTS.get(cause, cause)
 
 
 def without_rounding(values: Array, scale: Array | float) -> Array:
@@ -78,7 +67,7 @@ def body_quantities(body: BodyEstimate, of: str) -> Iterator[Quantity]:
         share = float(body.data_share[index])
         if name.startswith("com"):
             share = min(share, float(body.data_share[0]))
-        reason = cause_text(body.largest_cause(index))
+        reason = body.largest_cause(index)
         if np.isinf(error):
             reason = NOT_SHOWN
         is_from_data = body.prior is None or share >= PRIOR_SHARE

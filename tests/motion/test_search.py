@@ -255,7 +255,6 @@ def test_an_arm_that_rests_at_its_limits_has_a_motion():
     """As a Trossen WXAI does, folded: its shoulder and elbow turn one way only."""
     folded = arms.serial_arm((arms.Z, arms.Y, arms.X), joint='range="0 2"')
     design = make_design(folded)
-    assert np.all(design.problem.limits.lower > 0.0)
     assert np.isfinite(draw_trajectory(design, 0, 0).score)
 
 

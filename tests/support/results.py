@@ -124,7 +124,7 @@ def terminal(result: Estimate) -> BodyEstimate:
         "link6",
         np.diag(np.where(seen, errors, 0.0) ** 2),
         seen,
-        {"noise": 0.6 * errors, "links": 0.8 * errors},
+        {"noise": 0.6 * errors, "the other links' parameters": 0.8 * errors},
         np.where(seen, 1.0, 0.0),
         InertialParameters(0.5 * THETA),
         "j6",
@@ -202,7 +202,7 @@ def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyE
     seen = np.array([True] * 4 + [shown] * 6)
     budget = {
         "noise": 0.6 * errors,
-        "torque scale": 0.8 * errors,
+        "the torque scales": 0.8 * errors,
         "gravity": 1e-6 * errors,
     }
     return BodyEstimate(theta, name, covariance, seen, budget)

@@ -123,6 +123,7 @@ class Walk:
         runs_remedies: whether commands that are no next step are run, too.
         record_again: writes the recording of the first log's motion, in its form, with a load of
             this mass on the terminal link [kg].
+        has_tool: whether the arm of the first log carries something that can be taken off.
 
     Attributes:
         steps: the commands of the path that were run.
@@ -135,8 +136,10 @@ class Walk:
         arm: TrueArm,
         runs_remedies: bool = True,
         record_again: Callable[[Path, float], None] | None = None,
+        has_tool: bool = True,
     ) -> None:
         self.arm = arm
+        self._has_tool = has_tool
         self._record_again = record_again
         self._runs_remedies = runs_remedies
         self._plan: MotionPlan = arm.first_plan
@@ -158,6 +161,8 @@ class Walk:
             for path in re.findall(r"^  mujoco\.\S+\((.*)\)$", output, re.MULTILINE):
                 mujoco.MjModel.from_xml_path(json.loads(path))
             next_commands, remedies = commands_in(output)
+            if "Next, if what is bolted on" in output and not self._has_tool:
+                next_commands = []
             if self.steps[-1].code == REFUSED and remedies:
                 # Of several commands, the first: each is for another arm or topic.
                 self.refused.append(self.steps[-1])
