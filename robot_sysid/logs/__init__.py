@@ -13,7 +13,6 @@ from robot_sysid.records.option_fields import (
     OptionRecord,
     check_factor,
     option,
-    parse_factors,
 )
 
 CHECKS = {
@@ -63,7 +62,6 @@ class LogOptions(OptionRecord):
         None,
         "divide torques by this: a number, one per joint, or a file",
         "SCALE",
-        parse=parse_factors,
         check=check_factor,
     )
     torque_constants: Factors | None = option(
@@ -71,7 +69,6 @@ class LogOptions(OptionRecord):
         "the log holds motor currents: torque at the joint per ampere, gear included; a number, "
         "one per joint, or a file",
         "K [N·m/A]",
-        parse=parse_factors,
         check=check_factor,
     )
     topic: str | None = option(

@@ -13,7 +13,6 @@ from robot_sysid.records.option_fields import (
     OptionRecord,
     PerJoint,
     option,
-    parse_numbers,
 )
 
 if TYPE_CHECKING:
@@ -66,7 +65,6 @@ class LimitOptions(OptionRecord):
         DEFAULT_MAX_VELOCITY,
         "speed limit of hinge joints, one number or one per joint",
         "V [rad/s] > 0",
-        parse=parse_numbers,
     )
     max_acceleration: float | None = option(
         None,
@@ -78,7 +76,6 @@ class LimitOptions(OptionRecord):
         None,
         "torque limit beside the model's own, one number or one per joint",
         "T [N·m] > 0",
-        parse=parse_numbers,
         default_text="the model's own",
     )
     payload_reserve: float = option(

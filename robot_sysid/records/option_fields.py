@@ -68,8 +68,9 @@ class Option:
         unit: of the value, such as "s"; "" where it has none.
         metavar: name of the value in the help; one per value where the option takes several.
         choices: the texts that the option accepts; () where it accepts any.
-        parse: turns text into a value; None for a switch, and for a field whose annotation names a
-            type that has a parser: ``options_of`` fills that one in.
+        parse: turns text into a value; None for a switch, and for what the annotation says.
+        types, type_text: of a value, and their description; ``options_of`` fills in what the
+            annotation of the field says.
         check: applied to the value, or to each element of a tuple.
         default_text: describes a default that is determined only while running.
         repeats: whether the flag may stand several times, each with one value.
@@ -83,6 +84,8 @@ class Option:
     metavar: str | tuple[str, ...] | None = None
     choices: tuple[str, ...] = ()
     parse: Callable[[str], Any] | None = None
+    types: tuple[type, ...] = (object,)
+    type_text: str = "a file, or a mapping of numbers"
     check: Check | None = None
     default_text: str = ""
     repeats: bool = False
@@ -160,11 +163,13 @@ def _options_of_class(record_class: Any) -> Mapping[str, Option]:
         if stated is None:
             continue
         flag = stated.flag or "--" + record_field.name.replace("_", "-")
-        parse = stated.parse
-        # The first type that has a parser counts: float in "tuple[float, ...] | None".
-        for type_name in re.findall(r"\w+", str(record_field.type)):
-            parse = parse or _PARSERS.get(type_name)
-        options[record_field.name] = replace(stated, flag=flag, parse=parse)
+        # The first type that is known counts: float in "tuple[float, ...] | None".
+        names = [n for n in re.findall(r"\w+", str(record_field.type)) if n in _TYPES]
+        if names:
+            parse, types, text = _TYPES[names[0]]
+            parse = stated.parse or parse
+            stated = replace(stated, parse=parse, types=types, type_text=text)
+        options[record_field.name] = replace(stated, flag=flag)
     return options
 
 
@@ -265,18 +270,17 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
         is_single = not isinstance(value[:1] and value[0], tuple)
     if takes_many and is_single:
         value = (value,)
-    # A switch has no parser.
-    parser_name = getattr(stated.parse, "__name__", "bool")
-    types, type_text = _VALUE_TYPES.get(parser_name, ((object,), ""))
-    takes_many = takes_many or has_rows or type_text.endswith(_PER_JOINT)
+    takes_many = takes_many or has_rows or stated.type_text.endswith(_PER_JOINT)
     # Python counts a bool as a number; an option does not.
     fits = takes_many or is_single
     for leaf in _leaves(value):
-        fits &= isinstance(leaf, types) and (
-            bool in types or not isinstance(leaf, bool)
+        fits &= isinstance(leaf, stated.types) and (
+            bool in stated.types or not isinstance(leaf, bool)
         )
     if not fits:
-        raise InputError(f"{stated.flag} must be {type_text} (got {raw_value!r:.60})")
+        raise InputError(
+            f"{stated.flag} must be {stated.type_text} (got {raw_value!r:.60})"
+        )
     return value
 
 
@@ -487,37 +491,28 @@ def parse_whole_number(text: str) -> int:
         raise InputError(f"{text!r} is not a whole number; write 3 or 0x03") from None
 
 
-_PARSERS: Mapping[str, Callable[[str], Any]] = {
-    "PerJoint": parse_numbers,
-    "float": float,
-    "int": parse_whole_number,
-    "str": str,
-    "Path": Path,
-}
-"""Name of a type in a field's annotation to what parses its text."""
 _PER_JOINT = "one per joint"
 """End of the description of a value that may be one number per joint."""
-_PATH = ((os.PathLike,), "a path")
-"""Types of a path, and its description."""
-_VALUE_TYPES: Mapping[str, tuple[tuple[type, ...], str]] = {
-    "float": ((Real,), "a number"),
-    "parse_whole_number": ((Integral,), "a whole number"),
-    "str": ((str,), "a text"),
-    "Path": _PATH,
-    "parse_folder": _PATH,
-    "parse_numbers": ((Real,), f"a number, or {_PER_JOINT}"),
-    "parse_factors": ((Real, os.PathLike), f"a number, a file, or {_PER_JOINT}"),
-    "read_priors": ((object,), "a file, or a mapping of numbers"),
-    "bool": ((bool,), "True or False"),
+_TYPES: Mapping[str, tuple[Any, tuple[type, ...], str]] = {
+    "PerJoint": (parse_numbers, (Real,), f"a number, or {_PER_JOINT}"),
+    "Factors": (
+        parse_factors,
+        (Real, os.PathLike),
+        f"a number, a file, or {_PER_JOINT}",
+    ),
+    "float": (float, (Real,), "a number"),
+    "int": (parse_whole_number, (Integral,), "a whole number"),
+    "str": (str, (str,), "a text"),
+    "Path": (Path, (os.PathLike,), "a path"),
+    "bool": (None, (bool,), "True or False"),
 }
-"""Name of the function that parses an option's text, "bool" for a switch, to the types of its
-values and to a description of them for messages."""
+"""Name of a type in a field's annotation to what parses a text, to the types of its values and to a
+description of them for messages."""
 
 
 def value_text(stated: Option) -> str:
     """Return what an option's value is in Python, such as "a number [s]"."""
-    parser_name = getattr(stated.parse, "__name__", "bool")
-    text = _VALUE_TYPES[parser_name][1]
+    text = stated.type_text
     if stated.choices:
         *quoted, last = (f'"{choice}"' for choice in stated.choices)
         text = f"{', '.join(quoted)} or {last}"
