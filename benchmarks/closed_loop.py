@@ -33,7 +33,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.inverse_dynamics import data_at_pose, inverse_dynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
 from robot_sysid.simulation.plant import forward_model, set_chain_state
@@ -103,9 +103,9 @@ class ForwardPlant:
 
     def inverse(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torques (N, n) of a motion (N, n), MuJoCo's dry friction included."""
-        data = data_at_pose(self.model, self._plant.reference_qpos)
-        chain = self._plant.qpos_index, self._plant.dof_index
-        return inverse_dynamics(self.model, data, chain, q, qd, qdd)
+        dynamics = ArmDynamics(self._plant)
+        dynamics.model = self.model
+        return dynamics.torque(q, qd, qdd)
 
     def _read_friction(self) -> tuple[NDArray[np.int64], FrictionRamp]:
         """Return which constraint rows are dry friction, they never change, and the ramps."""

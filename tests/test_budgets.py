@@ -19,8 +19,8 @@ BUDGETS = {
     "robot_sysid/api": 4383,
     "robot_sysid/commands": 10685,
     "robot_sysid/damiao": 31989,
-    "robot_sysid/diagnosis": 16670,
-    "robot_sysid/dynamics": 5354,
+    "robot_sysid/diagnosis": 16662,
+    "robot_sysid/dynamics": 5307,
     "robot_sysid/estimate": 27913,
     "robot_sysid/logs": 15374,
     "robot_sysid/mjcf": 7190,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4382,
     "robot_sysid/simulation": 3857,
     "robot_sysid": 9059,
-    "tests": 217292,
+    "tests": 217289,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

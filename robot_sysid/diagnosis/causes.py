@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -166,6 +166,7 @@ def per_joint(
     text: str,
     remedy: str,
     has_common: bool = True,
+    harmful_from: float = np.inf,
     **fields: Any,
 ) -> Iterator[Explanation]:
     """Yield an error that all joints have in common, if there are several, and that of each joint.
@@ -177,6 +178,7 @@ def per_joint(
         columns: (m, J, J), per unit of each joint's error.
         text: has {owner} for the joint's name or "all joints".
         has_common: whether all joints may have the error in common.
+        harmful_from: of the error of one joint.
     """
 
     def column(joint: int | None, rows: Rows, point: Point) -> Array:
@@ -194,6 +196,7 @@ def per_joint(
     for owner, number in owners.items():
         sentence = text.replace("{owner}", owner)
         fields["joint"] = number
+        fields["harmful_from"] = np.inf if number is None else harmful_from
         own = partial(column, number)
         yield single(check, f"{key} {owner}", own, spread, sentence, remedy, **fields)
 
@@ -275,7 +278,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         unit="rad",
         harmful_from=GROSS_ZERO,
     )
-    late = per_joint(
+    yield from per_joint(
         arm,
         "delay",
         "",
@@ -288,10 +291,8 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         factor=1e3,
         unit="ms",
         is_possible=lambda v, e: bool(abs(v[0]) < LONGEST_DELAY),
+        harmful_from=GROSS_DELAY,
     )
-    for delay in late:
-        gross = np.inf if delay.joint is None else GROSS_DELAY
-        yield replace(delay, harmful_from=gross)
     yield single(
         "friction",
         "load",

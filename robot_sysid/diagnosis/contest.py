@@ -105,15 +105,6 @@ class Score:
         at = self.log.fit.at(self.explanation.term.names)
         return self.log.fit.free[at], np.sqrt(np.diag(self.log.fit.inverse)[at])
 
-    @property
-    def explains(self) -> bool:
-        """Whether less torque is left over, of all joints together, than without it."""
-        before, after = (
-            np.sum(each.sums.squared_residuals(each.full))
-            for each in (self.before, self.log.fit)
-        )
-        return bool(after < before)
-
     @cached_property
     def torque(self) -> Array:
         """Standard deviation (J,) of the explanation's torque over time [N m]."""
@@ -166,14 +157,22 @@ class Contest:
 
     Args:
         log: the fit of a log.
+        advance: is called after each explanation that is tried.
         found: explanations that act in it.
 
     Attributes:
-        rows: with the columns of explanations.
+        log: the fit, its rows with the columns of the explanations.
+        offered: the explanations.
     """
 
-    def __init__(self, log: LogFit, found: Sequence[Explanation] = ()) -> None:
+    def __init__(
+        self,
+        log: LogFit,
+        advance: Callable[[], object],
+        found: Sequence[Explanation] = (),
+    ) -> None:
         self.log = log
+        self._advance = advance
         self.offered: list[Explanation] = []
         self.offer([*found, *explanations(log.fit)])
 
@@ -182,25 +181,26 @@ class Contest:
         self.offered += more
         fitted = self.log.fit
         terms = [explanation.term for explanation in self.offered]
-        self.rows = log_rows(fitted.arm, fitted.recordings, fitted.point, terms)
+        rows = log_rows(fitted.arm, fitted.recordings, fitted.point, terms)
+        self.log = LogFit(fitted, rows)
 
     def score(self, current: Fit, explanation: Explanation, rows: LogRows) -> Score:
         """Return the score of an explanation; both fits have the noise that it leaves."""
         terms = [*current.equations.terms, explanation.term]
+        self._advance()
         wider = rows.fit(terms, current, np.ones(len(current.noise)))
         gain, log = compare(LogFit(current, rows), LogFit(wider, rows))
         choices = float(np.log(explanation.choices))
         return Score(explanation, gain - choices, current, log)
 
-    def ranked(self, current: Fit, advance: Callable[[], None]) -> list[Score]:
+    def ranked(self, current: Fit) -> list[Score]:
         """Return the scores of the best explanations that are possible, the largest gain first.
 
         Of those of one check and joint that differ in a setting, the best one counts. A fault makes
-        noise slow, and hides in it: explanations are compared as if it were white. ``advance`` is
-        called after each that is tried.
+        noise slow, and hides in it: explanations are compared as if it were white.
         """
         ones = np.ones(len(current.noise))
-        white = self.rows.fit(current.equations.terms, current, ones)
+        white = self.log.rows.fit(current.equations.terms, current, ones)
         best: dict[object, tuple[float, Explanation]] = {}
         for explanation in self.offered:
             if explanation.term.names[0] not in white.names:
@@ -210,9 +210,13 @@ class Contest:
                     best[family] = float(gain), explanation
         scores: list[Score] = []
         for _, explanation in sorted(best.values(), key=lambda pair: -pair[0]):
-            score = self.score(current, explanation, self.rows)
-            advance()
-            if explanation.is_possible(*score.values) and score.explains:
+            score = self.score(current, explanation, self.log.rows)
+            # Of all joints together, less torque has to be left over than without it.
+            before, after = (
+                np.sum(each.sums.squared_residuals(each.full))
+                for each in (current, score.log.fit)
+            )
+            if explanation.is_possible(*score.values) and after < before:
                 scores.append(score)
             if len(scores) == _REFITTED:
                 break
@@ -227,7 +231,7 @@ class Contest:
         Nothing is yielded where the share is zero, or torques rather say that time is right.
         """
         clock = next(e for e in self.offered if e.term.cause == "clock")
-        value = float(self.score(self.log.fit, clock, self.rows).values[0][0])
+        value = float(self.score(self.log.fit, clock, self.log.rows).values[0][0])
         if abs(value - share) < abs(value):
             text, remedy = clock.describe(np.array([share]), np.zeros(1))
             text += ", and so do the recorded velocities"
@@ -237,7 +241,7 @@ class Contest:
         """Return the best score that ``Explanation.nearby`` leads to, step by step."""
         while nearby := score.explanation.nearby():
             self.offer(nearby)
-            scores = [self.score(current, each, self.rows) for each in nearby]
+            scores = [self.score(current, each, self.log.rows) for each in nearby]
             better = max(scores, key=lambda each: each.gain)
             if better.gain < score.gain:
                 break
@@ -251,7 +255,7 @@ def findings(
     options: EstimationOptions,
     divided: Array,
     share: float,
-    advance: Callable[[], None],
+    advance: Callable[[], object],
 ) -> list[Finding]:
     """Return what is wrong with a log or its model; nothing where the log fits its model.
 
@@ -269,13 +273,13 @@ def findings(
         text += "commanded, not measured"
         return [Finding(Level.DOUBTS, "computed", text, MEASURED)]
     odd_unit = odd_unit_finding(log)
-    contest = Contest(log)
+    contest = Contest(log, advance)
     if wrong_time := [*contest.wrong_time(share)]:
         return wrong_time
     rounds: list[list[Score]] = []
     corrected: list[Finding] = []
     while len(rounds) + len(corrected) < _MOST_ROUNDS:
-        ranked = contest.ranked(log.fit, advance)
+        ranked = contest.ranked(log.fit)
         winner = ranked[0] if ranked and ranked[0].gain > CLEAR else None
         best = log if winner is None else winner.log
         found = [scores[0].explanation for scores in rounds]
@@ -291,8 +295,8 @@ def findings(
             return [odd_unit]
         if tried and is_better(tried[0], winner, best.is_plausible):
             corrected.append(tried[0].finding)
-            contest = Contest(tried[0].log, found)
-            log = LogFit(tried[0].log.fit, contest.rows)
+            contest = Contest(tried[0].log, advance, found)
+            log = contest.log
         elif winner is None:
             break
         else:

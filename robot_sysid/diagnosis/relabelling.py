@@ -185,7 +185,7 @@ def corrections(
     options: EstimationOptions,
     divided: Array,
     is_of_gravity: bool,
-    advance: Callable[[], None],
+    advance: Callable[[], object],
 ) -> list[Correction]:
     """Return the plausible corrections of mistakes, the largest gain first.
 

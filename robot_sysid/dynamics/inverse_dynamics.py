@@ -101,35 +101,6 @@ def has_only_armature(mj_model: Any) -> bool:
     return not any(np.any(getattr(mj_model, name, 0.0)) for name in fields.split())
 
 
-def inverse_dynamics(
-    model: Any, data: Any, chain: tuple[Any, Any], q: Array, qd: Array, qdd: Array
-) -> Array:
-    """Return MuJoCo's joint torques (N, n) for motions (N, n) of a chain of joints.
-
-    Args:
-        model: compiled MuJoCo model.
-        data: its MuJoCo data, which is changed; joints outside the chain keep their positions,
-            velocities and accelerations.
-        chain: addresses (n,) of the chain's joints in qpos, and in qvel.
-        q: positions [rad].
-        qd: velocities [rad/s].
-        qdd: accelerations [rad/s^2].
-    """
-    tau = np.empty_like(q)
-    qpos_index, dof_index = chain
-    # Looked up once: an attribute of ``data`` takes as long to find as the row takes to write.
-    qpos = data.qpos
-    qvel = data.qvel
-    qacc = data.qacc
-    for k in range(len(q)):
-        qpos[qpos_index] = q[k]
-        qvel[dof_index] = qd[k]
-        qacc[dof_index] = qdd[k]
-        mujoco.mj_inverse(model, data)
-        tau[k] = data.qfrc_inverse[dof_index]
-    return tau
-
-
 class ArmDynamics:
     """Inverse dynamics of an entire arm, by MuJoCo.
 
@@ -150,8 +121,24 @@ class ArmDynamics:
         self.chain = robot.qpos_index, robot.dof_index
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return joint torques (N, n) without friction for motions (N, n) [N m]."""
-        return inverse_dynamics(self.model, self.data, self.chain, q, qd, qdd)
+        """Return MuJoCo's joint torques (N, n) for motions (N, n) [N m].
+
+        Joints outside the chain keep their positions, velocities and accelerations.
+        """
+        tau = np.empty_like(q)
+        qpos_index, dof_index = self.chain
+        # Looked up once: an attribute of ``data`` takes as long to find as the row takes to write.
+        data = self.data
+        qpos = data.qpos
+        qvel = data.qvel
+        qacc = data.qacc
+        for k in range(len(q)):
+            qpos[qpos_index] = q[k]
+            qvel[dof_index] = qd[k]
+            qacc[dof_index] = qdd[k]
+            mujoco.mj_inverse(self.model, data)
+            tau[k] = data.qfrc_inverse[dof_index]
+        return tau
 
 
 class BeyondRigidBodies:

@@ -19,7 +19,8 @@ OPTIONS = EstimationOptions()
 @pytest.fixture(scope="module")
 def contest(truth):
     """Return the contest of explanations of a right log."""
-    return Contest(LogFit.of(truth.robot, low_pass([truth.log], None), OPTIONS))
+    log = LogFit.of(truth.robot, low_pass([truth.log], None), OPTIONS)
+    return Contest(log, list)
 
 
 def test_a_right_log_fits_shows_the_link_and_has_no_explanation(truth, contest):
@@ -34,7 +35,7 @@ def test_each_explanation_is_found_with_the_value_that_is_put_in(contest):
     """Where nothing is put in, none is found."""
     right = contest.log.fit
     (recording,) = right.recordings
-    rows = contest.rows
+    rows = contest.log.rows
     shown = 0
     for explanation in contest.offered:
         term = explanation.term

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import copy
 
-import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics.inverse_dynamics import inverse_dynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError, SimulationError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
@@ -247,12 +246,11 @@ def test_fast_joints_have_the_dry_friction_that_mujoco_gives_them(name):
     smooth = copy.copy(model)
     smooth.dof_frictionloss[:] = 0.0
     smooth.tendon_frictionloss[:] = 0.0
-    chain = robot.qpos_index, robot.dof_index
-    with_friction, without = (
-        inverse_dynamics(m, mujoco.MjData(m), chain, q, qd, np.zeros_like(q))
-        for m in (model, smooth)
-    )
-    dry = with_friction - without
+    dynamics = ArmDynamics(robot)
+    dynamics.model = model
+    dry = dynamics.torque(q, qd, 0.0 * q)
+    dynamics.model = smooth
+    dry -= dynamics.torque(q, qd, 0.0 * q)
     np.testing.assert_allclose(dry, robot.friction.dry(qd), atol=1e-6)
 
 
