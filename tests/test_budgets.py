@@ -26,7 +26,7 @@ BUDGETS = {
     "robot_sysid/mjcf": 7190,
     "robot_sysid/model": 7901,
     "robot_sysid/motion": 16963,
-    "robot_sysid/pipeline": 6886,
+    "robot_sysid/pipeline": 6885,
     "robot_sysid/records": 8441,
     "robot_sysid/report": 5107,
     "robot_sysid/results": 11609,

@@ -66,7 +66,7 @@ class Parser(argparse.ArgumentParser):
         """Return the example, then the overview if there is one, the usage and all options."""
         paragraphs = [f"example: {self._example}"]
         if self._overview:
-            paragraphs.append("\n".join(self._overview))
+            paragraphs += ["\n".join(self._overview)]
         return "\n\n".join([*paragraphs, super().format_help()])
 
     def error(self, message: str) -> NoReturn:

@@ -31,7 +31,7 @@ def build_parser(full: bool = True) -> Parser:
         "log", metavar="LOG", type=Path, help="file or folder of the recording"
     )
     parser.add_argument("path", metavar="MODEL", type=Path, help="MJCF or URDF file")
-    parser.add("model", ModelOptions)
+    parser.add("model", ModelOptions, only=("mesh_dir", "joint"))
     parser.add("log", LogOptions)
     return parser.add_console_options()
 
@@ -51,8 +51,8 @@ def main(arguments: Sequence[str]) -> int:
         if error.command == "payload":
             from robot_sysid.pipeline.run_words import add_weighing_commands
 
-            arm = replace(model_options, path=model_path)
-            add_weighing_commands(error, arm, log_options, path)
+            model_options = replace(model_options, path=model_path)
+            add_weighing_commands(error, model_options, log_options, path)
         # Only that command has these options, or who has stated columns goes on to it.
         elif error.command == "identify" or is_replaced:
             columns = None if is_replaced else values.get("columns")
@@ -86,12 +86,7 @@ def _check_log(
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
-    robot = load_robot_model(
-        model_path,
-        model_options.mesh_dir,
-        model_options.joint,
-        keyframe=model_options.keyframe,
-    )
+    robot = load_robot_model(model_path, model_options.mesh_dir, model_options.joint)
     log = open_log(robot, path, log_options, console)
     console.stage(*map(str, log.notes))  # As plain text: details are printed here.
     count = len(log.samples)

@@ -21,7 +21,7 @@ from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_fil
 from robot_sysid.records.messages import NextStep, Progress, percent
 from robot_sysid.records.option_fields import given_arguments, joint_values
 from robot_sysid.results.lines import clamping_lines
-from robot_sysid.results.next_steps import Words, step_after
+from robot_sysid.results.next_steps import step_after
 from robot_sysid.results.verdict import UNKNOWN, plan_conditions, plan_verdict
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
@@ -153,20 +153,21 @@ def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
     ``paths``: the files that were written.
     """
     folder = config.plan_file.parent
-    words: dict[str, Words] = {"model": str(config.model.path), "folder": folder}
-    options = given_arguments(config.model)
+    step = partial(step_after, model=str(config.model.path), folder=folder)
     for path in paths:
         if path.name == DAMIAO_NAME:
             from robot_sysid.damiao.trajectory import LIMITS
 
+            options = given_arguments(config.model)
             options += given_arguments(config.limits, LIMITS)
             state = "motion planned for motors"
-            return step_after(state, options=options, trajectory=str(path), **words)
+            return step(state, options=options, trajectory=str(path))
+    options = given_arguments(config.model, ("mesh_dir", "joint"))
     if config.aim.purpose == "payload":
-        return step_after("motion planned for payload", options=options, **words)
+        return step("motion planned for payload", options=options)
     options += ["--links"] if config.aim.purpose == "arm" else []
     log = str(folder / "log.csv")
-    return step_after("motion planned", options=options, log=log, **words)
+    return step("motion planned", options=options, log=log)
 
 
 def _write_motion(
