@@ -16,6 +16,7 @@ from robot_sysid.dynamics.equations import split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.estimate.choose import motors_of
 from robot_sysid.estimate.fit import Fit, expected
+from robot_sysid.estimate.identifiability import describe
 from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.options import EstimationOptions
@@ -31,7 +32,7 @@ from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
 from robot_sysid.model.bodies import reference_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, AimOptions
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
-from robot_sysid.motion.prediction import Prediction, unidentifiable
+from robot_sysid.motion.prediction import Prediction
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.signals.resampling import join_measurements
@@ -178,7 +179,7 @@ def predict(
         errors=fitted.errors[at],
         by_cause=by_cause,
         link_mass_errors=link_errors,
-        invisible=unidentifiable(problem, Criterion(problem, knowledge)),
+        invisible=describe(Criterion(problem, knowledge).hidden, PARAMETER_NAMES),
     )
 
 

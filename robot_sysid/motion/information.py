@@ -85,6 +85,8 @@ class Criterion:
     Attributes:
         visible: (10, r) directions in the space of the terminal link's parameters that are
             identifiable by some motion, in units of the typical sizes of the parameters.
+        hidden: (10, 10 - r) orthonormal directions that no motion identifies, of parameters over
+            their typical sizes.
     """
 
     def __init__(
@@ -107,8 +109,10 @@ class Criterion:
             information[10:, 10:], cross.T
         )
         values, vectors = np.linalg.eigh(precision)
-        visible = scale @ vectors[:, values > _INVISIBLE * values[-1]]
-        self._set_unknowns(knowledge, visible, problem.sigma / np.sqrt(samples))
+        is_visible = values > _INVISIBLE * values[-1]
+        self.hidden: Array = vectors[:, ~is_visible]
+        sigma = problem.sigma / np.sqrt(samples)
+        self._set_unknowns(knowledge, scale @ vectors[:, is_visible], sigma)
 
     def _set_unknowns(
         self, knowledge: PriorKnowledge, visible: Array, sigma: Array

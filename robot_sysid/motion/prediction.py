@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimate.identifiability import describe
-from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import LIMIT_NAMES, ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
@@ -61,21 +59,6 @@ class Prediction:
         if not np.all(np.isfinite(self.errors[:4])):
             return np.inf
         return math.hypot(*(centre for _, centre in self.by_cause.values()))
-
-
-def unidentifiable(problem: ExcitationProblem, criterion: Criterion) -> tuple[str, ...]:
-    """Return, in words, the terminal link's parameters that no motion of these joints identifies.
-
-    ``criterion.visible`` (10, r) spans the r combinations that a motion can identify, in units of
-    ``problem.scale``.
-    """
-    visible = criterion.visible / problem.scale[:, None]
-    left, singular, _ = np.linalg.svd(visible, full_matrices=True)
-    # The columns beyond the singular values are orthogonal to all visible directions.
-    space = left[:, len(singular) :]
-    if not space.shape[1]:
-        return ()
-    return tuple(describe(space, spatial.PARAMETER_NAMES))
 
 
 def limit_lines(
