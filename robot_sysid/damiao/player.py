@@ -88,13 +88,6 @@ class CycleTimer:
         return deadline + n_passed * self.period
 
 
-_LIFT_SHARE = 0.2
-"""Share of the ramp time in which gains and feed-forward torque rise from zero.
-
-It is short, so that the arm does not sink; for the rest of the ramp the standing arm is observed.
-"""
-
-
 @dataclass(frozen=True)
 class PlayReport:
     """Timing, missed answers and tracking errors of a completed run of n joints.
@@ -309,7 +302,9 @@ class Player:
         the bounds is limited to them, not refused, and motors whose answers are missing are
         commanded too.
         """
-        n_steps = _LIFT_SHARE * self._settings.ramp_time / self._settings.period
+        # A share of the ramp: short, so that the arm does not sink; then the standing arm is
+        # observed.
+        n_steps = 0.2 * self._settings.ramp_time / self._settings.period
         # In steps longer than that, the arm would fall.
         rise = 1.0 / n_steps if n_steps > 4.0 else 1.0
         self._gain = min(self._gain + rise, 1.0)

@@ -114,12 +114,6 @@ _FULL_LOAD = 0.05
 
 A judgement: dry friction is of this size, and should not move a joint.
 """
-_FADE = 1.0
-"""Time in which the feed-forward torque is reduced to zero before lowering [s] (a judgement)."""
-_STILL_SPEED = 0.02
-"""Velocity below which a joint of a lowered arm is still [rad/s] (a judgement)."""
-_STILL_TIME = 0.5
-"""Time for which all joints have to be still until the arm is lowered [s] (a judgement)."""
 LONGEST_LOWERING = 20.0
 """Time after which lowering ends in any case [s]."""
 
@@ -160,7 +154,8 @@ class Lowering:
         Each call moves the stored position on.
         """
         load_share = np.clip(self._torque / self._full_load, -1.0, 1.0)
-        fed_share = max(1.0 - time / _FADE, 0.0)
+        # It fades within a second.
+        fed_share = max(1.0 - time, 0.0)
         velocity = np.zeros_like(load_share)
         if fed_share == 0.0:
             # The torque that carries a joint is opposite to its load.
@@ -169,14 +164,15 @@ class Lowering:
         self._position = np.clip(unlimited, self._range.lower, self._range.upper)
         velocity = np.where(self._position == unlimited, velocity, 0.0)
         self._time = time
-        if fed_share > 0.0 or np.max(np.abs(velocity)) > _STILL_SPEED:
+        # Slower joints are still.
+        if fed_share > 0.0 or np.max(np.abs(velocity)) > 0.02:
             self._moved_at = time
         return Reference(self._position, velocity, fed_share * self._fed)
 
     @property
     def is_done(self) -> bool:
         """Whether no joint has been lowered any further for half a second."""
-        return self._time - self._moved_at > _STILL_TIME
+        return self._time - self._moved_at > 0.5
 
 
 _DOUBT = 0.06

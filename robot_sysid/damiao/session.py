@@ -36,11 +36,6 @@ _CONFIRM_PATIENCE = 0.5
 """Time for which motors are asked to confirm that they are disabled [s], should a bus fail."""
 _ENABLE_TRIES = 3
 """How often a motor is commanded to enable, at most."""
-_MOST_CREDIT = 0.02
-"""Most time that one command may leave unused for the next one to move in [s].
-
-It is the default of ``PlaySettings.max_lateness``.
-"""
 REPLY_SHARE = 0.9
 """Share of a control cycle for which replies are waited for; the rest is for the checks.
 
@@ -364,7 +359,9 @@ class MotorSession:
         )
         moved = np.abs(new.position - self.sent_position)
         used = np.nan_to_num(moved / self._bounds.command_range.speed)
-        moved_until = np.clip(self._moved_until + used, now - _MOST_CREDIT, now)
+        # One command leaves at most 0.02 s for the next one to move in: as much as it may be late,
+        # by ``PlaySettings.max_lateness``.
+        moved_until = np.clip(self._moved_until + used, now - 0.02, now)
         self._moved_until = np.where(commanded, moved_until, self._moved_until)
         self.sent_position = np.where(commanded, new.position, self.sent_position)
 

@@ -31,14 +31,6 @@ _STIFFNESS = 20.0
 """Default stiffness divided by the rated torque [1/rad]."""
 _DAMPING = 0.025
 """Default damping divided by the stiffness [s]."""
-_LEAST_DAMPING = 0.05
-"""Least default damping [N m s/rad]."""
-_TORQUE_ERROR = 2.0 / 3.0
-"""Default torque error limit divided by the peak torque: more than any excitation needs."""
-_LEAST_SHARE = 0.4
-"""Least damping of a light joint, as a share of the usual: models often lack rotor inertia."""
-_TRANSFER_PEAK = 3.08
-"""Peak acceleration of a transfer, at most, relative to its peak speed over its least duration."""
 _EACH = "one for all or one per joint"
 # Arguments of options whose default depends on the type of each motor.
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
@@ -155,10 +147,12 @@ class PlaySettings(OptionRecord):
         stiffness = np.minimum(_STIFFNESS * rated_torque, KP_MAX)
         # With more damping, a joint's velocity would settle in less than a cycle.
         most_damping = np.inf if mobility is None else rate / np.diag(mobility)
-        least_damping = np.maximum(_LEAST_SHARE * _DAMPING * stiffness, _LEAST_DAMPING)
+        # At least 0.4 of the usual, as models often lack rotor inertia, and 0.05 N m s/rad.
+        least_damping = np.maximum(0.4 * _DAMPING * stiffness, 0.05)
         damping = np.minimum(_DAMPING * stiffness, most_damping)
         damping = np.clip(damping, least_damping, KD_MAX)
-        torque_error = _TORQUE_ERROR * np.array([spec.peak_torque for spec in specs])
+        # More than any excitation needs.
+        torque_error = 2.0 / 3.0 * np.array([spec.peak_torque for spec in specs])
         defaults = {"kp": stiffness, "kd": damping, "max_torque_error": torque_error}
         values: dict[str, Any] = {}
         for name, default in defaults.items():
@@ -251,7 +245,9 @@ class Plan:
         # The transfer keeps the user's limits, too.
         bounds = user_bounds(self.limits, self.trajectory.n_joints)
         speed = min(settings.approach_speed, float(np.min(bounds.velocity)))
-        time = _TRANSFER_PEAK * speed / float(np.min(bounds.acceleration))
+        # The peak acceleration of a transfer is at most 3.08 times its peak speed over its least
+        # duration.
+        time = 3.08 * speed / float(np.min(bounds.acceleration))
         time = max(settings.approach_time, time)
         settings = replace(settings, approach_speed=speed, approach_time=time)
         object.__setattr__(self, "settings", settings)

@@ -33,8 +33,6 @@ be eliminated too where a joint stands still and its friction columns are zero."
 _INVISIBLE = 1e-9
 """Information along a direction, over the largest along any, up to which the direction is not
 identifiable."""
-_SINGULAR = 1e-14
-"""Smallest squared pivot, of an inverse covariance with a unit diagonal, that is no rounding."""
 JOINT_TERMS = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
 """Unknowns of one joint's equations alone: friction terms, rotor inertia, torque scale."""
 _N_TERMS = len(JOINT_TERMS)
@@ -212,7 +210,8 @@ class Criterion:
             pivots = np.diag(np.linalg.cholesky(scaled))
         except np.linalg.LinAlgError:
             return singular
-        if np.min(pivots) ** 2 <= _SINGULAR:
+        # Smaller squared pivots, of a matrix with a unit diagonal, are rounding.
+        if np.min(pivots) ** 2 <= 1e-14:
             return singular
         covariance = np.linalg.inv(scaled) / np.outer(length, length)
         count = self._n_target

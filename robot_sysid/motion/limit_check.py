@@ -36,8 +36,6 @@ approach is a sum with rounding errors, so a motion that just keeps a clearance 
 FINEST_RATE_HZ = 4000.0
 """Highest rate of collision tests, where bodies are near each other [Hz]: a body at 2 m/s moves
 0.5 mm between two tests."""
-FIRST_STEP = 64
-"""Samples of the highest rate between the first tests of a motion."""
 
 
 class Excess(NamedTuple):
@@ -186,7 +184,8 @@ def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:
         speed = np.abs(motion.qd) @ obstacles.rates.T
         steps = np.maximum(speed[1:], speed[:-1]) / FINEST_RATE_HZ
         path = np.vstack((0.0 * speed[:1], np.cumsum(steps, axis=0)))
-        tested = np.append(np.arange(0, len(time), FIRST_STEP), len(time))
+        # Every 64th sample first.
+        tested = np.append(np.arange(0, len(time), 64), len(time))
         slacks = obstacles.slacks(motion.q[tested])
         while True:
             best = int(np.argmin(np.min(slacks, axis=1)))

@@ -14,15 +14,6 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.servo.windows import MAX_DELAY_PERIODS, commands
 
-MOVING_RANGE = 0.02
-"""Range of positions from which on a joint moves [rad or m]."""
-_COPIED_SHARE = 0.98
-"""Share of commands that equal a position from which on they are a copy of the positions."""
-_LEAST_CORRELATION = 0.5
-"""Least correlation of commands and positions, at the best delay, of a joint that follows them."""
-_LARGEST_OFFSET = 0.3
-"""Largest median difference of commands and positions that is plausible [rad or m]."""
-
 
 def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -> None:
     """Raise InputError where positions of a moving joint do not follow its commands.
@@ -34,7 +25,8 @@ def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -
         # Far enough beyond the largest delay to tell a wrong one; of equal ones the least counts.
         reach = min(3 * MAX_DELAY_PERIODS, len(log.samples) // 4)
         lags = np.array(sorted(range(-reach, reach + 1), key=abs))
-        for k in np.flatnonzero(np.ptp(log.samples.q, axis=0) >= MOVING_RANGE).tolist():
+        # A joint whose positions range over less [rad or m] does not move.
+        for k in np.flatnonzero(np.ptp(log.samples.q, axis=0) >= 0.02).tolist():
             q = log.samples.q[:, k]
             command = commands(log.samples)[reach : len(q) - reach, k]
             late = sliding_window_view(q, len(command))[reach + lags]
@@ -48,13 +40,14 @@ def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -
             slope = covariances[best] / variances[best]
             distances = command - late[best]
             offset = np.median(distances)
-            is_copy = np.quantile(np.abs(distances), _COPIED_SHARE) < 1e-9
+            # Of a copy, nearly all commands equal a position.
+            is_copy = np.quantile(np.abs(distances), 0.98) < 1e-9
             if (
                 is_copy
-                or correlation < _LEAST_CORRELATION
+                or correlation < 0.5
                 or not 0 <= lag <= MAX_DELAY_PERIODS
                 or not 0.5 < slope < 2.0
-                or abs(offset) > _LARGEST_OFFSET
+                or abs(offset) > 0.3
             ):
                 copied = " and repeat the measured ones" if is_copy else ""
                 raise InputError(

@@ -68,21 +68,11 @@ samples: differences of faster motion are no derivatives, and its equations are 
 _CORRELATED_SAMPLES = 10.0
 """Samples over which errors of the equations are correlated: those of friction near standstill and
 of smoothed accelerations last about as long as a start or a stop."""
-_SURE_SHARE = 0.6
-"""Share of the samples, those nearest to their commands, that are fitted first: a servo reaches its
-torque limit far from its command."""
-_OUTLIER = 5.0
-"""Residual, in root mean squares of the first fit, from which on a sample is left out."""
 _CORRELATED_ROLLOUTS = 30.0
 """The same of the position errors of rollouts, which last until the servo brings them back."""
-_STEP = 0.3
-"""Relative step of central differences by the numbers of a fast servo: one that is at its limit
-again and again makes rollouts rough on smaller scales."""
 _LEAST_ERRORS = (2.0 * LINK_ERROR, 2.0 * LINK_ERROR, 2.0, 2.0 * LINK_ERROR)
 """Relative errors of a fast servo's numbers beside those of noise: of the links, which fix the
 scale and add up to about two single ones, and of friction that a stiff servo hides."""
-_DEFAULT_RATE = 20.0
-"""Bandwidth of a servo of which the model says nothing [rad/s]."""
 
 
 def distances(pieces: Sequence[Measurement], delay: float) -> Array:
@@ -149,10 +139,12 @@ def fit_joint(
     from scipy.optimize import nnls
 
     residual = np.abs(error)
-    is_used = residual <= np.quantile(residual, _SURE_SHARE)
+    # The samples nearest to their commands first: far from them a servo reaches its torque limit.
+    is_used = residual <= np.quantile(residual, 0.6)
     for _ in range(4):
         noise = rms(residual[is_used]) + 1e-9
-        limit = _OUTLIER * noise
+        # Samples with a larger residual are left out.
+        limit = 5.0 * noise
         weight = 1.0 / (noise * np.sqrt(_CORRELATED_SAMPLES))
         data = weight * columns[is_used]
         rows = np.vstack((data, np.diag(1.0 / deviation)))
@@ -211,7 +203,8 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
     in_model = servos_in_model(robot).numbers
     inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature
     has_gain = np.isfinite(in_model[0])
-    gain = np.where(has_gain, in_model[0], np.median(inertia) * _DEFAULT_RATE**2)
+    # A bandwidth of 20 rad/s where the model says nothing.
+    gain = np.where(has_gain, in_model[0], np.median(inertia) * 20.0**2)
     # Of each joint 1/K, D/K, f/K, A/K; zero of one that does not move.
     values = np.zeros((len(moves), 4))
     covariances = np.zeros((len(moves), 4, 4))
@@ -307,7 +300,8 @@ def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
             factors,
             jac="3-point",
             bounds=(0.01, 100.0),
-            diff_step=_STEP,
+            # A servo that is at its limit again and again makes rollouts rough on smaller scales.
+            diff_step=0.3,
             loss="soft_l1",
             max_nfev=5,
             args=(scale + 1e-9,),
