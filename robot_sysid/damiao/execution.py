@@ -88,12 +88,13 @@ class MotorRun:
                 f"{robot.path} has {robot.n_joints}: {', '.join(robot.joint_names)}"
             )
         trajectory = replace(trajectory, joints=self._with_joint_map(trajectory.joints))
-        from_model: dict[str, Any] = {}
+        mobility = None
+        model_range = None
         if robot is not None:
             from robot_sysid.simulation.plant import ArmStepper
 
-            from_model["mobility"] = ArmStepper(robot, trajectory.q[0]).mobility()
-            from_model["model_range"] = robot.limits.lower, robot.limits.upper
+            mobility = ArmStepper(robot, trajectory.q[0]).mobility()
+            model_range = robot.limits.lower, robot.limits.upper
         recording = record_from(RecordingOptions, self.values)
         inputs = map(self.values.get, ("trajectory", "model", "joint_map"))
         recording.require_free(*inputs)
@@ -103,8 +104,9 @@ class MotorRun:
             timing=self.timing,
             permissions=record_from(Permissions, self.values),
             recording=recording,
+            mobility=mobility,
             limits=self._limits(),
-            **from_model,
+            model_range=model_range,
         )
 
     def _limits(self) -> LimitOptions:

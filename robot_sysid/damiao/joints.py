@@ -93,13 +93,10 @@ MOTORS = {spec.name: spec for spec in _SPECS}
 
 def motor_spec(name: str) -> MotorSpec:
     """Return the data of the motor type called ``name``; InputError lists the valid names."""
-    try:
-        return MOTORS[name]
-    except KeyError:
+    if name not in MOTORS:
         valid = ", ".join(MOTORS)
-        raise InputError(
-            f"unknown Damiao motor type {name!r}; valid types: {valid}"
-        ) from None
+        raise InputError(f"unknown Damiao motor type {name!r}; valid types: {valid}")
+    return MOTORS[name]
 
 
 def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:

@@ -107,10 +107,9 @@ class Scaling:
         self._steps = (self._high - self._low) / _COMMAND.max_codes
 
     @property
-    def steps(self) -> tuple[Array, Array, Array]:
+    def steps(self) -> tuple[Array, ...]:
         """Quantisation steps of position [rad], velocity [rad/s] and torque [N m], (n,) each."""
-        position, velocity, torque = self._steps.T[_MEASURED]
-        return position, velocity, torque
+        return tuple(self._steps.T[_MEASURED])
 
     def _codes(
         self, values: Array, fields: Any = slice(None), rounding: float = 0.5

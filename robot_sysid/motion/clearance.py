@@ -372,23 +372,6 @@ def approach_rates(
             that no joint of the arm moves.
     """
     n = robot.n_joints
-    reach = _reach(robot, data, link_of_body)
-    rows = np.zeros((n + 1, n + 1), dtype=int)
-    low, high = np.triu_indices(n + 1, 1)
-    rows[low, high] = rows[high, low] = np.arange(len(low))
-    # The joints between two links move the outer one, of the higher number, about their axes.
-    joint = np.arange(n)
-    is_between = (low[:, None] <= joint) & (joint < high[:, None])
-    return np.where(is_between, reach[:, high].T, 0.0), rows
-
-
-def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
-    """Return the largest distance (n, n + 1) that a point of link l (column) can have from the axis
-    of joint j (row) [m]; rows of slides are 1, as a slide moves all points alike.
-
-    The arguments are those of ``approach_rates``.
-    """
-    n = robot.n_joints
     mj_model = robot.mj_model
     anchors = data.xanchor[mj_model.dof_jntid[robot.dof_index]]
     travel = np.where(robot.is_slide, robot.limits.upper - robot.limits.lower, 0.0)
@@ -400,6 +383,7 @@ def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
     radius = np.zeros(mj_model.nbody)
     far = np.linalg.norm(mj_model.geom_pos, axis=1) + mj_model.geom_rbound
     np.maximum.at(radius, mj_model.geom_bodyid, far)
+    # The largest distance (n, n + 1) of a point of link l (column) from the axis of joint j (row).
     reach = np.zeros((n, n + 1))
     for outer in range(1, n + 1):
         # How far from its joint the geoms and origins of this link reach.
@@ -408,5 +392,12 @@ def _reach(robot: RobotModel, data: Any, link_of_body: Any) -> Array:
         extent = np.max(origins + radius[bodies], initial=0.0)
         for j in range(outer):
             reach[j, outer] = extent + np.sum(lengths[j : outer - 1])
+    # A slide moves all points alike.
     reach[robot.is_slide] = 1.0
-    return reach
+    rows = np.zeros((n + 1, n + 1), dtype=int)
+    low, high = np.triu_indices(n + 1, 1)
+    rows[low, high] = rows[high, low] = np.arange(len(low))
+    # The joints between two links move the outer one, of the higher number, about their axes.
+    joint = np.arange(n)
+    is_between = (low[:, None] <= joint) & (joint < high[:, None])
+    return np.where(is_between, reach[:, high].T, 0.0), rows

@@ -153,7 +153,7 @@ def _assumed_limits(problem: ExcitationProblem) -> Iterator[str]:
     limits = problem.limits.columns[:-1].reshape(len(LIMIT_NAMES), -1)
     joints: dict[str, list[str]] = {}
     for row, per_second in enumerate(("", "/s", "/s²")):
-        for joint in np.flatnonzero(problem.assumed[row]):
+        for joint in np.flatnonzero(problem.limits.assumed[row]):
             unit = position_unit(problem.robot.is_slide[joint])
             limit = f"{LIMIT_NAMES[row]} {limits[row, joint]:.4g} {unit}{per_second}"
             joints.setdefault(limit, []).append(problem.joint_names[joint])

@@ -59,6 +59,8 @@ class MotionLimits:
         acceleration: largest absolute acceleration of each joint [rad/s^2 or m/s^2].
         torque: largest absolute torque of each joint [N m or N].
         tool_speed: largest speed of the tool's fastest point, one number [m/s].
+        assumed: (3, n) whether a joint's limit of position, velocity and acceleration is stated
+            neither by the model nor by an option.
     """
 
     lower: Array
@@ -67,6 +69,7 @@ class MotionLimits:
     acceleration: Array
     torque: Array
     tool_speed: float
+    assumed: NDArray[np.bool_]
 
     @property
     def center(self) -> Array:
@@ -101,8 +104,6 @@ class ExcitationProblem:
             where the links are taken as they are.
         rows: indices of the chain joints whose torque will be used.
         sigma: (len(rows),) standard deviation of the noise of these torques [N m].
-        assumed: (3, n) whether a joint's limit of position, velocity and acceleration is stated
-            neither by the model nor by an option.
         obstacles: distances between bodies that have to be kept.
         notes: sentences for the user on these limits.
         unguarded: names of the moving links without collision geometry.
@@ -120,7 +121,6 @@ class ExcitationProblem:
     obstacles: Clearance
     rows: tuple[int, ...]
     sigma: Array
-    assumed: NDArray[np.bool_]
     notes: tuple[str, ...] = ()
     unguarded: tuple[str, ...] = ()
 
@@ -238,7 +238,7 @@ def build_problem(
     Raises:
         InputError: the arm breaks a limit already at rest; says which.
     """
-    motion_limits, assumed = _limits(robot, limits, shakes_gently)
+    motion_limits = _limits(robot, limits, shakes_gently)
     # A motion that starts outside what the search uses would break its limits, however small.
     center = motion_limits.center
     span = LIMIT_SHARE * (motion_limits.upper - center)
@@ -269,7 +269,6 @@ def build_problem(
         obstacles=Clearance(robot, start_pose, limits.clearance, spaces),
         rows=rows,
         sigma=joint_values(noise_torque, robot.n_joints, "the prior noise")[list(rows)],
-        assumed=assumed,
         notes=(note,) if moved else (),
         unguarded=unguarded_links(robot),
     )
@@ -292,11 +291,8 @@ def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
 
 def _limits(
     robot: RobotModel, options: LimitOptions, shakes_gently: bool
-) -> tuple[MotionLimits, NDArray[np.bool_]]:
-    """Return the limits of a motion, and which of them are assumed (``ExcitationProblem.assumed``).
-
-    ``shakes_gently`` is as in ``build_problem``.
-    """
+) -> MotionLimits:
+    """Return the limits of a motion; ``shakes_gently`` is as in ``build_problem``."""
     model_limits = robot.limits
     is_slide = robot.is_slide
     top = TOP_FREQUENCY_HZ if shakes_gently else np.inf
@@ -306,14 +302,6 @@ def _limits(
     is_natural = is_slide | (options.max_acceleration is None)
     acceleration = np.where(is_natural, natural, options.max_acceleration or 0.0)
     torque = joint_values(options.max_torque or np.inf, robot.n_joints, "--max-torque")
-    limits = MotionLimits(
-        lower=lower,
-        upper=upper,
-        velocity=model_limits.velocity,
-        acceleration=acceleration,
-        torque=TORQUE_MARGIN * np.minimum(model_limits.torque, torque),
-        tool_speed=options.max_tool_speed or np.inf,
-    )
     # The robot's velocity limits are those of ``--max-velocity`` (for slides, at most the default)
     # unless the model states lower ones.
     speed = joint_values(options.max_velocity, robot.n_joints, "--max-velocity")
@@ -322,8 +310,15 @@ def _limits(
     has_range = np.isfinite(model_limits.lower) & np.isfinite(model_limits.upper)
     is_usual_speed = is_default & (model_limits.velocity >= default_speed)
     is_usual_acceleration = is_natural & np.isfinite(acceleration)
-    assumed = np.stack((~has_range, is_usual_speed, is_usual_acceleration))
-    return limits, assumed
+    return MotionLimits(
+        lower=lower,
+        upper=upper,
+        velocity=model_limits.velocity,
+        acceleration=acceleration,
+        torque=TORQUE_MARGIN * np.minimum(model_limits.torque, torque),
+        tool_speed=options.max_tool_speed or np.inf,
+        assumed=np.stack((~has_range, is_usual_speed, is_usual_acceleration)),
+    )
 
 
 def _half_spaces(

@@ -358,7 +358,7 @@ class CommandBounds:
 
     command_range: CommandRange
     torque: Array
-    steps: tuple[Array, Array, Array]
+    steps: tuple[Array, ...]
 
     def including(self, q: Array) -> CommandBounds:
         """Return the bounds, widened to include the positions q (n,) of an arm [rad]."""

@@ -106,7 +106,7 @@ class Observer:
         self,
         joints: Sequence[DamiaoJoint],
         settings: PlaySettings,
-        steps: tuple[Array, Array, Array],
+        steps: tuple[Array, ...],
         peak_torque: Array,
         holding: HoldingCheck,
     ) -> None:
