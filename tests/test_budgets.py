@@ -23,7 +23,7 @@ BUDGETS = {
     "robot_sysid/dynamics": 5307,
     "robot_sysid/estimate": 27913,
     "robot_sysid/logs": 15374,
-    "robot_sysid/mjcf": 7190,
+    "robot_sysid/mjcf": 7188,
     "robot_sysid/model": 7901,
     "robot_sysid/motion": 16823,
     "robot_sysid/pipeline": 6885,

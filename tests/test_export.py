@@ -93,7 +93,7 @@ def test_an_mjcf_stands_beside_a_urdf_whose_meshes_mujoco_does_not_read(tmp_path
     text = urdf.robot(urdf.serial(links))
     robot = load_robot_model(write_files(tmp_path / "in", {"arm.urdf": text}))
     (note,) = robot.notes
-    assert "a written MJCF is without them" in note
+    assert "a written MJCF without them" in note
     output = save_result(robot, heavier(robot), out)
     names = ["updated_model.xml", "updated_model.urdf", "params.json"]
     assert [path.name for path in output.files] == names

@@ -17,6 +17,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import ModelDocument
 from robot_sysid.records import Array, SubtreeBody
+from robot_sysid.records.messages import Detail
 
 NEGLIGIBLE = 1e-6
 """Mass, relative to the link's, below which a difference is only rounding."""
@@ -91,12 +92,15 @@ def plan_write_back(
         )
     added = theta - remainder
     # Equally much is added to each moment of inertia; element 4 is Ixx.
-    inflation = float(added[4])
-    moments = np.linalg.eigvalsh(spatial.com_from_theta(theta)[2])
-    if inflation > SLACK * float(np.sum(moments)):  # by more than rounding
+    inflation = added[4]
+    moments = np.trace(spatial.com_from_theta(theta)[2])
+    if inflation > SLACK * moments:  # by more than rounding
+        # What it changes of the torques is in the error of the file.
         notes.append(
-            f"the moments of inertia of '{name}' are smaller than the file's compiler admits "
-            f"(boundinertia), so all three are written {inflation:.2g} kg m^2 larger"
+            Detail(
+                f"the moments of inertia of '{name}' are smaller than the file's compiler admits "
+                f"(boundinertia), so all three are written {inflation:.2g} kg·m² larger"
+            )
         )
     return WriteBack(theta, emptied, composite + added, tuple(notes))
 

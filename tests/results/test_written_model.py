@@ -482,7 +482,7 @@ def test_a_compilers_bound_on_moments_is_kept_with_a_note(tmp_path):
     robot = load_arm(tmp_path, text)
     thin = spatial.theta_from_com(1.0, np.zeros(3), np.diag([1e-2, 1e-2, 1e-4]))
     _, mj_model, notes = write_and_compile(robot, result_of(robot, thin))
-    assert "(boundinertia), so all three are written 0.0001 kg m^2 larger" in notes[0]
+    assert "(boundinertia), so all three are written 0.0001 kg·m² larger" in notes[0]
     assert_allclose(
         terminal_composite(mj_model, robot)[[4, 9]], [1.01e-2, 2e-4], rtol=1e-9
     )
