@@ -346,7 +346,7 @@ def wrong_models(
         ]
         text = (
             f"{percent(last.misfit)} of the torque is explained by none of the faults that are "
-            f"looked for; of each joint's own: {', '.join(shares)}"
+            f"looked for (of its own torque, {', '.join(shares)})"
         )
         check = "model" if last.misfit > OTHER_ARM else "unexplained"
         remedy = f"{RIGHT_MODEL}, and that it carried the same load all the time, with no contact"

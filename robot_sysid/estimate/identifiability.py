@@ -125,8 +125,8 @@ def analyse_identifiability(
     viscous friction, all others are nuisances. The rank is that which remains after nuisances are
     eliminated: rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition numbers are those of
     Y_interest alone, so that they are comparable between a plan, a simulation and a log, which have
-    different nuisances. All joints' rows weigh alike. ``identified`` and ``unidentifiable`` cover
-    nuisances, too.
+    different nuisances. All joints' rows weigh alike. ``unidentifiable`` covers nuisances,
+    too.
 
     Args:
         matrix: (M, p) rows of all joints.
@@ -146,7 +146,6 @@ def analyse_identifiability(
         n_parameters=int(np.count_nonzero(interest)),
         condition_number=_condition(visible[:, interest]),
         scaled_condition_number=_condition((visible / length)[:, interest]),
-        identified=space.is_identified,
         unidentifiable=describe(space.null, names),
     )
 

@@ -165,15 +165,14 @@ class Identifiability:
         condition_number: of the stacked regressor, or of its identifiable part where it has less
             than full rank.
         scaled_condition_number: likewise, after scaling each column to unit length.
-        identified: (p,) whether the data alone determines a parameter.
-        unidentifiable: those that it does not, in words, for instance "mass".
+        unidentifiable: parameters that the data alone does not determine, in words, for instance
+            "mass".
     """
 
     rank: int
     n_parameters: int
     condition_number: float
     scaled_condition_number: float
-    identified: tuple[bool, ...]
     unidentifiable: tuple[str, ...]
 
 

@@ -66,8 +66,7 @@ MODEL_FRICTION = {
 
 def estimate(**changes) -> Estimate:
     """An estimate without any fault: white noise, small errors, all from the data."""
-    size = len(NAMES)
-    identifiability_record = Identifiability(12, 12, 50.0, 5.0, (True,) * size, ())
+    identifiability_record = Identifiability(12, 12, 50.0, 5.0, ())
     errors = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
     defaults = Estimate(
         names=NAMES,
@@ -173,12 +172,7 @@ def with_value(name: str, value: float, error: float) -> Estimate:
 
 def without_mass() -> Estimate:
     """The mass does not show in the data."""
-    seen = replace(
-        estimate().identifiability,
-        rank=11,
-        identified=(False,) + (True,) * (len(NAMES) - 1),
-        unidentifiable=("mass",),
-    )
+    seen = replace(estimate().identifiability, rank=11, unidentifiable=("mass",))
     return replace(with_value("m", 2.0, np.inf), identifiability=seen)
 
 
