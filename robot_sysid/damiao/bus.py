@@ -26,9 +26,9 @@ from robot_sysid.damiao.protocol import (
     Frame,
     Scaling,
     decode_feedback,
-    refuse_harmful,
+    is_harmful,
 )
-from robot_sysid.errors import HardwareAbort
+from robot_sysid.errors import HardwareAbort, SysidError
 
 
 class SystemClock:
@@ -85,7 +85,7 @@ class GuardedLink:
         link: link on which frames are sent and received.
         clock: clock of the link.
         fd: whether frames are sent as CAN-FD, whatever ``Frame.fd`` says.
-        refuse: called with each frame to be sent; raises for one that must not be sent.
+        refuses: tells of each frame to be sent whether it must not be.
 
     Attributes:
         clock: as given.
@@ -96,16 +96,17 @@ class GuardedLink:
         link: Link,
         clock: SystemClock,
         fd: bool = False,
-        refuse: Callable[[Frame], None] = refuse_harmful,
+        refuses: Callable[[Frame], bool] = is_harmful,
     ) -> None:
-        self._refuse = refuse
+        self._refuses = refuses
         self._link = link
         self._fd = fd
         self.clock = clock
 
     def send(self, frame: Frame) -> None:
-        """Send a frame, or raise the error of ``refuse`` or LinkError."""
-        self._refuse(frame)
+        """Send a frame; SysidError for one that is refused, LinkError where the bus fails."""
+        if self._refuses(frame):
+            raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
         self._link.send(frame._replace(fd=self._fd))
 
     def receive(self, until: float) -> Frame | None:

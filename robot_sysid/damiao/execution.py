@@ -17,7 +17,7 @@ from robot_sysid.damiao.adapters import BusAddress, open_bus
 from robot_sysid.damiao.bus import GuardedLink, Inspection, SimulatedClock, SystemClock
 from robot_sysid.damiao.joints import DamiaoJoint, map_joints, read_joint_map
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
-from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, refuse_harmful
+from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, is_harmful
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder
 from robot_sysid.damiao.references import (
     HoldingCheck,
@@ -209,12 +209,12 @@ class MotorRun:
 
     @contextlib.contextmanager
     def open_guarded(
-        self, refuse: Callable[[Frame], None] = refuse_harmful
+        self, refuses: Callable[[Frame], bool] = is_harmful
     ) -> Iterator[GuardedLink]:
         """Open the bus for a block and yield its link; InputError without --channel.
 
         Args:
-            refuse: called with each frame to be sent; raises for one that must not be sent.
+            refuses: tells of each frame to be sent whether it must not be.
         """
         if not self.address.channel:
             raise InputError(
@@ -222,7 +222,7 @@ class MotorRun:
             )
         link = open_bus(self.address, self.timing, self.clock)
         with contextlib.closing(link):
-            yield GuardedLink(link, self.clock, self.timing.fd, refuse)
+            yield GuardedLink(link, self.clock, self.timing.fd, refuses)
 
 
 def run(

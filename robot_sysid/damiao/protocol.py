@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.errors import InputError, SysidError
+from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.option_fields import OptionRecord, option
 
@@ -307,28 +307,24 @@ def is_special(data: bytes) -> bool:
     return len(data) == 8 and data[:7] == _SPECIAL
 
 
-def refuse_harmful(frame: Frame) -> None:
-    """Raise SysidError for a frame that must never be sent while an arm is played or checked.
+def is_harmful(frame: Frame) -> bool:
+    """Tell whether a frame must never be sent while an arm is played or checked.
 
     Harmful frames store a new zero position, clear an error (an operator has to find its cause
     first), write or store registers, or have an unknown special command or register operation.
     """
     if frame.id == REGISTER_ID:
-        harmful = len(frame.data) < 4 or frame.data[2] not in (READ, REFRESH)
-    else:
-        harmful = is_special(frame.data) and frame.data[7] not in (ENABLE, DISABLE)
-    if harmful:
-        raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
+        return len(frame.data) < 4 or frame.data[2] not in (READ, REFRESH)
+    return is_special(frame.data) and frame.data[7] not in (ENABLE, DISABLE)
 
 
-def refuse_motion(frame: Frame) -> None:
-    """Raise SysidError for a frame that would drive a motor: setting up a motor never sends one.
+def is_motion(frame: Frame) -> bool:
+    """Tell whether a frame would drive a motor: setting up a motor never sends one.
 
-    Allowed are register operations and clearing an error.
+    Register operations and clearing an error do not.
     """
     is_harmless = is_special(frame.data) and frame.data[7] == CLEAR_ERROR
-    if frame.id != REGISTER_ID and not is_harmless:
-        raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
+    return frame.id != REGISTER_ID and not is_harmless
 
 
 MST_ID = 7

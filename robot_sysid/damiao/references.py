@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Optional
+from typing import NamedTuple
 
 import numpy as np
 
@@ -191,14 +191,6 @@ def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
     return _DOUBT * peak_torques(joints)
 
 
-MotionCheck = Callable[[float, Array, Array, Array], Optional[tuple[int, str]]]
-"""Takes time [s], positions, velocities and commanded torques (n,) [rad, rad/s, N m] of each cycle.
-
-Returns the index of a joint that has a fault and a sentence about the fault (which does not name
-the joint), or None.
-"""
-
-
 _NEAR = 0.1
 """Distance from a pose in which its torque holds the arm [rad]: 2 N m at 20 N m/rad."""
 
@@ -212,7 +204,8 @@ class HoldingCheck:
         torque: returns the torque (n,) [N m] that should hold the arm in a pose (n,) [rad].
         doubt: torque (n,) that friction alone may explain [N m].
         source: begin of the phrase that states the expected torque: "the model arm.xml needs".
-        watch: returns a new check of the motion of one run; None where there is none.
+        watch: returns a new check of the motion of one run, ``MovedZeroCheck``; None where there is
+            none.
         pose: pose (n,) [rad] near which the torque is known; None where in every pose.
         is_at_rest: whether the torque is that of an arm at rest.
         carries_arm: whether the torque may carry an arm that has weight.
@@ -222,7 +215,7 @@ class HoldingCheck:
     torque: Callable[[Array], Array]
     doubt: Array
     source: str
-    watch: Callable[[], MotionCheck] | None = None
+    watch: Callable[[], Callable[..., tuple[int, str] | None]] | None = None
     pose: Array | None = None
     is_at_rest: bool = True
     carries_arm: bool = True

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import (
     INTEGERS,
@@ -22,8 +23,8 @@ from robot_sysid.damiao.protocol import (
     decode_feedback,
     decode_mit,
     encode_mit,
-    refuse_harmful,
     register_frame,
+    special_frame,
     value_from_bytes,
 )
 from robot_sysid.damiao.simulated import simulated_motor
@@ -193,16 +194,16 @@ CLEAR_ERROR = 0xFB
 STORE = 0xAA
 
 
-@pytest.mark.parametrize("code", [SET_ZERO, CLEAR_ERROR, 0x00, 0xFF])
-def test_harmful_special_frames_are_refused(code):
+@pytest.mark.parametrize(
+    "frame",
+    [
+        *(special_frame(code, 1) for code in (SET_ZERO, CLEAR_ERROR, 0x00, 0xFF)),
+        *(register_frame(operation, 1, 1) for operation in (STORE, 0x00, 0xFF)),
+    ],
+)
+def test_a_link_sends_no_harmful_frames(frame):
     with pytest.raises(SysidError, match="refused to send"):
-        refuse_harmful(Frame(1, b"\xff" * 7 + bytes([code])))
-
-
-@pytest.mark.parametrize("operation", [STORE, 0x00, 0xFF])
-def test_harmful_register_operations_are_refused(operation):
-    with pytest.raises(SysidError, match="refused to send"):
-        refuse_harmful(Frame(REGISTER_ID, bytes([1, 0, operation, 1, 0, 0, 0, 0])))
+        GuardedLink(None, None).send(frame)
 
 
 @given(number=st.sampled_from(sorted(NAMES)), data=st.data())

@@ -24,7 +24,7 @@ def statuses(bench):
 
 def setup_client(bench):
     """What setting up a motor writes with: a run may not."""
-    link = GuardedLink(bench.bus, bench.clock, refuse=protocol.refuse_motion)
+    link = GuardedLink(bench.bus, bench.clock, refuses=protocol.is_motion)
     return RegisterClient(link)
 
 

@@ -81,7 +81,7 @@ def map_joints(session: Session) -> int:
     robot = session.robot
     if options.output.exists():
         raise InputError(f"{options.output} exists; choose another --output")
-    with session.open_guarded(protocol.refuse_motion) as link:
+    with session.open_guarded(protocol.is_motion) as link:
         rows = map_by_hand(link, robot)
     write_joint_map(options.output, rows)
     step = NextStep(

@@ -21,7 +21,7 @@ from robot_sysid.damiao.bus import (
     inspect_bus,
 )
 from robot_sysid.damiao.joints import id_problems
-from robot_sysid.damiao.protocol import refuse_motion
+from robot_sysid.damiao.protocol import is_motion
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.messages import NextStep
@@ -167,7 +167,7 @@ def setup(session: Session) -> int:
     changes = bool(given_values(options).keys() - {"motor"})
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
-    with session.open_guarded(refuse_motion) as link:
+    with session.open_guarded(is_motion) as link:
         inspection = inspect_bus(link)
         session.console.stage(*motor_table(inspection.motors.values()))
         if changes:
@@ -229,7 +229,7 @@ def monitor(session: Session) -> int:
     It ends with Ctrl-C or after the lifetime of the options. The code is 1 if no motor answers.
     """
     options = record_from(MonitorOptions, session.values)
-    with session.open_guarded(refuse_motion) as link:
+    with session.open_guarded(is_motion) as link:
         motors = list(inspect_bus(link).motors.values())
         if not motors:
             return _conclude_listing(session, count=0)
