@@ -18,14 +18,14 @@ from tests.support.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 4383,
     "robot_sysid/commands": 10685,
-    "robot_sysid/damiao": 31930,
+    "robot_sysid/damiao": 31883,
     "robot_sysid/diagnosis": 16662,
     "robot_sysid/dynamics": 5307,
     "robot_sysid/estimate": 27907,
     "robot_sysid/logs": 15374,
     "robot_sysid/mjcf": 7188,
     "robot_sysid/model": 7901,
-    "robot_sysid/motion": 16823,
+    "robot_sysid/motion": 16819,
     "robot_sysid/pipeline": 6885,
     "robot_sysid/records": 8433,
     "robot_sysid/report": 5107,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4382,
     "robot_sysid/simulation": 3857,
     "robot_sysid": 9059,
-    "tests": 217174,
+    "tests": 217150,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -36,12 +36,6 @@ KD_MAX = 5.0
 """The greatest damping that a command frame can carry [N m s/rad]."""
 KD_STEP = KD_MAX / 0xFFF
 """The least damping above zero that a command frame can carry [N m s/rad]."""
-_FLOAT32_SLACK = 1e-6
-"""Share of a range by which a value may lie outside it.
-
-A register holds float32: a limit of 12.566 comes back as 12.5659999..., and a command of 12.566
-must still be accepted.
-"""
 _LOWER_ENDS = -1.0, -1.0, 0.0, 0.0, -1.0
 """Lower end of the range of each of a command's five fields, as a multiple of the upper end."""
 _MEASURED = [0, 1, 4]
@@ -135,7 +129,9 @@ class Scaling:
 
     def _require_inside(self, values: Array) -> None:
         """Raise InputError for the first command value (..., n, 5) outside its range."""
-        slack = _FLOAT32_SLACK * self._high
+        # A register holds float32: a limit of 12.566 comes back as 12.5659999..., and a command of
+        # 12.566 must still be accepted.
+        slack = 1e-6 * self._high
         # Written so that a NaN counts as outside.
         inside = (values >= self._low - slack) & (values <= self._high + slack)
         for *_, motor, field in np.argwhere(~inside)[:1]:

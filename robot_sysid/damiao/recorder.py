@@ -49,11 +49,6 @@ from robot_sysid.records import Array
 
 Action = Callable[[], object]
 """A function without arguments that prints or writes."""
-_PATIENCE = 2.0
-"""Time for which the last actions are waited for at the end of a run [s].
-
-A judgement: longer than a healthy disk takes, shorter than a person waits.
-"""
 
 
 class Aside:
@@ -84,10 +79,11 @@ class Aside:
         else:
             self._waiting.put(action)
 
-    def finish(self, patience: float = _PATIENCE) -> None:
+    def finish(self, patience: float = 2.0) -> None:
         """End the thread, and wait at most ``patience`` [s] until all actions are done.
 
-        If they are not, ``failure`` becomes a TimeoutError unless an action has failed already.
+        Two seconds are longer than a healthy disk takes, and shorter than a person waits. If they are
+        not, ``failure`` becomes a TimeoutError unless an action has failed already.
         """
         if self._thread is None:
             return

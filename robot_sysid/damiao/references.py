@@ -288,8 +288,6 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
 
 _RELIEF_TIME = 0.3
 """Time constant in which torque that pushes a standing joint against something is removed [s]."""
-_RELIEF_MOVED = 0.01
-"""Motion of a joint [rad] after which no more torque is removed: it carries load, no obstacle."""
 # A joint that leaves its path is stiffened and damped by the computer, through the feed-forward
 # torque, which acts one and a half cycles late. The delay removes damping at some frequencies, so
 # the added gains are limited by the motor's own damping kd. With these values no energy goes into a
@@ -442,7 +440,8 @@ class CarriedStop:
         self._time = time
         if time <= self.duration:
             return
-        self._has_moved |= np.abs(np.nan_to_num(goal - self._q)) > _RELIEF_MOVED
+        # A joint that moves as far carries load, and presses against no obstacle.
+        self._has_moved |= np.abs(np.nan_to_num(goal - self._q)) > 0.01
         less = (1.0 - self._relief) * min(passed / _RELIEF_TIME, 1.0)
         self._relief = np.where(self._has_moved, self._relief, self._relief + less)
 

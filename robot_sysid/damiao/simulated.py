@@ -292,10 +292,6 @@ class SimulatedArm:
             motor.torque = motor_torque if motor.driving else 0.0
 
 
-_TURNAROUND = 50e-6
-"""Time from a command's last bit to the answer's first bit [s]: assumed, a third of a frame."""
-
-
 class SimulatedLink:
     """A link to a simulated arm, in simulated time, with the transmission times of frames.
 
@@ -335,9 +331,9 @@ class SimulatedLink:
         if self._echo:
             self._deliver(frame._replace(time=end, echo=True))
         for reply in self.arm.handle(frame, end):
-            heapq.heappush(
-                self._replies, (end + _TURNAROUND, reply.id, next(self._order), reply)
-            )
+            # An answer begins a third of a frame after the command's last bit: assumed.
+            begin = end + 50e-6
+            heapq.heappush(self._replies, (begin, reply.id, next(self._order), reply))
 
     def receive(self, until: float) -> Frame | None:
         """Return the next frame transmitted by ``until`` [s], or None; advance the clock to it."""

@@ -314,8 +314,6 @@ def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
 
 NO_LIMITS = LimitOptions(max_velocity=1e6, clearance=0.0, below_base=True)
 """The limits of a run for which the user gives none: 1e6 rad/s stops no motion."""
-_FLOAT32_SLACK = 1e-6
-"""Relative excess of a limit that is ignored, because registers hold float32."""
 MODEL_LIMITS = "workspace", "keep_out", "clearance"
 """The limits that can only be compared with a model of the arm."""
 LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
@@ -381,7 +379,8 @@ def excesses(
     ):
         largest = np.max(values, axis=0)
         limit = bound + 0.0 * largest
-        slack = rounding + _FLOAT32_SLACK * np.abs(limit)
+        # Registers hold float32.
+        slack = rounding + 1e-6 * np.abs(limit)
         for j in np.flatnonzero(largest > limit + slack).tolist():
             row = int(np.argmax(values[:, j]))
             moment = (trajectory.time[row] - trajectory.time[0]) / speed

@@ -77,8 +77,6 @@ EXTRA_SLACK = 0.003
 
 A pair that approaches at 9 cm/s comes 3 mm nearer in half a step of the grid, 0.033 s.
 """
-_WORST = 1e6
-"""Stands for an infinite criterion: the optimiser needs a number."""
 SHRINK_FACTORS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
 """Factors by which a random motion is scaled, tried in turn until it keeps torque limits and
 touches nothing."""
@@ -259,7 +257,8 @@ def penalised_objective(
         adjoint[INFORMATION_POINTS] += gradient
     # q, qd and qdd are linear in x, by the basis functions and their derivatives.
     gradient = np.sum([a.T @ f for a, f in zip(adjoints, design.on_grid)], axis=0)
-    return min(value, _WORST) + penalty, gradient, active
+    # The optimiser needs a number in place of infinity.
+    return min(value, 1e6) + penalty, gradient, active
 
 
 def first_candidate(design: Design, x: Array) -> Candidate:

@@ -321,10 +321,6 @@ class VelocityCheck:
         return None
 
 
-_ROUNDING = 1e-6
-"""Relative error of a command at its bound after conversion to frames and back."""
-
-
 @dataclass(frozen=True)
 class CommandRange:
     """Positions and speeds that commands of n joints may have, each (n,).
@@ -409,7 +405,8 @@ class CommandBounds:
                 "or it needs more than this motor has (see plan --for weight)",
             ),
         ):
-            tolerance = slack + _ROUNDING * (1.0 + np.abs(limited))
+            # A command at its bound is rounded by its conversion to frames and back.
+            tolerance = slack + 1e-6 * (1.0 + np.abs(limited))
             # Written so that a NaN counts as too much.
             beyond = ~(np.abs(wanted - limited) <= tolerance)
             for j in np.flatnonzero(beyond).tolist():
