@@ -201,8 +201,7 @@ def read_rows(
     # Rows after a step backwards that are not yet later than all before are not counted.
     time = cells[usable, 0]
     step = np.diff(time)
-    later = np.ones(len(time), dtype=bool)
-    later[1:] = time[1:] > np.maximum.accumulate(time)[:-1]
+    later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0.0
     anomalies[BACKWARDS] = _anomaly(table, lines[usable[1:][step < 0.0]])
     anomalies[REPEATED] = _anomaly(table, lines[usable[1:][step == 0.0]])
     rows = usable[later]

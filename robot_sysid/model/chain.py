@@ -149,8 +149,8 @@ def jaw_in_line(mj_model: Any, terminal: int) -> int | None:
 
 def _child_joints(mj_model: Any, joint: int) -> list[int]:
     """Return the ids of the joints whose next joint towards the world is this one."""
-    is_child = np.array(_parent_joints(mj_model)) == joint
-    return [int(child) for child in np.flatnonzero(is_child)]
+    parents = enumerate(_parent_joints(mj_model))
+    return [child for child, parent in parents if parent == joint]
 
 
 def find_terminal_joint(mj_model: Any) -> int:
@@ -291,8 +291,7 @@ def joint_limits(
     is_limited = mj_model.jnt_limited[index].astype(bool)
     is_slide = mj_model.jnt_type[index] == _SLIDE
     limits = joint_values(max_velocity, len(joints), "--max-velocity")
-    slide_limits = np.minimum(DEFAULT_SLIDE_VELOCITY, limits)
-    limits = np.where(is_slide, slide_limits, limits)
+    limits[is_slide] = np.minimum(DEFAULT_SLIDE_VELOCITY, limits[is_slide])
     return JointLimits(
         lower=np.where(is_limited, mj_model.jnt_range[index, 0], -np.inf),
         upper=np.where(is_limited, mj_model.jnt_range[index, 1], np.inf),
