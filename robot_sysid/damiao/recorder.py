@@ -82,8 +82,8 @@ class Aside:
     def finish(self, patience: float = 2.0) -> None:
         """End the thread, and wait at most ``patience`` [s] until all actions are done.
 
-        Two seconds are longer than a healthy disk takes, and shorter than a person waits. If they are
-        not, ``failure`` becomes a TimeoutError unless an action has failed already.
+        Two seconds are longer than a healthy disk takes, and shorter than a person waits. If they
+        are not, ``failure`` becomes a TimeoutError unless an action has failed already.
         """
         if self._thread is None:
             return
