@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4382,
     "robot_sysid/simulation": 3857,
     "robot_sysid": 9059,
-    "tests": 217150,
+    "tests": 217138,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
