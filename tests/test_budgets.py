@@ -23,7 +23,7 @@ BUDGETS = {
     "robot_sysid/dynamics": 5307,
     "robot_sysid/estimate": 27907,
     "robot_sysid/logs": 15358,
-    "robot_sysid/mjcf": 7188,
+    "robot_sysid/mjcf": 7145,
     "robot_sysid/model": 7889,
     "robot_sysid/motion": 16819,
     "robot_sysid/pipeline": 6885,

@@ -182,10 +182,8 @@ def relocate(
             document.set_compiler({"strippath": "false"})
         return
     settings = {name: path for name, path in settings.items() if path != "."}
-    compilers = document.settings("compiler")
-    for node in compilers:
-        for name in _FOLDER_SETTINGS:
-            if name not in settings or node is not compilers[0]:
-                node.attrib.pop(name, None)
+    for node in document.settings("compiler"):
+        for name in {*_FOLDER_SETTINGS} - {*settings}:
+            node.attrib.pop(name, None)
     if settings:
         document.set_compiler(settings)

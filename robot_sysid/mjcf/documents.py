@@ -94,12 +94,12 @@ class ModelDocument:
         insert(parent, 0, node)
 
     def set_compiler(self, values: Mapping[str, str]) -> None:
-        """Set attributes of the first <compiler>, or add one; in a URDF of all, without meshdir."""
+        """Set attributes of each <compiler>, or add one; that of a URDF loses its meshdir."""
         compilers = self.settings("compiler")
         if not compilers:
             compilers = [etree.Element("compiler")]
             self.add_setting(compilers[0])
-        for node in compilers if self.is_urdf else compilers[:1]:
+        for node in compilers:
             node.attrib.update(values)
             if self.is_urdf:
                 node.attrib.pop("meshdir", None)

@@ -1,5 +1,5 @@
 """Inertias in model files: which body gets which part of a link, and their text, exact to the last
-digit; what compiler settings change of them.
+digit.
 
 The terminal body gets what was identified of the link minus the bodies below it that the file
 describes. Where that difference is no possible body, the terminal body gets the inertia of all that
@@ -15,7 +15,6 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.mjcf.documents import ModelDocument
 from robot_sysid.records import Array, SubtreeBody
 from robot_sysid.records.messages import Detail
 
@@ -190,10 +189,3 @@ def format_number(value: float) -> str:
     """Return a number with all its digits."""
     # Also turns -0.0 into 0.0; MuJoCo 3.3 refuses to read denormal numbers.
     return repr(float(value)) if abs(value) >= _SMALLEST_NORMAL else "0.0"
-
-
-def let_inertials_count(document: ModelDocument) -> None:
-    """Make ``inertiafromgeom="true"``, which overrides every ``<inertial>``, the default "auto"."""
-    for node in document.settings("compiler"):
-        if node.get("inertiafromgeom") == "true":
-            node.set("inertiafromgeom", "auto")

@@ -30,7 +30,6 @@ from robot_sysid.mjcf.documents import (
 from robot_sysid.mjcf.inertial import (
     format_number,
     format_numbers,
-    let_inertials_count,
     mjcf_inertial,
     urdf_inertial_about_com,
 )
@@ -178,7 +177,10 @@ def changed_model_text(
         give_minimum(document, excluded=written)
         raise_inertias(document, excluded=written)
     else:
-        let_inertials_count(document)
+        # "true" overrides every <inertial>.
+        for node in document.settings("compiler"):
+            if node.get("inertiafromgeom") == "true":
+                node.set("inertiafromgeom", "auto")
     relocate(document, folder, mesh_dir)
     return document.text()
 
