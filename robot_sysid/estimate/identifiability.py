@@ -123,8 +123,8 @@ def analyse_identifiability(
 
     The parameters of interest are the link's ten inertial parameters and this joint's Coulomb and
     viscous friction, all others are nuisances. The rank is that which remains after nuisances are
-    eliminated: rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition numbers are those of
-    Y_interest alone, so that they are comparable between a plan, a simulation and a log, which have
+    eliminated: rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition number is that of
+    Y_interest alone, so that it is comparable between a plan, a simulation and a log, which have
     different nuisances. All joints' rows weigh alike. ``unidentifiable`` covers nuisances,
     too.
 
@@ -137,7 +137,6 @@ def analyse_identifiability(
     interest = np.isin(names, [f"coulomb[{joint}]", f"viscous[{joint}]"])
     interest[: spatial.N_INERTIAL] = True
     visible = np.where(space.zero, 0.0, matrix)
-    length = np.where(space.zero, 1.0, np.linalg.norm(matrix, axis=0))
     # Rank of the nuisances alone, counted by the same cut as that of all columns.
     singular = np.linalg.svd((visible * space.scale)[:, ~interest], compute_uv=False)
     nuisance_rank = _count_visible(singular, np.max(space.singular, initial=0.0))
@@ -145,7 +144,6 @@ def analyse_identifiability(
         rank=space.rank - nuisance_rank,
         n_parameters=int(np.count_nonzero(interest)),
         condition_number=_condition(visible[:, interest]),
-        scaled_condition_number=_condition((visible / length)[:, interest]),
         unidentifiable=describe(space.null, names),
     )
 

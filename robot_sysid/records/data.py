@@ -164,7 +164,6 @@ class Identifiability:
         n_parameters: number p of parameters.
         condition_number: of the stacked regressor, or of its identifiable part where it has less
             than full rank.
-        scaled_condition_number: likewise, after scaling each column to unit length.
         unidentifiable: parameters that the data alone does not determine, in words, for instance
             "mass".
     """
@@ -172,7 +171,6 @@ class Identifiability:
     rank: int
     n_parameters: int
     condition_number: float
-    scaled_condition_number: float
     unidentifiable: tuple[str, ...]
 
 

@@ -109,7 +109,6 @@ def content_of(
         "cutoff": result.cutoff,
         "link_scales": result.link_scales,
         "unidentifiable": identifiability.unidentifiable,
-        "condition_number_scaled": identifiability.scaled_condition_number,
         "rmse_per_joint": estimate.rmse_per_joint,
         "noise_per_joint": estimate.noise_per_joint,
         "samples_per_joint": estimate.samples,

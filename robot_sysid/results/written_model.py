@@ -38,7 +38,7 @@ from robot_sysid.model.bodies import link_bodies
 from robot_sysid.model.compilation import mjcf_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
-from robot_sysid.records.messages import Detail, with_error
+from robot_sysid.records.messages import with_error
 from robot_sysid.results import verification
 from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Result
 
@@ -48,10 +48,6 @@ _MJCF_ATTRIBUTES = {
     "coulomb": "frictionloss",
 }
 """Friction term to the attribute of a joint or tendon that holds it."""
-_GRAVITY_NOTE = Detail(
-    "the written URDF states gravity in its <mujoco> part, which MuJoCo reads and other readers "
-    "ignore"
-)
 
 
 def write_model(
@@ -113,7 +109,6 @@ def write_model(
     if result.file is not None and result.file.gravity is not None:
         x, y, z = result.file.gravity.tolist()
         change = replace(change, gravity=(x, y, z))
-        notes += (_GRAVITY_NOTE,) if robot.kind == "urdf" else ()
     _write(robot, change, target, written_thetas)
     return notes
 
