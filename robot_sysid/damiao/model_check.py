@@ -123,7 +123,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     peaks = np.abs(needed).max(axis=0)
     for j in np.flatnonzero(peaks > available).tolist():
         yield stop(
-            f"{joints[j].label}: the motion needs {peaks[j]:.1f} N m and its motor makes "
+            f"{joints[j].label}: the motion needs {peaks[j]:.1f} N·m and its motor makes "
             f"{available[j]:g} at most; {CANNOT_FOLLOW}, {WEIGH_FIRST}"
         )
     # The torque in the file is that of the file's own speed.
@@ -136,7 +136,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     for j in np.flatnonzero(is_foreign).tolist():
         yield stop(
             f"{joints[j].label}: the torque that the file feeds forward is that of another motion "
-            f"or arm: it is off by {error[j]:.1f} N m where {robot.path.name} needs "
+            f"or arm: it is off by {error[j]:.1f} N·m where {robot.path.name} needs "
             f"{needed_rms[j]:.1f} (rms), and {CANNOT_FOLLOW}; export the file again for this arm, "
             f"or {WEIGH_FIRST}"
         )

@@ -244,7 +244,7 @@ class HoldingCheck:
         if not self.carries_arm:
             for j in np.flatnonzero(is_loaded).tolist():
                 raise HardwareAbort(
-                    f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N m, and the "
+                    f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N·m, and the "
                     "trajectory never feeds forward what carries an arm: its torque lacks gravity"
                 )
         expected = self.torque(q)
@@ -255,8 +255,8 @@ class HoldingCheck:
         is_wrong |= (size > _LOADED * self.doubt) & (along < _BARE * self.doubt)
         for j in np.flatnonzero(is_wrong & self.is_at_rest).tolist():
             raise HardwareAbort(
-                f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N m but {self.source} "
-                f"{expected[j]:.1f} N m in this pose: a motor turns the other way than its joint, "
+                f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N·m but {self.source} "
+                f"{expected[j]:.1f} N·m in this pose: a motor turns the other way than its joint, "
                 "sits at another one, or has another zero; see 'motors map'"
             )
 

@@ -41,7 +41,7 @@ _SPEED = "V [rad/s] > 0"
 
 def _stiffness_problem(kp: float) -> str | None:
     """Return why a frame cannot carry a stiffness [N m/rad], or None."""
-    return None if 0.0 <= kp <= KP_MAX else f"must be from 0 to {KP_MAX:g} N m/rad"
+    return None if 0.0 <= kp <= KP_MAX else f"must be from 0 to {KP_MAX:g} N·m/rad"
 
 
 def _damping_problem(kd: float) -> str | None:
@@ -49,7 +49,7 @@ def _damping_problem(kd: float) -> str | None:
     # Below half a step a frame carries no damping at all, and the motor would ring.
     if 0.5 * KD_STEP < kd <= KD_MAX:
         return None
-    return f"must be at least {KD_STEP:.2g} and at most {KD_MAX:g} N m s/rad"
+    return f"must be at least {KD_STEP:.2g} and at most {KD_MAX:g} N·m·s/rad"
 
 
 @dataclass(frozen=True)

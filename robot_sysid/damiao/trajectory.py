@@ -235,8 +235,8 @@ def rating_warnings(
     ):
         if torque > limit:
             yield (
-                f"{joint.label}: {torque:.2f} N m exceeds the {name} torque of a {spec.name}, "
-                f"{limit:g} N m; {remedy}"
+                f"{joint.label}: {torque:.2f} N·m exceeds the {name} torque of a {spec.name}, "
+                f"{limit:g} N·m; {remedy}"
             )
             break
     if spec.no_load_rpm is not None and velocity > spec.no_load_rpm * RPM:
@@ -375,7 +375,7 @@ def excesses(
             *("acceleration", "rad/s^2", speed**2 * np.abs(trajectory.qdd)),
             *(bounds.acceleration, change),
         ),
-        ("torque", "N m", np.abs(trajectory.tau), bounds.torque, ROUNDING),
+        ("torque", "N·m", np.abs(trajectory.tau), bounds.torque, ROUNDING),
     ):
         largest = np.max(values, axis=0)
         limit = bound + 0.0 * largest

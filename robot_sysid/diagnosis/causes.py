@@ -532,7 +532,7 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
             single,
             spread=np.full(2, 0.1 * torque[joint]),
             joint=joint,
-            unit="N m",
+            unit="N·m",
             is_norm=True,
         )
         rate = float(rates[np.argmax(in_time[:, joint])])

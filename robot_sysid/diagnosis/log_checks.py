@@ -264,7 +264,7 @@ def saturation_findings(
             if count > max(OFTEN * len(values), _CROWDED * others):
                 share = percent(count / len(values))
                 text = (
-                    f"the torque of joint {name} is exactly {end:.4g} N m, the end of its range, "
+                    f"the torque of joint {name} is exactly {end:.4g} N·m, the end of its range, "
                     f"in {share} of the samples: the sensor saturates"
                 )
                 yield Finding(

@@ -77,7 +77,7 @@ def make_compilable(
         listed = "', '".join(names)
         notes.append(
             f"moving link '{listed}' has no mass, or no inertia, which MuJoCo refuses; where it "
-            f"has none it was given {_MINIMUM_MASS:g} kg and {_MINIMUM_INERTIA:g} kg m^2"
+            f"has none it was given {_MINIMUM_MASS:g} kg and {_MINIMUM_INERTIA:g} kg·m²"
         )
     return tuple(notes)
 

@@ -157,7 +157,7 @@ def test_a_ripple_that_no_motor_follows_is_refused(arm, folder):
     q[:, 0] += 0.15 * (1 - np.cos(wave * time))
     qd[:, 0] += 0.15 * wave * np.sin(wave * time)
     first = refusals(folder, arm, (time, q, qd, tau))[0]
-    assert "N m and its motor makes 27 at" in first and "it cannot follow" in first
+    assert "N·m and its motor makes 27 at" in first and "it cannot follow" in first
 
 
 # --- contact ------------------------------------------------------------------------------------

@@ -238,7 +238,7 @@ def test_a_load_is_judged_from_twice_the_torque_that_friction_hides(loads, is_ju
     check(q, torque)
     check(q, 0.6 * torque_doubt(joints))
     if is_judged:
-        with pytest.raises(HardwareAbort, match="elbow.* holds the arm with 0.0 N m"):
+        with pytest.raises(HardwareAbort, match="elbow.* holds the arm with 0.0 N·m"):
             check(q, 0.0 * torque)
     else:
         check(q, 0.0 * torque)

@@ -459,7 +459,7 @@ TABLE = (
         *("AB AB AB", "motor 1 reports status A"),
     ),
     Line("blocked joint", fault("jammed", 0), "01 00 00", "one and the same position"),
-    Line("weak motor", fault("peak_torque", 1, 0.05), SLOWLY, "motor 2 reports -0.1 N m"),
+    Line("weak motor", fault("peak_torque", 1, 0.05), SLOWLY, "motor 2 reports -0.1 N·m"),
     Line("power stage hot", fault("temperature_mos", 1, 81), BRAKES, "motor 2 is at 81 deg C"),
     Line("encoder slips 0.15 rad", fault("shift", 1, 0.15), SLOWLY, "what cannot be true"),
     Line("stall", lambda rig: rig.clock.stall(0.05), BRAKES, "late for a control cycle, limit 20"),

@@ -96,7 +96,7 @@ class Session(MotorRun):
 
 _HEADINGS = (
     *("id", "reply", "mode", "PMAX", "VMAX", "TMAX", "type", "watchdog"),
-    *("rad", "rad/s", "N m", "degC", "state"),
+    *("rad", "rad/s", "N·m", "degC", "state"),
 )
 
 

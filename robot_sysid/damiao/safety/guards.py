@@ -401,7 +401,7 @@ class CommandBounds:
             ),
             (
                 *(asked, makes, torque_slack),
-                "be asked for {:.1f} N m and makes {:.1f} at most: something holds the arm back, "
+                "be asked for {:.1f} N·m and makes {:.1f} at most: something holds the arm back, "
                 "or it needs more than this motor has (see plan --for weight)",
             ),
         ):

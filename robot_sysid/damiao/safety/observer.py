@@ -346,7 +346,7 @@ class Observer:
             frozen,
             lambda j: (
                 f"reports one and the same position while its path goes on by {led_by[j]:.3f} rad "
-                f"and its motor pushes with {turned_by[j]:.1f} N m: its encoder is frozen, or it "
+                f"and its motor pushes with {turned_by[j]:.1f} N·m: its encoder is frozen, or it "
                 "is blocked"
             ),
         )
@@ -360,7 +360,7 @@ class Observer:
         self._raise_first(
             is_judged & is_opposite,
             lambda j: (
-                f"carries the arm with {carried[j]:.1f} N m where {fed[j]:.1f} are fed "
+                f"carries the arm with {carried[j]:.1f} N·m where {fed[j]:.1f} are fed "
                 "forward: it is not where it says (its gear slips, its zero has moved), or it is "
                 "another joint (cables of two arms exchanged, ids swapped, mirrored)"
             ),
@@ -467,12 +467,12 @@ class Observer:
 
 # What is said of the rows of ``_CYCLES``: error, limit, reported and commanded torque.
 _BEYOND = (
-    "reports {2:.1f} N m where {3:.1f} are commanded: it is weak, its supply sags, its encoder is "
+    "reports {2:.1f} N·m where {3:.1f} are commanded: it is weak, its supply sags, its encoder is "
     "frozen, its torque has another sign or scale, or another program commands it",
     "is {0:.3f} rad off its path, limit {1:g}",
     "is {0:.3f} rad/s off its speed, limit {1:g}",
-    "is {0:.3f} N m off its torque, limit {1:g}",
-    "suddenly needs {0:.1f} N m beside what carried it",
+    "is {0:.3f} N·m off its torque, limit {1:g}",
+    "suddenly needs {0:.1f} N·m beside what carried it",
 )
 _TORQUE_SCALE = (
     "reports {:.2f} times the torque that it was commanded to make: its TMAX register does not "

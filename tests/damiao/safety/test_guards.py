@@ -320,8 +320,8 @@ def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
         (command(position=0.03), "would be sent to 0.030 rad"),
         (command(position=float("nan")), "would be sent to nan"),
         (command(velocity=2.1), "would be told 2.10 rad/s, limit 2.00"),
-        (command(torque=7.2), "would be asked for 7.2 N m and makes 7.0 at most"),
-        (command(position=0.01, torque=6.5), "would be asked for 7.5 N m"),
+        (command(torque=7.2), "would be asked for 7.2 N·m and makes 7.0 at most"),
+        (command(position=0.01, torque=6.5), "would be asked for 7.5 N·m"),
     ],
 )
 def test_what_is_asked_too_much_is_named(requested, message):

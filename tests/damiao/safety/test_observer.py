@@ -75,7 +75,7 @@ def test_while_gains_rise_a_new_load_is_judged_by_how_far_the_arm_sinks():
     swings = sample(q=-0.09, tau=20.0)
     sinks = sample(q=-0.11, tau=5.0)
     assert stop_words(swings, flags=(True, True)) is None
-    assert "N m off its torque, limit 7" in stop_words(swings, swings, flags=(True,))
+    assert "N·m off its torque, limit 7" in stop_words(swings, swings, flags=(True,))
     assert (
         "is 0.110 rad off its path, limit 0.1, while it should stand still"
         in stop_words(sinks, flags=(True, True))
@@ -106,7 +106,7 @@ LIMITS = (
     (
         lambda x: sample(tau=3.0 + 7.0 * x),
         (0.0, 0.0, 3.0),
-        "7.000 N m off its torque, limit 7",
+        "7.000 N·m off its torque, limit 7",
     ),
     (lambda x: sample(mos=80 + (x > 1.0)), (0.0, 0.0, 0.0), "is at 81 deg C, limit 80"),
     (
