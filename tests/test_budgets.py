@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 6885,
     "robot_sysid/records": 8430,
     "robot_sysid/report": 5107,
-    "robot_sysid/results": 11579,
+    "robot_sysid/results": 11578,
     "robot_sysid/servo": 4727,
     "robot_sysid/signals": 4382,
     "robot_sysid/simulation": 3857,
     "robot_sysid": 9059,
-    "tests": 217078,
+    "tests": 217076,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -142,7 +142,7 @@ def link_result(
     sentences = [*robot.notes, *notes]
     if len(bodies) > 1:
         sentences.append(
-            f"the mass of {last_link.name} is that of {' + '.join(bodies)}"
+            f"the numbers of {last_link.name} are those of {' + '.join(bodies)} together"
         )
     if UNUSUAL < share <= UNEXPLAINED:
         sentences.append(sentence)
@@ -391,7 +391,7 @@ def model_file(
         shares = [percent(error or 0.0) for error in errors]
         notes.append(
             f"{MODEL_NAMES['urdf']} has a torque error of {shares[1]}, {MODEL_NAMES['mjcf']} of "
-            f"{shares[0]}. No URDF can hold {' and '.join(omissions)}, so masses in it are off to "
+            f"{shares[0]}. No URDF can hold {' and '.join(omissions)}, so its masses are off to "
             "make up for that"
         )
     motors = tuple(m for m in fitted.arm.motors if m.name in fitted.question.motors)
@@ -450,8 +450,8 @@ def _offset_notes(file: RestrictedFit) -> Iterator[str]:
     if squared > max(HARMLESS, share) ** 2:
         yield (
             f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
-            "that is larger in one direction: with it left in, the written file's torque error on "
-            f"held-out data is {percent(float(np.sqrt(squared + share**2)))}"
+            "that is larger in one direction: counted as errors, they make the torque error of the "
+            f"written file on held-out data {percent(float(np.sqrt(squared + share**2)))}"
         )
 
 

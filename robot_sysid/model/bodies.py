@@ -271,7 +271,7 @@ def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
                 f"{listed} could each be the flange; choose one by its name"
             )
         flange = matches[0][1]
-        note = f"{flange.name} was taken for the flange, because of its name"
+        note = f"{flange.name} was taken for the flange, because of its name (--flange has others)"
         if pattern is _PATTERNS[-1]:
             note += "; an end effector's frame may also be the tip of the tool: check"
         return replace(flange, note=note)

@@ -117,8 +117,8 @@ def _no_drift_note(count: int, is_order_known: bool) -> str:
     if not is_order_known and count != 2:
         reason = "the order in which they were recorded is not known (--order tells it)"
     return (
-        f"a drift of friction over the {count} logs is not estimated: {reason}; record "
-        "in the order empty, loaded, loaded, empty"
+        f"a drift of friction over the {count} logs is not estimated, nor in the ±: {reason}; "
+        "record in the order empty, loaded, loaded, empty (--order ABBA)"
     )
 
 

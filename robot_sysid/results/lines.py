@@ -59,7 +59,7 @@ def block_lines(content: Content, links: bool = False) -> list[str]:
     link = content["body_name"]
     rows = body_rows(content, link) + friction_rows(content, content["joint_name"])
     table = [cells(row, label(row)) for row in rows]
-    title = f"{link} with its load"
+    title = f"{link} with all on it"
     if links:
         table = [*all_cells(content)]
         title = "Before -> after"

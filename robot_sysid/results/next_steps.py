@@ -48,8 +48,9 @@ STEPS: Mapping[str, tuple[str, str]] = {
         "plan {model} {options} --output-dir {folder}/planned",
     ),
     "part bolted on": (
-        "Next, if what is bolted on can be taken off, record a log without it and weigh it by "
-        "difference, with a much smaller ±",
+        "Next, if what is bolted on can be taken off, record {folder}/empty.csv without it and "
+        "weigh it by difference: one log shows its mass times its distance far better than its "
+        "mass",
         "payload {model} --empty {folder}/empty.csv --loaded {log} {options} --output-dir "
         "{folder}/weighed",
     ),

@@ -29,7 +29,7 @@ _LABELS = dict(
     armature="rotor inertia",
     frictionloss="dry friction",
     torque_scale="torque scale",
-    offset="friction offset",
+    offset="torque offset",
     stribeck="Stribeck friction",
     scale="error of the torque scale",
     zero="encoder zero",
@@ -50,7 +50,8 @@ _LEGEND = {
     "±": "standard error of all causes, the true value is within two of them in 95 of 100 cases",
     _WITHIN: "changed by less, the model's number may be right",
     "prior": "the model says more of this number than the recordings do",
-    "at its bound": "the torques ask for a value that cannot be, such as friction below zero",
+    "at its bound": "the torques ask for a value that cannot be, such as friction below zero, and "
+    "the nearest one that can is taken",
 }
 """Words in a table to what they mean."""
 _MAX_RELATIVE_CHANGE = 10.0
@@ -192,11 +193,13 @@ def beyond_line(content: Content) -> str:
     text = with_error(abs(mass["value"]), mass["error"], "kg")
     if abs(mass["value"]) < SIGNIFICANT * mass["error"]:
         more = with_error(mass["value"], mass["error"], "kg")
-        return f"Bolted on beyond the model: nothing for sure ({more} on {link})"
-    if mass["value"] < 0.0:
+        unseen = number_text(SIGNIFICANT * mass["error"], mass["error"])
         return (
-            f"Bolted on beyond the model: nothing; {link} is {text} lighter than in it"
+            f"Bolted on beyond the model: nothing seen ({more} on {link}; less than {unseen} kg "
+            "would not be)"
         )
+    if mass["value"] < 0.0:
+        return f"Bolted on beyond the model: nothing; {link} weighs {text} less than in the model"
     position = ""
     if all(map(is_shown, com)):
         listed = ", ".join(with_error(row["value"], row["error"]) for row in com)

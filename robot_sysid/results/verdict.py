@@ -16,6 +16,7 @@ from robot_sysid.records.file_access import CARD_NAME, models_in
 from robot_sysid.records.messages import NextStep, percent, with_error
 from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD, Verdict
+from robot_sysid.results.table import rows_of
 
 UNKNOWN = 0.5
 """Relative standard error from which on a mass is not known: two such errors reach zero."""
@@ -109,22 +110,19 @@ def _improvements(content: Content) -> Iterator[str]:
         # A payload is part of both models: the change is that of links and friction.
         load = "" if payload is None else " with the payload"
         shares = before_after_text(file["before"], file["after"])
-        yield f"torque error{load} on held-out data, constant offsets aside, {shares}"
-    if payload is not None and payload["known_mass"] is not None:
+        yield f"torque error{load} on held-out data, torque offsets aside, {shares}"
+    if payload and payload["known_mass"]:
         yield "torque scales follow from the known mass"
         return
-    of, name = PAYLOAD, "the payload"
-    if payload is None:
-        of = name = content["body_name"]
-    rows = [row for row in content["quantities"] if row["of"] == of]
-    row = next((row for row in rows if row["name"] == "mass"), None)
+    of = content["body_name"] if payload is None else PAYLOAD
+    row = next((row for row in rows_of(content, of) if row["name"] == "mass"), None)
     if row is None or row["error"] is None or row["value"] <= 0.0:
-        yield f"the mass of {name} alone is not identifiable"
+        yield f"the mass of {of} alone is not identifiable"
         return
     mass = with_error(row["value"], row["error"], "kg")
-    text = f"{name} weighs {mass}"
+    text = f"{of} weighs {mass}"
     if row["error"] >= UNKNOWN * row["value"]:
-        text = f"the mass of {name} alone is not known: {mass}"
+        text = f"the mass of {of} alone is not known: {mass}"
     yield f"{text}, ± mostly from {row['reason']}" if row["reason"] else text
 
 
@@ -139,8 +137,8 @@ def use_lines(path: Path, contents: str = "") -> tuple[str, str, str]:
     return (
         f"Use this file{contents}: {path}",
         f"  mujoco.MjModel.from_xml_path({text})",
-        f"It loads in MuJoCo {MUJOCO_VERSION} (tested), and in all from 3.0 on that load your "
-        "model",
+        f"It loads in MuJoCo {MUJOCO_VERSION} (tested); others from 3.0 on load it if they load "
+        "your model",
     )
 
 

@@ -218,7 +218,7 @@ def test_named_values_fit_together(result):
     assert result.failure is None
     lines = str(result).split("\n")
     assert lines[0].startswith("Bolted on beyond the model: ")
-    assert lines[1].startswith("  link3 with its load ")
+    assert lines[1].startswith("  link3 with all on it ")
 
 
 def test_a_result_is_the_same_after_pickling(result, tmp_path):

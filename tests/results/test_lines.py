@@ -48,7 +48,7 @@ def brief_lines(lines):
 def test_measured_data_gets_a_table_changes_and_validation():
     result = made.found(validation=(made.validation_of(0.05),))
     table = block_lines(result)
-    heading = "link6 with its load model identified ± unit change"
+    heading = "link6 with all on it model identified ± unit change"
     assert " ".join(table[0].split()) == heading
     assert table[1].split()[:5] == ["mass", "1.0000", "2.0000", "0.0020", "kg"]
     assert len(table) == 14 and table[-1].startswith("  ±: standard error ")

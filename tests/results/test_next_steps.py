@@ -44,8 +44,8 @@ def test_the_last_lines_name_the_files_that_were_written():
     assert lines == [
         "Use this file: o ut/updated_model.urdf",
         '  mujoco.MjModel.from_xml_path("o ut/updated_model.urdf")',
-        f"It loads in MuJoCo {mujoco.__version__} (tested), and in all from 3.0 on that load your "
-        "model",
+        f"It loads in MuJoCo {mujoco.__version__} (tested); others from 3.0 on load it if they "
+        "load your model",
         "Next, plan:",
         "  robot-sysid plan 'it'\"'\"'s.xml'",
     ]

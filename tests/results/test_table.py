@@ -165,8 +165,8 @@ def test_what_the_printed_digits_hide_is_no_other_number_in_the_file():
     ("mass", "error", "text"),
     [
         (0.5, 0.1, "Bolted on beyond the model: 0.50 ± 0.10 kg, centre of mass ["),
-        (0.1, 0.1, "Bolted on beyond the model: nothing for sure (0.10 ± 0.10 kg"),
-        (-0.5, 0.1, "link6 is 0.50 ± 0.10 kg lighter"),
+        (0.1, 0.1, "Bolted on beyond the model: nothing seen (0.10 ± 0.10 kg"),
+        (-0.5, 0.1, "link6 weighs 0.50 ± 0.10 kg less"),
         (0.5, np.inf, "These torques do not show whether anything is bolted to link6"),
     ],
 )

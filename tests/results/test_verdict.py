@@ -16,9 +16,7 @@ def verdict_line(result, failure=None):
     return line_of(content_of(result, failure=failure))
 
 
-BETTER = (
-    "Usable: torque error on held-out data, constant offsets aside, 27 % -> 0.25 %; "
-)
+BETTER = "Usable: torque error on held-out data, torque offsets aside, 27 % -> 0.25 %; "
 
 
 @pytest.mark.parametrize(
@@ -41,7 +39,7 @@ BETTER = (
                 verdict=Verdict.AS_GOOD, file=made.model_file(other_validations=())
             ),
             "Usable, but the model was about as good before: torque error on held-out data, "
-            "constant offsets aside, 27 % -> 0.25 %; link6 weighs 2.0000 ± 0.0020 kg, ± mostly "
+            "torque offsets aside, 27 % -> 0.25 %; link6 weighs 2.0000 ± 0.0020 kg, ± mostly "
             "from the other links' parameters",
         ),
         (
@@ -51,7 +49,7 @@ BETTER = (
         ),
         (
             made.payload(),
-            "Usable: the payload weighs 1.200 ± 0.010 kg, ± mostly from the torque scales",
+            "Usable: payload weighs 1.200 ± 0.010 kg, ± mostly from the torque scales",
         ),
         (
             made.payload(known_mass=1.2),
