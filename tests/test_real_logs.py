@@ -119,7 +119,7 @@ def test_tx40s_shared_motor_is_in_its_file(tx40):
     params = json.loads((tx40 / "out" / "params.json").read_text())
     assert motors(params) == ["joint_5+joint_6"]
     notes = " ".join(remark["text"] for remark in params["remarks"])
-    assert "updated_model.urdf lacks the motor that turns with joint_5" in notes
+    assert "No URDF can hold the motor that turns with joint_5" in notes
 
 
 @pytest.mark.slow
