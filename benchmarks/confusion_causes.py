@@ -536,9 +536,7 @@ SCALE = ("torque-scale", "torque-unit")
 # Too long a time makes less of the accelerations, as if gravity were more.
 CLOCK = ("clock", "gravity")
 MASSES = r"all masses|all links|masses of (the|all)|model's masses|density"
-INERTIAS = (
-    r"inertias? (of|in) (the|all|model)|model's (moments|inertia)|placeholder|not kg.m"
-)
+INERTIAS = r"inertias? (of|in) (the|all|model)|model's (moments|inertia)|placeholder|inertia in kg"
 """Words that blame the model's masses or inertias, not the log."""
 MODEL_CAUSES = {
     "masses_too_light": Cause(
@@ -549,7 +547,7 @@ MODEL_CAUSES = {
         partial(wrong_units, 1e3, 1.0), (("model",),), f"{MASSES}|grams|not kg"
     ),
     "masses_in_tonnes": Cause(
-        partial(wrong_units, 1e-3, 1.0), (("model",),), f"{MASSES}|tonnes|not kg"
+        partial(wrong_units, 1e-3, 1.0), (("model",),), f"{MASSES}|tonnes|masses in kg"
     ),
     "placeholder_inertias": Cause(
         partial(placeholder_inertias, 1.0), (("model",),), INERTIAS

@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 4383,
     "robot_sysid/commands": 10685,
     "robot_sysid/damiao": 31883,
-    "robot_sysid/diagnosis": 16662,
+    "robot_sysid/diagnosis": 16657,
     "robot_sysid/dynamics": 5307,
     "robot_sysid/estimate": 27866,
     "robot_sysid/logs": 15358,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4382,
     "robot_sysid/simulation": 3857,
     "robot_sysid": 9059,
-    "tests": 217076,
+    "tests": 217045,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

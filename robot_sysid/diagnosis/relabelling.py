@@ -442,14 +442,14 @@ def scale_finding(
         opposite = ", ".join(name for name, s in zip(names, scale) if s < 0.0)
         text += f"of {opposite} with the opposite sign; "
     start = [format(value, ".4g") for value in np.abs(scale) * divided]
+    options = ("--torque-scale", ",".join(start))
     if np.max(known) / np.min(known) > SAME:
         text += "a factor of its own for every joint, as motor currents or per cent of rated "
         text += "torque have, or all masses of the model are wrong"
-        options = ("--torque-scale", ",".join(start))
         return Finding(level, check, text, WEIGHING, options, "payload", correction)
-    common = start[0] if np.ptp(divided) == 0.0 else ",".join(start)
-    options = ("--torque-scale", common)
-    remedy = f"pass --torque-scale {common}"
+    if np.ptp(divided) == 0.0:
+        options = ("--torque-scale", start[0])
+    remedy = f"pass {' '.join(options)}"
     # Masses in another unit are refused where models are read.
     if is_foreign and typical in UNITS:
         return Finding(level, check, f"{text}as in {UNITS[typical]}", remedy, options)
@@ -459,4 +459,4 @@ def scale_finding(
         "by as much, or it is the model of another arm, which torques cannot tell apart"
     )
     remedy = f"weigh a link or a known mass; if the model is right, {remedy}"
-    return Finding(level, check, text, remedy)
+    return Finding(level, check, text, remedy, options, "payload")

@@ -340,7 +340,8 @@ def test_scales_by_a_known_mass_are_those_of_the_log_whatever_it_was_divided_by(
     prior = {"priors": {"scale": 50.0}}
     scales_by_joint = scales(**prior)
     divided = scales(**prior, torque_scale=1.02)
-    assert scales_by_joint["joint1"].error < 0.01
+    # Between two logs a scale may drift by 0.25 % of the arm's torque, 1 % of the weight's.
+    assert scales_by_joint["joint1"].error < 0.02
     for joint, scale in scales_by_joint.items():
         difference = divided[joint].value - scale.value
         assert abs(difference) < max(1e-3, 0.1 * scale.error), joint

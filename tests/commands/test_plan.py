@@ -71,7 +71,7 @@ def test_a_designed_trajectory_can_be_saved_checked_slowed_and_exported(
     assert "acceleration" not in assumed.search(repeated.out)[0]
     lines = assumed.sub("", promise).splitlines()
     assert lines == [line for line in repeated.out.splitlines() if line in lines]
-    assert "Ranges, and peaks of their limits:" in repeated.out
+    assert "Largest values, a position from the middle of its range:" in repeated.out
     command.run("plan", path, "--trajectory plan.json --speed 0.5", *export(3))
     rows = (
         (path.parent / "sysid_output" / "damiao_trajectory.csv")

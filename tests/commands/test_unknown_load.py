@@ -55,7 +55,7 @@ def test_a_motion_that_is_refused_is_played_after_a_smaller_one(command):
     file = "first/weighing/damiao_trajectory.csv"
     assert rehearsal == ["motors", "simulate", file, "--model", str(GUESS)]
     printed = command.run(*rehearsal)
-    words = ["motors", "check", file, "--channel", "can0", "--model", str(GUESS)]
+    words = ["motors", "check", file, "--model", str(GUESS), "--channel", "can0"]
     assert last_command(printed.out) == words
     slow = read_damiao_trajectory("first/weighing/damiao_trajectory.csv")
     assert np.max(np.abs(slow.tau)) < 0.5 * PEAK and np.max(np.abs(slow.qd)) <= 0.6
