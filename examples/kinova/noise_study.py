@@ -197,7 +197,7 @@ class NoiseStudy:
             reach.append(
                 [NORMAL_95 * (estimate.error(name) or 0.0) for name in self.names]
             )
-            constrained += estimate.constrained
+            constrained += not plain.inertial.is_consistent
             impossible += not estimate.inertial.is_consistent
         return Outcome(
             self.names,
