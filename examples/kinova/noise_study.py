@@ -230,5 +230,9 @@ def cramer_rao_bound(information: SquareRootInformation, noise: Array) -> Array:
         information: the equations.
         noise: (joints,) noise standard deviation [N m].
     """
-    root = visible_space(information.equations(1.0 / noise)[0]).inverse_root()
+    joints = []
+    for joint, sigma in zip(information.joints, noise):
+        joints.append(replace(joint, triangle=joint.triangle / sigma))
+    matrix, _ = replace(information, joints=tuple(joints)).equations()
+    root = visible_space(matrix).inverse_root()
     return root @ root.T
