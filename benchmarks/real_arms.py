@@ -339,15 +339,21 @@ def interval_line(quantity: str, rows: Array) -> str:
     return f"{quantity:<16}{coverage:6.0f} %{ratio:8.2f}{rms:9.2f} %{width:9.2f} %"
 
 
-def main() -> int:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def arms_parser(description: str | None) -> argparse.ArgumentParser:
+    """Return a parser with the options of benchmarks that draw arms of public models."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("models", type=Path)
-    parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument(
         "--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS)
     )
+    return parser
+
+
+def main() -> int:
+    """Print the table."""
+    parser = arms_parser(__doc__)
+    parser.add_argument("--logs", type=int, default=20)
     parser.add_argument(
         "--deviations", nargs="+", default=list(DEVIATIONS), choices=DEVIATIONS
     )

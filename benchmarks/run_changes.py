@@ -18,7 +18,6 @@ Coulomb or viscous friction of more than two standard errors, the root of the su
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -36,7 +35,7 @@ from benchmarks.real_arms import (
     SENSOR_ARMS,
     STEP,
     STRIBECK,
-    USUAL_ARMS,
+    arms_parser,
     noise_samples,
     wrong_links,
 )
@@ -182,13 +181,8 @@ def named(folder: Path, path: Path, arm_name: str, seed: int) -> Iterator[set[st
 
 def main() -> int:
     """Print what each pair's change is and what is named, and the shares of all pairs."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("models", type=Path)
+    parser = arms_parser(__doc__)
     parser.add_argument("--pairs", type=int, default=24)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument(
-        "--arms", nargs="+", default=list(USUAL_ARMS), choices=list(ARMS)
-    )
     options = parser.parse_args()
     counts = {name: np.zeros(3, dtype=int) for name in ("separate", "one fit")}
     changed = 0
