@@ -44,8 +44,10 @@ def held_out_logs(fitted: Fit) -> list[Validation]:
     not identify.
     """
     names = list(dict.fromkeys(fitted.sums.logs))
+    if len(names) < 2:
+        return []
     tests = []
-    for name in names if len(names) > 1 else ():
+    for name in names:
         blocks = [k for k, log in enumerate(fitted.sums.logs) if log == name]
         source = f"{name}, predicted from the other logs"
         test = error_in(fitted, *fitted.without(blocks), blocks, source)

@@ -125,8 +125,7 @@ def analyse_identifiability(
     viscous friction, all others are nuisances. The rank is that which remains after nuisances are
     eliminated: rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition number is that of
     Y_interest alone, so that it is comparable between a plan, a simulation and a log, which have
-    different nuisances. All joints' rows weigh alike. ``unidentifiable`` covers nuisances,
-    too.
+    different nuisances. All joints' rows weigh alike. ``unidentifiable`` covers nuisances, too.
 
     Args:
         matrix: (M, p) rows of all joints.

@@ -190,8 +190,8 @@ class LinkEvidence:
 def average_scales(evidence: LinkEvidence) -> LinkScales:
     """Return the root mean square of each factor on the links' prior over its posterior on a grid.
 
-    A root mean square and not the most likely factor, because
-    the prior has to allow for large values where the data hardly determines a factor.
+    A root mean square and not the most likely factor, because the prior has to allow for large
+    values where the data hardly determines a factor.
     """
     # (combinations, 3): factors of mass, centre of mass and inertia.
     grid = np.array(list(product(MASS_SCALES, COM_SCALES, INERTIA_SCALES)))

@@ -57,8 +57,9 @@ CHANGES = 0.1
 """Standard deviation of friction's relative change from one log to the next: five logs of a UR10e
 differ by 2.5 standard errors of a single one."""
 SCALE_DRIFTS = 0.25
-"""Prior standard deviation of a torque scale's drift between two runs, from their middle to each
-[%]: without it, logs of a KUKA LWR4+ differ by 0.07 kg at the last link, eight standard errors."""
+"""Prior standard deviation of a torque scale's drift, from the middle of a payload's logs, or of
+two runs, to an end [%]: without it, logs of a KUKA LWR4+ differ by 0.07 kg at the last link, eight
+standard errors."""
 LOADED_LOSS = 0.1
 """Prior standard deviation of the share of its load that a gear loses, in weighing a payload."""
 FILE_TILT = float(np.radians(2.0))

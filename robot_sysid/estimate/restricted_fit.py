@@ -147,8 +147,7 @@ def errors_on(
     errors = []
     for values in ({}, file.fit.by_name):
         solved = _solved(other, [other.arm.terms["offset"]], values)
-        error = error_in(solved, solved.values, solved.inverse, blocks, source)
-        errors.append(error)
+        errors.append(error_in(solved, solved.values, solved.inverse, blocks, source))
     before, after = errors
     return before, after
 

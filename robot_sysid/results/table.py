@@ -167,7 +167,7 @@ def table_lines(rows: Iterable[Sequence[str]], title: str = "") -> list[str]:
     lines = aligned_lines(shown_columns(rows, title), HEADINGS[1:5])
     text = "\n".join(lines)
     meanings = [f"{word}: {_LEGEND[word]}" for word in _LEGEND if word in text]
-    return list(map("  {}".format, (*lines, "; ".join(meanings))))
+    return list(map("  {}".format, filter(None, (*lines, "; ".join(meanings)))))
 
 
 def all_cells(content: Content) -> Iterator[tuple[str, ...]]:

@@ -106,15 +106,15 @@ def _improvements(content: Content) -> Iterator[str]:
     """Yield phrases on the torque error before and after, and on the error of the mass."""
     file = content["file"]
     payload = content["payload"]
-    if file is not None:
+    if file:
         # A payload is part of both models: the change is that of links and friction.
-        load = "" if payload is None else " with the payload"
+        load = " with the payload" if payload else ""
         shares = before_after_text(file["before"], file["after"])
         yield f"torque error{load} on held-out data, torque offsets aside, {shares}"
     if payload and payload["known_mass"]:
         yield "torque scales follow from the known mass"
         return
-    of = content["body_name"] if payload is None else PAYLOAD
+    of = PAYLOAD if payload else content["body_name"]
     row = next((row for row in rows_of(content, of) if row["name"] == "mass"), None)
     if row is None or row["error"] is None or row["value"] <= 0.0:
         yield f"the mass of {of} alone is not identifiable"
