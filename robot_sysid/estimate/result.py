@@ -53,9 +53,17 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES
-from robot_sysid.records.messages import Level, Remark, percent, says, term_unit
+from robot_sysid.records.messages import (
+    PARAMETER_UNITS,
+    Level,
+    Remark,
+    percent,
+    says,
+    term_unit,
+)
 from robot_sysid.results.quantities import (
     BEYOND,
+    MOMENT,
     NOT_SHOWN,
     PRIOR_SHARE,
     body_quantities,
@@ -157,14 +165,20 @@ def link_result(
 
 
 def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
-    """Yield mass and centre of mass of what is on a link beyond its model.
+    """Yield numbers of what is on a link beyond its model, that which one log shows best first.
 
-    It is the difference to the model, whose numbers count as exact.
+    They are mass times distance of its centre from the link's frame, mass, and centre of mass. It
+    is the difference to the model, whose numbers count as exact.
     """
     if link.prior is None:
         return
-    theta = link.theta - link.prior.theta
-    beyond = replace(link, theta=theta, prior=None)
+    beyond = replace(link, theta=link.theta - link.prior.theta, prior=None)
+    moment = float(np.linalg.norm(beyond.first_moment))
+    direction = beyond.first_moment / max(moment, 1e-300)
+    error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
+    if not np.all(link.is_determined[1:4]):
+        error = math.inf
+    yield Quantity(MOMENT, BEYOND, PARAMETER_UNITS[1], None, moment, error)
     yield from itertools.islice(body_quantities(beyond, BEYOND), 4)
 
 

@@ -22,7 +22,7 @@ from robot_sysid.records.messages import NextStep, Progress, percent
 from robot_sysid.records.option_fields import given_arguments, joint_values
 from robot_sysid.results.lines import clamping_lines
 from robot_sysid.results.next_steps import step_after
-from robot_sysid.results.verdict import UNKNOWN, plan_conditions, plan_verdict
+from robot_sysid.results.verdict import plan_conditions, plan_verdict
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
@@ -34,6 +34,11 @@ if TYPE_CHECKING:
 _SMOOTH_REVERSAL = 0.01
 """Speed at which exported dry friction has reached 76 % of its size [rad/s]. A wider transition is
 gentler, but an arm that sticks longer at its reversals shows less: 0.03 costs a millimetre more."""
+
+
+UNKNOWN = 0.5
+"""Relative standard error from which on a motion does not show a mass: two such errors reach zero.
+"""
 
 
 def design_motion(

@@ -11,10 +11,9 @@ from robot_sysid.model import ModelOptions
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import given_arguments
 from robot_sysid.results.next_steps import step_after
-from robot_sysid.results.quantities import BEYOND
+from robot_sysid.results.quantities import BEYOND, MOMENT
 from robot_sysid.results.record import Result
-from robot_sysid.results.table import SIGNIFICANT
-from robot_sysid.results.verdict import UNKNOWN
+from robot_sysid.results.table import KNOWN, SIGNIFICANT
 
 SHARP = 20.0
 """Mass of what is bolted on, in standard errors, above which weighing it by difference gains
@@ -31,12 +30,16 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
     if not result.is_measured:
         return step_after("self-test passed", model=model, options=arm, folder=folder)
     if not isinstance(config, PayloadConfig):
-        if not result.body.errors[0] < UNKNOWN * result.body.mass:
+        parts = [result.quantity(name, BEYOND) for name in (MOMENT, "mass")]
+        ratios = [part.value / part.error for part in parts if part and part.error]
+        if (
+            not isinstance(config, IdentifyConfig)
+            or max(ratios, default=0.0) < SIGNIFICANT
+        ):
+            if result.body.errors[0] < KNOWN * result.body.mass:
+                return None
             return step_after("mass not known", model=model, options=arm, folder=folder)
-        part = result.quantity("mass", BEYOND)
-        if not isinstance(config, IdentifyConfig) or part is None or not part.error:
-            return None
-        if not SIGNIFICANT <= part.value / part.error <= SHARP:
+        if ratios[-1] > SHARP:
             return None
         return step_after(
             "part bolted on",

@@ -20,6 +20,8 @@ PRIOR_SHARE = 0.5
 """Share of a value that comes from the data below which the model's prior dominates."""
 BEYOND = "beyond the model"
 """Body of the rows on what is on the terminal link beyond its model."""
+MOMENT = "mass_times_distance"
+"""Name of the row on the mass of what is there, times the distance of its centre of mass."""
 NOT_SHOWN = "these torques do not show it"
 """Reason of a number that the recordings do not determine."""
 _UNITS = ("kg", *"mmm", *PARAMETER_UNITS[4:], *PARAMETER_UNITS[1:])

@@ -56,6 +56,8 @@ _LEGEND = {
 """Words in a table to what they mean."""
 _MAX_RELATIVE_CHANGE = 10.0
 """Relative change beyond which the change itself is stated, not a percentage."""
+KNOWN = 0.2
+"""Relative standard error up to which a mass is known."""
 SIGNIFICANT = 2.0
 """Standard errors from which a change is stated in words (95 %)."""
 
@@ -182,29 +184,39 @@ def all_cells(content: Content) -> Iterator[tuple[str, ...]]:
 
 
 def beyond_line(content: Content) -> str:
-    """Return what is bolted to the terminal link beyond the model; "" where that is not asked."""
+    """Return what is bolted to the terminal link beyond the model; "" where that is not asked.
+
+    Mass times distance comes first, which one log shows; the mass alone is stated where it is known
+    to ``KNOWN``.
+    """
     rows = rows_of(content, BEYOND)
     if not rows:
         return ""
-    mass, *com = rows
+    moment, mass, *com = rows
     link = content["body_name"]
-    if not is_shown(mass):
+    if not is_shown(mass) or moment["error"] is None:
         return f"These torques do not show whether anything is bolted to {link} beyond the model"
-    text = with_error(abs(mass["value"]), mass["error"], "kg")
-    if abs(mass["value"]) < SIGNIFICANT * mass["error"]:
-        more = with_error(mass["value"], mass["error"], "kg")
-        unseen = number_text(SIGNIFICANT * mass["error"], mass["error"])
-        return (
-            f"Bolted on beyond the model: nothing seen ({more} on {link}; less than {unseen} kg "
-            "would not be)"
+    product, weight = (
+        with_error(row["value"], row["error"], row["unit"]) for row in (moment, mass)
+    )
+    is_seen = [abs(r["value"]) >= SIGNIFICANT * r["error"] for r in (moment, mass)]
+    unseen = number_text(SIGNIFICANT * mass["error"], mass["error"])
+    text = f"mass times distance {product}"
+    if not any(is_seen):
+        text = (
+            f"nothing seen ({text}, mass {weight}; less than {unseen} kg would not be)"
         )
-    if mass["value"] < 0.0:
-        return f"Bolted on beyond the model: nothing; {link} weighs {text} less than in the model"
-    position = ""
-    if all(map(is_shown, com)):
+    elif mass["value"] < 0.0 and is_seen[1]:
+        weight = with_error(-mass["value"], mass["error"], "kg")
+        text = f"nothing; {link} weighs {weight} less than in the model"
+    elif mass["error"] >= KNOWN * abs(mass["value"]):
+        text += (
+            f" from the frame of {link}; its mass is not known from one log ({weight})"
+        )
+    else:
         listed = ", ".join(with_error(row["value"], row["error"]) for row in com)
-        position = f", centre of mass [{listed}] m in the frame of {link}"
-    return f"Bolted on beyond the model: {text}{position}"
+        text += f", mass {weight}, centre of mass [{listed}] m in the frame of {link}"
+    return f"Bolted on beyond the model: {text}"
 
 
 def largest_changes(content: Content) -> Iterator[str]:

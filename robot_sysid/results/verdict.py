@@ -16,10 +16,8 @@ from robot_sysid.records.file_access import CARD_NAME, models_in
 from robot_sysid.records.messages import NextStep, percent, with_error
 from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD, Verdict
-from robot_sysid.results.table import rows_of
+from robot_sysid.results.table import KNOWN, rows_of
 
-UNKNOWN = 0.5
-"""Relative standard error from which on a mass is not known: two such errors reach zero."""
 _USE_TEXTS = {
     Verdict.TORQUES_ONLY.name: "Only for torques of motions like the log's, not for the numbers",
     Verdict.AS_GOOD.name: "Usable, but the model was about as good before",
@@ -121,7 +119,7 @@ def _improvements(content: Content) -> Iterator[str]:
         return
     mass = with_error(row["value"], row["error"], "kg")
     text = f"{of} weighs {mass}"
-    if row["error"] >= UNKNOWN * row["value"]:
+    if row["error"] >= KNOWN * row["value"]:
         text = f"the mass of {of} alone is not known: {mass}"
     yield f"{text}, ± mostly from {row['reason']}" if row["reason"] else text
 

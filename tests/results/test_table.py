@@ -13,7 +13,7 @@ from pytest import approx
 
 from robot_sysid.records.file_access import strict_json
 from robot_sysid.results.content import content_of
-from robot_sysid.results.quantities import BEYOND, body_quantities
+from robot_sysid.results.quantities import BEYOND, MOMENT, body_quantities
 from robot_sysid.results.record import BOUND, DATA, MODEL, Quantity, Verdict
 from robot_sysid.results.table import (
     all_cells,
@@ -164,15 +164,29 @@ def test_what_the_printed_digits_hide_is_no_other_number_in_the_file():
 @pytest.mark.parametrize(
     ("mass", "error", "text"),
     [
-        (0.5, 0.1, "Bolted on beyond the model: 0.50 ± 0.10 kg, centre of mass ["),
-        (0.1, 0.1, "Bolted on beyond the model: nothing seen (0.10 ± 0.10 kg"),
+        (
+            0.5,
+            0.09,
+            "mass times distance 0.0500 ± 0.0090 kg·m, mass 0.500 ± 0.090 kg, centre",
+        ),
+        (
+            0.5,
+            0.15,
+            "from the frame of link6; its mass is not known from one log (0.50 ± 0.15",
+        ),
+        (
+            0.1,
+            0.1,
+            "nothing seen (mass times distance 0.010 ± 0.010 kg·m, mass 0.10 ± 0.10",
+        ),
         (-0.5, 0.1, "link6 weighs 0.50 ± 0.10 kg less"),
         (0.5, np.inf, "These torques do not show whether anything is bolted to link6"),
     ],
 )
 def test_what_is_bolted_on_has_its_mass_and_place(mass, error, text):
     source = DATA if np.isfinite(error) else MODEL
-    rows = [Quantity("mass", BEYOND, "kg", None, mass, error, source)]
+    rows = [Quantity(MOMENT, BEYOND, "kg·m", None, 0.1 * abs(mass), 0.1 * error)]
+    rows += [Quantity("mass", BEYOND, "kg", None, mass, error, source)]
     rows += [Quantity(f"com_{x}", BEYOND, "m", None, 0.1, 0.01) for x in "xyz"]
     found = made.found()
     content = content_of(replace(found, quantities=(*found.quantities, *rows)))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, theta_from_com
+from robot_sysid.estimate.result import beyond_model
 from robot_sysid.records import (
     ITSELF,
     ArmLink,
@@ -24,7 +25,7 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.records.messages import Level, Remark, says, term_unit
-from robot_sysid.results.quantities import BEYOND, body_quantities, file_quantities
+from robot_sysid.results.quantities import body_quantities, file_quantities
 from robot_sysid.results.record import (
     BOUND,
     FILE,
@@ -243,7 +244,6 @@ def whole(**changes) -> Result:
     """A result of which nothing is missing."""
     first = replace(terminal(estimate()), name="link5", joint="j5")
     last = terminal(estimate())
-    beyond = replace(last, theta=0.5 * THETA, prior=None)
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     file = model_file()
     rows = [*body_quantities(first, "link5"), *body_quantities(last, "link6")]
@@ -254,7 +254,7 @@ def whole(**changes) -> Result:
         Quantity("zero", "j6", "rad", None, 0.0, float("nan"), BOUND),
         Quantity("delay", "arm", "s", None, 0.0032, 2e-5),
         Quantity("tilt_1", "arm", "rad", None, 0.0, np.radians(0.03)),
-        *[*body_quantities(beyond, BEYOND)][:4],
+        *beyond_model(last),
         *file_quantities(file.thetas[0], THETA, "link5"),
         *file_quantities(file.thetas[1], 0.5 * THETA, "link6"),
         Quantity("coulomb", "j5", "N", 0.3, 0.45, 0.01, FILE),
