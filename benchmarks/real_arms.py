@@ -117,12 +117,28 @@ def wrong_links(robot: RobotModel, rng: np.random.Generator) -> Array:
 
 
 def prior_links(robot: RobotModel, rng: np.random.Generator) -> Array:
-    """Return links (n, 10) drawn from the prior of 5 %; the last one is off by as much."""
-    from robot_sysid.estimate.links import model_link_factor
+    """Return links (n, 10) drawn with errors of 5 %, as the priors state them; the last one, too.
 
-    links = range(robot.n_joints)
-    factor = model_link_factor(robot, links, 0.05)
-    return robot.thetas + (factor @ rng.standard_normal(len(factor))).reshape(-1, 10)
+    Masses are off by 5 %, centres of mass by 5 % of the link's size, inertias by 10 %, and all
+    masses and all distances of centres of mass by 5 % more.
+    """
+    thetas = robot.thetas
+    lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
+    common = 0.05 * rng.standard_normal(2)
+    for index, length in enumerate([*lengths, 0.0]):
+        theta = thetas[index]
+        if theta[0] <= 0.0:
+            continue
+        mass, com, inertia = spatial.com_from_theta(theta)
+        size = max(spatial.ROD * spatial.characteristic_length(theta), length, 0.02)
+        moment = max(np.trace(inertia) / 3.0, mass * (0.1 * size) ** 2)
+        outwards = com / max(float(np.linalg.norm(com)), 1e-9)
+        com = com + size * (0.05 * rng.standard_normal(3) + common[1] * outwards)
+        six = 0.1 * moment * rng.standard_normal(6)
+        scale = 1.0 + 0.05 * rng.standard_normal() + common[0]
+        inertia = scale * inertia + spatial.symmetric_from_six(six)
+        thetas[index] = spatial.theta_from_com(scale * mass, com, inertia)
+    return thetas
 
 
 def draw_arm(

@@ -29,7 +29,8 @@ from robot_sysid.model.compilation import (
     compiled_in_memory,
     is_in_memory,
 )
-from robot_sysid.model.units import refuse_cad_units
+from robot_sysid.model.stated import placeholder_notes
+from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.records import RobotModel
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
 
@@ -40,6 +41,7 @@ def load_robot_model(
     joint: str | None = None,
     max_velocity: PerJoint = DEFAULT_MAX_VELOCITY,
     keyframe: str | None = None,
+    mass_scale: float | None = None,
 ) -> RobotModel:
     """Load an MJCF or URDF file and find the arm in it.
 
@@ -50,6 +52,7 @@ def load_robot_model(
         max_velocity: speed limit of hinge joints, one number or one per joint [rad/s]; a lower
             limit in the model counts.
         keyframe: name of the one that is the arm at rest; default see ``rest_keyframe``.
+        mass_scale: by which all its masses and moments of inertia are multiplied.
 
     Raises:
         ModelError: the file cannot be used; says why.
@@ -102,8 +105,13 @@ def load_robot_model(
         links=links,
         notes=compiled.notes,
     )
+    robot = with_mass_scale(robot, mass_scale or 1.0)
     refuse_cad_units(robot)
     notes = [*robot.notes]
+    if mass_scale is not None:
+        notes.append(
+            f"the model's masses and moments of inertia are taken {mass_scale:g} times"
+        )
     jaw = jaw_in_line(mj_model, terminal) if joint is None else None
     if jaw is not None:
         name = joint_label(mj_model, jaw)
@@ -118,7 +126,8 @@ def load_robot_model(
     base = ", ".join(joint_label(mj_model, j) for j in carriers if j not in chain)
     if base:
         notes.append(f"{base} drive a mobile base, which is taken to stand still")
-    return replace(robot, notes=(*notes, *_notes_on_what_is_left_out(robot)))
+    notes += [*placeholder_notes(links), *_notes_on_what_is_left_out(robot)]
+    return replace(robot, notes=tuple(notes))
 
 
 def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:

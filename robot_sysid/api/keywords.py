@@ -56,7 +56,11 @@ def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
     options = option_records.record_from(ModelOptions, values)
     source = model if is_in_memory(model) else path_of(model)
     return load_robot_model(
-        source, options.mesh_dir, options.joint, keyframe=options.keyframe
+        source,
+        options.mesh_dir,
+        options.joint,
+        keyframe=options.keyframe,
+        mass_scale=options.mass_scale,
     )
 
 

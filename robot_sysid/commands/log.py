@@ -31,7 +31,7 @@ def build_parser(full: bool = True) -> Parser:
         "log", metavar="LOG", type=Path, help="file or folder of the recording"
     )
     parser.add_argument("path", metavar="MODEL", type=Path, help="MJCF or URDF file")
-    parser.add("model", ModelOptions, only=("mesh_dir", "joint"))
+    parser.add("model", ModelOptions, only=("mesh_dir", "joint", "mass_scale"))
     parser.add("log", LogOptions)
     return parser.add_console_options()
 
@@ -86,7 +86,12 @@ def _check_log(
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
-    robot = load_robot_model(model_path, model_options.mesh_dir, model_options.joint)
+    robot = load_robot_model(
+        model_path,
+        model_options.mesh_dir,
+        model_options.joint,
+        mass_scale=model_options.mass_scale,
+    )
     log = open_log(robot, path, log_options, console)
     console.stage(*map(str, log.notes))  # As plain text: details are printed here.
     count = len(log.samples)

@@ -43,12 +43,12 @@ class Finding(Remark):
     ``about`` is the name of the check that made the finding, a key of ``logs.CHECKS``.
 
     Attributes:
-        options: options, with their values, that put the log right; () for none.
+        options: ways to put the log right, each options with their values as words; () for none.
         command: name of the only command that has these options; "" where every one has them.
         correction: columns that put the log right; None for none.
     """
 
-    options: tuple[str, ...] = ()
+    options: tuple[tuple[str, ...], ...] = ()
     command: str = ""
     correction: ColumnCorrection | None = None
 

@@ -9,7 +9,6 @@ Then it joins the fit, and the others are scored again.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.causes import SURE, Explanation, explanations
+from robot_sysid.diagnosis.causes import Explanation, explanations
 from robot_sysid.diagnosis.log_fit import (
     LogFit,
     LogRows,
@@ -28,6 +27,7 @@ from robot_sysid.diagnosis.log_fit import (
 from robot_sysid.diagnosis.relabelling import (
     SMALLER,
     Correction,
+    common_scale,
     corrections,
     odd_unit_finding,
 )
@@ -37,6 +37,7 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Level, percent, with_error
 
@@ -56,17 +57,12 @@ MOST_NAMES = 3
 """Largest number of explanations that are named together."""
 UNEXPLAINED = 0.05
 """Share of unexplained torque above which no cause is named: logs without faults have 0.03."""
-ALL_OFF = 1.4
-"""Ratio of the torque of all links but the last to the model's, or its inverse, above which the
-model or the torques are wrong as a whole: links that are off by 20 %, one by 40 %, reach 1.34."""
 ODD_LINKS = 7.25
 """Factor on the stated uncertainty of links' masses, as the log shows it, above which it is said:
 models of siblings reach 6.1 to 7.7, but one right arm in forty with a link that is 40 % off 8.0.
 No torque tells these apart, but models of other arms leave more than 1 % of it unexplained."""
 OTHER_ARM = 0.3
 """Share of unexplained torque above which the model is taken for that of another arm."""
-ALIKE = 3
-"""Number of different masses with the same inertia from which it is a placeholder."""
 LIKE_GRAVITY = ("force", "gravity", "tilt", "payload-step")
 """Checks whose explanations may stand for gravity in another direction."""
 FRICTIONLESS = 0.004
@@ -305,38 +301,38 @@ def findings(
             ties.sort(key=lambda score: len(score.values[0]) > 1)
             rounds.append(ties)
             log = ties[0].log
-    named = [*corrected, *name_causes(rounds[:MOST_NAMES]), *placeholders(robot)]
+    # No single cause takes that much of the weight.
+    if not corrected and np.median(first.torque_ratio[first.loaded]) < SMALLER:
+        text = "the torque has little of the links' weight: it may be external torque, left after "
+        text += "a controller's model, or motor current"
+        remedy = f"{MEASURED}, or give --torque-constants for a current"
+        return [Finding(Level.REFUSES, "gravity", text, remedy)]
+    named = [*corrected, *name_causes(rounds[:MOST_NAMES])]
     if all(finding.level is Level.SAYS for finding in named):
-        named += wrong_models(first, log, options)
+        terms = [scores[0].explanation.term for scores in rounds]
+        named += wrong_models(first, log, terms, options, divided)
     return named
 
 
 def wrong_models(
-    first: LogFit, last: LogFit, options: EstimationOptions
+    first: LogFit,
+    last: LogFit,
+    found: Sequence[Term],
+    options: EstimationOptions,
+    divided: Array,
 ) -> list[Finding]:
     """Return what is wrong as a whole, where no cause is named that forbids an estimate.
 
     Args:
         first: the fit of the log.
         last: that with all that is named.
+        found: explanations that act in it.
         options: prior uncertainties of the estimate.
+        divided: (n,) torque scales by which the torques were divided already.
     """
-    if np.median(first.torque_ratio[first.loaded]) < SMALLER:
-        text = "the torque has little of the links' weight: it may be external torque, left after "
-        text += "a controller's model, or motor current"
-        remedy = f"{MEASURED}, or give --torque-constants for a current"
-        return [Finding(Level.REFUSES, "gravity", text, remedy)]
-    ratio, error = last.links_ratio
-    # Of few joints, other links take up what the last one does not: the ratio is hardly known.
-    off = abs(ratio - 1.0) - SURE * error
-    if off > (ALL_OFF - 1.0) / max(1.0, ALL_OFF * (ratio < 1.0)):
-        text = (
-            f"all links make {ratio:.3g} times the model's torque: either the torques read that "
-            "many times too much, or all masses of the model are wrong by as much, or it is the "
-            "model of another arm, which torques cannot tell apart"
-        )
-        remedy = "weigh a link, or a known mass (payload --known-mass)"
-        return [Finding(Level.REFUSES, "torque-scale", text, remedy)]
+    for correction in common_scale(last, found, options, divided):
+        if correction.log.misfit < max(UNEXPLAINED, last.misfit):
+            return [correction.finding]
     robot = last.fit.arm.robot
     if last.misfit > UNEXPLAINED:
         worst = np.argsort(-last.misfit_by_joint * last.rows.typical_torque)[:3]
@@ -368,23 +364,6 @@ def wrong_models(
         level = Level.DOUBTS if last.misfit > PER_CENT else Level.SAYS
         return [Finding(level, "model", text, RIGHT_MODEL)]
     return []
-
-
-def placeholders(robot: RobotModel) -> Iterator[Finding]:
-    """Yield a note where links of different masses have the same inertia about their centres."""
-    groups: dict[str, dict[float, str]] = defaultdict(dict)
-    for link in robot.links:
-        if link.has_mass:
-            mass, _, inertia = spatial.com_from_theta(link.theta)
-            largest = np.linalg.eigvalsh(inertia)[-1]
-            groups[f"{largest:.4g}"][mass] = link.body_name
-    for size, names in groups.items():
-        if len(names) >= ALIKE:
-            text = f"the model's inertias of {', '.join(names.values())} are all alike, about "
-            text += (
-                f"{size} kg m^2: they are placeholders, and the standard errors may be "
-            )
-            yield Finding(Level.SAYS, "model", f"{text}too small")
 
 
 def is_better(correction: Correction, winner: Score | None, is_plausible: bool) -> bool:

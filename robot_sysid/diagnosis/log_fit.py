@@ -18,10 +18,11 @@ from robot_sysid.dynamics.equations import names_of, split_name
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Fit, correlation_times, fit, solve
 from robot_sysid.estimate.options import EstimationOptions, Priors
-from robot_sysid.estimate.questions import USUAL_SCALE, Question
+from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.rows import Mask, Recording, Rows, Sums, add_up
 from robot_sysid.estimate.terms import LAST_LINK, LINKS, ArmTerms, Point, Term
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.usual_errors import SCALE
 
 LEAST_TORQUE = 0.02
 """Least typical torque of a joint, as a share of the strongest joint's."""
@@ -175,7 +176,7 @@ def wide_priors(priors: Priors) -> Priors:
         name: max(vars(priors)[name], usual[name]) for name in names
     }
     if priors.scale is not None:
-        scales = np.maximum(np.ravel(priors.scale), USUAL_SCALE)
+        scales = np.maximum(np.ravel(priors.scale), SCALE)
         wide["scale"] = tuple(scales.tolist())
     return replace(priors, **wide)
 
@@ -247,23 +248,6 @@ class LogFit:
     def model_torque(self) -> Array:
         """Root mean square torque (J,) of the model's links [N m]."""
         return root_mean_square(self.links_torque)
-
-    @property
-    def links_ratio(self) -> tuple[float, float]:
-        """Ratio of the torque of the fitted links to the model's, and its standard error.
-
-        The last link does not count: what is bolted to it may be heavy.
-        """
-        links = [term for term in self.fit.equations.terms if term.cause == LINKS]
-        if not links:
-            return 1.0, 0.0
-        names = links[0].names
-        model = self._torque_of_model([LINKS])
-        columns = self.rows.columns_of(names)
-        ratio = np.einsum("kj,kjp->p", model, columns) / np.sum(model**2)
-        at = self.fit.at(names)
-        error = np.sqrt(ratio @ self.fit.inverse[np.ix_(at, at)] @ ratio)
-        return float(ratio @ self.fit.free[at]), float(error)
 
     @property
     def torque_ratio(self) -> Array:

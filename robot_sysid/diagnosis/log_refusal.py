@@ -32,10 +32,12 @@ def refuse_for(log: MeasurementLog, finding: Finding) -> InputError:
             draft = _add_lines(log.options.columns, lines, reason)
             name = _free_name(log.path, draft)
             error = ColumnsError(text, draft, name)
-            error.options = ((*options, "--columns", name),)
+            error.options = tuple(
+                (*each, "--columns", name) for each in options or [()]
+            )
             error.command = finding.command
             return error
-    return InputError(text, [options] if options else (), finding.command)
+    return InputError(text, options, finding.command)
 
 
 def _corrected_lines(

@@ -28,12 +28,13 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
     with_gravity,
 )
-from robot_sysid.estimate.choose import CLEAR
+from robot_sysid.estimate.choose import CLEAR, common_factor
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import arm_question
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import Term
+from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Level, with_error
 
@@ -43,6 +44,8 @@ GROSS = 0.05
 """Share of unexplained torque above which scales and mountings are tried."""
 ODD = 1.3
 """Ratio of measured torque to the model's, or its inverse, above which torque scales are tried."""
+SURE = 2.0
+"""Standard errors that count as sure."""
 REFUSED = 1.6
 """Torque scale, or its inverse, above which a log is refused."""
 WARNED = 1.3
@@ -143,7 +146,8 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Finding]:
         *options: str,
     ) -> Finding:
         """Return the finding on columns that a correction puts right."""
-        return Finding(Level.REFUSES, check, text, remedy, options, correction=columns)
+        ways = (options,) if options else ()
+        return Finding(Level.REFUSES, check, text, remedy, ways, correction=columns)
 
     for quantities in (("torque",), ("position",), ("position", "torque")):
         subject = " and ".join(quantities)
@@ -206,6 +210,7 @@ def corrections(
     is_far = best.misfit > GROSS or not best.is_plausible
     ratio = float(np.median(log.torque_ratio[log.loaded]))
     if is_far or abs(np.log(ratio)) > np.log(ODD):
+        tried.append(common_scale(log, found, options, divided))
         tried.append(wrong_scales(log, found, options, divided))
     if is_of_gravity or (is_far and log.fit.arm.has_gravity):
         tried.append(mounted(log, found, options))
@@ -328,14 +333,67 @@ def mounted(
 # ---- torque scales
 
 
+def common_scale(
+    log: LogFit, found: Sequence[Term], options: EstimationOptions, divided: Array
+) -> Iterator[Correction]:
+    """Yield the correction of all masses by one factor, if they are clearly ``ODD`` times off.
+
+    Torques do not tell it from torques that are all scaled. Arguments are as in ``corrections``.
+    """
+    robot = log.fit.arm.robot
+    factor = 1.0
+    after = log
+    for _ in range(_ROUNDS):
+        estimate, error = common_factor(after.fit)
+        factor *= estimate
+        relative = error / estimate
+        if abs(np.log(factor)) < max(np.log(ODD), SURE * relative):
+            return
+        scaled = with_mass_scale(robot, factor)
+        after = LogFit.of(scaled, log.fit.recordings, options, found)
+        if abs(np.log(estimate)) < np.log(ODD):
+            break
+    if after is not log:
+        gain, after = compare(log, after)
+        gain -= float(np.log(COMMON_RANGE / relative))
+        yield Correction(common_finding(robot, factor, relative, divided), gain, after)
+
+
+def common_finding(
+    robot: RobotModel, factor: float, relative_error: float, divided: Array
+) -> Finding:
+    """Return the finding on torques that are a factor times those of the model's masses.
+
+    Where there may be an arm with all masses so many times as large, the user decides.
+    """
+    number = with_error(factor, factor * relative_error)
+    text = f"the torques are {number} times those of the model's masses, at all joints alike"
+    unit = min(UNITS, key=lambda size: abs(np.log(factor / size)))
+    is_close = abs(np.log(factor / unit)) < max(np.log(CLOSE), SURE * relative_error)
+    unit_text = f" (as in {UNITS[unit]})" if is_close else ""
+    scale = (unit if is_close else factor) * divided
+    numbers = scale[:1] if np.ptp(scale) == 0.0 else scale
+    torque_scale = ("--torque-scale", ",".join(f"{value:.4g}" for value in numbers))
+    if mass_unit(robot, factor) != 1.0:
+        remedy = f"they are in another unit{unit_text}: divide them"
+        return Finding(Level.REFUSES, "torque-unit", text, remedy, (torque_scale,))
+    remedy = (
+        "torques cannot tell what is wrong by that much, the masses or the torques: if the torques "
+        f"are N·m, multiply the masses; if the model is right{unit_text}, divide the torques"
+    )
+    mass_scale = ("--mass-scale", f"{factor * robot.mass_scale:.4g}")
+    ways = (mass_scale, torque_scale)
+    return Finding(Level.REFUSES, "torque-scale", text, remedy, ways)
+
+
 def wrong_scales(
     log: LogFit, found: Sequence[Term], options: EstimationOptions, divided: Array
 ) -> Iterator[Correction]:
-    """Yield the correction of torque scales: one for all joints, or one per joint.
+    """Yield the correction of torque scales of one per joint.
 
     Found by Gauss-Newton from the ratios of root mean square torques: torques are divided by the
     scales, and the fit of what results allows them wide errors. None where some loaded joint's
-    torque does not follow its links.
+    torque does not follow its links, or all have one scale (``common_scale``).
     """
     arm = log.fit.arm
     scale = log.torque_ratio
@@ -370,14 +428,9 @@ def wrong_scales(
     own = np.log(np.abs(scale[sure]))
     typical = float(np.exp(np.sum(precision @ own) / np.sum(precision)))
     scale[~is_sure] = typical
+    if np.ptp(own) < np.log(SAME) and np.all(scale > 0.0):
+        return
     # Loss for scales that fit the data instead of being one: the prior's volume over that left.
-    if np.ptp(own) < np.log(SAME):
-        error = float(np.sum(precision)) ** -0.5
-        unit = min(UNITS, key=lambda factor: abs(np.log(typical / factor)))
-        is_close = abs(np.log(typical / unit)) < max(np.log(CLOSE), 3.0 * error)
-        scale = np.sign(scale) * (unit if is_close else typical)
-        own = np.log([typical])
-        covariance = np.array([[1.0 / np.sum(precision)]])
     prior_covariance = COMMON_RANGE**2 + OWN_RANGE**2 * np.eye(len(own))
     penalty = np.linalg.slogdet(prior_covariance)[1] - np.linalg.slogdet(covariance)[1]
     penalty = 0.5 * (penalty + own @ np.linalg.solve(prior_covariance, own))
@@ -443,20 +496,8 @@ def scale_finding(
         text += f"of {opposite} with the opposite sign; "
     start = [format(value, ".4g") for value in np.abs(scale) * divided]
     options = ("--torque-scale", ",".join(start))
-    if np.max(known) / np.min(known) > SAME:
-        text += "a factor of its own for every joint, as motor currents or per cent of rated "
-        text += "torque have, or all masses of the model are wrong"
-        return Finding(level, check, text, WEIGHING, options, "payload", correction)
-    if np.ptp(divided) == 0.0:
-        options = ("--torque-scale", start[0])
-    remedy = f"pass {' '.join(options)}"
-    # Masses in another unit are refused where models are read.
-    if is_foreign and typical in UNITS:
-        return Finding(level, check, f"{text}as in {UNITS[typical]}", remedy, options)
-    torques = UNITS.get(typical, "motor currents, torques before the gear")
-    text += f"either torques are in another unit ({torques}), or all masses of the model are wrong "
     text += (
-        "by as much, or it is the model of another arm, which torques cannot tell apart"
+        "a factor of its own for every joint, as motor currents or per cent of rated "
     )
-    remedy = f"weigh a link or a known mass; if the model is right, {remedy}"
-    return Finding(level, check, text, remedy, options, "payload")
+    text += "torque have, or all masses of the model are wrong"
+    return Finding(level, check, text, WEIGHING, (options,), "payload", correction)

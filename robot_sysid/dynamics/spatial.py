@@ -14,6 +14,10 @@ Array = NDArray[np.float64]
 
 ALUMINIUM = 2700.0
 """Density of aluminium [kg/m^3]."""
+ROD = float(np.sqrt(3.0))
+"""Length of a uniform rod over the root mean square distance of its mass from its end."""
+ROD_MOMENT = 1.0 / 18.0
+"""Mean moment of inertia of a thin rod about its middle, over its mass and squared length."""
 _LOCKED = 1e-14
 """Cosine of the pitch below which roll and yaw turn about one axis."""
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")

@@ -13,13 +13,14 @@ import numpy as np
 
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling
-from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.fit import Fit, correlation_times, fit
 from robot_sysid.estimate.links import (
     LinkEvidence,
     average_scales,
     link_directions,
-    link_lengths,
+    link_factor,
+    reference_links,
+    stated_kinds,
 )
 from robot_sysid.estimate.questions import (
     LEAST_DRY,
@@ -27,7 +28,6 @@ from robot_sysid.estimate.questions import (
     Question,
     arm_question,
     friction_columns,
-    is_stated,
 )
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent
@@ -42,6 +42,8 @@ CLEARLY_THERE = 3.0
 """Standard errors by which one of a motor's parameters has to exceed zero."""
 _ROUNDS = 3
 """Linearisations of a question with a payload, whose torque scales multiply it."""
+_FACTOR_ROUNDS = 6
+"""Rounds in which the common factor of all masses and the errors of links in its unit are found."""
 _SAME = 1.0 - 1e-9
 """Cosine between the ratios of two motors above which they are one."""
 _SILENT = Progress()
@@ -208,35 +210,71 @@ def _motor_term(fitted: Fit, motor: Coupling) -> Term:
 def link_evidence(fitted: Fit) -> LinkEvidence | None:
     """Return the evidence of a fit on how far the links before the last are off the model.
 
-    Only links count that the model states, not placeholders; None where there is none.
+    None where they are not estimated.
     """
-    arm = fitted.arm
+    information = links_information(fitted)
+    if information is None:
+        return None
+    curvature, gradient = information
+    robot = fitted.arm.robot
+    others = fitted.arm.others
+    directions = link_directions(robot, others)
+    off = gradient - curvature @ reference_links(robot, others)
+    return LinkEvidence(
+        stated_kinds(robot, others),
+        PER_CENT * fitted.question.options.priors.link,
+        directions.T @ curvature @ directions,
+        directions.T @ off,
+    )
+
+
+def links_information(fitted: Fit) -> tuple[Array, Array] | None:
+    """Return what data and all other priors say of the links before the last, L of them.
+
+    It is (curvature (10 L, 10 L), gradient (10 L,) at zero); None where they are not estimated.
+    """
     equations = fitted.equations
     causes = [term.cause for term in equations.terms]
-    stated = is_stated(arm)
-    if LINKS not in causes or not np.any(stated):
+    if LINKS not in causes:
         return None
     span = equations.spans[causes.index(LINKS)]
     prior = equations.terms[causes.index(LINKS)].prior
     assert prior is not None
     normal = equations.data(fitted.weights) + equations.prior
-    # The links' own prior does not count; that of placeholders does.
-    own = np.repeat(stated, N_INERTIAL)
-    rows = prior.rows[own]
     columns = np.arange(span.start, span.stop)
     at = np.append(columns, len(normal) - 1)
-    normal[np.ix_(at, at)] -= rows.T @ rows
-    curvature, gradient = eliminate(normal, columns[own])
-    mean = prior.mean[own]
-    links = [arm.others[k] for k in np.flatnonzero(stated)]
-    thetas = mean.reshape(-1, N_INERTIAL)
+    normal[np.ix_(at, at)] -= prior.rows.T @ prior.rows
+    return eliminate(normal, columns)
+
+
+def common_factor(fitted: Fit) -> tuple[float, float]:
+    """Return the factor on all masses of the model with which it fits the torques, and its error.
+
+    With the links k theta + k D z before the last, z ~ N(0, 1) what links are usually off by, and
+    their curvature L and gradient b by the data, k is the generalised least-squares estimate
+
+        k = theta' g / theta' M theta,   M = L - L (L + C^-1)^-1 L,   g = b - L (L + C^-1)^-1 b,
+
+    with C = k^2 D D', so that it is found by iteration. It is (1, infinite) where the links are not
+    estimated, or no positive factor fits.
+    """
+    information = links_information(fitted)
+    if information is None:
+        return 1.0, np.inf
+    curvature, gradient = information
+    robot = fitted.arm.robot
+    theta = reference_links(robot, fitted.arm.others)
     share = PER_CENT * fitted.question.options.priors.link
-    directions = share * link_directions(thetas, link_lengths(arm.robot, links))
-    return LinkEvidence(
-        len(links),
-        directions.T @ curvature @ directions,
-        directions.T @ (gradient - curvature @ mean),
-    )
+    usual = np.linalg.inv(link_factor(robot, fitted.arm.others, share))
+    factor = 1.0
+    for _ in range(_FACTOR_ROUNDS):
+        shrunk = curvature @ np.linalg.inv(curvature + usual.T @ usual / factor**2)
+        precision = float(theta @ (curvature - shrunk @ curvature) @ theta)
+        weighted = float(theta @ (gradient - shrunk @ gradient))
+        if precision <= 0.0 or weighted <= 0.0:
+            return 1.0, np.inf
+        factor = weighted / precision
+    return factor, precision**-0.5
 
 
 def eliminate(normal: Array, keep: Array) -> tuple[Array, Array]:

@@ -7,31 +7,39 @@ deviations
 
     delta = T S z,    z ~ N(0, 1),
 
-T the directions in which links may be off (``link_directions``) and S their scales, and with the
-curvature L and the gradient b of data and all other priors, 1/2 delta' L delta - b' delta,
+T the directions in which links may be off (``link_directions``) and S their standard deviations,
+and with the curvature L and the gradient b of data and all other priors, 1/2 delta' L delta - b'
+delta,
 
     log p(S) = 1/2 v' S (1 + S M S)^-1 S v - 1/2 log |1 + S M S|,    M = T' L T,  v = T' b
 
 (MacKay, "Bayesian interpolation", Neural Computation 4(3), 1992). Masses, centres of mass and
 inertias have one scale each: a single scale for all would widen the prior of the centres of mass so
-far that they absorb errors in mass. Scales are averaged on a grid.
+far that they absorb errors in mass. Scales are averaged on a grid. Evidence widens the prior and
+never narrows it: the last link is free and takes up what the links before it have wrong, so that
+the data says the same of a right model and of one that is wrong in a single link.
+
+Placeholders have errors as large as themselves, whatever the scales. All sizes come from the arm's
+geometry, and no link counts as smaller or lighter than a share of the arm: a model that is too
+small or too light is not better known for that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
+import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics import spatial
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.dynamics.spatial import N_INERTIAL, ROD_MOMENT
+from robot_sysid.records import KINDS, ArmLink, Array, RobotModel
 
-ROD = float(np.sqrt(3.0))
-"""Length of a uniform rod over the root mean square distance of its mass from its end."""
-LEAST_SIZE = 0.02
-"""Smallest size of a link in its prior [m]."""
+_REPEATS = (1, 3, 6)
+"""Number of a link's parameters of each kind."""
 
 
 @dataclass(frozen=True)
@@ -48,26 +56,17 @@ class LinkScales:
     centre_of_mass: float = 1.0
     inertia: float = 1.0
 
-    def of_directions(self, n_links: int) -> Array:
-        """Return the factor (10 L + 2,) on each column of ``link_directions`` of L links.
-
-        Errors that all links share stay as the user states them.
-        """
-        one_link = np.repeat((self.mass, self.centre_of_mass, self.inertia), (1, 3, 6))
-        return np.append(np.tile(one_link, n_links), (1.0, 1.0))
-
 
 AS_STATED = LinkScales()
 """Factors of one: the prior as the user states it."""
+EXPECTED = LinkScales(*usual_errors.EXPECTED_SCALES)
+"""Factors that are expected without any recording."""
 
 
 def link_factor(
-    thetas: Sequence[Array] | Array,
-    share: float,
-    lengths: Sequence[float] | Array,
-    scales: LinkScales = AS_STATED,
+    robot: RobotModel, links: Sequence[int], share: float, scales: LinkScales = EXPECTED
 ) -> Array:
-    """Return the Cholesky factor F (10 L, 10 L) of the prior covariance of L links.
+    """Return the Cholesky factor F (10 L, 10 L) of the prior covariance of L links of an arm.
 
     Independent standard deviations are ``share`` of each mass, ``share`` of the link's size for its
     centre of mass, and twice ``share`` of the mean moment for inertias about the centre of mass. A
@@ -75,112 +74,108 @@ def link_factor(
     errors of this size act on all masses and on all distances of centres of mass from joints.
 
     Args:
-        thetas: per link (10,), the model's values.
-        share: relative standard deviation, 0.05 for 5 %.
-        lengths: per link, the distance from its joint to the next one [m]. The link's size is
-            this distance or, where larger, the length of a uniform rod with the same root mean
-            square distance of its mass from the joint.
+        robot: the arm.
+        links: L indices in ``robot.links``.
+        share: relative standard deviation, 0.05 for 5 %; zero where the links are exact.
         scales: factors on these standard deviations, per kind of error.
     """
-    directions = link_directions(thetas, lengths)
-    scaled = directions * scales.of_directions(len(thetas))
-    return share * np.asarray(np.linalg.cholesky(scaled @ scaled.T), dtype=float)
+    directions = link_directions(robot, links)
+    if share == 0.0:
+        return np.zeros((len(directions), len(directions)))
+    scaled = directions * deviations(stated_kinds(robot, links), share, scales)
+    return np.asarray(np.linalg.cholesky(scaled @ scaled.T), dtype=float)
 
 
-def link_lengths(robot: RobotModel, links: Sequence[int]) -> list[float]:
-    """Return the distance from the joint of each of ``links`` to the next [m]; 0 at the last link.
+def reference_links(robot: RobotModel, links: Sequence[int]) -> Array:
+    """Return the reference bodies of links, all their parameters (10 L,) in a row."""
+    return np.concatenate([robot.links[link].reference for link in links])
 
-    ``links`` are indices in ``robot.links``, base to terminal.
+
+def stated_kinds(robot: RobotModel, links: Sequence[int]) -> NDArray[np.bool_]:
+    """Return which of ``KINDS`` (L, 3) the model states of links, not with a placeholder."""
+    unknown = [robot.links[link].placeholders for link in links]
+    return np.array([[kind not in each for kind in KINDS] for each in unknown])
+
+
+def deviations(stated: NDArray[np.bool_], share: float, scales: LinkScales) -> Array:
+    """Return the standard deviation (10 L + 2,) along each column of ``link_directions``.
+
+    The error that all masses share stays as the user states it.
     """
-    lengths = [float(np.linalg.norm(link.translation)) for link in robot.links[1:]]
-    lengths.append(0.0)
-    return [lengths[link] for link in links]
+    sizes = np.where(stated, share * np.array(astuple(scales)), 1.0)
+    return np.append(
+        np.repeat(sizes, _REPEATS, axis=1), (share, share * scales.centre_of_mass)
+    )
 
 
-def model_link_factor(robot: RobotModel, links: Sequence[int], share: float) -> Array:
-    """Return the Cholesky factor ``link_factor`` (10 L, 10 L) of the prior of L links: those with
-    indices ``links`` in ``robot.links``, each known to a relative standard deviation ``share``.
-    """
-    thetas = [robot.links[link].theta for link in links]
-    return link_factor(thetas, share, link_lengths(robot, links))
-
-
-def link_directions(
-    thetas: Sequence[Array] | Array, lengths: Sequence[float] | Array
-) -> Array:
+def link_directions(robot: RobotModel, links: Sequence[int]) -> Array:
     """Return the effects (10 L, 10 L + 2) of independent errors on the parameters of L links.
 
     One column per error, for a relative standard deviation of one: each link's mass (1), centre of
     mass (3) and inertia (6), then the common errors of all masses and of all distances of a centre
-    of mass from its joint. Per link, ``thetas`` has the ten inertial parameters of the model,
-    ``lengths`` the distance from its joint to the next one [m].
+    of mass from its joint. ``links`` are indices in ``robot.links``.
     """
-    directions = np.zeros((10 * len(thetas), 10 * len(thetas) + 2))
-    for index, (theta, length) in enumerate(zip(thetas, lengths)):
-        block = slice(10 * index, 10 * (index + 1))
-        errors = own_errors(theta, length)
-        moved = errors[:, 1:4]
+    size = N_INERTIAL * len(links)
+    directions = np.zeros((size, size + 2))
+    for number, link in enumerate(robot.links[index] for index in links):
+        block = slice(N_INERTIAL * number, N_INERTIAL * (number + 1))
+        errors = own_errors(link, usual_errors.LEAST_MASS_SHARE * robot.mass)
         directions[block, block] = errors
-        _, com, _ = spatial.com_from_theta(theta)
+        _, com, _ = spatial.com_from_theta(link.reference)
         distance = float(np.linalg.norm(com))
         # Common errors scale all parameters with the mass, and move the centre of mass outwards.
-        directions[block, -2] = theta
-        directions[block, -1] = moved @ com / distance if distance > 0.0 else 0.0
+        directions[block, -2] = link.reference
+        if distance > 0.0:
+            directions[block, -1] = errors[:, 1:4] @ com / distance
     return directions
 
 
-def own_errors(theta: Array, length: float) -> Array:
+def own_errors(link: ArmLink, least_mass: float) -> Array:
     """Return the effects of a link's independent errors on its ten inertial parameters.
 
     Returns (10, 10), one column per error, for a relative standard deviation of one: mass (1),
     centre of mass along x, y, z (3), inertia (6).
 
     Args:
-        theta: (10,) the model's parameters of the link.
-        length: distance from the link's joint to the next one [m].
+        link: with its reference body and size.
+        least_mass: that errors are taken of [kg].
     """
-    mass, com, inertia = spatial.com_from_theta(theta)
-    size = max(ROD * spatial.characteristic_length(theta), length, LEAST_SIZE)
-    # A link with little or no inertia in the model counts as a tenth of its size wide.
-    moment = max(float(np.trace(inertia)) / 3.0, mass * (0.1 * size) ** 2)
-    columns = [theta]
-    for step in size * np.eye(3):
+    mass, com, inertia = spatial.com_from_theta(link.reference)
+    weight = max(1.0, least_mass / mass)
+    # No link counts as smaller than a rod.
+    moment = max(
+        float(np.trace(inertia)) / 3.0, weight * mass * ROD_MOMENT * link.size**2
+    )
+    # The centre of mass of a link that does not state it lies somewhere between its ends.
+    reach = link.size * (0.5 if KINDS[1] in link.placeholders else 1.0)
+    columns = [weight * link.reference]
+    for step in reach * np.eye(3):
         ahead = spatial.theta_from_com(mass, com + step, inertia)
         behind = spatial.theta_from_com(mass, com - step, inertia)
-        columns.append(0.5 * (ahead - behind))  # central difference
-    return np.column_stack([*columns, *(2.0 * moment * np.eye(10)[4:])])
-
-
-MASS_SCALES = (2.0, 4.0, 8.0)
-"""Grid of ``LinkScales.mass``, equally likely: 10, 20, 40 % for 5 % stated."""
-COM_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Grid of ``LinkScales.centre_of_mass``."""
-INERTIA_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Grid of ``LinkScales.inertia``."""
-USUAL_COM_SCALE = 1.5
-"""Median of the log-normal prior of ``centre_of_mass``; its standard deviation is one octave."""
-USUAL_INERTIA_SCALE = 2.0
-"""Median of the log-normal prior of ``inertia``; its standard deviation is one octave."""
-EXPECTED = LinkScales(4.0, USUAL_COM_SCALE, USUAL_INERTIA_SCALE)
-"""Factors for mass, centre of mass and inertia that are expected without any recording."""
+        columns.append(0.5 * weight * (ahead - behind))  # central difference
+    spread = 1.5 if KINDS[2] in link.placeholders else 2.0
+    return np.column_stack([*columns, *(spread * moment * np.eye(10)[4:])])
 
 
 @dataclass(frozen=True)
 class LinkEvidence:
-    """Marginal likelihood of the scales S of links' deviations from the model (module's formula).
+    """Marginal likelihood of the scales of links' deviations from the model (module's formula).
 
     Attributes:
-        n_links: L, number of other links whose parameters the model states.
+        stated: (L, 3) ``stated_kinds`` of the links.
+        share: relative standard deviation that the user states.
         curvature: (10 L + 2, 10 L + 2) M, second derivative along ``link_directions``.
         gradient: (10 L + 2,) v, first derivative along them.
     """
 
-    n_links: int
+    stated: NDArray[np.bool_]
+    share: float
     curvature: Array
     gradient: Array
 
-    def log_likelihood(self, scale: Array) -> float:
-        """Return log p(S) up to a constant, S = diag(scale) with ``scale`` (10 L + 2,)."""
+    def log_likelihood(self, scales: LinkScales) -> float:
+        """Return log p(S) up to a constant."""
+        scale = deviations(self.stated, self.share, scales)
         matrix = np.eye(len(scale)) + scale[:, None] * self.curvature * scale
         factor = np.linalg.cholesky(matrix)
         half = np.linalg.solve(factor, scale * self.gradient)
@@ -194,12 +189,19 @@ def average_scales(evidence: LinkEvidence) -> LinkScales:
     values where the data hardly determines a factor.
     """
     # (combinations, 3): factors of mass, centre of mass and inertia.
-    grid = np.array(list(product(MASS_SCALES, COM_SCALES, INERTIA_SCALES)))
-    medians = np.array([USUAL_COM_SCALE, USUAL_INERTIA_SCALE])
-    log_posterior = -0.5 * np.sum(np.log2(grid[:, 1:] / medians) ** 2, axis=1)
+    grid = np.array(
+        list(
+            product(
+                usual_errors.MASS_SCALES,
+                usual_errors.CENTRE_SCALES,
+                usual_errors.INERTIA_SCALES,
+            )
+        )
+    )
+    octaves = np.log2(grid / np.array(usual_errors.USUAL_SCALES))
+    log_posterior = -0.5 * np.sum(octaves**2, axis=1)
     for point, scales in enumerate(grid.tolist()):
-        scale = LinkScales(*scales).of_directions(evidence.n_links)
-        log_posterior[point] += evidence.log_likelihood(scale)
+        log_posterior[point] += evidence.log_likelihood(LinkScales(*scales))
     probability = np.exp(log_posterior - np.max(log_posterior))
     probability /= np.sum(probability)
     return LinkScales(*np.sqrt(probability @ grid**2).tolist())

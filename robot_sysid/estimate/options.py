@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.errors import InputError
 from robot_sysid.records.file_access import read_json, read_toml
 from robot_sysid.records.option_fields import (
@@ -43,7 +44,7 @@ class Priors(OptionRecord):
     """
 
     link: float = option(
-        5.0,
+        usual_errors.LINK,
         "how well the model knows the other links: their mass, their centre of mass as part of "
         "their size, half of what their inertia is off by",
         "P [%] >= 0",
@@ -55,16 +56,22 @@ class Priors(OptionRecord):
         default_text="2; 3 of payloads; what a file of torque scales says of itself",
     )
     zero: float = option(
-        2.0, "how far each joint's zero position may be off", "P [mrad] >= 0"
+        usual_errors.ZERO,
+        "how far each joint's zero position may be off",
+        "P [mrad] >= 0",
     )
     gravity: float = option(
-        0.3, "how far the base may be tilted against gravity", "P [deg] >= 0"
+        usual_errors.GRAVITY,
+        "how far the base may be tilted against gravity",
+        "P [deg] >= 0",
     )
     delay: float = option(
-        5.0, "how late or early the torque may be beside the position", "P [ms] >= 0"
+        usual_errors.DELAY,
+        "how late or early the torque may be beside the position",
+        "P [ms] >= 0",
     )
     friction: float = option(
-        2.0,
+        usual_errors.LOAD_LOSS,
         "how much friction may grow with the torque of the gear where the friction model has no "
         "term for it; it may also be curved by five times that part of its Coulomb friction",
         "P [%] >= 0",

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import FADING_SPEEDS
 from robot_sysid.dynamics.spatial import N_INERTIAL
-from robot_sysid.estimate.links import AS_STATED, LinkScales, link_factor, link_lengths
+from robot_sysid.estimate.links import AS_STATED, LinkScales, link_factor
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import (
     DELAY,
@@ -33,42 +33,15 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
-from robot_sysid.model.bodies import reference_bodies
 from robot_sysid.records import Array
 from robot_sysid.records.option_fields import joint_values
 
-CURVATURE = 5.0
-"""Prior standard deviation of the term "sqrt", over dry friction times the prior ``friction``."""
-FADING = 15.0
-"""Prior standard deviation of each term that fades with speed, over dry friction times the prior
-``friction``: a Stribeck curve of 30 % with the default of 2 %."""
-LARGEST_USUAL_LOSS = 2.5
-"""Largest prior standard deviation of the share of its load that a gear loses, over the prior
-``friction``; reached where dry friction is large."""
 LEAST_DRY = 0.02
 """Least dry friction assumed before a fit, as a share of the joint's root mean square torque."""
 LEAST_FITTED_DRY = 1e-3
 """Least dry friction assumed after a fit, as a share of the joint's root mean square torque."""
 LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
-DRIFTS = 0.2
-"""Prior standard deviation of friction's relative drift, from the middle of the logs to an end."""
-CHANGES = 0.1
-"""Standard deviation of friction's relative change from one log to the next: five logs of a UR10e
-differ by 2.5 standard errors of a single one."""
-SCALE_DRIFTS = 0.25
-"""Prior standard deviation of a torque scale's drift, from the middle of a payload's logs, or of
-two runs, to an end [%]: without it, logs of a KUKA LWR4+ differ by 0.07 kg at the last link, eight
-standard errors."""
-LOADED_LOSS = 0.1
-"""Prior standard deviation of the share of its load that a gear loses, in weighing a payload."""
-FILE_TILT = float(np.radians(2.0))
-"""Prior standard deviation of gravity's direction in a model file [rad]."""
-USUAL_SCALE = 2.0
-"""Default standard deviation of a joint's torque scale [%]."""
-LOADED_SCALE = 3.0
-"""Default standard deviation of a joint's torque scale where a payload is weighed [%], whose mass
-depends on it alone: motor currents of a UR10e read 3 % low to 5 % high."""
 PER_CENT = 0.01
 """One per cent."""
 MILLI = 1e-3
@@ -141,9 +114,11 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     sizes = {
         SCALES: scale,
         ZEROS: np.full(arm.robot.n_joints, MILLI * priors.zero),
-        DRIFT: np.full(len(arm.joints), DRIFTS if question.drifts else 0.0),
+        DRIFT: np.full(
+            len(arm.joints), usual_errors.FRICTION_DRIFT if question.drifts else 0.0
+        ),
         SCALE_DRIFT: np.full(
-            len(arm.joints), PER_CENT * SCALE_DRIFTS * question.loaded
+            len(arm.joints), PER_CENT * usual_errors.SCALE_DRIFT * question.loaded
         ),
         TILT: np.full(2, np.radians(priors.gravity)),
         DELAY: np.full(1, MILLI * priors.delay),
@@ -181,40 +156,12 @@ def _payload(arm: ArmTerms, question: Question) -> Term:
 
 
 def links_term(arm: ArmTerms, question: Question) -> Term:
-    """Return the term of all links but the last, with the model's bodies as prior.
-
-    A placeholder of the model counts as a reference body with an error as large as itself.
-    """
-    robot = arm.robot
-    reference = reference_bodies(robot)
-    links = list(arm.others)
-    thetas = np.array([reference[robot.links[link].body_name] for link in links])
-    lengths = np.array(link_lengths(robot, links))
-    stated = is_stated(arm)
+    """Return the term of all links but the last, with the model's bodies as prior."""
+    term = arm.terms[LINKS]
+    assert term.reference is not None
     share = PER_CENT * question.options.priors.link
-    size = N_INERTIAL * len(links)
-    factor = np.zeros((size, size))
-    rows = np.arange(size).reshape(-1, N_INERTIAL)
-    groups = [([k], 1.0, AS_STATED) for k in np.flatnonzero(~stated).tolist()]
-    if np.any(stated):
-        groups.append((np.flatnonzero(stated).tolist(), share, question.link_scales))
-    for numbers, deviation, scales in groups:
-        at = rows[numbers].ravel()
-        factor[np.ix_(at, at)] = link_factor(
-            thetas[numbers], deviation, lengths[numbers], scales
-        )
-    return replace(arm.terms[LINKS], prior=Prior(thetas.ravel(), factor))
-
-
-def is_stated(arm: ArmTerms) -> NDArray[np.bool_]:
-    """Return which of the links before the last the model states, not with a placeholder."""
-    robot = arm.robot
-    reference = reference_bodies(robot)
-    stated = [
-        reference[robot.links[link].body_name] is robot.links[link].theta
-        for link in arm.others
-    ]
-    return np.array(stated, dtype=bool)
+    factor = link_factor(arm.robot, arm.others, share, question.link_scales)
+    return replace(term, prior=Prior(term.reference, factor))
 
 
 def _unknown_friction(
@@ -234,12 +181,14 @@ def _unknown_friction(
     else:
         dry = np.maximum(question.dry, LEAST_FITTED_DRY * torque)
     # A gear that loses much of its load has much dry friction without load, too.
-    loss = np.clip(dry / np.maximum(torque, 1e-9), share, LARGEST_USUAL_LOSS * share)
+    loss = np.clip(
+        dry / np.maximum(torque, 1e-9), share, usual_errors.LARGEST_USUAL_LOSS * share
+    )
     if question.loaded:
-        loss = np.full_like(dry, max(share, LOADED_LOSS))
-    sizes = {"load": loss, "sqrt": CURVATURE * share * dry}
+        loss = np.full_like(dry, max(share, usual_errors.LOADED_LOSS))
+    sizes = {"load": loss, "sqrt": usual_errors.CURVATURE * share * dry}
     if question.dry is not None:
-        sizes |= dict.fromkeys(FADING_SPEEDS, FADING * share * dry)
+        sizes |= dict.fromkeys(FADING_SPEEDS, usual_errors.FADING * share * dry)
     for name, deviations in sizes.items():
         if name not in friction:
             term = replace(arm.terms[name], cause=FURTHER_FRICTION, lower=-np.inf)
@@ -251,6 +200,6 @@ def scale_spread(arm: ArmTerms, options: EstimationOptions, loaded: bool) -> Arr
     """Return the prior standard deviation (J,) of each joint's torque scale, 0.02 for 2 %."""
     percent = options.priors.scale
     if percent is None:
-        percent = LOADED_SCALE if loaded else USUAL_SCALE
+        percent = usual_errors.LOADED_SCALE if loaded else usual_errors.SCALE
     scale = joint_values(percent, arm.robot.n_joints, "scale of --priors")
     return PER_CENT * scale[arm.indices]

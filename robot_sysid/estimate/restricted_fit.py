@@ -24,7 +24,7 @@ from robot_sysid.estimate.options import (
     FILE_LINKS,
     FILE_ROTORS,
 )
-from robot_sysid.estimate.questions import FILE_TILT, links_term
+from robot_sysid.estimate.questions import links_term
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import (
     LAST_LINK,
@@ -36,13 +36,11 @@ from robot_sysid.estimate.terms import (
     independent,
 )
 from robot_sysid.records import Array, Validation
+from robot_sysid.records.usual_errors import GRAVITY_IN_FILE, OFFSET
 
 CLEAR_ROTOR = 3.0
 """Least distance of a rotor from the model's, and of a sensor's offset from zero, in standard
 errors, at which it is significant."""
-OFFSET = 0.01
-"""Prior standard deviation of offsets that are not significant, as a share of the joint's torque:
-offsets of a KUKA LWR4+ are not known better."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,7 @@ def _fit_kind(
     fitted = _solved(estimate, terms, held)
     gravity = None
     if TILT in arm.terms and FILE_GRAVITY not in unchanged:
-        prior = independent(np.full(2, FILE_TILT))
+        prior = independent(np.full(2, np.radians(GRAVITY_IN_FILE)))
         tilt = replace(arm.terms[TILT], prior=prior)
         # Gravity is turned only where the torques clearly show it.
         if fitted.gain(tilt) > CLEAR:

@@ -20,7 +20,6 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import held_out_logs, validation
 from robot_sysid.estimate.identifiability import analyse_identifiability
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
-from robot_sysid.estimate.questions import CHANGES
 from robot_sysid.estimate.restricted_fit import RestrictedFit
 from robot_sysid.estimate.terms import (
     FRICTION,
@@ -61,6 +60,7 @@ from robot_sysid.records.messages import (
     says,
     term_unit,
 )
+from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.results.quantities import (
     BEYOND,
     MOMENT,
@@ -427,12 +427,12 @@ def _file_terms(fitted: Fit, file: RestrictedFit) -> Iterator[Quantity]:
 
     A rotor is written, with its error, where it differs from the model's. The offset of a torque
     sensor is not friction, and is not written. What is written has to hold on another day, too: the
-    errors of friction have its change (``CHANGES``) in them.
+    errors of friction have its change in them.
     """
     for row in joint_quantities(file.fit):
         if row.name not in ("offset", "armature"):
             assert row.error is not None
-            error = math.hypot(row.error, CHANGES * row.value)
+            error = math.hypot(row.error, FRICTION_CHANGE * row.value)
             yield replace(row, error=error, source=FILE, reason="")
     robot = fitted.arm.robot
     for owner in (*robot.joint_names, *fitted.question.motors):

@@ -36,8 +36,8 @@ from robot_sysid.dynamics.inverse_dynamics import (
     tilt_axes,
 )
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
+from robot_sysid.estimate.links import reference_links
 from robot_sysid.estimate.rows import Mask, Recording, Rows, Sums, add_up
-from robot_sysid.model.bodies import reference_bodies
 from robot_sysid.records import Array, RobotModel
 
 # Causes, as they are called in results.
@@ -244,33 +244,28 @@ class ArmTerms:
     def _terms(self, loaded: bool) -> Iterator[Term]:
         """Yield all terms, those of bodies first."""
         robot = self.robot
-        reference = reference_bodies(robot)
+        last = robot.links[-1].reference
         yield Term(
             LAST_LINK,
             PARAMETER_NAMES,
             partial(self._links, [robot.n_joints - 1]),
             bodies=True,
             held_by=BOTH,
-            reference=reference[robot.body_name],
+            reference=last,
         )
         if self.others:
             names = [name for link in self.others for name in link_names(robot, link)]
-            bodies = [reference[robot.links[link].body_name] for link in self.others]
             yield Term(
                 LINKS,
                 tuple(names),
                 partial(self._links, list(self.others)),
                 bodies=True,
                 held_by=BOTH,
-                reference=np.concatenate(bodies),
+                reference=reference_links(robot, self.others),
             )
         if loaded:
             yield Term(
-                PAYLOAD,
-                PAYLOAD_NAMES,
-                self._payload,
-                bodies=True,
-                reference=reference[robot.body_name],
+                PAYLOAD, PAYLOAD_NAMES, self._payload, bodies=True, reference=last
             )
         for name in self.friction:
             held_by = {

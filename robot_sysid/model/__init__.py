@@ -22,6 +22,11 @@ class ModelOptions(OptionRecord):
     joint: str | None = option(
         None, "terminal joint", "NAME", default_text="found automatically"
     )
+    mass_scale: float | None = option(
+        None,
+        "multiply all masses and moments of inertia of the model by this",
+        "FACTOR > 0",
+    )
     keyframe: str | None = option(
         None,
         "keyframe in which the arm is at rest, where motions start",

@@ -26,10 +26,8 @@ from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.chain import body_label
+from robot_sysid.model.stated import with_references
 from robot_sysid.records import ArmLink, Array, Flange, RobotModel, SubtreeBody
-
-PLACEHOLDER = 1e-3
-"""Share of the other links' median mass below which a body's inertia counts as a placeholder."""
 
 
 def body_theta(mj_model: Any, body_id: int) -> Array:
@@ -45,33 +43,6 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
     mujoco.mju_quat2Mat(flat, mj_model.body_iquat[body_id])
     axes = flat.reshape(3, 3)
     return axes @ np.diag(mj_model.body_inertia[body_id]) @ axes.T
-
-
-def reference_bodies(robot: RobotModel) -> dict[str, Array]:
-    """Return body name to plausible inertial parameters (10,) of each link with mass.
-
-    These are the model's own (the identical array). Where the model has only a placeholder, much
-    lighter than the other links or no possible rigid body, they are those of a ball at the
-    placeholder's centre of mass, with the median mass and radius of gyration of the other links.
-    """
-    bodies = {link.body_name: link.theta for link in robot.links if link.has_mass}
-    thetas = list(bodies.values())
-    # Links from which the median is taken: none that is much lighter than the heaviest.
-    least_mass = PLACEHOLDER * np.max(np.array(thetas)[:, 0])
-    stated = [t for t in thetas if t[0] >= least_mass and spatial.is_consistent(t)]
-    sizes = []
-    for theta in stated or thetas:
-        mass, _, inertia = spatial.com_from_theta(theta)
-        # Mass, and squared radius of gyration [m^2].
-        sizes.append((theta[0], np.trace(inertia) / (3.0 * mass)))
-    median_mass, squared_radius = np.median(sizes, axis=0).tolist()
-    for name, theta in bodies.items():
-        if theta[0] < PLACEHOLDER * median_mass or not spatial.is_consistent(theta):
-            mass = max(median_mass, float(theta[0]))
-            com = theta[1:4] / theta[0] if theta[0] > 0.0 else np.zeros(3)
-            inertia = mass * squared_radius * np.eye(3)
-            bodies[name] = spatial.theta_from_com(mass, com, inertia)
-    return bodies
 
 
 def subtree_bodies(
@@ -132,6 +103,7 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
     body_ids = mj_model.jnt_bodyid[list(chain)].tolist()
     dofs = mj_model.jnt_dofadr[list(chain)].tolist()
     links = []
+    ids = []
     # Pose of the previous link.
     axes = np.eye(3)
     origin = np.zeros(3)
@@ -155,9 +127,10 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
                 theta=sum_theta(bodies),
             )
         )
+        ids.append([body.body_id for body in bodies])
         axes = new_axes
         origin = new_origin
-    return tuple(links)
+    return with_references(mj_model, qpos, links, ids)
 
 
 def link_bodies(

@@ -1,5 +1,5 @@
 """Model files with lengths, masses or moments of inertia in other units than SI, as CAD programs
-export them.
+export them, and arms with all their masses scaled.
 
 A body of mass m and inertia I about its centre of mass has a radius of gyration r with
 r^2 = tr(I) / 2 m, and m / r^3 is at most 9 times its density, that of a sphere. Medians over the
@@ -9,11 +9,16 @@ to 23 000 kg/m^3. Wrong units are factors of 30 and more off in one of them.
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
-from robot_sysid.model.bodies import PLACEHOLDER
+from robot_sysid.model.bodies import link_reach
+from robot_sysid.model.stated import LEAST_MASS
 from robot_sysid.records import RobotModel
 
 _LARGEST_COMPACTNESS = 2e5
@@ -23,39 +28,103 @@ _SHORTEST = 1.5
 _LONGEST = 30.0
 """Longest arm: a crane [m]."""
 
+_LIGHTEST = 0.1
+"""Least mass of an arm over the cube of its length [kg/m^3]; public arms have 5 to 250."""
+_HEAVIEST = 1000.0
+"""Largest mass of an arm over the cube of its length [kg/m^3]."""
+_LEAST_LENGTH = 0.3
+"""Length that shorter arms are given in this ratio [m]."""
+
+
+def with_mass_scale(robot: RobotModel, factor: float) -> RobotModel:
+    """Return an arm all of whose masses and moments of inertia are multiplied by a factor."""
+    if factor == 1.0:
+        return robot
+    mj_model = copy.copy(robot.mj_model)
+    mj_model.body_mass[:] *= factor
+    mj_model.body_inertia[:] *= factor
+    mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
+    links = []
+    for link in robot.links:
+        theta = factor * link.theta
+        links.append(replace(link, theta=theta, reference=factor * link.reference))
+    return replace(
+        robot,
+        mj_model=mj_model,
+        links=tuple(links),
+        bodies=tuple(replace(b, theta=factor * b.theta) for b in robot.bodies),
+        mass_scale=factor * robot.mass_scale,
+    )
+
+
+def mass_unit(robot: RobotModel, factor: float = 1.0) -> float:
+    """Return the factor that brings an arm's masses, times another factor, into kilograms.
+
+    It is 1 for an arm that there may be. No arm is as light for its length as foam, nor as heavy as
+    lead: masses in tonnes are 1000 times too small, masses in grams 1000 times too large.
+    """
+    tip = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
+    density = factor * robot.mass / max(_reach(robot) + tip, _LEAST_LENGTH) ** 3
+    if _LIGHTEST <= density <= _HEAVIEST:
+        return 1.0
+    return 1e3 if density < _LIGHTEST else 1e-3
+
+
+def _reach(robot: RobotModel) -> float:
+    """Return the distances between an arm's joints, added up [m]."""
+    return sum(float(np.linalg.norm(link.translation)) for link in robot.links[1:])
+
 
 def refuse_cad_units(robot: RobotModel) -> None:
     """Raise ModelError where an arm's lengths, masses or inertias are in other units than SI.
 
+    A factor for all masses is advised where the arm with it is one that there may be.
+    """
+    fault = _unit_fault(robot)
+    if fault:
+        unit = mass_unit(robot)
+        is_remedy = unit != 1.0 and not _unit_fault(with_mass_scale(robot, unit))
+        remedy = [("--mass-scale", f"{unit:g}")] if is_remedy else []
+        raise ModelError(f"{robot.path}: {fault}", remedy)
+
+
+def _unit_fault(robot: RobotModel) -> str:
+    """Return which of an arm's numbers are in other units than SI, and what to do; "" for none.
+
     Medians count, so that single links may have other numbers. Links with three equal moments of
-    inertia, which stand for unknown ones, are left out; where most are such, units of masses and
-    inertias are not judged.
+    inertia, which stand for unknown ones, are left out; where most are such, units of inertias are
+    not judged.
     """
     mj_model = robot.mj_model
     bodies = np.array(subtree(mj_model, robot.links[0].body_id))
     masses = mj_model.body_mass[bodies]
-    bodies = bodies[masses > PLACEHOLDER * np.max(masses)]
-    offsets = [np.linalg.norm(link.translation) for link in robot.links[1:]]
-    length = float(sum(offsets))
+    bodies = bodies[masses > LEAST_MASS * np.max(masses)]
+    length = _reach(robot)
     com_distance = np.median(np.linalg.norm(mj_model.body_ipos[bodies], axis=1))
     if max(length, com_distance) > _LONGEST:
-        raise ModelError(
-            f"{robot.path}: the distances between its joints add up to {length:.3g} m, and centres "
-            f"of mass lie {com_distance:.3g} m away from their links' frames: these lengths fit "
-            "mm, not m; divide them by 1000"
+        return (
+            f"the distances between its joints add up to {length:.3g} m, and centres of mass lie "
+            f"{com_distance:.3g} m away from their links' frames: these lengths fit mm, not m; "
+            "divide them by 1000"
+        )
+    if mass_unit(robot) != 1.0:
+        return (
+            f"its links weigh {robot.mass:.3g} kg in all, for their length as much as foam or more "
+            "than lead, which no arm has; state masses in kg, not in t or g"
         )
     moments = mj_model.body_inertia[bodies]
     is_stated = np.ptp(moments, axis=1) > 1e-6 * np.max(moments, axis=1)
     if 2 * np.sum(is_stated) <= len(bodies):
-        return
+        return ""
     bodies = bodies[is_stated]
     masses = mj_model.body_mass[bodies]
     radii = np.sqrt(np.sum(moments[is_stated], axis=1) / (2.0 * masses))
     radius = np.median(radii)
     compactness = np.median(masses / radii**3)
     if radius > max(length, _SHORTEST) or compactness > _LARGEST_COMPACTNESS:
-        raise ModelError(
-            f"{robot.path}: half of its links have more than {np.median(masses):.3g} kg, and half "
-            f"a radius of gyration of more than {radius:.3g} m, which no arm has; state masses in "
-            "kg and moments of inertia in kg m2, as g, kg mm2 and g mm2 are what CAD programs write"
+        return (
+            f"half of its links have more than {np.median(masses):.3g} kg, and half a radius of "
+            f"gyration of more than {radius:.3g} m, which no arm has; state masses in kg and "
+            "moments of inertia in kg m2, as g, kg mm2 and g mm2 are what CAD programs write"
         )
+    return ""

@@ -21,7 +21,6 @@ from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import (
-    DRIFTS,
     LEAST_DRY,
     Question,
     arm_question,
@@ -29,12 +28,12 @@ from robot_sysid.estimate.questions import (
 )
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
-from robot_sysid.model.bodies import reference_bodies
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, AimOptions
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
 from robot_sysid.motion.prediction import Prediction
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records.usual_errors import FRICTION_DRIFT
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import sample_times
@@ -98,8 +97,8 @@ def prior_knowledge(
     if target == "payload":
         # In the difference of two recordings only the drift of friction between them remains.
         joints = list(problem.rows)
-        deviations[0] = DRIFTS * robot.friction.coulomb[joints]
-        deviations[1] = DRIFTS * robot.friction.viscous[joints]
+        deviations[0] = FRICTION_DRIFT * robot.friction.coulomb[joints]
+        deviations[1] = FRICTION_DRIFT * robot.friction.viscous[joints]
         return PriorKnowledge(link_factor, deviations, target)
     arm = _arm_terms(problem, options)
     # Dry friction is guessed from the mean torque (n,) of each joint at rest in random poses.
@@ -128,7 +127,7 @@ def typical_load(problem: ExcitationProblem) -> Array:
     """
     robot = problem.robot
     mass = problem.reserve or TYPICAL_LOAD * float(np.sum(robot.thetas[:, 0]))
-    body = reference_bodies(robot)[robot.body_name]
+    body = robot.links[-1].reference
     return mass / body[0] * body
 
 

@@ -11,7 +11,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, split_motion, subtree
 from robot_sysid.dynamics.spatial import N_INERTIAL
-from robot_sysid.estimate.links import model_link_factor
+from robot_sysid.estimate.links import link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.clearance import Clearance
@@ -265,7 +265,7 @@ def build_problem(
         tool=tool_corners(robot),
         arm_torque=ArmTorque(robot),
         reserve=limits.payload_reserve,
-        link_errors=model_link_factor(robot, links, 0.01 * link_uncertainty),
+        link_errors=link_factor(robot, links, 0.01 * link_uncertainty),
         obstacles=Clearance(robot, start_pose, limits.clearance, spaces),
         rows=rows,
         sigma=joint_values(noise_torque, robot.n_joints, "the prior noise")[list(rows)],

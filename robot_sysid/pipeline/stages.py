@@ -100,7 +100,12 @@ def load_arm(config: Config, progress: Progress) -> RobotModel:
     if isinstance(config, MotionConfig):
         max_velocity = config.limits.max_velocity
     robot = load_robot_model(
-        model.path, model.mesh_dir, model.joint, max_velocity, model.keyframe
+        model.path,
+        model.mesh_dir,
+        model.joint,
+        max_velocity,
+        model.keyframe,
+        model.mass_scale,
     )
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     progress.note(*robot.notes)

@@ -129,6 +129,10 @@ class SubtreeBody:
         check_arrays(self, theta=(10,))
 
 
+KINDS = ("mass", "centre of mass", "inertia")
+"""What a model states of a link, or has a placeholder for."""
+
+
 @dataclass(frozen=True)
 class ArmLink:
     """What one chain joint moves: a body with all that hangs on it up to the next chain joint.
@@ -141,6 +145,9 @@ class ArmLink:
             world for the first) at the reference configuration [m].
         theta: (10,) inertial parameters in the body's frame, as the model has them; zero where a
             later chain joint moves the same body.
+        reference: (10,) the same, with a body of the link's geometry for each placeholder.
+        size: of the link [m], which the error of its centre of mass is a share of.
+        placeholders: those of ``KINDS`` that the model does not state.
     """
 
     body_id: int
@@ -149,9 +156,15 @@ class ArmLink:
     rotation: Array
     translation: Array
     theta: Array
+    reference: Array = None  # type: ignore[assignment]
+    size: float = 0.0
+    placeholders: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        check_arrays(self, screw=(6,), rotation=(3, 3), translation=(3,), theta=(10,))
+        if self.reference is None:
+            object.__setattr__(self, "reference", self.theta)
+        check_arrays(self, screw=(6,), rotation=(3, 3), translation=(3,))
+        check_arrays(self, theta=(10,), reference=(10,))
 
     @property
     def has_mass(self) -> bool:
@@ -278,6 +291,7 @@ class RobotModel:
         bodies: what the last link is made of, the terminal body first.
         sha256: hash of the files that make the model.
         kind: "mjcf" or "urdf".
+        mass_scale: by which masses and moments of inertia differ from those of the file.
         notes: what the reader of the file had to assume, one sentence each.
     """
 
@@ -294,6 +308,7 @@ class RobotModel:
     bodies: tuple[SubtreeBody, ...] = ()
     sha256: str = ""
     kind: str = "mjcf"
+    mass_scale: float = 1.0
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

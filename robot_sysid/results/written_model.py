@@ -36,6 +36,7 @@ from robot_sysid.mjcf.updated_model import (
 from robot_sysid.model.actuators import AT_TENDON, actuators_on, stated_at_actuator
 from robot_sysid.model.bodies import link_bodies
 from robot_sysid.model.compilation import mjcf_of
+from robot_sysid.model.units import with_mass_scale
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.messages import with_error
@@ -76,7 +77,8 @@ def write_model(
             takes other torques; the draft is withdrawn.
     """
     thetas = _links_without_payload(result)
-    robot, target = _arm_of_kind(result.robot, file_kind or result.model_kind, target)
+    robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
+    robot, target = _arm_of_kind(robot, file_kind or result.model_kind, target)
     terms = {} if result.file is None else result.file.joints
     identified = [name for name in robot.joint_names if name in terms]
     joint_changes = [JointChange(name, _numbers(terms[name])) for name in identified]

@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimate.links import model_link_factor
+from robot_sysid.estimate.links import link_factor
 from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records.usual_errors import EXPECTED_SCALES, LINK
 from robot_sysid.servo.windows import (
     MAX_DELAY_PERIODS,
     ServoProblem,
@@ -45,9 +46,8 @@ from robot_sysid.simulation.playback import (
     servos_in_model,
 )
 
-LINK_ERROR = 0.1
-"""Relative standard deviation of the links' masses, of their centres of mass in link sizes, and
-half that of their inertias: those of small arms are drawn, and seldom weighed."""
+LINK_ERROR = 0.01 * LINK * EXPECTED_SCALES[0]
+"""Relative standard deviation of the links' masses."""
 OWN_GAIN = 0.5
 """Standard deviation of the logarithm of a joint's gain over the model's about that of the others:
 servos of one arm are of one kind, and set alike."""
@@ -55,7 +55,7 @@ UNKNOWN_GAIN = 1.5
 """The same of all gains together, and of one about the others where the model has none."""
 FREE_GAIN = 1e3
 """The same of a gain that the data alone determines."""
-LARGEST_ERROR = 1.0 / 3.0
+LARGEST_ERROR = 0.4
 """Relative standard error up to which a number is identified, and up to which a joint's resistance
 at 1 rad/s is known well enough for its numbers to be written."""
 CREEP = 0.1
@@ -107,7 +107,7 @@ def loop_columns(
     """
     dynamics = LinkDynamics(robot)
     links = list(range(robot.n_joints))
-    factor = model_link_factor(robot, links, LINK_ERROR)
+    factor = link_factor(robot, links, 0.01 * LINK)
     columns = []
     link_columns = []
     for piece in pieces:

@@ -22,7 +22,7 @@ PARSERS = {name: partial(build_parser, name) for name in SPECS}
 PARSERS["log"] = log.build_parser
 POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
 IDENTIFY = partial(build_parser, "identify")
-MOST_OPTIONS = 25
+MOST_OPTIONS = 26
 
 
 @pytest.mark.parametrize("name", SPECS)

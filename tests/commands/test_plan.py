@@ -125,7 +125,7 @@ def test_a_joint_too_weak_to_hold_the_arm_is_refused_or_hangs_where_it_can(
     too_weak = (*SINES, "--max-torque 100,0.5,100")
     message = command.refused("plan", arm_file(stiff, "stiff.xml"), *too_weak)
     takes = (
-        "moving off against gravity and dry friction at joint joint1 takes 4.37 N·m with the "
+        "moving off against gravity and dry friction at joint joint1 takes 5.28 N·m with the "
         "reserve for errors of the links"
     )
     assert f"{takes}, more than 95 % of its torque" in message

@@ -89,7 +89,7 @@ TORQUES = {
     "torque-scale: the torque scale of all joints rises by": lambda t: (
         t.log.tau * (1.0 + 0.03 * t.log.time)[:, None]
     ),
-    "torque-unit: pass --torque-scale 200": lambda t: 100.0 * t.log.tau,
+    "torque-scale: multiply the masses": lambda t: 100.0 * t.log.tau,
     "torque-scale: torque of joint joint3 alone reads": lambda t: (
         t.log.tau * [1.0, 1.0, 1.0, 1e3]
     ),
@@ -183,8 +183,10 @@ REMEDIES = {
     "angle-unit": lambda log, _: replace(
         log, q=np.radians(log.q), qd=np.radians(log.qd)
     ),
-    "torque-unit: pass --torque-scale 200": lambda log, finding: replace(
-        log, tau=log.tau / number_after("reads", finding.text)
+    "torque-scale: multiply the masses": lambda log, finding: replace(
+        # Torques were divided by two already.
+        log,
+        tau=log.tau / (0.5 * float(finding.options[1][1])),
     ),
 }
 """Fault to the log that its finding advises."""

@@ -101,7 +101,7 @@ def test_no_file_is_suggested_that_would_not_put_the_log_right(attribute, tmp_pa
 def test_a_weighing_takes_the_file_that_turns_signs_round(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scales = ("--torque-scale", "0.1,0.2,0.3")
-    error = refusal(PLAIN, CORRECTIONS[0], tmp_path, payload=scales)
+    error = refusal(PLAIN, CORRECTIONS[0], tmp_path, payload=(scales,))
     assert error.command == "payload"
     assert error.options == ((*scales, "--columns", "run_columns.txt"),)
 
@@ -112,6 +112,6 @@ def test_an_option_is_suggested_that_no_title_contradicts(is_declared):
         path="run.csv", columns=SimpleNamespace(angle_declared=is_declared)
     )
     option = ("--units", "deg")
-    finding = Finding(Level.REFUSES, "angle-unit", "degrees", options=option)
+    finding = Finding(Level.REFUSES, "angle-unit", "degrees", options=(option,))
     error = refuse_for(log, finding)
     assert error.options == (() if is_declared else (option,))

@@ -11,12 +11,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.estimate.choose import dry_friction, link_evidence, motors_of, solved
 from robot_sysid.estimate.links import (
+    AS_STATED,
     LinkEvidence,
     LinkScales,
     average_scales,
+    deviations,
     link_directions,
     link_factor,
-    link_lengths,
 )
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question, scale_spread
@@ -160,10 +161,17 @@ def test_scales_of_a_payload_have_nothing_in_common_unless_its_mass_is_known():
 
 @given(rigid_bodies(), rigid_bodies())
 def test_links_share_an_error_in_mass(first, second):
-    factor = link_factor([first, second], 0.05, [0.3, 0.0])
+    links = []
+    for link, theta in zip(ROBOT.links, (first, second)):
+        links.append(replace(link, theta=theta, reference=theta))
+    arm = replace(ROBOT, links=(*links, *ROBOT.links[2:]))
+    factor = link_factor(arm, (0, 1), 0.05, AS_STATED)
     covariance = factor @ factor.T
-    scale = np.sqrt(covariance[0, 0] * covariance[10, 10])
-    assert covariance[0, 10] / scale == pytest.approx(0.5, rel=1e-6)
+    shared = 0.05**2 * first[0] * second[0]
+    assert covariance[0, 10] == pytest.approx(shared, rel=1e-6)
+    # Each has an error of its own that is at least as large.
+    for number, theta in ((0, first), (10, second)):
+        assert covariance[number, number] > 1.999 * (0.05 * theta[0]) ** 2
     for start in (0, 10):
         block = covariance[start : start + 10, start : start + 10]
         sizes = np.sqrt(np.diag(block))
@@ -173,18 +181,19 @@ def test_links_share_an_error_in_mass(first, second):
 # ---- scales of the links' prior
 
 N_LINKS = 4
-USUAL = LinkScales(4.0, 1.5, 2.0)
+STATED = np.ones((N_LINKS, 3), dtype=bool)
+USUAL = LinkScales(4.0, 2.0, 2.0)
 
 
 def evidence_of(seed, scales, noise=0.01):
     """Return (evidence, rows, data) of all directions of links whose errors have these scales."""
     rng = np.random.default_rng(seed)
-    scale = scales.of_directions(N_LINKS)
+    scale = deviations(STATED, 1.0, scales)
     rows = rng.standard_normal((3 * len(scale), len(scale)))
     data = rows @ (scale * rng.standard_normal(len(scale)))
     data += noise * rng.standard_normal(len(data))
     gram = rows.T @ rows / noise**2
-    return LinkEvidence(N_LINKS, gram, rows.T @ data / noise**2), rows, data
+    return LinkEvidence(STATED, 1.0, gram, rows.T @ data / noise**2), rows, data
 
 
 @given(SEEDS)
@@ -194,9 +203,9 @@ def test_the_likelihood_of_link_scales_is_that_of_the_data(seed):
     evidence, rows, data = evidence_of(seed, USUAL, noise)
     likelihoods = []
     expected = []
-    for scales in (USUAL, LinkScales(4.0, 0.5, 2.0)):
-        scale = scales.of_directions(N_LINKS)
-        likelihoods.append(evidence.log_likelihood(scale))
+    for scales in (USUAL, LinkScales(4.0, 3.0, 2.0)):
+        scale = deviations(STATED, 1.0, scales)
+        likelihoods.append(evidence.log_likelihood(scales))
         covariance = noise**2 * np.eye(len(rows)) + (rows * scale**2) @ rows.T
         log_determinant = np.linalg.slogdet(covariance)[1]
         exponent = data @ np.linalg.solve(covariance, data)
@@ -206,15 +215,15 @@ def test_the_likelihood_of_link_scales_is_that_of_the_data(seed):
 
 
 @pytest.mark.parametrize(
-    "scales", [LinkScales(2.0, 0.5, 4.0), LinkScales(8.0, 4.0, 1.0)]
+    "scales", [LinkScales(2.0, 2.0, 4.0), LinkScales(8.0, 6.0, 1.0)]
 )
 def test_link_scales_that_the_data_shows_are_found(scales):
     average = average_scales(evidence_of(0, scales)[0])
     for aspect in ("centre_of_mass", "inertia"):
         assert 0.5 < getattr(average, aspect) / getattr(scales, aspect) < 2.1, aspect
-    nothing = LinkEvidence(N_LINKS, np.zeros((42, 42)), np.zeros(42))
+    nothing = LinkEvidence(STATED, 1.0, np.zeros((42, 42)), np.zeros(42))
     usual = average_scales(nothing)
-    assert 4.0 < usual.mass < 6.0 and 1.5 < usual.centre_of_mass < 3.0
+    assert 4.0 < usual.mass < 6.0 and 2.0 < usual.centre_of_mass < 4.0
 
 
 def test_the_evidence_of_a_fit_is_that_without_the_links_prior(noisy_fit):
@@ -223,10 +232,8 @@ def test_the_evidence_of_a_fit_is_that_without_the_links_prior(noisy_fit):
     terms = zip(noisy_fit.equations.terms, noisy_fit.equations.spans)
     ((term, span),) = [pair for pair in terms if pair[0].cause == LINKS]
     arm = noisy_fit.arm
-    thetas = tuple(tuple(arm.robot.links[link].theta) for link in arm.others)
-    lengths = tuple(link_lengths(arm.robot, arm.others))
-    directions = 0.05 * link_directions(thetas, lengths)
-    scale = noisy_fit.question.link_scales.of_directions(evidence.n_links)
+    directions = link_directions(arm.robot, arm.others)
+    scale = deviations(evidence.stated, evidence.share, noisy_fit.question.link_scales)
     inner = np.eye(len(scale)) + scale[:, None] * evidence.curvature * scale
     found = directions @ (scale * np.linalg.solve(inner, scale * evidence.gradient))
     moved = noisy_fit.free[span] - term.prior.mean
@@ -244,7 +251,8 @@ def test_the_prior_of_links_widens_where_the_models_are_wrong(plant):
         for robot in (arms.robot_of(model), plant)
     )
     assert wide.mass > narrow.mass
-    assert wide.centre_of_mass > 1.5 * narrow.centre_of_mass
+    assert wide.centre_of_mass > narrow.centre_of_mass
+    assert wide.inertia > 1.5 * narrow.inertia
 
 
 @pytest.mark.parametrize("setting", ["loaded", "drifts"])

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 
+import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
@@ -19,15 +20,9 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate import fit as fit_module
 from robot_sysid.estimate.choose import neighbours
 from robot_sysid.estimate.fit import correlation_times, fit
-from robot_sysid.estimate.links import LinkScales, link_factor, link_lengths
+from robot_sysid.estimate.links import link_factor
 from robot_sysid.estimate.options import EstimationOptions, Priors
-from robot_sysid.estimate.questions import (
-    CURVATURE,
-    FADING,
-    LARGEST_LOSS,
-    Question,
-    arm_question,
-)
+from robot_sysid.estimate.questions import LARGEST_LOSS, Question, arm_question
 from robot_sysid.estimate.terms import (
     DELAY,
     DRIFT,
@@ -282,8 +277,7 @@ def drawn_recording(seed, memory):
     arm = TrueArm(ROBOT, seed, model_error=0.3)
     others = range(3)
     thetas = [ROBOT.links[k].theta for k in others]
-    lengths = link_lengths(ROBOT, others)
-    factor = link_factor(thetas, 0.05, lengths, LinkScales(4.0, 1.5, 2.0))
+    factor = link_factor(ROBOT, others, 0.05)
     arm.thetas[:3] = thetas + (factor @ rng.standard_normal(30)).reshape(3, 10)
     priors = Priors()
     tilt = np.radians(priors.gravity) * rng.standard_normal(2)
@@ -295,9 +289,11 @@ def drawn_recording(seed, memory):
     rigid = moves.torque(arm.thetas)
     share = 0.01 * priors.friction * arm.coulomb
     speed = np.abs(late.qd)
-    dry = arm.coulomb + CURVATURE * share * rng.standard_normal(4) * np.sqrt(speed)
+    dry = arm.coulomb + usual_errors.CURVATURE * share * rng.standard_normal(
+        4
+    ) * np.sqrt(speed)
     for fading in (0.04, 0.13, 0.4):
-        size = FADING * share * rng.standard_normal(4)
+        size = usual_errors.FADING * share * rng.standard_normal(4)
         dry = dry + size * np.exp(-speed / fading)
     dry = dry + 0.01 * priors.friction * rng.standard_normal(4) * np.abs(rigid)
     rest = arm.viscous * late.qd + arm.armature * late.qdd + arm.offset

@@ -39,8 +39,9 @@ from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimate.links import model_link_factor
+from robot_sysid.estimate.links import link_factor
 from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records.usual_errors import LINK
 from robot_sysid.simulator import ArmTorque
 
 _WINDOW = 0.1
@@ -53,8 +54,6 @@ _MOVING = 0.05
 """Velocity of the fastest joint [rad/s] below which dry friction hides the load of the arm."""
 _LEAST_WINDOWS = 15
 """Number of windows with motion, which show how well the model fits, before anything is judged."""
-_LINKS = 0.3
-"""Prior standard deviation of the links of a guessed model, relative (a judgement)."""
 _LOAD = 3.0
 """Prior standard deviation of an unknown load at the end [kg] (a judgement)."""
 _LEVER = 0.2
@@ -134,7 +133,7 @@ class MovedZeroCheck:
         self._needed_torque = ArmTorque(robot)
         self._dynamics = LinkDynamics(robot)
         self._links = [*other_links(robot), n - 1]
-        factor = model_link_factor(robot, self._links, _LINKS)
+        factor = link_factor(robot, self._links, 0.01 * LINK)
         # A load at the end adds to mass and first moment of the last link.
         load = np.zeros((len(factor), 4))
         load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])

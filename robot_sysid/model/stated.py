@@ -1,0 +1,158 @@
+"""What a model states of its links, and the bodies that stand for what it does not.
+
+Exporters and people fill in what nobody knows: a centre of mass at the joint, one inertia for all
+links, a gram where MuJoCo wants some mass. An estimate that takes such placeholders for knowledge
+is wrong, and its standard errors are too small. So mass, centre of mass and inertia of each link
+count as stated or as a placeholder; a placeholder is replaced by what a body with the link's
+geometry has: the boxes around its shapes or, where there are none, a rod from its joint to the
+next.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose
+from robot_sysid.dynamics.spatial import ROD, ROD_MOMENT
+from robot_sysid.records import KINDS, ArmLink, Array
+from robot_sysid.records.usual_errors import LEAST_SIZE, LEAST_SIZE_SHARE
+
+MASS, CENTRE, INERTIA = KINDS
+LEAST_MASS = 1e-3
+"""Share of the links' median mass below which a mass is a placeholder: public arms have 0.08."""
+LEAST_DISTANCE = 1e-3
+"""Distance of a centre of mass from its joint, over the link's size, below which it is a
+placeholder: a wrist of an iiwa14 has 0.005."""
+LEAST_INERTIA = 0.2
+"""Share of the mean moment of a rod of the link's size below which an inertia is a placeholder:
+links of public arms have 0.26 and more."""
+ALIKE = 3
+"""Number of links with one and the same inertia from which it is a placeholder."""
+_SHAPELESS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+
+
+def with_references(
+    mj_model: Any, qpos: Array, links: Sequence[ArmLink], bodies: Sequence[list[int]]
+) -> tuple[ArmLink, ...]:
+    """Return the links of an arm with their sizes, placeholders and reference bodies.
+
+    Args:
+        mj_model: the compiled model.
+        qpos: (nq,) the reference configuration.
+        links: base to terminal, as the model has them.
+        bodies: per link, the ids of its bodies.
+    """
+    masses = np.array([link.theta[0] for link in links if link.theta[0] > 0.0])
+    if not len(masses):
+        return tuple(links)
+    median = float(np.median(masses[masses >= LEAST_MASS * np.max(masses)]))
+    data = data_at_pose(mj_model, qpos)
+    steps = [*(link.translation for link in links[1:]), np.zeros(3)]
+    reach = sum(float(np.linalg.norm(step)) for step in steps)
+    copied = _copied(links)
+    result = []
+    for link, step, ids in zip(links, steps, bodies):
+        size = max(float(np.linalg.norm(step)), LEAST_SIZE_SHARE * reach, LEAST_SIZE)
+        rod = 0.5 * step, ROD_MOMENT * size**2 * np.eye(3)
+        centre, gyration = _boxes(mj_model, data, ids) or rod
+        mass, com, inertia = spatial.com_from_theta(link.theta)
+        unknown = {*copied[link.body_name]}
+        if mass < LEAST_MASS * median:
+            unknown |= {MASS, INERTIA}
+        if np.trace(inertia) < 3.0 * LEAST_INERTIA * ROD_MOMENT * mass * size**2:
+            unknown.add(INERTIA)
+        if not spatial.is_consistent(link.theta):
+            unknown.add(INERTIA)
+        # Shapes may have their middle at the joint, too.
+        is_at_joint = np.linalg.norm(com) < LEAST_DISTANCE * size
+        if is_at_joint and np.linalg.norm(centre) > LEAST_INERTIA * size:
+            unknown.add(CENTRE)
+        reference = link.theta
+        if unknown:
+            mass = median if MASS in unknown else mass
+            com = centre if CENTRE in unknown else com
+            inertia = mass * gyration if INERTIA in unknown else inertia
+            reference = spatial.theta_from_com(mass, com, inertia)
+        size = max(size, ROD * spatial.characteristic_length(reference))
+        kinds = tuple(kind for kind in (MASS, CENTRE, INERTIA) if kind in unknown)
+        if link.has_mass:
+            link = replace(link, reference=reference, size=size, placeholders=kinds)
+        result.append(link)
+    return tuple(result)
+
+
+def _copied(links: Sequence[ArmLink]) -> dict[str, set[str]]:
+    """Return body name to what of it was copied from link to link, mass or inertia.
+
+    Parts of one kind have one inertia and one mass. An inertia that links of different masses have,
+    or that is the same about all axes, was copied; so was a mass that comes with it in all links.
+    """
+    groups = defaultdict(list)
+    copied: dict[str, set[str]] = {link.body_name: set() for link in links}
+    present = [link for link in links if link.has_mass]
+    for link in present:
+        _, _, inertia = spatial.com_from_theta(link.theta)
+        moments = np.linalg.eigvalsh(inertia)
+        groups[f"{moments[-1]:.4g}"].append(
+            (link, np.ptp(moments) < 1e-6 * moments[-1])
+        )
+    for members in groups.values():
+        masses = {float(link.theta[0]) for link, _ in members}
+        is_ball = all(is_round for _, is_round in members)
+        if len(members) < min(ALIKE, max(len(present), 2)) or not (
+            is_ball or len(masses) > 1
+        ):
+            continue
+        is_whole = len(masses) == 1 and len(members) == len(present)
+        for link, _ in members:
+            copied[link.body_name] |= {MASS, INERTIA} if is_whole else {INERTIA}
+    return copied
+
+
+def _boxes(
+    mj_model: Any, data: Any, bodies: Sequence[int]
+) -> tuple[Array, Array] | None:
+    """Return what the boxes around the shapes of bodies have if they are filled evenly.
+
+    It is (centre (3,) in the frame of the first body [m], inertia about it (3, 3) over the mass
+    [m^2]); None where there is no shape.
+    """
+    axes = data.xmat[bodies[0]].reshape(3, 3) if bodies else np.eye(3)
+    volume = 0.0
+    theta = np.zeros(spatial.N_INERTIAL)
+    for geom in np.flatnonzero(np.isin(mj_model.geom_bodyid, bodies)).tolist():
+        middle, half = np.split(mj_model.geom_aabb[geom], 2)
+        if mj_model.geom_type[geom] in _SHAPELESS or not np.all(half > 0.0):
+            continue
+        box = float(np.prod(half))
+        inertia = box / 3.0 * (half @ half * np.eye(3) - np.diag(half**2))
+        turn = axes.T @ data.geom_xmat[geom].reshape(3, 3)
+        place = axes.T @ (data.geom_xpos[geom] - data.xpos[bodies[0]])
+        own = spatial.theta_from_com(box, middle, inertia)
+        theta += spatial.transform_theta(own, turn, place)
+        volume += box
+    if volume == 0.0:
+        return None
+    _, centre, inertia = spatial.com_from_theta(theta)
+    return centre, inertia / volume
+
+
+def placeholder_notes(links: Sequence[ArmLink]) -> Iterator[str]:
+    """Yield one sentence on what a model does not state of its links but the last."""
+    phrases = []
+    for kind in (MASS, CENTRE, INERTIA):
+        names = [link.body_name for link in links[:-1] if kind in link.placeholders]
+        if names:
+            phrases.append(f"the {kind} of {', '.join(names)}")
+    if phrases:
+        yield (
+            f"the model has placeholders for {'; '.join(phrases)}: not known, so a body of the "
+            "link's geometry stands for each, with an error as large as itself"
+        )

@@ -1,0 +1,73 @@
+"""How wrong arms, their models and their sensors usually are, and where each figure was seen.
+
+The one table: priors of the estimate, the torque that a plan reserves, and the checks of motors
+read it. All are standard deviations unless a line says otherwise; users replace those of
+``estimate.options.Priors`` with ``--priors``.
+"""
+
+from __future__ import annotations
+
+# ---- links
+
+LINK = 5.0
+"""Error of a link's mass, of its centre of mass as part of its size, and half of that of its
+inertia, as models are taken to state them [%]; the scales below widen it."""
+MASS_SCALES = (2.0, 4.0, 8.0)
+"""Factors on ``LINK`` for masses that evidence chooses from: 10, 20, 40 %. Links of a UR10e are 10
+to 20 % off its maker's own table, one 40 %."""
+CENTRE_SCALES = (2.0, 4.0, 8.0)
+"""The same for centres of mass: the upper arm of a UR10e is 73 mm off, a ninth of its size."""
+INERTIA_SCALES = (1.0, 2.0, 4.0, 8.0)
+"""The same for inertias."""
+USUAL_SCALES = (3.5, 1.5, 2.0)
+"""Medians of the log-normal priors of these scales; their spread is one octave."""
+EXPECTED_SCALES = (4.0, 2.0, 2.0)
+"""Scales that are expected without any recording."""
+LEAST_SIZE_SHARE = 0.15
+"""Least size of a link in its prior, as a share of the distances between the arm's joints: a wrist
+whose joints meet in a point is no smaller than its housing. Wrists of a UR10e have 0.14 to 0.16."""
+LEAST_SIZE = 0.02
+"""Least size of a link in its prior [m]."""
+LEAST_MASS_SHARE = 0.07
+"""Least mass that a link's errors are taken of, as a share of the arm's mass: that of the wrists of
+a UR10e, UR5e and iiwa14."""
+
+# ---- friction
+
+LOAD_LOSS = 2.0
+"""Share of its load that a gear loses where the friction model has no term for it [%]."""
+CURVATURE = 5.0
+"""Term "sqrt", over dry friction times ``LOAD_LOSS``."""
+FADING = 15.0
+"""Each term that fades with speed, over dry friction times ``LOAD_LOSS``: Stribeck of 30 %."""
+LARGEST_USUAL_LOSS = 2.5
+"""Largest share of its load that a gear loses, over ``LOAD_LOSS``; where dry friction is large."""
+LOADED_LOSS = 0.1
+"""Share of its load that a gear loses, in weighing a payload: a UR10e's shoulder loses 0.06."""
+FRICTION_CHANGE = 0.1
+"""Relative change of friction from one log to another one, of another day or of a warmer gear: five
+logs of a UR10e differ by 2.5 standard errors of a single one."""
+FRICTION_DRIFT = 2.0 * FRICTION_CHANGE
+"""Relative drift of friction from the middle of several logs to an end."""
+
+# ---- sensors and base
+
+SCALE = 2.0
+"""A joint's torque scale [%]."""
+LOADED_SCALE = 3.0
+"""A joint's torque scale where a payload is weighed, whose mass depends on it alone [%]: motor
+currents of a UR10e read 3 % low to 5 % high."""
+SCALE_DRIFT = 0.25
+"""Drift of a torque scale from the middle of several logs to an end [%]: without it, logs of a KUKA
+LWR4+ differ by 0.07 kg at the last link, eight standard errors."""
+ZERO = 2.0
+"""Zero of a joint's encoder [mrad]."""
+GRAVITY = 0.3
+"""Tilt of the base [degrees]."""
+GRAVITY_IN_FILE = 2.0
+"""Gravity's direction in a model file [degrees]: a KUKA LWR4+ stands 1.2 off."""
+DELAY = 5.0
+"""Delay of the torque beside the position [ms]."""
+OFFSET = 0.01
+"""Offset of a torque sensor that is not significant, as a share of the joint's torque: offsets of a
+KUKA LWR4+ are not known better."""

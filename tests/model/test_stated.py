@@ -1,0 +1,133 @@
+"""What a model states of its links: placeholders are found by kind, and right models have none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_sysid.dynamics import spatial
+from robot_sysid.mjcf.inertial import urdf_inertial_about_com
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records import KINDS
+from tests.support import urdf
+from tests.support.arms import compile_xml, robot_of
+from tests.support.places import MODELS
+
+MASS, CENTRE, INERTIA = KINDS
+MASSES = (5.0, 4.0, 2.5, 1.5, 0.9)
+COPIED = "0.001"
+
+
+def arm(folder, placeholders=()):
+    """An arm whose links are rods of 0.2 m; ``placeholders`` are (number of a link, kind)."""
+    contents = {}
+    for number, mass in enumerate(MASSES):
+        name = f"link{number}"
+        com = np.array([0.0, 0.0, 0.1])
+        inertia = mass * np.diag([0.0035, 0.0034, 0.0008])
+        if (number, CENTRE) in placeholders:
+            com[:] = 0.0
+        if (number, INERTIA) in placeholders:
+            inertia = 0.05 * inertia
+        if (number, MASS) in placeholders:
+            mass = 2e-4
+            inertia = 1e-6 * np.eye(3)
+        contents[name] = urdf_inertial_about_com(mass, com, inertia)
+    path = folder / "arm.urdf"
+    path.write_text(urdf.robot(urdf.serial(contents)))
+    return load_robot_model(path)
+
+
+@given(
+    st.sets(
+        st.tuples(st.integers(0, len(MASSES) - 2), st.sampled_from(KINDS)), max_size=3
+    )
+)
+def test_what_is_not_stated_is_found_by_kind_and_named_once(tmp_path_factory, drawn):
+    robot = arm(tmp_path_factory.mktemp("arm"), drawn)
+    notes = [note for note in robot.notes if "placeholders" in note]
+    assert len(notes) == bool(drawn)
+    # Nothing is known of the inertia of a mass that is not.
+    implied = {(number, INERTIA) for number, kind in drawn if kind == MASS}
+    for number, link in enumerate(robot.links):
+        expected = {kind for kind in KINDS if (number, kind) in drawn | implied}
+        assert set(link.placeholders) == expected
+        assert bool(expected) == any(link.body_name in note for note in notes)
+        if not expected:
+            assert link.reference is link.theta or np.all(link.reference == link.theta)
+
+
+@given(st.integers(0, len(MASSES) - 2), st.sampled_from(KINDS))
+def test_a_rod_between_the_joints_stands_for_it(tmp_path_factory, number, kind):
+    """Of rods, it is what was stated before, but for an inertia about the rod's own axis."""
+    folder = tmp_path_factory.mktemp("arm")
+    right = arm(folder).links[number]
+    link = arm(folder, {(number, kind)}).links[number]
+    assert spatial.is_consistent(link.reference)
+    mass, com, inertia = spatial.com_from_theta(link.reference)
+    true_mass, true_com, true_inertia = spatial.com_from_theta(right.theta)
+    # Its error is as large as itself.
+    assert abs(mass - true_mass) < 2.0 * mass
+    assert com == pytest.approx(true_com, abs=1e-12)
+    assert np.trace(inertia) / mass == pytest.approx(
+        np.trace(true_inertia) / true_mass, rel=0.2
+    )
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_one_inertia_for_several_links_is_a_placeholder(tmp_path, count):
+    contents = {}
+    for number, mass in enumerate(MASSES):
+        value = float(COPIED) if number < count else 0.004 * mass
+        inertia = np.diag([1.0, 0.9, 0.8]) * value
+        com = np.array([0.0, 0.0, 0.1])
+        contents[f"link{number}"] = urdf_inertial_about_com(mass, com, inertia)
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf.robot(urdf.serial(contents)))
+    found = [link.placeholders for link in load_robot_model(path).links]
+    assert found == [(INERTIA,)] * count + [()] * (len(MASSES) - count)
+
+
+def test_links_of_one_kind_are_no_copies(tmp_path):
+    """Modules of one mass and one inertia, about different axes different, are what they are."""
+    content = urdf_inertial_about_com(
+        2.0, np.array([0.0, 0.0, 0.1]), np.diag([0.008, 0.007, 0.002])
+    )
+    path = tmp_path / "arm.urdf"
+    names = [f"link{number}" for number in range(4)]
+    path.write_text(urdf.robot(urdf.serial(dict.fromkeys(names, content))))
+    assert not any(link.placeholders for link in load_robot_model(path).links)
+
+
+SHAPES = """
+<mujoco><worldbody><body>
+  <joint axis="0 1 0"/><inertial pos="0 0 0" mass="2" diaginertia=".01 .01 .002"/>
+  <geom type="box" size=".05 .05 .15" pos="0 0 {offset}" contype="0" conaffinity="0"/>
+  <body pos="0 0 .3"><joint axis="0 1 0"/>
+    <inertial pos="0 0 .1" mass="1" diaginertia=".004 .004 .001"/></body>
+</body></worldbody></mujoco>
+"""
+
+
+@pytest.mark.parametrize(("offset", "is_stated"), [(0.0, True), (0.2, False)])
+def test_shapes_say_whether_a_centre_of_mass_is_at_the_joint(offset, is_stated):
+    link = robot_of(compile_xml(SHAPES.format(offset=offset))).links[0]
+    assert (CENTRE not in link.placeholders) == is_stated
+    com = spatial.com_from_theta(link.reference)[1]
+    assert com == pytest.approx([0.0, 0.0, offset], abs=1e-9)
+
+
+@pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
+@pytest.mark.parametrize(
+    "model",
+    [
+        *("kuka_iiwa_14/iiwa14.xml", "franka_fr3/FrankaFR3_7DoF.urdf"),
+        *("kinova_gen3/gen3.xml", "universal_robots_ur5e/ur5e.xml"),
+        *("so101/so101_new_calib.urdf", "ufactory_xarm7/xarm7_nohand.xml"),
+    ],
+)
+def test_public_models_state_their_links(model):
+    robot = load_robot_model(MODELS / model)
+    assert not any(link.placeholders for link in robot.links)
