@@ -109,9 +109,8 @@ def record_log(model, robot, seed: int, seconds: float):
 def by_torques(robot, log) -> dict:
     """Return the joints' numbers identified by robot-sysid's inverse dynamics."""
     clock, q, tau = log
-    # A torque held for a step acts half a step later: the mean of two steps belongs to the sample.
-    middle = 0.5 * (tau + np.vstack((tau[:1], tau[:-1])))
-    log = Measurement(clock, q, None, middle)
+    # MuJoCo's second difference of positions around a sample is the acceleration by its torque.
+    log = Measurement(clock, q, None, tau)
     result = result_of_logs(
         robot, [log], EstimationOptions(friction_model=BASIC, **NOISE_ONLY)
     )

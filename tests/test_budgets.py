@@ -19,9 +19,9 @@ BUDGETS = {
     "robot_sysid/api": 4390,
     "robot_sysid/commands": 10694,
     "robot_sysid/damiao": 31889,
-    "robot_sysid/diagnosis": 16639,
+    "robot_sysid/diagnosis": 16726,
     "robot_sysid/dynamics": 5325,
-    "robot_sysid/estimate": 27858,
+    "robot_sysid/estimate": 28123,
     "robot_sysid/logs": 15358,
     "robot_sysid/mjcf": 7145,
     "robot_sysid/model": 9168,
@@ -31,10 +31,10 @@ BUDGETS = {
     "robot_sysid/report": 5107,
     "robot_sysid/results": 11661,
     "robot_sysid/servo": 4744,
-    "robot_sysid/signals": 4382,
+    "robot_sysid/signals": 4691,
     "robot_sysid/simulation": 3857,
     "robot_sysid": 9108,
-    "tests": 218705,
+    "tests": 219184,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -106,13 +106,21 @@ class Explanation:
         """The name of the check and the joint; a log's findings name each subject once."""
         return self.term.cause, self.joint
 
+    def number(self, values: Array, errors: Array) -> tuple[float, float]:
+        """Return the number of values (e,) with standard errors (e,), and its standard error."""
+        if self.is_norm:
+            return float(np.linalg.norm(values[:3])), float(np.max(errors[:3]))
+        return float(values[0]), float(errors[0])
+
+    def is_sure(self, values: Array, errors: Array) -> bool:
+        """Return whether values (e,) are possible, and the stated number clearly not zero."""
+        value, error = self.number(values, errors)
+        is_clear = "{value}" not in self.text or abs(value) > SURE * error
+        return is_clear and self.is_possible(values, errors)
+
     def describe(self, values: Array, errors: Array) -> tuple[str, str]:
         """Return (text, remedy) with values (e,) and standard errors (e,)."""
-        value = float(values[0])
-        error = float(errors[0])
-        if self.is_norm:
-            value = float(np.linalg.norm(values[:3]))
-            error = float(np.max(errors[:3]))
+        value, error = self.number(values, errors)
         error = abs(self.factor) * float(np.hypot(error, self.relative_error * value))
         number = with_error(abs(self.factor * value), error, self.unit)
 

@@ -212,7 +212,7 @@ class Contest:
                 np.sum(each.sums.squared_residuals(each.full))
                 for each in (current, score.log.fit)
             )
-            if explanation.is_possible(*score.values) and after < before:
+            if explanation.is_sure(*score.values) and after < before:
                 scores.append(score)
             if len(scores) == _REFITTED:
                 break

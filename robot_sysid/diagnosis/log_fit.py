@@ -208,7 +208,7 @@ class LogFit:
             priors=wide_priors(options.priors),
         )
         fitted = solved(robot, recordings, Question(usual))
-        rows = log_rows(fitted.arm, recordings, fitted.point, found)
+        rows = log_rows(fitted.arm, fitted.recordings, fitted.point, found)
         if found:
             fitted = rows.fit([*fitted.equations.terms, *found], fitted)
         return cls(fitted, rows)

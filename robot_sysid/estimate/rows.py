@@ -68,6 +68,19 @@ class Recording:
         """Which rows (K, n) may be used: those in which friction has a direction."""
         return self.signals.usable()
 
+    @cached_property
+    def at_turns(self) -> Mask:
+        """Which rows (K, n) lie where a joint may be standing because it turns round."""
+        return self.signals.at_turns()
+
+    def without_turns(self, joints: Sequence[int]) -> Recording:
+        """Return the recording in which rows at turns of some joints are not used."""
+        smaller = replace(self)
+        used = self.used.copy()
+        used[:, joints] &= ~self.at_turns[:, joints]
+        smaller.__dict__["used"] = used
+        return smaller
+
     def low_passed(self, key: object, make: Callable[[Motion], Array]) -> Array:
         """Return columns (K, ...) made from the motion at all samples, and low-passed.
 

@@ -50,6 +50,11 @@ four lost ones is at most three times the usual noise in a row over them, and gr
 square of their number."""
 _BLOCK = 500
 """Decimated rows that are computed at once: bounds memory, changes no result."""
+SEPARATION = 6.0
+"""Difference of two readings, in standard deviations of their noise, beyond which they do not
+differ by chance. For readings that are rounded to steps this is between one step and two."""
+_MEDIAN_OF_NORMAL = 0.6745
+"""Median of the size of a standard normal number."""
 _EXACT = 1e-3
 """Largest noise of the acceleration, over all frequencies and relative to the motion's, at which
 positions are differentiated as they are."""
@@ -68,6 +73,7 @@ class ProcessedSignals:
             often as the regressor columns do [N m].
         bridged: (N,) whether the motion of a sample was computed from samples over a long hole in
             the log.
+        turning: (N, n) whether a joint may be standing because it turns round.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         low_pass: the filter for columns and torques.
         notes: what a reader should know about the log.
@@ -81,6 +87,7 @@ class ProcessedSignals:
     qdd: Array
     tau: Array
     bridged: NDArray[np.bool_]
+    turning: NDArray[np.bool_]
     deadband: Array
     low_pass: LowPass
     notes: tuple[str, ...] = ()
@@ -133,6 +140,10 @@ class ProcessedSignals:
         is_slow = np.less(np.abs(self.qd), self.deadband)
         moving = self.low_pass.weight_shares(is_slow) <= LARGEST_SLOW_SHARE
         return moving & self.is_complete()[:, None]
+
+    def at_turns(self) -> NDArray[np.bool_]:
+        """Return (K, n) whether a joint may be standing under a decimated row's window."""
+        return self.low_pass.weight_shares(self.turning) > LARGEST_SLOW_SHARE
 
     def is_complete(self) -> NDArray[np.bool_]:
         """Return (K,) whether the filter's window of each decimated row holds next to no weight of
@@ -205,6 +216,7 @@ def process(
         qdd=qdd,
         tau=uniform.tau[inner],
         bridged=hole_share[REACH:-REACH] > LARGEST_SLOW_SHARE,
+        turning=turning_samples(uniform.q[inner], q[REACH:-REACH], qd),
         deadband=np.maximum(deadband, _LEAST_DEADBAND),
         low_pass=low_pass,
         acceleration_error=choice.expected_error,
@@ -242,6 +254,39 @@ def _notes(
                 f"only {percent(share)} of the rows of joint {name} are used: in the others it is "
                 f"slower than {deadband:.2g} rad/s, where the direction of friction is not sure"
             )
+
+
+def turning_samples(readings: Array, q: Array, qd: Array) -> NDArray[np.bool_]:
+    """Return at which samples (N, n) a joint may be standing while it turns round.
+
+    A joint with dry friction does not turn round at once: it stands until its torque has changed by
+    twice the friction, 20 to 60 ms under a stiff controller. Low-passed positions show a smooth
+    turn instead, with a speed that has a sign at every moment, and Coulomb friction computed from
+    that sign is wrong by up to twice its size, in the direction of the acceleration at every turn:
+    it looks like rotor inertia. A joint may be standing until a reading differs clearly from the
+    outermost one; a joint that turns round without standing is marked for as long.
+
+    Args:
+        readings: (N, n) positions as they were read [rad].
+        q: (N, n) low-passed positions [rad].
+        qd: (N, n) low-passed velocities, whose sign shows the turns [rad/s].
+    """
+    is_turning = np.zeros(qd.shape, dtype=bool)
+    noise = np.median(np.abs(readings - q), axis=0) / _MEDIAN_OF_NORMAL
+    for joint, (reading, speed) in enumerate(zip(readings.T, qd.T)):
+        # Around each turn, the samples from the turn before it to the turn after it.
+        turns = np.flatnonzero(np.diff(np.sign(speed))) + 1
+        edges = [0, *turns.tolist(), len(speed)]
+        for start, turn, stop in zip(edges, edges[1:], edges[2:]):
+            # 1 where the joint turns at its highest position, -1 at its lowest.
+            outward = np.sign(speed[turn - 1] - speed[turn])
+            height = outward * reading[start:stop]
+            is_away = np.max(height) - height > SEPARATION * noise[joint]
+            away = start + np.flatnonzero(is_away)
+            first = np.max(away[away < turn] + 1, initial=start)
+            last = np.min(away[away >= turn], initial=stop)
+            is_turning[first:last, joint] = True
+    return is_turning
 
 
 def check_losses(recordings: Sequence[ProcessedSignals]) -> None:

@@ -178,6 +178,31 @@ def test_links_share_an_error_in_mass(first, second):
         assert np.linalg.eigvalsh(block / np.outer(sizes, sizes))[0] > 0.0
 
 
+# ---- rows at turns
+
+
+def test_rotors_of_joints_that_stand_at_their_turns_are_right():
+    """MuJoCo's own dry friction holds them there; used, these rows read as 4 to 9 % more rotor."""
+    sysid = pytest.importorskip("benchmarks.against_mujoco_sysid")
+    true = sysid.truth(np.random.default_rng(0))
+    robot = arms.robot_of(sysid.spec_of().compile())
+    log = sysid.record_log(sysid.spec_of(true).compile(), robot, 1, 15.0)
+    identified = sysid.by_torques(robot, log)
+    # The last joint's rotor is a tenth of the link's inertia.
+    off = identified["armature"][:5] / true["armature"][:5] - 1.0
+    assert np.max(np.abs(off)) < 0.03
+    assert np.max(np.abs(identified["damping"] / true["damping"] - 1.0)) < 0.03
+
+
+def test_rows_at_turns_are_used_where_a_joint_does_not_stand(plant):
+    """The dry friction of a plant that is no MuJoCo simulation turns with the speed."""
+    log = log_of(plant, plan_of(plant, 3, 20.0), noise_torque=0.01)
+    recordings = filter_logs(plant, log, cutoff=None)
+    assert np.any(recordings[0].at_turns)
+    used = fit_recordings(plant, recordings).recordings[0].used
+    assert_array_equal(used, recordings[0].used)
+
+
 # ---- scales of the links' prior
 
 N_LINKS = 4

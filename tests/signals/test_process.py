@@ -12,7 +12,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
-from robot_sysid.signals.process import LARGEST_SLOW_SHARE, check_losses, process
+from robot_sysid.signals.process import (
+    LARGEST_SLOW_SHARE,
+    SEPARATION,
+    check_losses,
+    process,
+    turning_samples,
+)
 from tests.support.swing import Swing, seconds
 
 assert_close = partial(assert_allclose, rtol=0.0)
@@ -158,3 +164,28 @@ def test_a_log_too_short_for_its_cutoff_is_refused():
         process(Swing().measurement(seconds(2.0, 200.0)), cutoff=3.0)
     with pytest.raises(InputError, match="record longer"):
         process(Swing().measurement(seconds(0.1, 200.0)))
+
+
+RATE = 200.0
+NOISE = 1e-4
+
+
+@pytest.mark.parametrize("outward", [1.0, -1.0])
+@pytest.mark.parametrize("standing", [0.0, 0.05])
+def test_samples_near_a_turn_may_be_at_rest(outward, standing):
+    """The joint reverses with 2 rad/s^2, at once or after a pause."""
+    time = np.arange(-1.0, 1.0, 1.0 / RATE) + 0.5 / RATE
+    moving = np.sign(time) * np.maximum(np.abs(time) - 0.5 * standing, 0.0)
+    position = -(moving**2)
+    noise = NOISE * default_rng(0).standard_normal(len(time))
+    exact = np.column_stack((outward * position, outward * position))
+    readings = exact + noise[:, None]
+    speeds = np.column_stack((-2.0 * outward * time, np.ones_like(time)))
+    turning = turning_samples(readings, exact, speeds)
+    assert np.all(turning[np.abs(time) <= 0.5 * standing, 0])
+    # Noise moves the outermost reading, and each one that is compared with it.
+    clear = -position > (SEPARATION + 8.0) * NOISE
+    assert not np.any(turning[clear, 0])
+    assert np.any(turning[:, 0])
+    # A joint that never turns round is never unsure.
+    assert not np.any(turning[:, 1])

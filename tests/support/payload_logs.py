@@ -139,8 +139,9 @@ def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
     """Return a recording whose velocities and accelerations are exact and whose rows all count."""
     deadband = np.zeros(motion.q.shape[1])
     bridged = np.zeros(len(motion.time), dtype=bool)
+    turning = np.zeros(motion.q.shape, dtype=bool)
     series = motion.time, motion.q, motion.qd, motion.qdd, tau
-    signals = ProcessedSignals(*series, bridged, deadband, UNFILTERED)
+    signals = ProcessedSignals(*series, bridged, turning, deadband, UNFILTERED)
     return Recording(name, signals, is_loaded, place)
 
 
