@@ -177,18 +177,15 @@ def _write_models(
         ExportError: one of them cannot be written; then neither is.
     """
     robot = result.robot
-    results = {result.model_kind: result}
-    if robot.kind not in results:
-        file = result.file and (result.file.urdf_file or result.file)
-        results[robot.kind] = replace(result, file=file)
+    kinds = dict.fromkeys((result.model_kind, robot.kind))
     written: list[Path] = []
     notes: list[str] = []
     try:
-        for file_kind, model_result in results.items():
+        for file_kind in kinds:
             path = target.path / file_access.MODEL_NAMES[file_kind]
             model_target = replace(target, path=path)
-            file_notes = write_model(model_result, model_target, as_body, file_kind)
-            if len(results) > 1:
+            file_notes = write_model(result, model_target, as_body, file_kind)
+            if len(kinds) > 1:
                 # A detail stays one.
                 file_notes = tuple(type(n)(f"{path.name}: {n}") for n in file_notes)
             notes += file_notes

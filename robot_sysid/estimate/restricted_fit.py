@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.choose import CLEAR
@@ -32,15 +33,29 @@ from robot_sysid.estimate.terms import (
     MOTORS,
     PAYLOAD_NAMES,
     TILT,
+    Prior,
     Term,
     independent,
 )
-from robot_sysid.records import Array, Validation
+from robot_sysid.records import Array, InertialParameters, Validation
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE, OFFSET
 
-CLEAR_ROTOR = 3.0
-"""Least distance of a rotor from the model's, and of a sensor's offset from zero, in standard
-errors, at which it is significant."""
+CLEAR_OFFSET = 3.0
+"""Least distance of a sensor's offset from zero, in standard errors, at which it is significant."""
+BETTER = 2.0**0.5
+"""Least distance of a rotor from the model's, in standard errors, from which it is expected to
+predict better than the model's (Akaike, "A new look at the statistical model identification", IEEE
+Transactions on Automatic Control 19(6), 1974)."""
+FARTHEST = 2.0
+"""Largest distance of a mass in a file from the identified one, in standard errors."""
+_NEAR = 0.95
+"""Share of that distance at which a mass that lies beyond it is held."""
+_HIDDEN = 1e-3
+"""Error of a mass that torques do not show, in this place, as a share of it."""
+_WIDE = 1e3
+"""Standard deviation of a body of which nothing is known, as a share of its reference body."""
+_ROUNDS = 3
+"""Rounds in which masses of the file are brought near the identified ones."""
 
 
 @dataclass(frozen=True)
@@ -49,23 +64,22 @@ class RestrictedFit:
 
     Attributes:
         fit: of the terms that the file holds, and of sensors' offsets.
-        kind: "mjcf" or "urdf".
         unchanged: names of the parts of the file that stay as they are.
         before: held-out error of the given model, each joint's sensor offset fitted.
         after: held-out error of the file, likewise.
+        without_rotors: error of the file without rotors and motors that turn several joints, which
+            readers of a URDF leave out.
         rotors: joint or motor to its rotor inertia in the file [kg m^2], where it is held.
         gravity: (3,) in the file [m/s^2]; None where it stays.
-        urdf: fit of the URDF that is written beside this MJCF; or None.
     """
 
     fit: Fit
-    kind: str
     unchanged: tuple[str, ...]
     before: Validation
     after: Validation
+    without_rotors: Validation
     rotors: Mapping[str, float]
     gravity: Array | None = None
-    urdf: RestrictedFit | None = None
 
 
 def fit_file(
@@ -73,36 +87,18 @@ def fit_file(
 ) -> RestrictedFit:
     """Return the fit of the model file.
 
-    A URDF can hold neither rotor inertia nor motors that turn several joints. For a URDF of an arm
-    that has either, the answer is an MJCF, with the URDF beside it.
-
     Args:
         estimate: the fit of all terms, from which rotors are taken.
         unchanged: names of the parts of the file that stay as they are.
         carried: (10,) payload of loaded recordings; None without one.
     """
-    kind = estimate.arm.robot.kind
-    own = _fit_kind(estimate, tuple(unchanged), "mjcf", carried)
-    if kind == "mjcf":
-        return own
-    urdf = _fit_kind(estimate, tuple(unchanged), "urdf", carried)
-    has_motors = bool(estimate.question.motors)
-    if has_motors or any(own.rotors.values()):
-        return replace(own, urdf=urdf)
-    return urdf
-
-
-def _fit_kind(
-    estimate: Fit, unchanged: tuple[str, ...], kind: str, carried: Array | None
-) -> RestrictedFit:
-    """Return the fit of a file of one kind."""
     arm = estimate.arm
-    rotors = select_rotors(estimate, unchanged, kind)
+    rotors = select_rotors(estimate, unchanged)
     payload = {}
     if carried is not None:
         payload = dict(zip(PAYLOAD_NAMES, carried.tolist()))
     held = {**payload, **{f"armature[{owner}]": rotors[owner] for owner in rotors}}
-    terms = _terms(estimate, unchanged, kind)
+    terms = _terms(estimate, unchanged)
     offset = arm.terms["offset"]
     before = _solved(estimate, [offset], payload)
     fitted = _solved(estimate, [*terms, offset], held)
@@ -114,15 +110,26 @@ def _fit_kind(
         tilt = replace(arm.terms[TILT], prior=prior)
         # Gravity is turned only where the torques clearly show it.
         if fitted.gain(tilt) > CLEAR:
-            fitted = _solved(estimate, [*terms, tilt], held)
+            terms.append(tilt)
+            fitted = _solved(estimate, terms, held)
             angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
             gravity = turn_gravity(fitted.point.gravity, angles)
+    for _ in range(_ROUNDS):
+        far = _far_masses(estimate, fitted)
+        if not far:
+            break
+        terms = [_with_known(term, far) for term in fitted.equations.terms]
+        fitted = _solved(estimate, terms, held)
+    beyond = [*names_of("armature", rotors)]
+    for motor in arm.motors:
+        beyond += motor.parameter_names
+    bare = {**fitted.by_name, **{name: arm.model.get(name, 0.0) for name in beyond}}
     return RestrictedFit(
         fitted,
-        kind,
         tuple(sorted(unchanged)),
         validation(before),
         validation(fitted),
+        validation(_solved(estimate, [offset], bare)),
         rotors,
         gravity,
     )
@@ -162,7 +169,7 @@ def _known_offsets(fitted: Fit) -> Term:
     errors = dict(zip(fitted.names, fitted.errors))
     is_clear = []
     for name in term.names:
-        least = CLEAR_ROTOR * errors.get(name, np.inf)
+        least = CLEAR_OFFSET * errors.get(name, np.inf)
         is_clear.append(abs(fitted.by_name[name]) > least)
     known = OFFSET * torque * bool(np.any(is_clear))
     return replace(term, prior=independent(np.where(is_clear, 1e3 * torque, known)))
@@ -181,7 +188,7 @@ def _solved(estimate: Fit, terms: Sequence[Term], held: Mapping[str, float]) -> 
     )
 
 
-def _terms(estimate: Fit, unchanged: Sequence[str], kind: str) -> list[Term]:
+def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:
     """Return the terms that a file holds, but for rotors and gravity's tilt."""
     arm = estimate.arm
     motors = {motor.name for motor in arm.motors}
@@ -192,7 +199,7 @@ def _terms(estimate: Fit, unchanged: Sequence[str], kind: str) -> list[Term]:
         left_out.add(LINKS)
     terms = []
     for key, term in arm.terms.items():
-        if key in left_out or kind not in term.held_by:
+        if key in left_out or not term.in_file:
             continue
         if key == LINKS:
             term = links_term(arm, estimate.question)
@@ -205,13 +212,60 @@ def _terms(estimate: Fit, unchanged: Sequence[str], kind: str) -> list[Term]:
     return terms
 
 
-def select_rotors(
-    estimate: Fit, unchanged: Sequence[str], kind: str
-) -> dict[str, float]:
+def _far_masses(estimate: Fit, fitted: Fit) -> dict[str, tuple[float, float]]:
+    """Return the masses of a file that are far from the identified ones, to be held near them.
+
+    They are held within ``FARTHEST`` standard errors of these, and at them where the torques show
+    less of a mass than its own size.
+
+    Returns:
+        Name to (value to be held at, deviation of it) [kg].
+    """
+    errors = dict(zip(estimate.names, estimate.errors.tolist()))
+    far = {}
+    bodies = [term.names for term in fitted.equations.terms if term.bodies]
+    for name in [name for names in bodies for name in names[::N_INERTIAL]]:
+        if name not in errors:
+            continue
+        mass = estimate.by_name[name]
+        is_shown = errors[name] < abs(mass)
+        error = errors[name] if is_shown else _HIDDEN * abs(mass)
+        distance = fitted.by_name[name] - mass
+        if abs(distance) > FARTHEST * error:
+            held = mass + np.copysign(_NEAR * FARTHEST * error, distance)
+            far[name] = (held, (1.0 - _NEAR) * error)
+    return far
+
+
+def _with_known(term: Term, known: Mapping[str, tuple[float, float]]) -> Term:
+    """Return a term with what is known of some of its parameters (value, deviation) in its prior.
+
+    Bodies that have no prior get a wide one, as a prior is of all parameters of a term.
+    """
+    names = [name for name in term.names if name in known]
+    if not names:
+        return term
+    rows = np.zeros((len(names), len(term.names) + 1))
+    for row, name in zip(rows, names):
+        value, deviation = known[name]
+        row[term.names.index(name)] = 1.0 / deviation
+        row[-1] = value / deviation
+    prior = term.prior
+    if prior is None:
+        assert term.reference is not None
+        wide = _WIDE * InertialParameters(term.reference).scale
+        prior = independent(wide, term.reference)
+    triangle = np.asarray(np.linalg.qr(np.vstack((prior.rows, rows)), mode="r"))[:-1]
+    factor = np.linalg.inv(triangle[:, :-1])
+    return replace(term, prior=Prior(factor @ triangle[:, -1], factor))
+
+
+def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
     """Return joint, or motor that turns several joints, to its rotor inertia in a file [kg m^2].
 
-    It is the estimate of all terms where that differs significantly from the model's rotor: a rotor
-    that is fitted beside a file's few terms would take up the torque of friction that a file lacks.
+    It is the estimate of all terms where that is expected to predict better than the model's rotor:
+    one that is fitted beside a file's few terms would take up the torque of friction that a file
+    lacks.
 
     Tendons have rotor inertia since MuJoCo 3.2.7 only. So that of a motor goes to the joints which
     it turns, unless the model's tendon has some.
@@ -219,7 +273,7 @@ def select_rotors(
     arm = estimate.arm
     robot = arm.robot
     is_kept = FILE_ROTORS in unchanged or len(arm.joints) < robot.n_joints
-    if is_kept or kind == "urdf":
+    if is_kept:
         return {}
     errors = dict(zip(estimate.names, estimate.errors))
     rotors = {}
@@ -227,8 +281,8 @@ def select_rotors(
         name = f"armature[{owner}]"
         of_model = arm.model.get(name, 0.0)
         value = estimate.by_name.get(name, of_model)
-        is_clear = abs(value - of_model) > CLEAR_ROTOR * errors.get(name, np.inf)
-        rotors[owner] = value if is_clear else of_model
+        is_better = abs(value - of_model) > BETTER * errors.get(name, np.inf)
+        rotors[owner] = value if is_better else of_model
     for motor in arm.motors:
         if arm.model.get(f"armature[{motor.name}]", 0.0) > 0.0:
             continue

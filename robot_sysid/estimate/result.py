@@ -55,10 +55,10 @@ from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.messages import (
     PARAMETER_UNITS,
     Level,
-    Remark,
     percent,
     says,
     term_unit,
+    with_error,
 )
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.results.quantities import (
@@ -139,13 +139,6 @@ def link_result(
     is_kept = FILE_LINKS in written.unchanged
     remedy = f"the written model has it {'as it was' if is_kept else 'corrected'}"
     remarks += () if missed else wrong_links(other_links, remedy)
-    mass = float(written.thetas[-1, 0])
-    if abs(mass - last_link.mass) > 2.0 * last_link.errors[0]:
-        text = (
-            f"{last_link.name} weighs {mass:.4g} kg in the written model, not as identified: with "
-            "what a file can hold, that predicts torques best"
-        )
-        remarks.append(Remark(Level.DOUBTS, last_link.name, text))
     bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
     sentences = [*robot.notes, *notes]
     if len(bodies) > 1:
@@ -392,22 +385,7 @@ def model_file(
             f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "
             "identifiable there, the model's values are kept"
         )
-    notes += _offset_notes(file)
-    urdf = None
-    if file.urdf is not None:
-        urdf, _, _ = model_file(fitted, file.urdf)
-        omissions = [
-            f"the motor that turns with {motor}" for motor in fitted.question.motors
-        ]
-        if any("armature" in terms for terms in joints.values()):
-            omissions.append("rotor inertia")
-        errors = file.after.relative_error, file.urdf.after.relative_error
-        shares = [percent(error or 0.0) for error in errors]
-        notes.append(
-            f"{MODEL_NAMES['urdf']} has a torque error of {shares[1]}, {MODEL_NAMES['mjcf']} of "
-            f"{shares[0]}. No URDF can hold {' and '.join(omissions)}, so its masses are off to "
-            "make up for that"
-        )
+    notes += [*_friction_notes(fitted, rows), *_offset_notes(file)]
     motors = tuple(m for m in fitted.arm.motors if m.name in fitted.question.motors)
     written = ModelFile(
         thetas,
@@ -416,9 +394,17 @@ def model_file(
         file.before,
         file.after,
         unchanged=file.unchanged,
-        motors=motors if file.kind == "mjcf" else (),
-        urdf_file=urdf,
+        motors=motors,
     )
+    if robot.kind == "urdf" and written.needs_mjcf:
+        errors = file.after.relative_error, file.without_rotors.relative_error
+        shares = [percent(error or 0.0) for error in errors]
+        notes.append(
+            f"{MODEL_NAMES['urdf']} has the links and the friction of {MODEL_NAMES['mjcf']}, so "
+            f"that it holds the arm up as well, but a torque error of {shares[1]} in place of "
+            f"{shares[0]} in motion: most readers of URDF know neither rotor inertia, which stands "
+            "in its transmissions, nor motors that turn several joints"
+        )
     return written, rows, notes
 
 
@@ -445,6 +431,24 @@ def _file_terms(fitted: Fit, file: RestrictedFit) -> Iterator[Quantity]:
             error = quantity(fitted, name)[1] if is_estimated else math.nan
             unit = term_unit("armature", owner in robot.slides)
             yield Quantity("armature", owner, unit, model_rotor, rotor, error, FILE)
+
+
+def _friction_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
+    """Yield a sentence on dry friction in a file, of its rows, that is not the identified one."""
+    phrases = []
+    for row in rows:
+        name = f"coulomb[{row.of}]"
+        if row.name == "coulomb" and name in fitted.names:
+            value, error = quantity(fitted, name)
+            if abs(row.value - value) > 2.0 * error:
+                number = with_error(value, error, row.unit)
+                phrases.append(f"{row.of} {row.value:.3g} for {number}")
+    if phrases:
+        yield (
+            f"the dry friction in the written file is not as identified ({', '.join(phrases)}): it "
+            "stands for friction that bends or fades with speed, or grows with the load, too, "
+            "which no file holds"
+        )
 
 
 def _offset_notes(file: RestrictedFit) -> Iterator[str]:

@@ -63,8 +63,6 @@ ALL_FRICTION = (*USUAL_FRICTION, *UNKNOWN_FRICTION)
 """Friction terms that have columns where no option names others."""
 LEAST_DEVIATION = 1e-9
 """Least standard deviation of a prior [SI]: that of a number that is known exactly."""
-BOTH = frozenset(("mjcf", "urdf"))
-"""Kinds of model files."""
 # Friction that drifts from the first recording to the last.
 _DRIFTING = (*DRY_TERMS, "viscous", "load")
 # Terms whose torque is smooth, so that its time derivative identifies a delay. Dry friction does
@@ -150,7 +148,7 @@ class Term:
         columns: their columns around a point.
         prior: what is known of them; None where nothing is.
         lower, upper: bounds of all of them, infinite where there is none.
-        held_by: kinds of model files that can hold the parameters.
+        in_file: whether a model file can hold the parameters.
         bodies: whether each ten parameters have to be a possible body.
         reference: (k,) values that parameters keep which nothing shows; the model's.
         least: (k,) bodies beside which each of the term's bodies has to be possible, such as
@@ -163,7 +161,7 @@ class Term:
     prior: Prior | None = None
     lower: float = -np.inf
     upper: float = np.inf
-    held_by: frozenset[str] = frozenset()
+    in_file: bool = False
     bodies: bool = False
     reference: Array | None = None
     least: Array | None = None
@@ -250,7 +248,7 @@ class ArmTerms:
             PARAMETER_NAMES,
             partial(self._links, [robot.n_joints - 1]),
             bodies=True,
-            held_by=BOTH,
+            in_file=True,
             reference=last,
         )
         if self.others:
@@ -260,7 +258,7 @@ class ArmTerms:
                 tuple(names),
                 partial(self._links, list(self.others)),
                 bodies=True,
-                held_by=BOTH,
+                in_file=True,
                 reference=reference_links(robot, self.others),
             )
         if loaded:
@@ -268,17 +266,12 @@ class ArmTerms:
                 PAYLOAD, PAYLOAD_NAMES, self._payload, bodies=True, reference=last
             )
         for name in self.friction:
-            held_by = {
-                "armature": frozenset(("mjcf",)),
-                "coulomb": BOTH,
-                "viscous": BOTH,
-            }
             yield Term(
                 FRICTION,
                 names_of(name, self.joints),
                 partial(self._friction, name),
                 lower=-np.inf if name in ("offset", "sqrt") else 0.0,
-                held_by=held_by.get(name, frozenset()),
+                in_file=name in ("coulomb", "viscous", "armature"),
                 reference=self._values(names_of(name, self.joints)),
             )
         for motor in self.motors:
@@ -287,7 +280,7 @@ class ArmTerms:
                 motor.parameter_names,
                 partial(self._motor, motor),
                 lower=0.0,
-                held_by=frozenset(("mjcf",)),
+                in_file=True,
                 reference=motor.model,
             )
         yield Term(SCALES, names_of("scale", self.joints), self._scales)
@@ -297,7 +290,7 @@ class ArmTerms:
             scales = names_of("scale_drift", self.joints)
             yield Term(SCALE_DRIFT, scales, self._scale_drift)
         if self.has_gravity:
-            yield Term(TILT, TILT_NAMES, self._tilt, held_by=BOTH)
+            yield Term(TILT, TILT_NAMES, self._tilt, in_file=True)
         yield Term(DELAY, ("delay",), self._delay)
 
     def _values(self, names: Sequence[str]) -> Array:

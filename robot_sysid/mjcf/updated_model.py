@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from robot_sysid.mjcf.documents import (
     ModelDocument,
     Node,
     append,
+    get,
     put_comment,
     put_inertial,
     read_document,
@@ -131,6 +132,7 @@ class ModelChange:
         welded: a new body, or None.
         gravity: new gravity in the world frame [m/s^2]; None leaves the file's.
         principal: whether inertias are written as principal moments and axes, not as full matrix.
+        rotors: joint of a URDF to its rotor inertia at the joint [kg m^2].
     """
 
     bodies: tuple[BodyChange, ...]
@@ -141,6 +143,7 @@ class ModelChange:
     tendons: tuple[TendonChange, ...] = ()
     gravity: tuple[float, float, float] | None = None
     principal: bool = False
+    rotors: Mapping[str, float] = field(default_factory=dict)
 
 
 def changed_model_text(
@@ -164,6 +167,8 @@ def changed_model_text(
     written = _write_bodies(document, change)
     for joint in change.joints:
         write_joint(document, joint)
+    for joint_name, rotor in change.rotors.items():
+        _write_rotor(document, joint_name, rotor)
     for actuator in change.actuators:
         write_actuator(document, actuator)
     for tendon in change.tendons:
@@ -326,6 +331,39 @@ def write_joint(document: ModelDocument, change: JointChange) -> None:
             node = etree.Element("dynamics")
             append(joint, node)
     _set_numbers(node, texts)
+
+
+_DRAKE = "http://drake.mit.edu"
+"""Namespace of Drake's elements, which state the rotor of an actuator in a URDF."""
+
+
+def _write_rotor(document: ModelDocument, joint: str, rotor: float) -> None:
+    """State a joint's rotor inertia [kg m^2] in its transmission of a URDF, which may be a new one.
+
+    The transmission's reduction n stays: the rotor before the gear has rotor / n^2.
+    """
+    for transmission in document.root.findall("transmission"):
+        actuator = transmission.find("actuator")
+        if get(transmission.find("joint"), "name") == joint and actuator is not None:
+            break
+    else:
+        transmission = etree.Element("transmission", name=f"{joint}_transmission")
+        kind = etree.SubElement(transmission, "type")
+        kind.text = "transmission_interface/SimpleTransmission"
+        etree.SubElement(transmission, "joint", name=joint)
+        actuator = etree.SubElement(transmission, "actuator", name=f"{joint}_motor")
+        reduction = etree.SubElement(actuator, "mechanicalReduction")
+        reduction.text = "1"
+        append(document.root, transmission)
+    text = actuator.findtext("mechanicalReduction") or "1"
+    ratio = abs(float(text)) or 1.0
+    for name, value in (("rotor_inertia", rotor / ratio**2), ("gear_ratio", ratio)):
+        tag = f"{{{_DRAKE}}}{name}"
+        node = actuator.find(tag)
+        if node is None:
+            node = etree.Element(tag, nsmap={"drake": _DRAKE})
+            append(actuator, node)
+        node.set("value", format_number(value))
 
 
 def _set_numbers(node: Node, texts: Mapping[str, str]) -> None:

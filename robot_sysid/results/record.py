@@ -205,8 +205,6 @@ class ModelFile:
         other_validations: (before, after) on each of the other logs, held out as a whole.
         unchanged: names of what the file keeps ("friction", "gravity", "other links").
         motors: those that turn several joints; only an MJCF can hold them.
-        urdf_file: of a URDF's arm with rotor inertia or such motors, the numbers of the URDF that
-            is written beside this MJCF, without them.
     """
 
     thetas: Array
@@ -217,7 +215,12 @@ class ModelFile:
     other_validations: tuple[tuple[Validation, Validation], ...] = ()
     unchanged: tuple[str, ...] = ()
     motors: tuple[Coupling, ...] = ()
-    urdf_file: ModelFile | None = None
+
+    @property
+    def needs_mjcf(self) -> bool:
+        """Whether a URDF, as MuJoCo reads it, cannot hold all numbers."""
+        has_rotors = any("armature" in terms for terms in self.joints.values())
+        return has_rotors or bool(self.motors)
 
 
 @dataclass(frozen=True)
@@ -313,8 +316,8 @@ class Result:
 
         It is an MJCF where MuJoCo alone would not load a URDF, or a URDF lacks identified numbers.
         """
-        has_both = self.file is not None and self.file.urdf_file
-        return "mjcf" if has_both or self.robot.lacks_meshes else self.robot.kind
+        needs_mjcf = self.file is not None and self.file.needs_mjcf
+        return "mjcf" if needs_mjcf or self.robot.lacks_meshes else self.robot.kind
 
     @property
     def written_file(self) -> ModelFile | None:

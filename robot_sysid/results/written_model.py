@@ -80,9 +80,16 @@ def write_model(
     robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
     robot, target = _arm_of_kind(robot, file_kind or result.model_kind, target)
     terms = {} if result.file is None else result.file.joints
-    identified = [name for name in robot.joint_names if name in terms]
-    joint_changes = [JointChange(name, _numbers(terms[name])) for name in identified]
-    joints, notes = _changes_of_kind(robot, joint_changes)
+    rotors: dict[str, float] = {}
+    joints = []
+    for name in robot.joint_names:
+        numbers = _numbers(terms.get(name, {}))
+        # MuJoCo does not read a URDF's transmissions, in which others find rotors.
+        if robot.kind == "urdf" and "armature" in numbers:
+            rotors[name] = numbers.pop("armature")
+        if name in terms:
+            joints.append(JointChange(name, numbers))
+    notes: tuple[str, ...] = ()
     payload = result.payload
     welded = None
     comments = []
@@ -106,8 +113,9 @@ def write_model(
     )
     notes += body_notes
     written_thetas[-1] += theta_beside
-    tendons = () if result.file is None else tuple(_tendon_changes(robot, result.file))
-    change = ModelChange(bodies, target.rmse, joints, welded, tendons=tendons)
+    change = ModelChange(bodies, target.rmse, tuple(joints), welded, rotors=rotors)
+    if result.file is not None and robot.kind == "mjcf":
+        change = replace(change, tendons=tuple(_tendon_changes(robot, result.file)))
     if result.file is not None and result.file.gravity is not None:
         x, y, z = result.file.gravity.tolist()
         change = replace(change, gravity=(x, y, z))
@@ -193,24 +201,6 @@ def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange
             coefficients={joint: ratio for joint, ratio in ratios if ratio != 0.0},
             numbers=_numbers(terms),
         )
-
-
-def _changes_of_kind(
-    robot: RobotModel, changes: Sequence[JointChange]
-) -> tuple[tuple[JointChange, ...], tuple[str, ...]]:
-    """Return the changes that the format of the model can hold, and a note on what it cannot.
-
-    The notes are one sentence or ().
-    """
-    if robot.kind == "urdf":
-        possible = []
-        for change in changes:
-            numbers = {k: v for k, v in change.numbers.items() if k != "armature"}
-            possible.append(replace(change, numbers=numbers))
-        note = "a URDF cannot hold rotor inertia, so the written URDF lacks it"
-        has_rotors = any(change.numbers.get("armature") for change in changes)
-        return tuple(possible), (note,) if has_rotors else ()
-    return tuple(changes), ()
 
 
 def _body_changes(

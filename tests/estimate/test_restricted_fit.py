@@ -173,17 +173,19 @@ def test_a_kept_part_stays(robot, recording, kept):
 
 
 def test_rotors_of_a_urdfs_arm_are_in_the_mjcf_beside_it(robot, recording):
-    """A URDF cannot hold them: beside links it has friction only, and rotors count as links."""
+    """MuJoCo does not read them in a URDF, whose error is that without them."""
     model = without_rotors(robot, "urdf")
     file = file_of(model, recording)
-    assert file.kind == "mjcf" and file.urdf.kind == "urdf"
     assert joint_values(file, "armature") == pytest.approx([0.05] * 3, abs=0.01)
-    assert not any("armature[" in name for name in file.urdf.fit.names)
-    assert not np.any(joint_values(file.urdf, "armature"))
-    assert file.urdf.after.relative_error > 1.5 * file.after.relative_error
-    # The URDF alone where rotors are to stay as they are.
+    bare = compiled(robot, file)
+    bare.dof_armature[:] = 0.0
+    error = torque_error(bare, robot, recording[0].signals)
+    assert file.without_rotors.relative_error == pytest.approx(error, rel=0.05)
+    assert error > 1.5 * file.after.relative_error
+    # Nothing is left out where rotors are to stay as they are.
     alone = file_of(model, recording, (ROTORS,))
-    assert alone.urdf is None and alone.kind == "urdf"
+    error = alone.after.relative_error
+    assert alone.without_rotors.relative_error == pytest.approx(error, rel=0.1)
 
 
 def shared_motor(motion):
@@ -202,8 +204,7 @@ def test_a_motor_that_turns_two_joints_is_in_the_mjcf_alone(plant, robot):
         assert estimate == pytest.approx(value, rel=0.1)
     rotors = joint_values(file, "armature") - robot.armature
     assert rotors == pytest.approx([0.0, 0.02, 0.02], abs=0.01)
-    assert not any("+" in name for name in file.urdf.fit.names)
-    assert file.after.relative_error < 0.2 * file.urdf.after.relative_error
+    assert file.after.relative_error < 0.2 * file.without_rotors.relative_error
     kept = file_of(robot, recordings, (GRAVITY, FRICTION))
     assert not any("+" in name for name in kept.fit.names)
 

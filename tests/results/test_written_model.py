@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lxml import etree
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx
 
 from robot_sysid import records
 from robot_sysid.dynamics import spatial
@@ -391,10 +393,7 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
     links_file = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
     rotor = {"armature": 0.1}
     file = replace(
-        links_file,
-        joints={motor.name: terms, "l1_l2": rotor},
-        motors=(motor,),
-        urdf_file=links_file,
+        links_file, joints={motor.name: terms, "l1_l2": rotor}, motors=(motor,)
     )
     result = result_of(robot, file=file)
     reloaded = load_robot_model(write_and_compile(robot, result).path)
@@ -403,6 +402,50 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
     assert reloaded.armature.tolist() == [0.0, 0.1, 0.0]
     for theta, link in zip(file.thetas, reloaded.links):
         assert_same_theta(link.theta, theta)
+
+
+@pytest.mark.parametrize("reduction", [None, "-50"])
+def test_a_urdf_has_the_links_of_the_mjcf_and_its_rotors_in_transmissions(
+    tmp_path, reduction
+):
+    """So that gravity is the same; no reader takes links for the rotors that it does not know."""
+    links = {"l1": urdf.inertial(), "l2": HEAVY, "l3": LIGHT}
+    stated = (
+        ""
+        if reduction is None
+        else (
+            f'<transmission name="t"><joint name="l1_l2"/><actuator name="m">'
+            f"<mechanicalReduction>{reduction}</mechanicalReduction></actuator></transmission>"
+        )
+    )
+    text = urdf.robot(urdf.serial(links), stated)
+    robot = load_robot_model(write_files(tmp_path, {"arm.urdf": text}))
+    thetas = new_links(robot, np.random.default_rng(0))
+    file = replace(
+        file_of(robot, thetas, {}), joints={"l1_l2": {"armature": 0.1, "coulomb": 0.2}}
+    )
+    result = result_of(robot, file=file)
+    written = []
+    for kind in ("mjcf", "urdf"):
+        path = write_and_compile(robot, result, tmp_path / kind, file_kind=kind).path
+        written.append(load_robot_model(path))
+    mjcf, of_urdf = written
+    q = np.random.default_rng(1).uniform(-1.0, 1.0, (1000, robot.n_joints))
+    weights = [LinkDynamics(arm).motion(q, 0.0 * q, 0.0 * q) for arm in written]
+    torques = [moves.torque(arm.thetas) for moves, arm in zip(weights, written)]
+    # MuJoCo writes an MJCF's frames with six digits.
+    assert_allclose(torques[1], torques[0], rtol=1e-4, atol=1e-5)
+    assert mjcf.armature.tolist() == [0.0, 0.1, 0.0]
+    assert not np.any(of_urdf.armature) and of_urdf.friction.coulomb[1] == 0.2
+    (transmission,) = etree.parse(str(of_urdf.path)).getroot().findall("transmission")
+    ratio = 1.0 if reduction is None else 50.0
+    numbers = {
+        etree.QName(node).localname: float(node.get("value"))
+        for node in transmission.find("actuator")
+        if node.get("value")
+    }
+    assert transmission.find("joint").get("name") == "l1_l2"
+    assert numbers == {"rotor_inertia": approx(0.1 / ratio**2), "gear_ratio": ratio}
 
 
 def test_a_link_is_not_written_where_a_later_joint_moves_its_body(tmp_path):
