@@ -180,8 +180,12 @@ def is_consistent(theta: Array) -> bool:
     """Return whether theta can belong to a rigid body of positive mass (J positive definite)."""
     if not np.all(np.isfinite(theta)):
         return False
-    eigenvalues = np.linalg.eigvalsh(pseudo_inertia(theta))
-    return bool(eigenvalues[0] > 0.0)
+    # Unlike eigenvalues, this depends on no unit: not even rounding does.
+    try:
+        np.linalg.cholesky(pseudo_inertia(theta))
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def parameter_scale(mass: float, length: float) -> Array:

@@ -7,14 +7,14 @@ pseudo-inertia is positive definite (Wensing, Kim, Slotine, "Linear matrix inequ
 physically consistent inertial parameter identification", IEEE Robotics and Automation Letters 3(1),
 2018). Directions without data stay at the reference bodies where that costs hardly anything.
 
-The problem is convex, and Clarabel solves it. Each body is expressed relative to its reference
-body, P = L K L^T with P0 = L L^T; its coordinates z are the coefficients of K - 1 in an orthonormal
-basis of symmetric matrices, which are also the rows of Clarabel's cone.
+The problem is convex, and Clarabel solves it. Each body is expressed relative to a consistent body
+of about the same size, P = L K L^T with P0 = L L^T; its coordinates z are the coefficients of K - 1
+in an orthonormal basis of symmetric matrices, which are also the rows of Clarabel's cone.
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -23,18 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate.identifiability import visible_space
 from robot_sysid.records import Array
 
 LEAST_SHARE = 1e-6
-"""Least eigenvalue of a body's pseudo-inertia, relative to that of its reference body; more for
-bodies that are expected to be larger than ``SPREADS``, as rounding is relative to their size."""
-SPREADS = (1.0, 10.0, 100.0)
-"""Standard deviations of a body from its reference body that are tried, as shares of it: the
-smallest one is used that fits hardly worse, so that what data hardly shows stays near it."""
-WIDEST = 1e5
-"""Largest spread, for a reference body that is far too small."""
+"""Least eigenvalue of a body's pseudo-inertia, relative to that of its reference body."""
+SPREADS = (1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e8, 1e12)
+"""Standard deviations of bodies from their reference bodies that are tried, as shares of them: the
+smallest one is used that fits hardly worse, so that what data hardly shows stays near them. The
+largest ones are for reference bodies that are far too small."""
 TOLERANCES = (1e-8, 1e-6)
 """Relative errors of the solution that are tried: where rounding ends a search for the first one,
 the second one is reached before."""
@@ -47,14 +46,24 @@ _HEAVIEST = 1e7
 _PIN = 1e4
 # Share of the largest eigenvalue to which those of an inconsistent reference body are raised.
 _FLOOR = 1e-6
+# Least eigenvalue of a body that is far larger than its reference body, as a share of its own size:
+# more than the error of a search, and more than rounding.
+_SEARCHED = 1e-8
+_ROUNDING = 1e-12
+# The share for a body relative to which others are expressed: none of its directions is tiny.
+_ROUND = 0.1
 # Standard deviation of other parameters, whose columns have unit length: holds those without data.
-_UNSEEN = 1e5
+_UNSEEN = 1e10
+# Most steps of the search by triangular factors.
+_MOST_STEPS = 100
 # Orthonormal basis (10, 4, 4) of symmetric matrices with the inner product tr(A B): a matrix has a
 # one on its diagonal, or sqrt(1/2) at (i, j) and (j, i). The order is that of Clarabel's triangles.
 _COLUMNS, _ROWS = np.tril_indices(4)
+_IS_DIAGONAL = _ROWS == _COLUMNS
 _BASIS = np.zeros((10, 4, 4))
-_BASIS[range(10), _ROWS, _COLUMNS] = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(0.5))
+_BASIS[range(10), _ROWS, _COLUMNS] = np.where(_IS_DIAGONAL, 1.0, np.sqrt(0.5))
 _BASIS[range(10), _COLUMNS, _ROWS] = _BASIS[range(10), _ROWS, _COLUMNS]
+_FLAT_BASIS = _BASIS.reshape(10, 16)
 
 
 @dataclass(frozen=True)
@@ -80,9 +89,7 @@ class LinksProblem:
         for link in self.links:
             prior = self.prior[link]
             theta = spatial.nearest_consistent_body(prior, prior, floor=_FLOOR)
-            root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
-            units = map(spatial.theta_from_pseudo_inertia, root @ _BASIS @ root.T)
-            bodies.append((theta, np.column_stack(list(units))))
+            bodies.append((theta, _units(theta)))
         return tuple(bodies)
 
 
@@ -93,17 +100,22 @@ def consistent_least_squares(
 
     The squared residuals are at most ``HARDLY`` above the least. Within this limit, directions that
     A does not show are held at the reference bodies if that is possible, and bodies have the
-    smallest of ``SPREADS``, or a larger spread where they lie beyond all of these.
+    smallest of ``SPREADS``.
 
     Args:
         matrix: A (M, p), whitened, so that residuals have unit variance.
         right_side: b (M,).
-        problem: which of the p parameters are links, and their reference bodies.
+        problem: which of the parameters are links, and their reference bodies.
         has_hidden: whether A may not show some direction.
 
     Raises:
-        SysidError: the search does not converge.
+        SysidError: the equations are no numbers.
     """
+    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(right_side))):
+        raise SysidError(
+            "the fit of all links did not converge; check the units of the torques and of the "
+            "model's inertias"
+        )
     size = matrix.shape[1]
     # Coordinates y stand for x = reference + unit y: z of each link, other columns of unit length.
     length = np.linalg.norm(matrix, axis=0)
@@ -112,85 +124,128 @@ def consistent_least_squares(
     for link, (theta, units) in zip(problem.links, problem.bodies):
         reference[link] = theta
         unit[np.ix_(link, link)] = units
-    # A few rows with the same squares.
-    rows = np.column_stack((matrix @ unit, right_side - matrix @ reference))
+    # A few rows with the same squares; other parameters first, so that links have their triangle.
+    links = np.concatenate(problem.links)
+    order = np.concatenate((np.setdiff1d(np.arange(size), links), links))
+    rows = np.column_stack((matrix @ unit[:, order], right_side - matrix @ reference))
     triangle = np.asarray(np.linalg.qr(rows, mode="r"))
 
     def cost(y: Array) -> float:
         """Return the sum of squared residuals."""
         return float(np.sum((triangle @ np.append(y, -1.0)) ** 2))
 
-    # Equations of exact data weigh as much as rounding allows.
-    equations = triangle / max(1.0, np.linalg.norm(triangle) / _HEAVIEST)
-    spreads = list(SPREADS)
-    best = _solve(equations, problem, spreads[-1])
-    bodies = np.concatenate(problem.links)
-    while spreads[-1] < WIDEST and np.linalg.norm(best[bodies]) > spreads[-1]:
-        # The prior around the reference bodies keeps the larger ones away that the data shows.
-        spreads.append(10.0 * spreads[-1])
-        best = _solve(equations, problem, spreads[-1])
+    best = _solve(triangle, problem, SPREADS[-1])
     limit = cost(best) + HARDLY
     pins = np.zeros((0, size + 1))
     if has_hidden:
         # Rows that measure the hidden part of x, in orthonormal combinations of y.
         space = visible_space(matrix)
-        hidden = _PIN * np.linalg.qr(unit.T @ (space.null.T / space.scale).T)[0].T
+        hidden = unit[:, order].T @ (space.null.T / space.scale).T
+        hidden = _PIN * np.linalg.qr(hidden)[0].T
         pins = np.column_stack((hidden, np.zeros(len(hidden))))
     # With all hidden directions held, then with none of them.
     choices = (pins, pins[:0]) if len(pins) else (pins,)
-    for held, spread in product(choices, spreads):
-        # Where a narrow search fails, a wider one may not.
-        with suppress(SysidError):
-            y = _solve(np.vstack((equations, held)), problem, spread)
-            if cost(y) <= limit:
-                return np.asarray(reference + unit @ y)
-    return np.asarray(reference + unit @ best)
+    for held, spread in product(choices, SPREADS):
+        y = _solve(np.vstack((triangle, held)), problem, spread)
+        if cost(y) <= limit:
+            best = y
+            break
+    values = reference + unit[:, order] @ best
+    for link in problem.links:
+        theta = values[link]
+        if not spatial.is_consistent(theta):
+            values[link] = spatial.nearest_consistent_body(theta, theta, _ROUNDING)
+    return np.asarray(values)
 
 
-def _solve(rows: Array, problem: LinksProblem, deviation: float) -> Array:
+def _solve(rows: Array, problem: LinksProblem, spread: float) -> Array:
     """Return the coordinates y (p,) of least squared residuals with which bodies are consistent.
 
     Args:
-        rows: equations [A b] (M, p + 1) in these coordinates.
-        problem: which of the parameters are links.
-        deviation: standard deviation of bodies from their reference bodies, as a share of them.
+        rows: equations [A b] (M, p + 1) in these coordinates, links last.
+        problem: the links.
+        spread: standard deviation of bodies from their reference bodies, as a share of them.
+    """
+    size = rows.shape[1] - 1
+    others = size - N_INERTIAL * len(problem.links)
+    precision = np.eye(size, size + 1)
+    precision[:others] /= _UNSEEN
+    precision[others:] /= spread
+    triangle = np.asarray(np.linalg.qr(np.vstack((rows, precision)), mode="r"))
+    z = _possible_coordinates(triangle[others:, others:], problem.bodies)
+    shown = triangle[:others, -1] - triangle[:others, others:-1] @ z
+    return np.append(np.linalg.solve(triangle[:others, :others], shown), z)
 
-    Raises:
-        SysidError: the search does not converge.
+
+def _possible_coordinates(
+    equations: Array, bodies: Sequence[tuple[Array, Array]]
+) -> Array:
+    """Return the coordinates z (10 L,) of least ||A z - b|| with which L bodies are consistent.
+
+    They are searched relative to the consistent bodies that are nearest to the solution in which
+    bodies may be impossible, so that numbers of very different sizes do not meet; and once more
+    relative to what was found, as rounding counts relative to the distance that is searched.
+
+    Args:
+        equations: [A b] (10 L + 1, 10 L + 1), triangular.
+        bodies: per link (theta, U), as of ``LinksProblem``.
+    """
+    z = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
+    for _ in range(2):
+        centre = np.zeros_like(z)
+        change = np.zeros((len(z), len(z)))
+        least = []
+        for start, (theta, units) in zip(range(0, len(z), N_INERTIAL), bodies):
+            span = slice(start, start + N_INERTIAL)
+            near = spatial.nearest_consistent_body(
+                theta + units @ z[span], theta, _ROUND
+            )
+            centre[span] = np.linalg.solve(units, near - theta)
+            change[span, span] = np.linalg.solve(units, _units(near))
+            inverse = np.linalg.inv(np.linalg.cholesky(spatial.pseudo_inertia(near)))
+            least.append(inverse @ spatial.pseudo_inertia(theta) @ inverse.T)
+        shifted = equations[:, -1] - equations[:, :-1] @ centre
+        rows = np.column_stack((equations[:, :-1] @ change, shifted))
+        limits = LEAST_SHARE * np.array(least) + _SEARCHED * np.eye(4)
+        found = _by_cone(rows, limits)
+        if found is None:
+            found = _by_factors(rows, limits)
+        z = centre + change @ found
+    return np.asarray(z)
+
+
+def _by_cone(equations: Array, least: Array) -> Array | None:
+    """Return the coordinates z (10 L,) of least ||A z - b|| by Clarabel; None where it fails.
+
+    Args:
+        equations: [A b] (M, 10 L + 1).
+        least: (L, 4, 4) of each K, which are at least these.
     """
     # Imported here, as SciPy's sparse matrices take half a second and most runs need no body.
     import clarabel
     from scipy import sparse
 
-    # Residuals are variables of their own: the condition of the problem is not squared.
+    # Equations of exact data weigh as much as rounding allows.
+    rows = equations / max(1.0, float(np.linalg.norm(equations)) / _HEAVIEST)
     count, size = len(rows), rows.shape[1] - 1
-    bodies = np.concatenate(problem.links)
-    precision = np.append(np.full(size, _UNSEEN**-2.0), np.ones(count))
-    precision[bodies] = deviation**-2.0
-    cone_rows = np.zeros((len(bodies), size + count))
-    cone_rows[range(len(bodies)), bodies] = -1.0
-    constraints = np.vstack((np.hstack((rows[:, :-1], -np.eye(count))), cone_rows))
-    least_share = LEAST_SHARE * max(1.0, deviation / SPREADS[-1])
-    least = (1.0 - least_share) * np.trace(_BASIS, axis1=1, axis2=2)
-    limits = np.append(rows[:, -1], np.tile(least, len(problem.links)))
-    cones = [
-        clarabel.ZeroConeT(count),
-        *(clarabel.PSDTriangleConeT(4) for _ in problem.links),
-    ]
+    # Residuals are variables of their own: the condition of the problem is not squared.
+    residuals = np.hstack((rows[:, :-1], -np.eye(count)))
+    constraints = np.vstack((residuals, -np.eye(size, size + count)))
+    limits = np.append(rows[:, -1], _coefficients(np.eye(4) - least))
+    cones = [clarabel.ZeroConeT(count), *(clarabel.PSDTriangleConeT(4) for _ in least)]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     for tolerance in TOLERANCES:
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-        solver = clarabel.DefaultSolver(
-            sparse.diags(precision, format="csc"),
-            np.zeros(len(precision)),
-            sparse.csc_matrix(constraints),
-            limits,
-            cones,
-            settings,
-        )
         try:
-            solution = solver.solve()
+            solution = clarabel.DefaultSolver(
+                sparse.diags(np.repeat((0.0, 1.0), (size, count)), format="csc"),
+                np.zeros(size + count),
+                sparse.csc_matrix(constraints),
+                limits,
+                cones,
+                settings,
+            ).solve()
         except BaseException as error:
             # What Clarabel raises where rounding leaves it without a number is no Exception.
             if type(error).__name__ != "PanicException":
@@ -198,7 +253,56 @@ def _solve(rows: Array, problem: LinksProblem, deviation: float) -> Array:
             continue
         if str(solution.status) in ("Solved", "AlmostSolved"):
             return np.asarray(solution.x)[:size]
-    raise SysidError(
-        "the fit of all links did not converge; check the units of the torques and of the model's "
-        "inertias"
-    )
+    return None
+
+
+def _by_factors(equations: Array, least: Array) -> Array:
+    """Return the coordinates z (10 L,) of least ||A z - b||, by triangular factors of bodies.
+
+    K = least + T T^T is consistent for any lower triangular T (Rucker, Wensing, "Smooth
+    parameterization of rigid-body inertia", IEEE Robotics and Automation Letters 7(2), 2022), so
+    that a search which ends early has an answer, too. Arguments are as in ``_by_cone``.
+    """
+    from scipy.optimize import least_squares
+
+    def factors(entries: Array) -> Array:
+        """Return T (L, 4, 4)."""
+        root = np.zeros((len(least), 4, 4))
+        root[:, _ROWS, _COLUMNS] = entries.reshape(-1, N_INERTIAL)
+        return root
+
+    def coordinates(entries: Array) -> Array:
+        """Return z (10 L,)."""
+        root = factors(entries)
+        return _coefficients(least + root @ np.swapaxes(root, 1, 2) - np.eye(4)).ravel()
+
+    def residuals(entries: Array) -> Array:
+        """Return A z - b (M,)."""
+        return np.asarray(equations @ np.append(coordinates(entries), -1.0))
+
+    def derivative(entries: Array) -> Array:
+        """Return the derivative (M, 10 L) of residuals."""
+        ones = np.zeros((N_INERTIAL, 4, 4))
+        ones[range(N_INERTIAL), _ROWS, _COLUMNS] = 1.0
+        change = np.zeros((len(entries), len(entries)))
+        for link, root in enumerate(factors(entries)):
+            half = ones @ root.T
+            span = slice(N_INERTIAL * link, N_INERTIAL * (link + 1))
+            change[span, span] = _coefficients(half + np.swapaxes(half, 1, 2)).T
+        return np.asarray(equations[:, :-1] @ change)
+
+    start = np.tile(_IS_DIAGONAL.astype(float), len(least))
+    limits = {"x_scale": "jac", "ftol": 1e-6, "xtol": 1e-10, "max_nfev": _MOST_STEPS}
+    return coordinates(least_squares(residuals, start, derivative, **limits).x)
+
+
+def _units(theta: Array) -> Array:
+    """Return the change (10, 10) of a consistent body theta (10,) by each of its coordinates."""
+    root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
+    units = map(spatial.theta_from_pseudo_inertia, root @ _BASIS @ root.T)
+    return np.column_stack(list(units))
+
+
+def _coefficients(matrices: Array) -> Array:
+    """Return the coefficients (..., 10) of symmetric matrices (..., 4, 4) in the basis."""
+    return matrices.reshape(*matrices.shape[:-2], 16) @ _FLAT_BASIS.T
