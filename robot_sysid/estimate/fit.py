@@ -346,10 +346,30 @@ class Fit:
 
     def without(self, blocks: Sequence[int]) -> tuple[Array, Array]:
         """Return (estimate (k,), inverse (k, k)) without some blocks."""
+        return solve(self._normal_without(blocks), self.start, self.is_free)
+
+    def possible_without(self, block: int) -> Array:
+        """Return the estimate (k,) without a block that obeys all bounds, its bodies possible."""
+        equations = self.equations
+        normal = self._normal_without([block])
+        has_hidden = bool(np.any(self.is_hidden))
+        values = self.alone[block]
+        if np.any(equations.crossing(values)) or not _are_possible(equations, values):
+            values, *_ = _within_bounds(
+                equations,
+                self.start,
+                lambda start, is_free: _possible(
+                    equations, normal, is_free, start, has_hidden
+                ),
+                self.is_free,
+            )
+        return values
+
+    def _normal_without(self, blocks: Sequence[int]) -> Array:
+        """Return the products (k + 1, k + 1) of priors and of all rows but those of some blocks."""
         equations = self.equations
         normal = equations.data(self.weights) + equations.prior
-        normal -= equations.data(self.weights, blocks)
-        return solve(normal, self.start, self.is_free)
+        return normal - equations.data(self.weights, blocks)
 
     def of(self, sums: Sums) -> Fit:
         """Return this estimate with the sums of other recordings, to judge it on them."""

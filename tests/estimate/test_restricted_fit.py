@@ -221,3 +221,6 @@ def test_a_last_link_leaves_a_possible_body_beside_its_fingers(robot, recording)
     file = file_of(gripper, recording)
     assert spatial.is_consistent(file.fit.thetas[-1] - theta)
     assert file.after.relative_error < 1.2 * without.after.relative_error
+    # So do the bodies that predict each block from the others: their error is that of such files.
+    last = file.fit.at(spatial.PARAMETER_NAMES)
+    assert all(spatial.is_consistent(values[last] - theta) for values in file.fit.alone)
