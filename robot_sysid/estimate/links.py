@@ -61,6 +61,12 @@ AS_STATED = LinkScales()
 """Factors of one: the prior as the user states it."""
 EXPECTED = LinkScales(*usual_errors.EXPECTED_SCALES)
 """Factors that are expected without any recording."""
+LARGEST = LinkScales(
+    usual_errors.MASS_SCALES[-1],
+    usual_errors.CENTRE_SCALES[-1],
+    usual_errors.INERTIA_SCALES[-1],
+)
+"""The largest factors: for a check of an arm whose model may be a guess."""
 
 
 def link_factor(

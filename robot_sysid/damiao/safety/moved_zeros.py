@@ -39,7 +39,7 @@ from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.estimate.links import link_factor
+from robot_sysid.estimate.links import LARGEST, link_factor
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.usual_errors import LINK
 from robot_sysid.simulator import ArmTorque
@@ -133,7 +133,7 @@ class MovedZeroCheck:
         self._needed_torque = ArmTorque(robot)
         self._dynamics = LinkDynamics(robot)
         self._links = [*other_links(robot), n - 1]
-        factor = link_factor(robot, self._links, 0.01 * LINK)
+        factor = link_factor(robot, self._links, 0.01 * LINK, LARGEST)
         # A load at the end adds to mass and first moment of the last link.
         load = np.zeros((len(factor), 4))
         load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])
