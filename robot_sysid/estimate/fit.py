@@ -514,7 +514,7 @@ def fit(
         terms: the question's: its parameters, with priors and bounds.
         question: from which the terms were made.
         held: name to value of parameters that are not estimated; the model's values, else zero.
-        noise: (J,) to begin with [N m].
+        noise: (J,) to begin with [N m]; that of a joint without rows may be zero.
         correlation: (J,) rows that count as one independent row; one by default.
         possible: whether bodies have to be possible ones.
     """
@@ -522,7 +522,7 @@ def fit(
     correlation = np.ones(len(sums.joints)) if correlation is None else correlation
     torque = sums.rms_torque
     least = max(_LEAST_NOISE * float(np.sqrt(np.mean(torque**2))), 1e-12)
-    noise = np.maximum(0.05 * torque, least) if noise is None else noise
+    noise = np.maximum(0.05 * torque if noise is None else noise, least)
     for _ in range(_NOISE_ROUNDS):
         weights = 1.0 / (noise * np.sqrt(correlation))
         normal = equations.data(weights) + equations.prior

@@ -214,19 +214,20 @@ def require_theta(
         mj_model: compiled model.
         body_id: id of the body in it.
         theta: (10,) wanted inertial parameters; all zero for a body that has been emptied.
-        scale_theta: (10,) inertial parameters of a body with mass, from whose mass and size follow
-            the scales that deviations are relative to.
+        scale_theta: (10,) inertial parameters of a body, from whose mass and size follow the scales
+            that deviations are relative to; SI units for a frame without mass.
     """
-    mass, _, inertia = spatial.com_from_theta(scale_theta)
-    length = spatial.characteristic_length(scale_theta)
-    scale = spatial.parameter_scale(mass, length)
+    scale = np.ones(len(theta))
+    if scale_theta[0] > 0.0:
+        length = spatial.characteristic_length(scale_theta)
+        scale = spatial.parameter_scale(scale_theta[0], length)
     actual = body_theta(mj_model, body_id)
     deviation = float(np.max(np.abs(actual - theta) / scale))
-    if np.any(theta):
+    if deviation <= TOLERANCE and theta[0] > 0.0:
         # The inertia about the centre of mass is small beside that about a distant origin.
-        actual_inertia = spatial.com_from_theta(actual)[2]
-        difference = np.max(np.abs(actual_inertia - inertia))
-        deviation = max(deviation, float(difference / np.max(np.abs(inertia))))
+        inertia = spatial.com_from_theta(theta)[2]
+        difference = np.max(np.abs(spatial.com_from_theta(actual)[2] - inertia))
+        deviation = float(difference / np.max(np.abs(inertia)))
     if not deviation <= TOLERANCE:
         raise ExportError(
             f"in the written model, body '{body_label(mj_model, body_id)}' has an inertia that is "

@@ -188,6 +188,19 @@ def test_friction_that_drives_a_joint_shows_a_turned_sign(four_joints):
     assert finding.about == "sign" and "joint joint3 has the opposite" in finding.text
 
 
+@pytest.mark.parametrize("joint", range(4))
+def test_a_joint_that_stands_still_is_no_fault_and_hides_none(four_joints, joint):
+    robot = four_joints.robot
+    moves = np.arange(4) != joint
+    plan = four_joints.plan.scale_amplitudes(moves.astype(float))
+    log = truth_of(robot, seed=4, played=plan).log
+    findings, _ = check_pieces(robot, [log])
+    assert not findings
+    wrong = replace(log, tau=1000.0 * log.tau)
+    findings, _ = check_pieces(robot, [wrong])
+    assert findings
+
+
 # ---- correct logs
 
 

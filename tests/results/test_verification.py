@@ -145,6 +145,19 @@ def test_an_error_of_a_small_inertia_far_from_the_origin_is_relative_to_it():
         require_theta(compile_body(other), 1, small, small)
 
 
+def test_a_frame_without_mass_is_compared_in_si_units():
+    """Exporters give such a frame an inertia that the written model leaves out."""
+    frame = np.append(np.zeros(4), 1e-6 * np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0]))
+    require_theta(
+        model("<mujoco><worldbody><body/></worldbody></mujoco>"), 1, np.zeros(10), frame
+    )
+    heavy = np.append(2e-9, np.zeros(9))
+    with pytest.raises(ExportError, match="off by 2.0e-09"):
+        require_theta(
+            model("<mujoco><worldbody><body/></worldbody></mujoco>"), 1, heavy, frame
+        )
+
+
 def test_a_file_that_does_not_load_or_was_tampered_with_is_refused(tmp_path):
     source = write_files(tmp_path, {"m.xml": FULL})
     original = mujoco.MjModel.from_xml_path(str(source))

@@ -95,5 +95,5 @@ def _friction(rng, rigid, qd):
     typical_torque = np.maximum(typical_torque, 0.03 * typical_torque.max())
     coulomb = typical_torque * rng.uniform(0.02, 0.1, len(typical_torque))
     stribeck = 0.5 * coulomb * np.exp(-((qd / 0.1) ** 2))
-    speed = np.sqrt(np.mean(qd**2, axis=0))
+    speed = np.maximum(np.sqrt(np.mean(qd**2, axis=0)), 1e-9)
     return np.sign(qd) * (coulomb + stribeck) + 0.05 * typical_torque / speed * qd
