@@ -29,13 +29,12 @@ from robot_sysid.records import RobotModel
 from robot_sysid.records.file_access import RUN_NAME, read_toml
 from robot_sysid.records.messages import PARAMETER_UNITS, Progress, with_error
 from robot_sysid.records.option_fields import immutable_value
+from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.report.runs import Run
 from robot_sysid.results.record import Quantity
 
 SURE = 2.5
 """Standard errors beyond which two runs differ."""
-DAILY = 0.05
-"""Standard deviation of friction's relative change from day to day, which is no difference."""
 ALL_JOINTS = "all joints alike"
 """What a change of friction is of that is the same in all joints."""
 DIFFERS = "differs"
@@ -127,7 +126,7 @@ def changes(fitted: Fit) -> Iterator[Quantity]:
     # Friction is 1 - d in the first run and 1 + d in the second: the logarithm of their ratio.
     logarithms = 2.0 * np.arctanh(np.clip(fitted.free[at], -0.9, 0.9))
     errors = 2.0 * fitted.errors[at]
-    spreads = np.hypot(errors, DAILY)
+    spreads = np.hypot(errors, FRICTION_CHANGE)
     # A median, because one joint does not make a change of all.
     common = float(np.median(logarithms))
     error = float(np.sqrt(np.pi / 2.0 / np.sum(spreads**-2.0)))
@@ -158,7 +157,7 @@ def sentences(rows: Sequence[Quantity]) -> list[str]:
     friction = max(row.error or 0.0 for row in rows if row.name == "friction")
     return [
         f"no difference beyond the errors: mass {mass}, friction of each joint within "
-        f"± {max(friction, 100.0 * DAILY):.0f} %"
+        f"± {max(friction, 100.0 * FRICTION_CHANGE):.0f} %"
     ]
 
 
