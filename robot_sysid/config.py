@@ -93,11 +93,13 @@ class MotorOptions(OptionRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.export_damiao != bool(self.motor_type):
+        if self.export_damiao and not self.motor_type:
             raise InputError(
-                "--export-damiao and --motor-type go together, one motor type per joint of the "
-                "chain"
+                "--export-damiao requires at least one --motor-type; state one per joint of the "
+                "chain, base first"
             )
+        if self.motor_type and not self.export_damiao:
+            raise InputError("--motor-type requires --export-damiao")
 
 
 _FOLDERS = ("output_dir", "mesh_dir")

@@ -58,6 +58,7 @@ BAD_OPTIONS = [
     ("--joint wrist", "the model has: joint0, joint1"),
     ("--output-dir arm.xml/results", "arm.xml is not a folder"),
     ("--output-di a", "--output-di: did you mean --output-dir?"),
+    ("--export-damiao", "--export-damiao requires at least one --motor-type"),
     ("--export-damiao --motor-type DM1 --motor-type DM4340", "DM4340_48V"),
     ("--export-damiao --motor-type DM4340", "2, got 1"),
     ("--mesh-dir arm.xml", "arm.xml is no folder"),

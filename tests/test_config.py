@@ -67,7 +67,16 @@ def test_every_option_of_a_command_is_accepted_in_some_run_and_kept(config_class
         (SelfTestConfig, {"duration": 0.0}, "--duration must be positive"),
         (SelfTestConfig, {"speed": 1e-12}, "a trajectory of 1.5e+13 s with --samp"),
         (SelfTestConfig, {"torques": "all"}, "--torques 'all': choose one of"),
-        (SelfTestConfig, {"export_damiao": True}, "--export-damiao and --motor-type"),
+        (
+            SelfTestConfig,
+            {"export_damiao": True},
+            "--export-damiao requires at least one --motor-type; ",
+        ),
+        (
+            SelfTestConfig,
+            {"motor_type": ("DM4340",)},
+            "--motor-type requires --export-damiao",
+        ),
         (SelfTestConfig, {**FILE, "duration": 3.0}, "--trajectory and --duration ex"),
         (SelfTestConfig, LOG, "unknown option 'measurements'"),
         (IdentifyConfig, {**LOG, "frictio_model": "x"}, "unknown option 'frictio_mod"),
