@@ -239,12 +239,13 @@ class Fit:
     def covariance(self) -> Array:
         """Covariance (k, k) of the errors: the larger one of formal errors and jackknife.
 
-        A parameter's formal error is raised to that of the jackknife where that is larger.
+        A parameter's formal error is raised to that of the jackknife where that is larger. What
+        torque scales do beyond their columns is the same in all blocks, and is added as it is.
         """
         formal = np.diag(self.inverse)
         raised = np.sqrt(np.maximum(self.jackknife / np.maximum(formal, 1e-300), 1.0))
         raised = np.where(self.is_hidden, 1.0, raised)
-        return raised[:, None] * (self.inverse + self.scale_errors) * raised
+        return raised[:, None] * self.inverse * raised + self.scale_errors
 
     @cached_property
     def jackknife(self) -> Array:
