@@ -38,7 +38,6 @@ from robot_sysid.simulation import SimulatedArmOptions
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")
 AnyMotionConfig = TypeVar("AnyMotionConfig", bound="MotionConfig")
-AnyLogConfig = TypeVar("AnyLogConfig", bound="LogConfig")
 
 
 @dataclass(frozen=True)
@@ -302,25 +301,6 @@ class LogConfig(Config):
     log: LogOptions = LogOptions()
     estimation: EstimationOptions = EstimationOptions()
 
-    def with_scale_prior(
-        self: AnyLogConfig, joint_names: Sequence[str]
-    ) -> AnyLogConfig:
-        """Return the configuration with the prior of scales that a torque scale file states.
-
-        It is a percentage per joint. A prior that the user sets, and a file without errors, change
-        nothing. ``joint_names`` are those of the chain (n,).
-        """
-        path = self.log.torque_scale
-        if not isinstance(path, Path):
-            return self
-        scale, error = joint_factors(path, joint_names, SCALE)
-        percentages = tuple((100.0 * error / scale).tolist())
-        priors = self.estimation.priors
-        if priors.scale is not None or not all(map(isfinite, percentages)):
-            return self
-        priors = replace(priors, scale=percentages)
-        return replace(self, estimation=replace(self.estimation, priors=priors))
-
 
 @dataclass(frozen=True)
 class IdentifyConfig(LogConfig):
@@ -344,6 +324,24 @@ class IdentifyConfig(LogConfig):
                 f"--{key.replace('_', '-')} is about measured torques; leave it off with "
                 "--torque-from"
             )
+
+
+def with_scale_prior(
+    estimation: EstimationOptions, log: LogOptions, joint_names: Sequence[str]
+) -> EstimationOptions:
+    """Return options of an estimate with the prior of scales that a torque scale file states.
+
+    It is a percentage per joint. A prior that the user sets, and a file without errors, change
+    nothing. ``joint_names`` are those of the chain (n,).
+    """
+    if not isinstance(log.torque_scale, Path):
+        return estimation
+    scale, error = joint_factors(log.torque_scale, joint_names, SCALE)
+    percentages = tuple((100.0 * error / scale).tolist())
+    priors = estimation.priors
+    if priors.scale is not None or not all(map(isfinite, percentages)):
+        return estimation
+    return replace(estimation, priors=replace(priors, scale=percentages))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
+from robot_sysid.config import (
+    IdentifyConfig,
+    PayloadConfig,
+    PlanConfig,
+    SelfTestConfig,
+    with_scale_prior,
+)
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_terms
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import (
@@ -132,7 +138,8 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
 
     def sure(**values):
         config = PayloadConfig.of(MODEL, **LOGS, **values)
-        return config.with_scale_prior(("one", "two")).estimation.priors.scale
+        names = ("one", "two")
+        return with_scale_prior(config.estimation, config.log, names).priors.scale
 
     assert sure(torque_scale=path) == pytest.approx((0.5, 1.0))
     assert sure(torque_scale=path, priors={"scale": 2.0}) == 2.0

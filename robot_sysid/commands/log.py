@@ -82,7 +82,9 @@ def _check_log(
     Raises:
         SysidError: a finding is not accepted; raised when all is printed.
     """
+    from robot_sysid.config import with_scale_prior
     from robot_sysid.diagnosis.log_checks import check_pieces, require_acceptable
+    from robot_sysid.estimate.options import EstimationOptions
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
@@ -97,8 +99,9 @@ def _check_log(
     count = len(log.samples)
     rate = (count - 1) / log.duration
     console.stage(f"{count} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
+    options = with_scale_prior(EstimationOptions(), log_options, robot.joint_names)
     findings, _ = check_pieces(
-        robot, log.pieces, divided=log.torque_scale, progress=console
+        robot, log.pieces, options, divided=log.torque_scale, progress=console
     )
     console.stage(*(finding.line() for finding in findings))
     console.result(
@@ -113,8 +116,8 @@ def _check_log(
     )
     require_acceptable(log, findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
-    options = {**vars(model_options), **vars(log_options)}
-    console.stage(*_next_step(model_path, path, options).lines())
+    values = {**vars(model_options), **vars(log_options)}
+    console.stage(*_next_step(model_path, path, values).lines())
 
 
 def _next_step(model_path: Path, path: Path, options: Mapping[str, Any]) -> NextStep:

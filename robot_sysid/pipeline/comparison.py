@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.config import IdentifyConfig
+from robot_sysid.config import IdentifyConfig, with_scale_prior
 from robot_sysid.diagnosis.log_checks import check_log
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.errors import InputError
@@ -24,7 +24,7 @@ from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.logs.reader import open_log, refuse_repeated_logs
-from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import RobotModel
 from robot_sysid.records.file_access import RUN_NAME, read_toml
 from robot_sysid.records.messages import PARAMETER_UNITS, Progress, with_error
@@ -63,19 +63,24 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
         options = read_toml(run.folder / RUN_NAME)
         values = {key: immutable_value(value) for key, value in options.items()}
         configs.append(IdentifyConfig.of(**values))
-    model = configs[0].model
-    robot = load_robot_model(model.path, model.mesh_dir, model.joint)
+    first, second = (config.model for config in configs)
+    if first.mass_scale != second.mass_scale:
+        raise InputError("the runs differ in --mass-scale")
+    robot = load_arm(configs[0], Progress())
     if robot.sha256 != runs[0].content["model"]["sha256"]:
-        raise InputError(f"{model.path} has changed since the runs")
+        raise InputError(f"{first.path} has changed since the runs")
     logs = []
     pieces = []
+    estimates = []
     for config, is_second in zip(configs, (False, True)):
+        estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
+        estimates.append(estimation)
         for path in config.log.measurements:
             progress.stage(f"Reading {path}...")
             log = open_log(robot, path, config.log)
             # The run has accepted it: what is left out of it counts, not what is said of it.
             accept = config.log.accept
-            log = check_log(robot, log, accept, Progress(), config.estimation)
+            log = check_log(robot, log, accept, Progress(), estimation)
             logs.append(log)
             for samples in log.pieces:
                 samples = replace(samples, qd=None)
@@ -83,8 +88,7 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
                 pieces.append(Piece(str(log.path), samples, is_second, order))
     refuse_repeated_logs(logs)
     progress.stage("Fitting both runs at once...")
-    config = configs[0].with_scale_prior(robot.joint_names)
-    estimation = replace(config.estimation, torques="chain", no_friction=False)
+    estimation = replace(estimates[0], torques="chain", no_friction=False)
     recordings, _ = low_pass_recordings(robot, pieces, estimation.cutoff)
     return list(changes(of_two_runs(robot, recordings, estimation)))
 

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.config import PayloadConfig, PayloadOptions
+from robot_sysid.config import PayloadConfig
 from robot_sysid.diagnosis.log_checks import check_log
 from robot_sysid.estimate import identify
 from robot_sysid.estimate.identify import Piece, low_pass_recordings, shared_notes
@@ -17,7 +17,6 @@ from robot_sysid.estimate.payload import payload_result
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.result import traces_of
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import (
     MeasurementLog,
     open_log,
@@ -54,7 +53,7 @@ def identify_payload(
     flange = find_flange(robot, options.flange)
     if flange.note:
         progress.note(flange.note)
-    logs = _read_logs(options, config.log, robot, progress)
+    logs = _read_logs(config, robot, progress)
     is_loaded = np.arange(len(logs)) >= len(options.empty)
     positions = order_positions(logs, options.order)
     drifts = positions is not None and is_drift_identifiable(is_loaded, positions)
@@ -123,29 +122,27 @@ def _no_drift_note(count: int, is_order_known: bool) -> str:
 
 
 def _read_logs(
-    options: PayloadOptions,
-    log_options: LogOptions,
-    robot: RobotModel,
-    progress: Progress,
+    config: PayloadConfig, robot: RobotModel, progress: Progress
 ) -> list[MeasurementLog]:
     """Return all logs, empty ones first; each is read and checked.
 
     Args:
-        options: name the logs without and with the payload.
-        log_options: how a log is read, and which of its faults are accepted.
+        config: names the logs, and how they are read and judged.
         robot: the arm.
         progress: receives a stage per log, and the findings.
 
     Raises:
         InputError: a log cannot be read or is refused.
     """
+    payload = config.payload
     logs = []
-    for side, paths in (("empty", options.empty), ("loaded", options.loaded)):
+    for side, paths in (("empty", payload.empty), ("loaded", payload.loaded)):
         for path in paths:
             progress.stage(f"Reading {side} log {path}...")
-            log = open_log(robot, path, log_options, progress)
-            accept = log_options.accept
-            log = check_log(robot, log, accept, progress, links_known=False)
+            log = open_log(robot, path, config.log, progress)
+            accept = config.log.accept
+            options = config.estimation
+            log = check_log(robot, log, accept, progress, options, links_known=False)
             logs.append(log)
     refuse_repeated_logs(logs)
     return logs

@@ -20,6 +20,7 @@ from robot_sysid.config import (
     PayloadConfig,
     PlanConfig,
     SelfTestConfig,
+    with_scale_prior,
 )
 from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL
@@ -132,7 +133,8 @@ def identify(
         InputError: a log cannot be used, or the motion breaks a limit.
     """
     if isinstance(config, LogConfig):
-        config = config.with_scale_prior(robot.joint_names)
+        estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
+        config = replace(config, estimation=estimation)
     if isinstance(config, PayloadConfig):
         from robot_sysid.pipeline.payload import identify_payload
 

@@ -13,6 +13,7 @@ from robot_sysid.diagnosis import log_checks
 from robot_sysid.dynamics.spatial import theta_from_com
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Measurement
+from robot_sysid.records.option_fields import write_torque_scale
 from tests.support import arms, recorded
 from tests.support.command_line import CommandLine
 from tests.support.payload_logs import TrueArm, wide_motion
@@ -98,6 +99,22 @@ def test_a_turned_sign_is_put_right_with_the_command_that_is_named(folder, comma
     assert lines[1:] == ["torque.joint1 = -joint1_torque"]
     right = command.run(f"log turned.csv arm.xml {words}")
     assert "nothing that stops an identification was found" in right.out
+
+
+def test_a_file_of_scales_says_how_sure_they_are(folder, command, truth, monkeypatch):
+    """As in ``identify``, whose check of the same log has this prior."""
+    scales = dict.fromkeys(truth.robot.joint_names, (1.0, 0.005))
+    write_torque_scale(folder / "scale.json", scales)
+    priors = []
+
+    def no_findings(robot, pieces, options=None, **_):
+        priors.append(options.priors.scale)
+        return (), pieces
+
+    monkeypatch.setattr(log_checks, "check_pieces", no_findings)
+    command.run("log log.csv arm.xml --torque-scale scale.json")
+    command.run("log log.csv arm.xml --torque-scale 1")
+    assert priors == [pytest.approx((0.5, 0.5, 0.5, 0.5)), None]
 
 
 def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):

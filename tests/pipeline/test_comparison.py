@@ -11,6 +11,9 @@ import pytest
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline import comparison
 from robot_sysid.pipeline.comparison import (
     ALL_JOINTS,
     changes,
@@ -19,6 +22,8 @@ from robot_sysid.pipeline.comparison import (
     sentences,
 )
 from robot_sysid.records.messages import Progress
+from robot_sysid.records.option_fields import write_torque_scale
+from tests.support.measured_logs import XML, log_of
 from tests.support.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 
 ROBOT = four_joint_arm()
@@ -103,3 +108,45 @@ def test_where_there_is_no_common_fit_it_is_said(second, reason, tmp_path):
     ]
     with pytest.raises(InputError, match=reason):
         compare_runs(runs, Progress())
+
+
+class Checked(Exception):
+    """Ends a comparison at the check of the first log."""
+
+
+def runs_with(folder, robot, *options):
+    """Return a run per text of options, of one model and log."""
+    content = {"logs": ["log"], "payload": None, "model": {"sha256": robot.sha256}}
+    runs = []
+    for number, text in enumerate(options):
+        (folder / str(number)).mkdir(exist_ok=True)
+        words = f'path = "{robot.path}"\nmeasurements = ["{folder}/log.csv"]\n{text}\n'
+        (folder / str(number) / "run.toml").write_text(words)
+        runs.append(SimpleNamespace(folder=folder / str(number), content=content))
+    return runs
+
+
+def test_logs_are_checked_against_the_runs_own_arm_with_its_options(
+    arm_file, tmp_path, monkeypatch
+):
+    robot = load_robot_model(arm_file(XML))
+    write_measurement_csv(tmp_path / "log.csv", robot.joint_names, [log_of(robot)])
+    write_torque_scale(
+        tmp_path / "scale.json", dict.fromkeys(robot.joint_names, (2.0, 0.01))
+    )
+
+    def check(arm, log, accepted, progress, options):
+        assert arm.mass == pytest.approx(1.5 * robot.mass)
+        assert options.priors.scale == pytest.approx((0.5, 0.5, 0.5))
+        assert np.all(log.torque_scale == 2.0) and accepted == ("zero",)
+        raise Checked
+
+    monkeypatch.setattr(comparison, "check_log", check)
+    options = (
+        'mass_scale = 1.5\naccept = ["zero"]\n'
+        f'torque_scale = "{tmp_path / "scale.json"}"'
+    )
+    with pytest.raises(Checked):
+        compare_runs(runs_with(tmp_path, robot, options, options), Progress())
+    with pytest.raises(InputError, match="the runs differ in --mass-scale"):
+        compare_runs(runs_with(tmp_path, robot, options, ""), Progress())

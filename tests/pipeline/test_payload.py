@@ -7,13 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from robot_sysid.config import PayloadConfig
+from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline import payload, stages
 from robot_sysid.pipeline.payload import (
     _datasets,
     is_drift_identifiable,
     order_positions,
 )
 from robot_sysid.records import Measurement
-from tests.support.measured_logs import CUTOFF, log_of, true_arm
+from robot_sysid.records.messages import Progress
+from tests.support.measured_logs import CUTOFF, XML, log_of, true_arm
 
 
 def recording(start: float) -> SimpleNamespace:
@@ -47,6 +52,32 @@ def test_a_drift_needs_recordings_of_a_kind_at_several_times(order, is_identifia
     positions = order_positions([], order)
     assert positions is not None
     assert is_drift_identifiable(is_loaded, positions) == is_identifiable
+
+
+class Checked(Exception):
+    """Ends a run at the check of its first log."""
+
+
+def test_logs_are_checked_with_the_options_of_the_run(arm_file, tmp_path, monkeypatch):
+    robot = load_robot_model(arm_file(XML))
+    path = tmp_path / "log.csv"
+    write_measurement_csv(path, robot.joint_names, [log_of(robot)])
+    config = PayloadConfig.of(
+        tmp_path / "arm.xml",
+        empty=(path,),
+        loaded=(path,),
+        priors={"zero": 7.0},
+        mass_scale=1.5,
+    )
+
+    def check(arm, log, accepted, progress, options=None, links_known=True):
+        assert arm.mass == pytest.approx(1.5 * robot.mass) and not links_known
+        assert options == config.estimation
+        raise Checked
+
+    monkeypatch.setattr(payload, "check_log", check)
+    with pytest.raises(Checked):
+        stages.run(config, Progress())
 
 
 def test_parts_of_a_log_with_a_long_hole_are_one_log():
