@@ -26,7 +26,7 @@ from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.file_access import atomic_files, models_in
 from robot_sysid.records.installation import install_hint
-from robot_sysid.records.messages import Progress, with_error
+from robot_sysid.records.messages import Progress, torque_unit, with_error
 from robot_sysid.results import record
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import result_lines
@@ -163,7 +163,7 @@ class Result(record.Result):
         for k, (axis, joint) in enumerate(zip(axes, traces.joints)):
             axis.plot(traces.time, traces.measured[:, k], label="measured", **dots)
             axis.plot(traces.time, traces.predicted[:, k], label="predicted", **line)
-            axis.set_ylabel(f"{joint}\n[{'N' if traces.is_slide[k] else 'N·m'}]")
+            axis.set_ylabel(f"{joint}\n[{torque_unit(traces.is_slide[k])}]")
         axes[-1].set_xlabel("time [s]")
         axes[0].legend(loc="upper right", ncols=2)
         return figure

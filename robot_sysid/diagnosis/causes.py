@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -39,7 +39,7 @@ from robot_sysid.estimate.terms import (
     independent,
 )
 from robot_sysid.records import Array
-from robot_sysid.records.messages import Level, with_error
+from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
 
 STEPS = 15
 """Number of evenly spaced instants at which a change of payload is tried."""
@@ -274,7 +274,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         factor=200.0,
         unit="%",
     )
-    yield from per_joint(
+    for explanation in per_joint(
         arm,
         "zero",
         "",
@@ -283,9 +283,10 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "the position of {owner} reads {value} too {much|little}",
         "correct the joint's zero",
         has_common=False,
-        unit="rad",
         harmful_from=GROSS_ZERO,
-    )
+    ):
+        unit = position_unit(arm.joints[explanation.joint or 0] in arm.robot.slides)
+        yield replace(explanation, unit=unit)
     yield from per_joint(
         arm,
         "delay",
@@ -540,7 +541,7 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
             single,
             spread=np.full(2, 0.1 * torque[joint]),
             joint=joint,
-            unit="N·m",
+            unit=torque_unit(name in arm.robot.slides),
             is_norm=True,
         )
         rate = float(rates[np.argmax(in_time[:, joint])])

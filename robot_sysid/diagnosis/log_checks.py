@@ -33,7 +33,14 @@ from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import Array, Measurement, RobotModel
-from robot_sysid.records.messages import Level, Progress, count_text, percent
+from robot_sysid.records.messages import (
+    Level,
+    Progress,
+    count_text,
+    percent,
+    position_unit,
+    torque_unit,
+)
 from robot_sysid.signals.process import LogPiece, check_losses, process
 from robot_sysid.signals.resampling import (
     cut_pieces,
@@ -52,11 +59,16 @@ TRYING = "Trying explanations"
 """Label of the progress of the contest of explanations."""
 
 
-def slow_findings(recordings: Sequence[Recording]) -> Iterator[Finding]:
+def slow_findings(
+    robot: RobotModel, recordings: Sequence[Recording]
+) -> Iterator[Finding]:
     """Yield a finding where no speed reaches ``SLOWEST``, too slow for friction."""
-    fastest = max(np.max(np.abs(each.motion.qd)) for each in recordings)
-    if fastest < SLOWEST:
-        text = f"no joint moves faster than {fastest:.2g} rad/s"
+    speeds = np.concatenate([np.abs(each.motion.qd) for each in recordings])
+    fastest = np.max(speeds, axis=0)
+    joint = np.argmax(fastest)
+    if fastest[joint] < SLOWEST:
+        unit = position_unit(robot.is_slide[joint])
+        text = f"no joint moves faster than {fastest[joint]:.2g} {unit}/s"
         yield Finding(Level.REFUSES, "too-little", text, "record a faster motion")
 
 
@@ -247,14 +259,14 @@ _CROWDED = 4.0
 
 
 def saturation_findings(
-    pieces: Sequence[Measurement], joint_names: Sequence[str]
+    robot: RobotModel, pieces: Sequence[Measurement]
 ) -> Iterator[Finding]:
     """Yield findings on torque channels that saturate, where they are not left out."""
     torques = []
     for piece in pieces:
         left_out = piece.left_out
         torques.append(piece.tau if left_out is None else piece.tau[~left_out])
-    for name, values in zip(joint_names, np.concatenate(torques).T):
+    for name, values in zip(robot.joint_names, np.concatenate(torques).T):
         if len(np.unique(values)) < MANY_VALUES:
             continue
         near = 0.02 * np.ptp(values)
@@ -263,9 +275,10 @@ def saturation_findings(
             others = np.sum(np.abs(values - end) < near) - count
             if count > max(OFTEN * len(values), _CROWDED * others):
                 share = percent(count / len(values))
+                unit = torque_unit(name in robot.slides)
                 text = (
-                    f"the torque of joint {name} is exactly {end:.4g} N·m, the end of its range, "
-                    f"in {share} of the samples: the sensor saturates"
+                    f"the torque of joint {name} is exactly {end:.4g} {unit}, the end of its "
+                    f"range, in {share} of the samples: the sensor saturates"
                 )
                 yield Finding(
                     Level.DOUBTS, "saturated", text, "move slower, or carry less"
@@ -359,7 +372,7 @@ def check_pieces(
     names = robot.joint_names
     pieces, raw = leave_out(names, pieces, [*failed_sensors(pieces)])
     lasts_a_moment = all(finding.level is Level.SAYS for finding in raw)
-    raw += [*clock_findings(pieces), *saturation_findings(pieces, names)]
+    raw += [*clock_findings(pieces), *saturation_findings(robot, pieces)]
     if any(finding.level is Level.REFUSES for finding in raw):
         return _in_order(raw), tuple(pieces)
     recordings = low_pass(pieces, options.cutoff)
@@ -387,7 +400,7 @@ def check_pieces(
         progress.advance(TRYING, 0.0, 1.0, "")
         found = findings(robot, recordings, options, scales, share, advance)
         progress.advance(TRYING, 1.0, 1.0, "")
-        found = found or [*slow_findings(recordings)]
+        found = found or [*slow_findings(robot, recordings)]
         # Where another fault is found, torque that is odd time and again is of that fault.
         raw += [f for f in contacts if f.level is Level.SAYS or not found]
         if not any(finding.about == "clock" for finding in found):

@@ -36,7 +36,7 @@ from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import Term
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.messages import Level, with_error
+from robot_sysid.records.messages import Level, torque_unit, with_error
 
 LITTLE = 0.02
 """Share of unexplained torque that a correction may always leave."""
@@ -468,8 +468,8 @@ def odd_unit_finding(log: LogFit) -> Finding | None:
     if factor < ODD_UNIT or typical < 0.6:
         return None
     name = log.fit.arm.joints[joint]
-    text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in mN·m "
-    text += "or N·cm"
+    unit = torque_unit(name in log.fit.arm.robot.slides)
+    text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in m{unit}"
     remedy = f"put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
     return Finding(Level.REFUSES, "torque-scale", text, remedy)
 

@@ -70,7 +70,7 @@ def low_pass_recordings(
     for piece, log, required in zip(pieces, resampled, cutoffs):
         given = min(cutoffs) if required > min(cutoffs) else cutoff
         with prefix_input_errors(piece.name):
-            signals = process(log, robot.joint_names, given)
+            signals = process(log, robot.joint_names, given, robot.slides)
         processed[piece.name].append(signals)
         recordings.append(Recording(piece.name, signals, piece.is_loaded, piece.order))
         notes.setdefault(piece.name, {}).update(dict.fromkeys(signals.notes))

@@ -56,8 +56,10 @@ from robot_sysid.records.messages import (
     PARAMETER_UNITS,
     Level,
     percent,
+    position_unit,
     says,
     term_unit,
+    torque_unit,
     with_error,
 )
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
@@ -462,7 +464,8 @@ def _offset_notes(file: RestrictedFit) -> Iterator[str]:
             offset, error = quantity(fitted, name)
             if abs(offset) > _CLEAR * error:
                 squares += offset**2 * float(np.sum(fitted.sums.counts[:, row]))
-                phrases.append(f"{joint} {offset:.2g} N·m")
+                unit = torque_unit(joint in fitted.arm.robot.slides)
+                phrases.append(f"{joint} {offset:.2g} {unit}")
     squared = squares / float(np.sum(fitted.sums.squared_torque))
     share = file.after.relative_error or 0.0
     if squared > max(HARMLESS, share) ** 2:
@@ -485,8 +488,9 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
         kind, joint = split_name(name)
         zero, error = quantity(fitted, name)
         if kind == "zero" and abs(zero) > max(_CLEAR * error, _SMALL_ZERO):
+            unit = position_unit(joint in fitted.arm.robot.slides)
             yield (
-                f"the log reads {joint} {1e3 * zero:.1f} ± {1e3 * error:.1g} mrad too "
+                f"the log reads {joint} {1e3 * zero:.1f} ± {1e3 * error:.1g} m{unit} too "
                 "large; the links are those of the true positions"
             )
     if file is not None and file.gravity is not None:

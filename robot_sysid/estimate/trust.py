@@ -17,7 +17,7 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import NOISE_EXPLAINS, is_clearly_lower, validation
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import InertialParameters, RobotModel, Validation
-from robot_sysid.records.messages import Level, Remark, percent, with_error
+from robot_sysid.records.messages import Level, Remark, percent, torque_unit, with_error
 from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
 
 HARMLESS = 0.02
@@ -254,7 +254,7 @@ def implausible_joints(
         # A limit of zero means that the model states none.
         if dry > min(robot.limits.torque[index] or np.inf, strongest):
             yield Verdict.IMPLAUSIBLE.remark(
-                f"{name} would have {dry:.3g} N·m of dry friction or more"
+                f"{name} would have {dry:.3g} {torque_unit(slide)} of dry friction or more"
             )
         if not slide and rotor > inertia > 0.0:
             yield Verdict.IMPLAUSIBLE.remark(

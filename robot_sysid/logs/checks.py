@@ -17,7 +17,7 @@ import numpy as np
 from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.logs.table import BACKWARDS, MISSING, REPEATED, UNREADABLE, LogRows
 from robot_sysid.records import RobotModel
-from robot_sysid.records.messages import count_text
+from robot_sysid.records.messages import count_text, position_unit
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
     RECORDING_SEPARATION,
@@ -207,11 +207,10 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield a note on joints that do not move; refuse an arm at rest."""
     travel = np.ptp(rows.samples.q, axis=0)
     if np.all(travel < _AT_REST):
-        fault = (
-            f"the arm is at rest, no joint moves by more than {travel.max():.2g} rad"
-        )
+        unit = position_unit(robot.is_slide[np.argmax(travel)])
         raise InputError(
-            f"{fault}; record a motion (if these are other units, see --units)"
+            f"the arm is at rest, no joint moves by more than {travel.max():.2g} {unit}; record a "
+            "motion (if these are other units, see --units)"
         )
     unmoved = [n for n, s in zip(robot.joint_names, travel) if s < _AT_REST]
     if unmoved:

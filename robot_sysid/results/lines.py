@@ -123,11 +123,11 @@ def more_lines(content: Content) -> list[str]:
         lines.append(Detail(f"As in the model: {', '.join(content['file']['kept'])}"))
     if content["source"] != ITSELF:
         lines += map(Detail, _quality_lines(content))
-    lines.append(Detail("  RMSE per joint:"))
+    lines.append(Detail("  RMSE per joint [N·m; N of a slide]:"))
     for joint, rmse in content["rmse_per_joint"].items():
         noise = content["noise_per_joint"].get(joint)
         noise_text = "" if noise is None else f", noise {noise:.2g}"
-        lines.append(Detail(f"    {joint}: {rmse:.2e} N·m{noise_text}"))
+        lines.append(Detail(f"    {joint}: {rmse:.2e}{noise_text}"))
     return lines
 
 

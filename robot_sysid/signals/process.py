@@ -18,7 +18,7 @@ instant leaves errors of 3.8 % in viscous friction, this one 0.9 %.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement, Motion
-from robot_sysid.records.messages import Detail, percent
+from robot_sysid.records.messages import Detail, percent, position_unit
 from robot_sysid.signals.cutoff import CutoffChoice, choose_cutoff
 from robot_sysid.signals.filters import REACH, LowPass, derivatives, design_low_pass
 from robot_sysid.signals.resampling import (
@@ -176,6 +176,7 @@ def process(
     measurement: Measurement,
     joint_names: Sequence[str] = (),
     cutoff: float | None = None,
+    slides: Collection[str] = (),
 ) -> ProcessedSignals:
     """Return the processed signals of a log: resampled, positions low-passed and differentiated.
 
@@ -183,6 +184,7 @@ def process(
         measurement: the log; it is not changed.
         joint_names: for the notes; numbers stand for joints without a name.
         cutoff: of the low-pass [Hz]; None chooses it from the data.
+        slides: names of the joints that are slides, for the notes.
 
     Raises:
         InputError: the log is too short, or the cut-off does not fit its sample rate.
@@ -222,12 +224,15 @@ def process(
         acceleration_error=choice.expected_error,
     )
     filter_note = Detail(f"low-pass with a cut-off of {choice.cutoff:.4g} Hz")
-    row_notes = _notes(signals, joint_names, longest_hole)
+    row_notes = _notes(signals, joint_names, slides, longest_hole)
     return replace(signals, notes=(*uniform.notes, filter_note, *row_notes))
 
 
 def _notes(
-    signals: ProcessedSignals, joint_names: Sequence[str], longest_hole: float
+    signals: ProcessedSignals,
+    joint_names: Sequence[str],
+    slides: Collection[str],
+    longest_hole: float,
 ) -> Iterator[str]:
     """Yield sentences for the user on the rows of processed signals; a ``Detail`` is printed on
     demand only.
@@ -235,6 +240,7 @@ def _notes(
     Args:
         signals: the processed signals.
         joint_names: numbers stand for joints without a name.
+        slides: names of those that are slides.
         longest_hole: length of a hole in the log beyond which rows beside it are not used [s].
     """
     is_complete = signals.is_complete()
@@ -250,9 +256,10 @@ def _notes(
     names = joint_names or range(1, len(shares) + 1)
     for name, share, deadband in zip(names, shares, signals.deadband):
         if share < 0.5:
+            unit = position_unit(name in slides)
             yield (
                 f"only {percent(share)} of the rows of joint {name} are used: in the others it is "
-                f"slower than {deadband:.2g} rad/s, where the direction of friction is not sure"
+                f"slower than {deadband:.2g} {unit}/s, where the direction of friction is not sure"
             )
 
 

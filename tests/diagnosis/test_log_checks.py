@@ -37,7 +37,7 @@ from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.diagnosis.conftest import FOUR_AXES, JOINT
 from tests.support import arms
-from tests.support.log_files import JOINTS, motion, read_measurements
+from tests.support.log_files import JOINTS, arm_of, motion, read_measurements
 from tests.support.places import DATA as real_logs
 from tests.support.places import MODELS as public_models
 from tests.support.wrong_logs import truth_of
@@ -51,7 +51,7 @@ NOISY = replace(
 
 def test_a_correct_log_has_no_findings():
     assert list(clock_findings([NOISY])) == []
-    assert list(saturation_findings([NOISY], JOINTS)) == []
+    assert list(saturation_findings(arm_of(JOINTS), [NOISY])) == []
 
 
 @given(st.integers(0, 2**32), st.floats(0.04, 0.2))
@@ -123,8 +123,12 @@ def test_a_sensor_at_its_end_is_found(joint, share):
     low = tau[:, joint].min()
     high = tau[:, joint].max()
     tau[:, joint] = np.minimum(tau[:, joint], low + share * (high - low))
-    names = [f.about for f in saturation_findings([replace(NOISY, tau=tau)], JOINTS)]
-    assert "saturated" in names
+    arm = arm_of(JOINTS, is_slide=(False, False, True))
+    findings = list(saturation_findings(arm, [replace(NOISY, tau=tau)]))
+    assert {finding.about for finding in findings} == {"saturated"}
+    unit = "N" if joint == 2 else "N·m"
+    assert f"joint {JOINTS[joint]} is exactly" in findings[0].text
+    assert f" {unit}, the end of its range" in findings[0].text
 
 
 # ---- against the model

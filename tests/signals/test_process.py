@@ -85,10 +85,11 @@ def test_a_joint_at_rest_is_masked_and_named():
     log = Swing().measurement(seconds(10.0, 200.0), 1e-4)
     positions = np.array(log.q)
     positions[:, 1] = 0.3
-    signals = process(replace(log, q=positions), ("a", "b", "c"), 8.0)
+    signals = process(replace(log, q=positions), ("a", "b", "c"), 8.0, "b")
     assert not np.any(signals.usable()[:, 1])
     assert np.mean(signals.usable()[:, 0]) > 0.9
-    assert any("only 0 % of the rows of joint b" in note for note in signals.notes)
+    (note,) = [n for n in signals.notes if "only 0 % of the rows of joint b" in n]
+    assert "m/s, where the direction" in note and "rad" not in note
 
 
 def with_losses(log, share, seed=0):
