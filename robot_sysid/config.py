@@ -401,7 +401,7 @@ class PayloadOptions(OptionRecord):
                 "--save-torque-scale is about torque scales; add --known-mass KG"
             )
         if self.known_mass is not None and self.as_body is not None:
-            raise InputError("--known-mass writes no model; leave --as-body out")
+            raise InputError("--known-mass writes no model; leave out --as-body")
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ def load_robot_model(
         name = joint_label(mj_model, jaw)
         notes.append(
             f"joint {name} is taken for the jaw of a gripper because of its name, and held still; "
-            f"the arm ends at joint {names[-1]} (--joint {name} adds the jaw)"
+            f"the arm ends at joint {names[-1]} (to add the jaw: --joint {name})"
         )
     if keyframe_id is None and mj_model.nkey:
         keyframes = ", ".join(_keyframe_names(mj_model))

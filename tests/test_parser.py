@@ -116,7 +116,7 @@ def test_a_jaw_that_is_held_is_named_with_the_option_that_adds_it():
     xml = serial_arm((Z, Y, X, Z), tip=jaw)
     robot = robot_of(xml)
     assert robot.joint_names == ("joint0", "joint1", "joint2", "joint3")
-    assert "--joint gripper adds the jaw" in " ".join(robot.notes)
+    assert "to add the jaw: --joint gripper" in " ".join(robot.notes)
     assert robot_of(xml, "joint3").notes == ()
     assert robot_of(xml, "gripper").terminal_joint == "gripper"
 

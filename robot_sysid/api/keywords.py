@@ -14,6 +14,7 @@ import re
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar, Union
 
@@ -98,13 +99,19 @@ def with_keywords(
         parameters = dict(signature.parameters)
         parameters.pop("options", None)
         own_keys = {*parameters}
+        for key in own_keys:
+            flag = "--" + key.replace("_", "-")
+            _KEYWORDS.setdefault(flag, Option(flag, ""))
         helps = []
         for record in records:
             for field_name, option in options_of(record).items():
                 key = option.key
                 is_left_out = only and key not in only
                 # A log is an argument of its own, which has no flag either.
-                if key in own_keys or is_left_out or not option.flag.startswith("-"):
+                if is_left_out or not option.flag.startswith("-"):
+                    continue
+                _KEYWORDS[option.flag] = option
+                if key in own_keys:
                     continue
                 default = defaults.get(key, default_of(record, field_name))
                 parameters[key] = inspect.Parameter(
@@ -165,8 +172,10 @@ def _keyword_help(option: Option, default: Any) -> str:
         default_text = f'default "{default}"'
     elif default == ():
         default_text = "default none"
-    meaning = python_words(option.help.replace("; may be repeated", ""))
-    return f"{option.key} ({value_text(option)}; {default_text}): {meaning}."
+    meaning = option.help.replace("; may be repeated", "")
+    return python_words(
+        f"{option.key} ({value_text(option)}; {default_text}): {meaning}."
+    )
 
 
 @contextmanager
@@ -179,17 +188,55 @@ def in_python() -> Iterator[None]:
         raise
 
 
-_FLAG = re.compile(r"(?<![\w-])--([a-z][a-z-]*[a-z])")
+_KEYWORDS: dict[str, Option] = {}
+"""Flag of the command line to the option that is a keyword of a function."""
+_WORD = r"'[^']*'|(?!--)(?:[^\s;:()',.]|[,.](?=[^\s;:()',.]))+"
+_OPTION = re.compile(rf"(?<![\w-])(--[a-z][a-z-]*[a-z])(?: ({_WORD}))?")
+"""An option, and the word behind it without the punctuation that ends its clause."""
+_NUMBERS = re.compile(r"[-\d.e+x,]*\d")
+_REPEATED = re.compile(r'\b(\w+)=("[^"]*")((?: \1="[^"]*")+)')
+"""A keyword with a text, and the same keyword with other texts."""
+_PLACEHOLDERS = ("FILE", "FOLDER", "KG", "LOG", "NAME")
+"""Words that stand for a value in a message."""
 
 
 def python_words(text: str) -> str:
-    """Return a message with keywords in place of options: ``no_friction`` for --no-friction.
+    """Return a message with keywords in place of options: ``joint="wrist"`` for --joint wrist.
 
-    A command on a line of its own stays one.
+    A command on a line of its own stays one, and so do options that no function here has.
     """
     lines = []
     for line in text.split("\n"):
         if not line.startswith("  robot-sysid "):
-            line = _FLAG.sub(lambda match: match[1].replace("-", "_"), line)
+            line = _OPTION.sub(_keyword_text, line)
+            line = _REPEATED.sub(_list_text, line)
         lines.append(line)
     return "\n".join(lines)
+
+
+def _keyword_text(match: re.Match[str]) -> str:
+    """Return an option as a keyword, with the word behind it as its value if it is one.
+
+    Numbers and choices are known by the option; another text is a value if its clause ends with it.
+    """
+    option = _KEYWORDS.get(match[1])
+    if option is None:
+        return match[0]
+    word = match[2] or ""
+    text = word.strip("'")
+    is_number = not {Real, Integral}.isdisjoint(option.types)
+    if word in _PLACEHOLDERS or (is_number and _NUMBERS.fullmatch(word)):
+        value = f"[{word.replace(',', ', ')}]" if "," in word else word
+        return f"{option.key}={value}"
+    takes_text = option.parse is not None and not is_number and not option.choices
+    ends_clause = re.match(r"[^ ]| --|$", match.string[match.end() :])
+    is_value = text in option.choices or (takes_text and ends_clause is not None)
+    if word and (is_value or word != text):
+        return f'{option.key}="{text}"'
+    return match[0].replace(match[1], option.key, 1)
+
+
+def _list_text(match: re.Match[str]) -> str:
+    """Return a keyword with the list of all its texts."""
+    others = match[3].replace(f" {match[1]}=", ", ")
+    return f"{match[1]}=[{match[2]}{others}]"

@@ -215,7 +215,7 @@ def _condition_checks(
         yield stop(
             f"{name} answers on {answers} (MST_ID {stored_id:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set it with motors setup --new-master-id, or export again with "
-            "plan --export-damiao --master-id"
+            "the right --master-id"
         )
     yield from _scaling_checks(motor, joint, plan.permissions)
     mode = int(registers[protocol.CTRL_MODE])
@@ -334,7 +334,7 @@ def direction_checks(plan: Plan, holding: HoldingCheck) -> Iterator[Remark]:
         yield note(f"{finding}: mirrored or swapped, they would be played like that")
         return
     yield stop(
-        f"{finding}; move them by hand once with motors map --model, and give the --joint-map; "
+        f"{finding}; move them by hand once with motors map, and give the --joint-map; "
         "--accept-directions plays without"
     )
 

@@ -81,7 +81,7 @@ class PlaySettings(OptionRecord):
         None,
         "control cycles per second",
         "HZ [Hz] > 0",
-        default_text="250, with --fd 500, less where the bus is full",
+        default_text="250; 500 with --fd; less where the bus is full",
     )
     speed: float = option(
         1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=check_speed_factor

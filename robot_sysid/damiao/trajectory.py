@@ -216,7 +216,7 @@ def _rows(time: Array, values: Array, decimals: int) -> str:
 
 CANNOT_FOLLOW = "it cannot follow"
 """End of a sentence about a motor that cannot do what a motion needs."""
-WEIGH_FIRST = "weigh the arm with a smaller motion first (see plan --for weight)"
+WEIGH_FIRST = "weigh the arm with a smaller motion first (see --for weight of plan)"
 """Remedy for an arm that needs more torque than its model says, or than its motors make."""
 
 

@@ -256,7 +256,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         0.4,
         "torque of {owner} reads {value} too {much|little} for the model's links, or the links "
         "that it carries are {heavier|lighter} than in the model",
-        "weigh a known mass (payload --known-mass), and pass the file that it writes as "
+        "weigh a known mass (--known-mass of payload), and pass the file that it writes as "
         "--torque-scale",
         factor=100.0,
         unit="%",
@@ -357,7 +357,7 @@ def time_base(fitted: Fit) -> Iterator[Explanation]:
         0.1,
         "time in the log is {value} too {long|short}, as the torque of inertia shows beside that "
         "of gravity",
-        f"{own_stamps}, or scale these with a line of a --columns FILE: "
+        f"{own_stamps}, or scale these with a line in --columns FILE: "
         "time = {inverse} * TITLE",
         factor=100.0,
         unit="%",

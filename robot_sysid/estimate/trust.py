@@ -172,7 +172,7 @@ def missed_friction(fitted: Fit) -> str:
     errors = []
     for each in (fitted, complete):
         errors.append(percent(validation(each).relative_error or 0.0))
-    remedy = f"leave --friction-model away, or add {'-'.join(missed)} to it"
+    remedy = f"leave out --friction-model, or add {'-'.join(missed)} to it"
     return (
         f"the torques of {', '.join(joints)} clearly show friction terms that were left out "
         f"({', '.join(missed)}), and that links and other terms take up: the torque error on "

@@ -182,7 +182,7 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     rate = (len(time) - 1) / (time[-1] - time[0])
     raise InputError(
         f"positions look like degrees, or time stamps are those of another unit, or of when rows "
-        f"were written ({symptom}); pass --units deg, or --units rad if they are radians or count "
+        f"were written ({symptom}); pass --units deg, or --units rad, if they are radians or count "
         f"turns, or write 'rate = {rate:.6g}' in --columns FILE if rows are evenly spaced",
         _ANGLE_OPTIONS,
     )

@@ -48,7 +48,7 @@ def test_a_motion_that_is_refused_is_played_after_a_smaller_one(command):
     refused = play(command, Path("first"), code=3)
     assert "joint1): the motion needs " in refused.err
 
-    assert "a smaller motion first (see plan --for weight)" in refused.err
+    assert "a smaller motion first (see --for weight of plan)" in refused.err
     weighing = ("--for weight --output-dir first/weighing", *export)
     printed = command.run("plan", GUESS, *weighing)
     rehearsal = last_command(printed.out)

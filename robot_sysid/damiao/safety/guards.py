@@ -402,7 +402,7 @@ class CommandBounds:
             (
                 *(asked, makes, torque_slack),
                 "be asked for {:.1f} N·m and makes {:.1f} at most: something holds the arm back, "
-                "or it needs more than this motor has (see plan --for weight)",
+                "or it needs more than this motor has (see --for weight of plan)",
             ),
         ):
             # A command at its bound is rounded by its conversion to frames and back.
