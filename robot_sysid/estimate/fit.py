@@ -240,12 +240,16 @@ class Fit:
         """Covariance (k, k) of the errors: the larger one of formal errors and jackknife.
 
         A parameter's formal error is raised to that of the jackknife where that is larger. What
-        torque scales do beyond their columns is the same in all blocks, and is added as it is.
+        torque scales do to a payload is the same in all blocks, and is added as it is. Rotors and
+        friction are confounded with the scale of their joint's sensor: without the factor on it,
+        rotors of simulated arms are 1.25 of their errors off (root mean square; 1.19 with it).
         """
         formal = np.diag(self.inverse)
         raised = np.sqrt(np.maximum(self.jackknife / np.maximum(formal, 1e-300), 1.0))
         raised = np.where(self.is_hidden, 1.0, raised)
-        return raised[:, None] * self.inverse * raised + self.scale_errors
+        of_scales = np.where(np.isin(self.names, PAYLOAD_NAMES), 1.0, raised)
+        covariance = raised[:, None] * self.inverse * raised
+        return covariance + of_scales[:, None] * self.scale_errors * of_scales
 
     @cached_property
     def jackknife(self) -> Array:
