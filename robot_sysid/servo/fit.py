@@ -40,11 +40,7 @@ from robot_sysid.servo.windows import (
     rms,
 )
 from robot_sysid.signals.resampling import sampling_period
-from robot_sysid.simulation.playback import (
-    ServoParameters,
-    interpolate,
-    servos_in_model,
-)
+from robot_sysid.simulation.playback import STEP, ServoParameters, servos_in_model
 
 LINK_ERROR = 0.01 * LINK * EXPECTED_SCALES[0]
 """Relative standard deviation of the links' masses."""
@@ -62,9 +58,19 @@ CREEP = 0.1
 """Speed below which dry friction creeps, in MuJoCo as on arms, and looks like damping [rad/s]."""
 FAST_PRIOR = 1.0
 """Standard deviation of the logarithm of a fast servo's numbers about the model's."""
+DELAY_UNIT = 0.004
+"""Unit of the delay in the rollouts' fit [s]."""
 LARGEST_TURN = 1.2
 """Largest angle [rad] by which the oscillation of a servo without damping may turn between two
 samples: differences of faster motion are no derivatives, and its equations are wrong."""
+GRID = 0.005
+"""Distance between the delays that are tried before the best of them is refined [s]."""
+LEAST_PERIOD = 0.01
+"""Sampling periods below it resolve no faster motion, which the low-pass hides [s]."""
+LEAST_DELAY_ERROR = 1e-4
+"""Error of the equations' delay beside that of noise [s]: of friction that creeps."""
+PERIOD_SHARE = 0.02
+"""Further error of that delay, of sampling, in sampling periods."""
 _CORRELATED_SAMPLES = 10.0
 """Samples over which errors of the equations are correlated: those of friction near standstill and
 of smoothed accelerations last about as long as a start or a stop."""
@@ -79,12 +85,18 @@ def distances(pieces: Sequence[Measurement], delay: float) -> Array:
     """Return the distance (M, n) from each position to its command of ``delay`` [s] before, behind
     the low-pass.
     """
+    from scipy.interpolate import make_interp_spline
+
     distances = []
     for piece in pieces:
-        # The mean over a sampling period of commands that hold until the next one.
-        time = piece.time - 0.5 * sampling_period(piece.time) - delay
-        command = interpolate(time, piece.time, commands(piece))
-        distances.append(low_pass(piece.time, command - piece.q))
+        # Commands that hold until the next one are, below half of the sampling rate, a smooth curve
+        # through the middles of their periods, whose means over a period they are.
+        held = commands(piece).copy()
+        held[1:-1] += np.diff(held, 2, axis=0) / 24.0
+        middle = 0.5 * sampling_period(piece.time)
+        curve = make_interp_spline(piece.time + middle, held)
+        at = np.maximum(piece.time - delay, piece.time[0] + middle)
+        distances.append(low_pass(piece.time, curve(at) - piece.q))
     return np.concatenate(distances)
 
 
@@ -123,15 +135,16 @@ def loop_columns(
 def fit_joint(
     columns: Array, mean: Array, deviation: Array, links: Array, error: Array
 ) -> tuple[Array, Array, float]:
-    """Return the values (p,) of terms that explain a joint's position error, their covariance, and
-    the root mean square of what they leave [rad].
+    """Return the values (p,) of terms that explain a joint's position error, their covariance with
+    the delay's (p + 1, p + 1), and the root mean square of what they leave [rad].
 
     They are solved from the samples nearest to their commands first, then from all that are no
     outliers. The first is that of torque; none is negative.
 
     Args:
-        columns: (M, p) derivative of the position error by the values [rad].
-        mean, deviation: (p,) what is known of the values.
+        columns: (M, p + 1) derivative of the position error by the values and the delay.
+        mean: (p,) what is known of the values.
+        deviation: (p + 1,) how well they and the delay are known.
         links: (M, L) torque by one standard deviation of each link error [N m], which the model
             file keeps: none of it is fitted, all of it is in the covariance.
         error: (M,) position error [rad].
@@ -148,8 +161,10 @@ def fit_joint(
         weight = 1.0 / (noise * np.sqrt(_CORRELATED_SAMPLES))
         data = weight * columns[is_used]
         rows = np.vstack((data, np.diag(1.0 / deviation)))
-        values, _ = nnls(rows, np.append(weight * error[is_used], mean / deviation))
-        residual = np.abs(error - columns @ values)
+        known = np.append(weight * error[is_used], mean / deviation[:-1])
+        # The delay is at its best: as a column it makes the others less sure.
+        values, _ = nnls(rows[:-1, :-1], known)
+        residual = np.abs(error - columns[:, :-1] @ values)
         by_links = weight * values[0] * links[is_used]
         is_used = residual <= limit
     covariance = np.linalg.inv(rows.T @ rows)
@@ -167,7 +182,7 @@ class ServoFit:
         delay: by which all commands act late [s].
         is_fast: (n,) whether the samples do not resolve the motion of the servo.
         is_known: (n,) whether a joint moves enough to show its numbers.
-        delay_error: standard error of the delay [s]; 0 of the equations alone.
+        delay_error: standard error of the delay [s].
     """
 
     numbers: Array
@@ -175,7 +190,7 @@ class ServoFit:
     delay: float
     is_fast: NDArray[np.bool_]
     is_known: NDArray[np.bool_]
-    delay_error: float = 0.0
+    delay_error: float
 
     @property
     def is_shown(self) -> NDArray[np.bool_]:
@@ -207,33 +222,37 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
     gain = np.where(has_gain, in_model[0], np.median(inertia) * 20.0**2)
     # Of each joint 1/K, D/K, f/K, A/K; zero of one that does not move.
     values = np.zeros((len(moves), 4))
-    covariances = np.zeros((len(moves), 4, 4))
+    covariances = np.zeros((len(moves), 5, 5))
 
     gain_error = np.full(len(moves), FREE_GAIN)
 
     def fit_joints(delay: float) -> float:
         """Set values and covariances of the joints that move; return the log of what they leave."""
         errors = distances(pieces, delay)
+        late = (distances(pieces, delay + GRID) - errors) / GRID
         misfit = 0.0
         for k in np.flatnonzero(moves):
             at = is_moving[:, k]
             mean = np.array([1.0 / gain[k], 0.0, 0.0, 0.0])
             # Beside the gain, a term may be as large as the whole distance.
-            size = np.std(columns[at, k], axis=0) + 1e-12
+            terms = np.column_stack((columns[at, k], late[at, k]))
+            size = np.std(terms, axis=0) + 1e-12
             deviation = np.std(errors[at, k]) / size
             deviation[0] = gain_error[k] / gain[k]
             values[k], covariances[k], residual = fit_joint(
-                columns[at, k], mean, deviation, link_columns[at, k], errors[at, k]
+                terms, mean, deviation, link_columns[at, k], errors[at, k]
             )
             misfit += np.sum(at) * np.log(residual)
         return misfit
 
     period = longest_period(pieces)
+    # A wrong delay with other numbers may be a local minimum.
+    nearest = min(np.arange(0.0, MAX_DELAY_PERIODS * period, GRID), key=fit_joints)
     delay = minimize_scalar(
         fit_joints,
-        bounds=(0.0, MAX_DELAY_PERIODS * period),
+        bounds=(max(nearest - GRID, 0.0), nearest + GRID),
         method="bounded",
-        options={"xatol": 1e-2 * period},
+        options={"xatol": 1e-5},
     ).x
     fit_joints(delay)
     gain_error[:] = UNKNOWN_GAIN
@@ -242,6 +261,8 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
         gain *= np.median(1.0 / (values[:, 0] * gain)[has_scale])
         gain_error[has_gain] = OWN_GAIN
     fit_joints(delay)
+    information = np.sum(1.0 / covariances[moves, 4, 4])
+    covariances = covariances[:, :4, :4]
 
     found = np.where(moves, 1.0 / np.maximum(values[:, 0], 1e-9), gain)
     numbers = found * values.T
@@ -250,7 +271,7 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
     slopes = found[:, None, None] * np.eye(4)
     slopes[:, :, 0] = -(numbers * found).T
     variance = np.einsum("kij,kjl,kil->ik", slopes, covariances, slopes)
-    turn = period * np.sqrt(found / (numbers[3] + inertia))
+    turn = max(period, LEAST_PERIOD) * np.sqrt(found / (numbers[3] + inertia))
     is_fast = moves & (turn > LARGEST_TURN)
     # Over the gain, by which all numbers of the joint are off alike.
     at_speed = np.array([0.0, 1.0, 1.0, 0.0])
@@ -261,6 +282,9 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
         delay=delay,
         is_fast=is_fast,
         is_known=is_fast | (doubt < LARGEST_ERROR * (values @ at_speed)),
+        delay_error=np.hypot(
+            LEAST_DELAY_ERROR + PERIOD_SHARE * period, information**-0.5
+        ),
     )
 
 
@@ -277,6 +301,8 @@ def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
     from scipy.optimize import least_squares
 
     fast = fit.is_fast
+    if not np.any(fast):
+        return fit
     in_model = servos_in_model(problem.rollouts.robot).numbers
     start = np.where(in_model > 0.0, in_model, np.maximum(fit.numbers, 1e-4))[:, fast]
 
@@ -284,14 +310,15 @@ def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
         """Return the fit with the numbers and the delay that factors stand for."""
         numbers = fit.numbers.copy()
         numbers[:, fast] = start * factors[:-1].reshape(4, -1)
-        return replace(fit, numbers=numbers, delay=fit.delay * factors[-1])
+        return replace(fit, numbers=numbers, delay=DELAY_UNIT * (factors[-1] - 1.0))
 
     def residuals(factors: Array, scale: Array) -> Array:
         """Return the position errors over their scale, then the prior's residuals."""
         errors = problem.errors(fit_at(factors).servos) / scale
-        return np.append(errors, np.log(factors) / FAST_PRIOR)
+        return np.append(errors, np.log(factors[:-1]) / FAST_PRIOR)
 
-    factors = np.ones(start.size + 1)
+    factors = np.append(np.ones(start.size), 1.0 + fit.delay / DELAY_UNIT)
+    least = np.append(np.full(start.size, 0.01), 1.0)
     for _ in range(2):
         squares = problem.errors(fit_at(factors).servos) ** 2
         scale = np.sqrt(_CORRELATED_ROLLOUTS * np.mean(squares, axis=(0, 1)))
@@ -299,7 +326,7 @@ def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
             residuals,
             factors,
             jac="3-point",
-            bounds=(0.01, 100.0),
+            bounds=(least, 100.0),
             # A servo that is at its limit again and again makes rollouts rough on smaller scales.
             diff_step=0.3,
             loss="soft_l1",
@@ -308,11 +335,11 @@ def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
         )
         factors = fitted.x
     refined = fit_at(factors)
-    deviation = np.sqrt(np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac))) / factors
-    least = np.array(_LEAST_ERRORS)[:, None]
-    relative = np.hypot(deviation[:-1].reshape(4, -1), least)
+    deviation = np.sqrt(np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac)))
+    relative = (deviation / factors)[:-1].reshape(4, -1)
+    relative = np.hypot(relative, np.vstack(_LEAST_ERRORS))
     errors = fit.errors.copy()
     errors[:, fast] = relative * refined.numbers[:, fast]
-    return replace(
-        refined, errors=errors, delay_error=float(refined.delay * deviation[-1])
-    )
+    # A servo at its limit is not damped exactly in the middle of a step.
+    delay_error = np.hypot(0.5 * STEP, DELAY_UNIT * deviation[-1])
+    return replace(refined, errors=errors, delay_error=float(delay_error))

@@ -3,8 +3,10 @@
 The model is the file's own: links, rotor inertia, springs, damping and MuJoCo's ``frictionloss`` as
 written. As in ``plant`` joints outside the chain are held; contacts, stops, equalities and gravity
 compensation do not act. The integrator is MuJoCo's implicit one without derivatives of forces
-between bodies, stable under any damping. ``mujoco.rollout`` does the steps on all processors where
-the installed release has it with several models at a time; older ones step in Python.
+between bodies, stable under any damping, used as a leapfrog (Störmer–Verlet): velocities are those
+half a step before the positions, which makes it second order, without a delay of its own, but while
+a servo is at its limit. ``mujoco.rollout`` does the steps on all processors where the installed
+release has it with several models at a time; older ones step in Python.
 
 An arm behind position servos gets commanded positions:
 
@@ -44,7 +46,7 @@ from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.simulation.plant import forward_model, set_chain_state
 
-STEP = 0.002
+STEP = 0.001
 """Time step of the rollouts [s]."""
 MAX_WINDOWS = 60
 """Number of windows of one horizon that are played, spread evenly over the pieces of the logs."""
@@ -234,6 +236,10 @@ def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     model.jnt_stiffness[springs] = own_stiffness + servos.stiffness[~driven]
     # As in a compiled file, dry friction is as firm as these rotor inertias make it.
     mujoco.mj_setConst(model, mujoco.MjData(model))
+    # An implicit step damps the velocity at its end. Half a step of damping less of rotor inertia
+    # makes it the mean of those at both ends.
+    armature = servos.armature - 0.5 * model.opt.timestep * servos.damping
+    model.dof_armature[dofs] = np.maximum(armature, 0.0)
 
 
 @dataclass(frozen=True)
@@ -320,7 +326,8 @@ class ServoRollouts:
         spring_rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
         commands = []
         for window in windows:
-            times = window.start + edges - servos.delay
+            # Between the velocities, which are half a step before the positions.
+            times = window.start + edges - 0.5 * edges[1] - servos.delay
             commands.append(mean_commands(window.time, window.command, times))
         command = np.stack(commands)
         # As MuJoCo has them: those of the nu actuators, then the forces on the joints.

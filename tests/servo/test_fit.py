@@ -63,6 +63,15 @@ def test_numbers_come_from_the_log_and_not_from_the_models_servos(kp):
     assert fit.delay == pytest.approx(TRUTH.delay, abs=0.003)
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.004, 0.01])
+def test_the_delay_is_that_of_the_commands_alone(delay):
+    """The servo's lag, the held commands and the low-pass are no part of it."""
+    truth = replace(TRUTH, delay=delay)
+    fit = fit_to(arm(), log(arm(), truth=truth, steps=40))
+    assert abs(fit.delay - delay) < 2.0 * fit.delay_error
+    assert fit.delay_error < 1e-3
+
+
 def test_a_model_without_servos_leads_to_the_same_numbers():
     xml = ARM.format(mass=0.3, kp=9.0, limit="")
     bare = fit_to(robot_of(xml[: xml.index("<actuator>")] + "</mujoco>"))
@@ -128,8 +137,8 @@ def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
         frictionloss=np.array([0.11, 0.1]),
         delay=0.02,
     )
-    # In steps of 2 ms like the rollouts: MuJoCo's integrator adds rotor inertia with the step.
-    piece = log(robot, truth=truth, steps=10)
+    # Small ones: at its limit, a step's error acts as rotor inertia.
+    piece = log(robot, truth=truth, steps=200)
     fit = fit_to(robot, piece)
     assert fit.is_fast.all()
     problem = ServoProblem(ServoRollouts(robot), [piece])
@@ -137,5 +146,6 @@ def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
     assert refined.servos.armature == pytest.approx(truth.armature, rel=0.1)
     assert refined.servos.damping == pytest.approx(truth.damping, rel=0.2)
     assert np.all(np.abs(refined.numbers - truth.numbers) <= 3.0 * refined.errors)
+    assert abs(refined.delay - truth.delay) < 2.0 * refined.delay_error < 2e-3
     before, after, _ = problem.test(replace(in_model, delay=fit.delay), refined.servos)
     assert rms(after) < 0.5 * rms(before)
