@@ -12,7 +12,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.reader import MeasurementLog
-from robot_sysid.servo.windows import MAX_DELAY_PERIODS, commands
+from robot_sysid.servo.windows import MAX_DELAY, commands
+from robot_sysid.signals.resampling import sampling_period
 
 
 def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -> None:
@@ -22,9 +23,14 @@ def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -
     equal the positions were copied from them.
     """
     for log in logs:
-        # Far enough beyond the largest delay to tell a wrong one; of equal ones the least counts.
-        reach = min(3 * MAX_DELAY_PERIODS, len(log.samples) // 4)
-        lags = np.array(sorted(range(-reach, reach + 1), key=abs))
+        # Far enough beyond the largest delay to tell a wrong one, 20 ms apart, and every sample
+        # nearby, where a copy shows; of equal ones the least counts.
+        period = sampling_period(log.samples.time)
+        reach = min(round(3.0 * MAX_DELAY / period), len(log.samples) // 4)
+        near = min(11, reach)
+        far = np.arange(0, reach + 1, max(1, round(0.02 / period)))
+        lags = np.unique((*range(near), *far))
+        lags = np.array(sorted((*lags, *-lags), key=abs))
         # A joint whose positions range over less [rad or m] does not move.
         for k in np.flatnonzero(np.ptp(log.samples.q, axis=0) >= 0.02).tolist():
             q = log.samples.q[:, k]
@@ -36,7 +42,7 @@ def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -
             correlations = np.abs(covariances) / scales
             best = np.argmax(correlations)
             correlation = correlations[best]
-            lag = lags[best]
+            lag = period * lags[best]
             slope = covariances[best] / variances[best]
             distances = command - late[best]
             offset = np.median(distances)
@@ -45,15 +51,15 @@ def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -
             if (
                 is_copy
                 or correlation < 0.5
-                or not 0 <= lag <= MAX_DELAY_PERIODS
+                or not 0.0 <= lag <= MAX_DELAY
                 or not 0.5 < slope < 2.0
                 or abs(offset) > 0.3
             ):
                 copied = " and repeat the measured ones" if is_copy else ""
                 raise InputError(
                     f"{log.path}: the positions of joint {joint_names[k]} do not follow its "
-                    f"commands as those of a servo: commands come {lag} samples before them (not 0 "
-                    f"to {MAX_DELAY_PERIODS}){copied}, with a correlation of {correlation:.2f}, "
+                    f"commands as those of a servo: commands come {lag:.2g} s before them (not 0 "
+                    f"to {MAX_DELAY:g} s){copied}, with a correlation of {correlation:.2f}, "
                     f"change {slope:.3g} times as much (degrees 57.3 times, steps of 4096 a turn "
                     f"652 times as much as rad), and differ by {offset:.3g} all the time; check "
                     "that they were sent to the servos, units and signs (--units, or --columns "

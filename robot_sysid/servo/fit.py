@@ -31,7 +31,7 @@ from robot_sysid.estimate.links import link_factor
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.usual_errors import EXPECTED_SCALES, LINK
 from robot_sysid.servo.windows import (
-    MAX_DELAY_PERIODS,
+    MAX_DELAY,
     ServoProblem,
     commands,
     longest_period,
@@ -64,7 +64,9 @@ LARGEST_TURN = 1.2
 """Largest angle [rad] by which the oscillation of a servo without damping may turn between two
 samples: differences of faster motion are no derivatives, and its equations are wrong."""
 GRID = 0.005
-"""Distance between the delays that are tried before the best of them is refined [s]."""
+"""Distance between ``DELAYS`` [s]."""
+DELAYS = np.arange(0.0, MAX_DELAY, GRID)
+"""Delays that are tried before the best of them is refined [s]."""
 LEAST_PERIOD = 0.01
 """Sampling periods below it resolve no faster motion, which the low-pass hides [s]."""
 LEAST_DELAY_ERROR = 1e-4
@@ -105,8 +107,7 @@ def goal_error(pieces: Sequence[Measurement]) -> float:
 
     It is the root mean square of all joints.
     """
-    delays = longest_period(pieces) * np.arange(0.0, MAX_DELAY_PERIODS, 0.25)
-    return min(rms(distances(pieces, delay)) for delay in delays)
+    return min(rms(distances(pieces, delay)) for delay in DELAYS)
 
 
 def loop_columns(
@@ -247,7 +248,7 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
 
     period = longest_period(pieces)
     # A wrong delay with other numbers may be a local minimum.
-    nearest = min(np.arange(0.0, MAX_DELAY_PERIODS * period, GRID), key=fit_joints)
+    nearest = min(DELAYS, key=fit_joints)
     delay = minimize_scalar(
         fit_joints,
         bounds=(max(nearest - GRID, 0.0), nearest + GRID),

@@ -32,8 +32,9 @@ SMOOTHING_TIME = 0.022
 """Standard deviation of the Gaussian low-pass of positions and commands [s]."""
 LEAST_WIDTH = 1.1
 """Least one [sampling periods]: the derivatives of a narrower Gaussian are wrong."""
-MAX_DELAY_PERIODS = 10
-"""Largest delay of the commands that is searched for, in sampling periods."""
+MAX_DELAY = 0.25
+"""Longest time by which positions may follow their commands [s]: that of a soft servo, damping over
+gain (a motor's largest kd of 5 at a kp of 20), or some cycles of a slow bus."""
 WINDOW = 1.0
 """Length of a window [s]."""
 FLOOR = 5e-4
@@ -66,7 +67,8 @@ class ServoProblem:
         cut = []
         for piece in pieces:
             _, qd, _ = low_pass_motion(piece)
-            for first in range(MAX_DELAY_PERIODS, len(piece) - count, count):
+            beginning = round(MAX_DELAY / sampling_period(piece.time))
+            for first in range(beginning, len(piece) - count, count):
                 at = slice(first, first + count)
                 start = float(piece.time[first])
                 state = start, piece.q[first], qd[first]

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from robot_sysid import servo
 from robot_sysid.errors import InputError
@@ -221,8 +222,8 @@ def delay(values, samples):
     return np.vstack((np.repeat(values[:1], samples, axis=0), values))[: len(values)]
 
 
-def log(q, command):
-    piece = Measurement(TIME, q, None, command - q, command=command)
+def log(q, command, time=TIME):
+    piece = Measurement(time, q, None, command - q, command=command)
     return SimpleNamespace(path="log.csv", samples=piece)
 
 
@@ -245,6 +246,20 @@ FUTURE = np.vstack((FOLLOWED[1:], FOLLOWED[-1:]))
 COPIED = ("repeat the measured", "were sent")
 
 
+@pytest.mark.parametrize("rate", [25.0, 250.0, 1000.0])
+def test_the_rate_of_a_log_decides_nothing(rate):
+    """Positions of a soft servo follow about 0.14 s late (kd/kp); exchanged, they lead."""
+    time = np.arange(0.0, 10.0, 1.0 / rate)
+    command = 0.4 * np.sin(np.outer(time, [2.0, 3.0])) + np.sin(
+        np.outer(time, [0.5, 0.4])
+    )
+    decay = np.exp(-1.0 / (0.14 * rate))
+    late = lfilter([1.0 - decay], [1.0, -decay], command, axis=0)
+    check_commands([log(late, command, time)], NAMES)
+    with pytest.raises(InputError, match=r"commands come -0\.1"):
+        check_commands([log(command, late, time)], NAMES)
+
+
 @pytest.mark.parametrize(
     ("q", "command", "message_parts"),
     [
@@ -260,8 +275,8 @@ COPIED = ("repeat the measured", "were sent")
         ),
         (FOLLOWED, FOLLOWED, COPIED),
         (FOLLOWED, FUTURE, COPIED),
-        (delay(COMMAND, 14), COMMAND, ("14 samples before", "10")),
-        (COMMAND + NOISE, delay(COMMAND, 3), ("-3 samples", "exchanged")),
+        (delay(COMMAND, 14), COMMAND, ("0.28 s before", "0.25 s")),
+        (COMMAND + NOISE, delay(COMMAND, 3), ("-0.06 s before", "exchanged")),
         (FOLLOWED, RNG.normal(size=COMMAND.shape), ("correlation of 0.0",)),
         (FOLLOWED, -COMMAND, ("change -1", "sign")),
         (FOLLOWED, COMMAND + 1.0, ("differ by 1 ", "zeros")),
