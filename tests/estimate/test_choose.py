@@ -181,6 +181,7 @@ def test_links_share_an_error_in_mass(first, second):
 # ---- rows at turns
 
 
+@since(3, 2, 5)
 def test_rotors_of_joints_that_stand_at_their_turns_are_right():
     """MuJoCo's own dry friction holds them there; used, these rows read as 4 to 9 % more rotor."""
     sysid = pytest.importorskip("benchmarks.against_mujoco_sysid")

@@ -14,6 +14,7 @@ from robot_sysid.records import KINDS
 from tests.support import urdf
 from tests.support.arms import compile_xml, robot_of
 from tests.support.places import MODELS
+from tests.support.releases import since
 
 MASS, CENTRE, INERTIA = KINDS
 MASSES = (5.0, 4.0, 2.5, 1.5, 0.9)
@@ -119,6 +120,7 @@ def test_shapes_say_whether_a_centre_of_mass_is_at_the_joint(offset, is_stated):
     assert com == pytest.approx([0.0, 0.0, offset], abs=1e-9)
 
 
+@since(3, 1, 0)
 @pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 @pytest.mark.parametrize(
     "model",
