@@ -111,8 +111,7 @@ class ServoIdentification:
         A gain of a joint without a position actuator has a NaN model.
         """
         fit = self.fit
-        error = fit.delay_error
-        yield Quantity("command_delay", "arm", "s", None, fit.delay, error)
+        yield Quantity("command_delay", "arm", "s", None, fit.delay, fit.delay_error)
         before = servos_in_model(self.robot).numbers
         cases = [~fit.is_known, ~self.is_new, ~fit.is_shown]
         reasons = np.select(cases, [STILL, WORSE, NOT_ALONE], "")

@@ -27,10 +27,9 @@ def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -
         # nearby, where a copy shows; of equal ones the least counts.
         period = sampling_period(log.samples.time)
         reach = min(round(3.0 * MAX_DELAY / period), len(log.samples) // 4)
-        near = min(11, reach)
-        far = np.arange(0, reach + 1, max(1, round(0.02 / period)))
-        lags = np.unique((*range(near), *far))
-        lags = np.array(sorted((*lags, *-lags), key=abs))
+        steps = np.arange(reach + 1)
+        sizes = steps[(steps <= 10) | (steps % max(1, round(0.02 / period)) == 0)]
+        lags = np.stack((sizes, -sizes), axis=1).ravel()
         # A joint whose positions range over less [rad or m] does not move.
         for k in np.flatnonzero(np.ptp(log.samples.q, axis=0) >= 0.02).tolist():
             q = log.samples.q[:, k]

@@ -337,8 +337,8 @@ def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
         factors = fitted.x
     refined = fit_at(factors)
     deviation = np.sqrt(np.diag(np.linalg.inv(fitted.jac.T @ fitted.jac)))
-    relative = (deviation / factors)[:-1].reshape(4, -1)
-    relative = np.hypot(relative, np.vstack(_LEAST_ERRORS))
+    by_noise = (deviation / factors)[:-1].reshape(4, -1)
+    relative = np.hypot(by_noise, np.vstack(_LEAST_ERRORS))
     errors = fit.errors.copy()
     errors[:, fast] = relative * refined.numbers[:, fast]
     # A servo at its limit is not damped exactly in the middle of a step.

@@ -32,9 +32,9 @@ SMOOTHING_TIME = 0.022
 """Standard deviation of the Gaussian low-pass of positions and commands [s]."""
 LEAST_WIDTH = 1.1
 """Least one [sampling periods]: the derivatives of a narrower Gaussian are wrong."""
-MAX_DELAY = 0.25
+MAX_DELAY = 0.2
 """Longest time by which positions may follow their commands [s]: that of a soft servo, damping over
-gain (a motor's largest kd of 5 at a kp of 20), or some cycles of a slow bus."""
+gain (0.14 s at a kd of 2.75 and a kp of 20), or ten cycles of a slow bus of 50 Hz."""
 WINDOW = 1.0
 """Length of a window [s]."""
 FLOOR = 5e-4
@@ -71,8 +71,9 @@ class ServoProblem:
             for first in range(beginning, len(piece) - count, count):
                 at = slice(first, first + count)
                 start = float(piece.time[first])
-                state = start, piece.q[first], qd[first]
-                window = ServoWindow(*state, piece.time, commands(piece))
+                window = ServoWindow(
+                    start, piece.q[first], qd[first], piece.time, commands(piece)
+                )
                 cut.append((window, piece.time[at] - start, piece.q[at]))
         if not cut:
             raise InputError(

@@ -275,7 +275,7 @@ def test_the_rate_of_a_log_decides_nothing(rate):
         ),
         (FOLLOWED, FOLLOWED, COPIED),
         (FOLLOWED, FUTURE, COPIED),
-        (delay(COMMAND, 14), COMMAND, ("0.28 s before", "0.25 s")),
+        (delay(COMMAND, 14), COMMAND, ("0.28 s before", "0.2 s")),
         (COMMAND + NOISE, delay(COMMAND, 3), ("-0.06 s before", "exchanged")),
         (FOLLOWED, RNG.normal(size=COMMAND.shape), ("correlation of 0.0",)),
         (FOLLOWED, -COMMAND, ("change -1", "sign")),
