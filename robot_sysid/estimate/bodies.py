@@ -54,14 +54,11 @@ _ROUNDING = 1e-12
 _ROUND = 0.1
 # Standard deviation of other parameters, whose columns have unit length: holds those without data.
 _UNSEEN = 1e10
-# Most steps of the search by triangular factors.
-_MOST_STEPS = 100
 # Orthonormal basis (10, 4, 4) of symmetric matrices with the inner product tr(A B): a matrix has a
 # one on its diagonal, or sqrt(1/2) at (i, j) and (j, i). The order is that of Clarabel's triangles.
 _COLUMNS, _ROWS = np.tril_indices(4)
-_IS_DIAGONAL = _ROWS == _COLUMNS
 _BASIS = np.zeros((10, 4, 4))
-_BASIS[range(10), _ROWS, _COLUMNS] = np.where(_IS_DIAGONAL, 1.0, np.sqrt(0.5))
+_BASIS[range(10), _ROWS, _COLUMNS] = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(0.5))
 _BASIS[range(10), _COLUMNS, _ROWS] = _BASIS[range(10), _ROWS, _COLUMNS]
 _FLAT_BASIS = _BASIS.reshape(10, 16)
 
@@ -207,15 +204,14 @@ def _possible_coordinates(
         shifted = equations[:, -1] - equations[:, :-1] @ centre
         rows = np.column_stack((equations[:, :-1] @ change, shifted))
         limits = LEAST_SHARE * np.array(least) + _SEARCHED * np.eye(4)
-        found = _by_cone(rows, limits)
-        if found is None:
-            found = _by_factors(rows, limits)
-        z = centre + change @ found
+        z = centre + change @ _by_cone(rows, limits)
     return np.asarray(z)
 
 
-def _by_cone(equations: Array, least: Array) -> Array | None:
-    """Return the coordinates z (10 L,) of least ||A z - b|| by Clarabel; None where it fails.
+def _by_cone(equations: Array, least: Array) -> Array:
+    """Return the coordinates z (10 L,) of least ||A z - b|| by Clarabel; zeros where it fails.
+
+    Zeros are the bodies that the search begins with, which are near the best already.
 
     Args:
         equations: [A b] (M, 10 L + 1).
@@ -253,47 +249,7 @@ def _by_cone(equations: Array, least: Array) -> Array | None:
             continue
         if str(solution.status) in ("Solved", "AlmostSolved"):
             return np.asarray(solution.x)[:size]
-    return None
-
-
-def _by_factors(equations: Array, least: Array) -> Array:
-    """Return the coordinates z (10 L,) of least ||A z - b||, by triangular factors of bodies.
-
-    K = least + T T^T is consistent for any lower triangular T (Rucker, Wensing, "Smooth
-    parameterization of rigid-body inertia", IEEE Robotics and Automation Letters 7(2), 2022), so
-    that a search which ends early has an answer, too. Arguments are as in ``_by_cone``.
-    """
-    from scipy.optimize import least_squares
-
-    def factors(entries: Array) -> Array:
-        """Return T (L, 4, 4)."""
-        root = np.zeros((len(least), 4, 4))
-        root[:, _ROWS, _COLUMNS] = entries.reshape(-1, N_INERTIAL)
-        return root
-
-    def coordinates(entries: Array) -> Array:
-        """Return z (10 L,)."""
-        root = factors(entries)
-        return _coefficients(least + root @ np.swapaxes(root, 1, 2) - np.eye(4)).ravel()
-
-    def residuals(entries: Array) -> Array:
-        """Return A z - b (M,)."""
-        return np.asarray(equations @ np.append(coordinates(entries), -1.0))
-
-    def derivative(entries: Array) -> Array:
-        """Return the derivative (M, 10 L) of residuals."""
-        ones = np.zeros((N_INERTIAL, 4, 4))
-        ones[range(N_INERTIAL), _ROWS, _COLUMNS] = 1.0
-        change = np.zeros((len(entries), len(entries)))
-        for link, root in enumerate(factors(entries)):
-            half = ones @ root.T
-            span = slice(N_INERTIAL * link, N_INERTIAL * (link + 1))
-            change[span, span] = _coefficients(half + np.swapaxes(half, 1, 2)).T
-        return np.asarray(equations[:, :-1] @ change)
-
-    start = np.tile(_IS_DIAGONAL.astype(float), len(least))
-    limits = {"x_scale": "jac", "ftol": 1e-6, "xtol": 1e-10, "max_nfev": _MOST_STEPS}
-    return coordinates(least_squares(residuals, start, derivative, **limits).x)
+    return np.zeros(size)
 
 
 def _units(theta: Array) -> Array:

@@ -213,10 +213,10 @@ def test_every_problem_has_an_answer_near_the_best_whatever_the_reference(seed):
 
 
 @given(seed=SEEDS)
-def test_triangular_factors_end_near_the_best_where_the_cone_fails(seed):
+def test_bodies_are_possible_where_the_search_fails(seed):
     matrix, right, problem, truth = hard_problem(np.random.default_rng(seed))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bodies, "_by_cone", lambda rows, least: None)
+        patch.setattr(bodies, "_by_cone", lambda rows, least: np.zeros(10 * len(least)))
         values = consistent_least_squares(matrix, right, problem)
     assert all(spatial.is_consistent(values[link]) for link in problem.links)
 
