@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
@@ -35,8 +34,8 @@ from robot_sysid.signals.resampling import RECORDING_SEPARATION
 
 def array_blocks(arrays: Sequence[Array], columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of arrays, (N,) or (N, k), side by side, with the columns of these indices."""
-    cells = np.column_stack([np.asarray(array, dtype=float) for array in arrays])
-    yield Block(np.arange(len(cells)) + 1, cells[:, list(columns)])
+    cells = np.column_stack(arrays)[:, list(columns)].astype(float)
+    yield Block(np.arange(len(cells)) + 1, cells)
 
 
 def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
@@ -146,7 +145,7 @@ def _arrow_array(column: Any) -> Array:
     if "list" in str(column.type):
         return np.array(column.to_pylist(), dtype=float)
     values = column.to_numpy()
-    return values if values.dtype.kind in "Mm" else np.asarray(values, float)
+    return values if values.dtype.kind in "Mm" else values.astype(float)
 
 
 STATE = "observation.state"
@@ -185,8 +184,7 @@ def lerobot_table(source: LogSource) -> LogTable:
     titles = {}
     for feature in (STATE, ACTION, *_FEATURES):
         names = _as_mapping(descriptions.get(feature)).get("names")
-        feature_titles = _lerobot_titles(names, feature)
-        if feature_titles:
+        if feature_titles := _lerobot_titles(names, feature):
             titles[feature] = feature_titles
     columns = ["timestamp [s]", *chain.from_iterable(titles.values())]
     files = sorted((path / "data").rglob("*.parquet"))
@@ -204,7 +202,7 @@ def lerobot_table(source: LogSource) -> LogTable:
             f"last of which is {max(available, default='none')}; {_DOWNLOAD}"
         )
     time = frames["timestamp"]
-    recordings: list[NDArray[np.int64]] = []
+    recordings: list[Any] = []
     for episode in episodes:
         rows = np.flatnonzero(episode_index == episode)
         if recordings:
@@ -222,8 +220,7 @@ def lerobot_table(source: LogSource) -> LogTable:
         f"{len(recordings)} episodes"
     )
     rows = np.concatenate(recordings)
-    arrays = [values[rows] for values in frames.values()]
-    blocks = partial(array_blocks, arrays)
+    blocks = partial(array_blocks, [values[rows] for values in frames.values()])
     is_per_cent = _PER_CENT_ARMS.search(str(info.get("robot_type")))
     notes = (_DEGREES_NOTE,) if is_per_cent else ()
     return LogTable(path, layout, tuple(columns), blocks, notes=notes)
@@ -257,12 +254,19 @@ def _lerobot_titles(names: Any, feature: str) -> list[str]:
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
 _ALOHA_ARRAYS = (
-    *("observations/qpos", "observations/qvel", "observations/effort"),
+    "observations/qpos",
+    "observations/qvel",
+    "observations/effort",
     "action",
 )
 """Arrays of ALOHA's recorder with a column per joint."""
 _ALOHA_JOINTS = (
-    *("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate"),
+    "waist",
+    "shoulder",
+    "elbow",
+    "forearm_roll",
+    "wrist_angle",
+    "wrist_rotate",
     "gripper",
 )
 """Names of the joints of one of ALOHA's arms."""
@@ -293,9 +297,11 @@ def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     For another number of joints than one or two of its arms have, they are called joint0, joint1...
     """
     width = arrays[_ALOHA_ARRAYS[0]].shape[-1]
-    two_arms = map("/".join, product(("left", "right"), _ALOHA_JOINTS))
-    joints = {7: [*_ALOHA_JOINTS], 14: [*two_arms]}.get(width)
-    joints = joints or [f"joint{k}" for k in range(width)]
+    joints = [f"joint{k}" for k in range(width)]
+    if width == 7:
+        joints = [*_ALOHA_JOINTS]
+    elif width == 14:
+        joints = [*map("/".join, product(("left", "right"), _ALOHA_JOINTS))]
     quantities = [name.rpartition("/")[2] for name in arrays]
     titles = [f"{joint} {quantity}" for quantity, joint in product(quantities, joints)]
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"

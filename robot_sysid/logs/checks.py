@@ -11,6 +11,7 @@ their numbers in the file. Of all rows of the file, ``n_read`` hold something of
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import compress
 
 import numpy as np
 
@@ -174,7 +175,7 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     is_wrong = ~robot.is_slide & ((largest > 4.0 * np.pi) | is_often_fast)
     if not np.any(is_wrong):
         return
-    joint = int(np.argmax(is_wrong))
+    joint = np.argmax(is_wrong)
     symptom = (
         f"joint {robot.joint_names[joint]} would reach {largest[joint]:.4g} rad and "
         f"{np.max(speed[:, joint]):.4g} rad/s"
@@ -212,7 +213,7 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
             f"the arm is at rest, no joint moves by more than {travel.max():.2g} {unit}; record a "
             "motion (if these are other units, see --units)"
         )
-    unmoved = [n for n, s in zip(robot.joint_names, travel) if s < _AT_REST]
+    unmoved = [*compress(robot.joint_names, travel < _AT_REST)]
     if unmoved:
         yield f"joints that do not move in this log: {', '.join(unmoved)}"
 
@@ -225,7 +226,7 @@ def require_torque(rows: LogRows, robot: RobotModel) -> None:
     if rows.samples.command is not None:
         return
     is_constant = np.ptp(rows.samples.tau, axis=0) == 0.0
-    names = [robot.joint_names[joint] for joint in np.flatnonzero(is_constant)]
+    names = [*compress(robot.joint_names, is_constant)]
     if names:
         raise InputError(
             f"the torque of joint {' and '.join(names)} is the same in every row; record it, or "

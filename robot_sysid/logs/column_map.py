@@ -350,7 +350,7 @@ class _ColumnFinder:
                 raise ambiguity_error(quantity, name, self.titles, indices)
             elif indices:
                 columns.append(self._column(quantity, joint, indices[0], factor=1.0))
-        if len(columns) == len(self.robot.joint_names):
+        if len(columns) == self.robot.n_joints:
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
             raise self._missing_error(quantity)

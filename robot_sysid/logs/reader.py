@@ -8,10 +8,10 @@ columns are held in memory.
 
 from __future__ import annotations
 
-import functools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from operator import attrgetter
 from pathlib import Path
@@ -118,7 +118,7 @@ def open_log(
     factors = zip(columns.torque, (constants / scale).tolist())
     torque = [replace(column, factor=k * column.factor) for column, k in factors]
     columns = replace(columns, torque=tuple(torque))
-    rows = read_rows(table, columns, robot.is_slide.tolist(), progress)
+    rows = read_rows(table, columns, robot.is_slide, progress or Progress())
     check_notes = check_log(str(path), rows, robot, columns.angle_declared)
     pieces = tuple(map(LogPiece.of, split_at_gaps(rows.samples)))
     details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
@@ -253,17 +253,17 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
         raise InputError(f"cannot read the log {path}: {reason}") from error
     if is_folder:
         forms = [form for name, form in _FOLDERS.items() if (path / name).is_file()]
+        if not forms:
+            raise InputError(
+                f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or "
+                "ROS 2 bag, a LeRobot data set, HDF5, Parquet, NumPy .npz or MATLAB .mat"
+            )
     else:
         forms = [form for head, form in _FILES.items() if first_bytes.startswith(head)]
     form, reader = forms[0] if forms else _TEXT
-    if is_folder and reader is text_table:
-        raise InputError(
-            f"{path} is a folder of no known form; a log is a text table (CSV), a ROS 1 or ROS 2 "
-            "bag, a LeRobot data set, HDF5, Parquet, NumPy .npz or MATLAB .mat"
-        )
     with as_input_errors(path, form):
         table = reader(LogSource(path, first_bytes, joint_names, options))
-    return replace(table, blocks=functools.partial(_blocks, table, form))
+    return replace(table, blocks=partial(_blocks, table, form))
 
 
 def _blocks(table: LogTable, form: str, columns: Sequence[int]) -> Iterator[Block]:

@@ -153,11 +153,9 @@ def bag_table(source: LogSource) -> LogTable:
         if topic_option is not None and topic_option not in names:
             fault = f"{path} has no joint states in topic {topic_option!r}"
             raise InputError(f"{fault}; {its_topics}")
-        read_names = [topic_option] if topic_option else sorted(names)
-        read_topics = [
-            _read_topic(path, bag, name, source.joint_names) for name in read_names
-        ]
-        topics = [topic for topic in read_topics if topic is not None]
+        topics: list[Topic] = []
+        for name in [topic_option] if topic_option else sorted(names):
+            topics += _read_topic(path, bag, name, source.joint_names)
         if not topics:
             raise InputError(f"{path} holds no joint states; {its_topics}")
         topic, note = choose_topic(path, topics)
@@ -171,10 +169,10 @@ def _connections(bag: Any, topic: str) -> list[Any]:
 
 def _read_topic(
     path: Path, bag: Any, name: str, joint_names: Sequence[str]
-) -> Topic | None:
-    """Return a topic with its table, which has time and a column per joint and quantity.
+) -> Iterator[Topic]:
+    """Yield a topic with its table, which has time and a column per joint and quantity.
 
-    Joints and quantities are those of its first messages; None where these hold none.
+    Joints and quantities are those of its first messages; nothing is yielded where these hold none.
     """
     messages = list(islice(_read_messages(bag, name), _FIRST_MESSAGES))
     # A dictionary keeps the keys in the order in which they come first.
@@ -182,29 +180,27 @@ def _read_topic(
     for _, sample in messages:
         sent.update(sample)
     if not sent:
-        return None
-    recorded_joints = [joint for joint, _ in sent]
+        return
     arm_joints: list[str] = []
     with contextlib.suppress(InputError):
-        joint_match = match_joint_names(recorded_joints, joint_names)
+        joint_match = match_joint_names([joint for joint, _ in sent], joint_names)
         arm_joints += joint_match.model_names if joint_match else ()
     efforts: set[float | None] = set()
     for _, sample in messages:
         efforts.update(map(sample.get, product(arm_joints, TORQUE)))
     start = min(stamp for stamp, _ in messages)
-    keys = tuple(sent)
-    titles = ("time", *map(" ".join, keys))
+    titles = ("time", *map(" ".join, sent))
     connections = _connections(bag, name)
     message_type = connections[0].msgtype
     layout = f"ROS bag, topic {name} ({message_type}), joints by name"
-    blocks = partial(_blocks, path, name, keys, start)
+    blocks = partial(_blocks, path, name, list(sent), start)
     complete = set()
     for quantity in ("position", *TORQUE):
-        if arm_joints and {*product(arm_joints, [quantity])} <= {*sent}:
+        if arm_joints and sent.keys() >= {*product(arm_joints, [quantity])}:
             complete.add(quantity)
     has_torques = not complete.isdisjoint(TORQUE)
     has_nonzero_torques = has_torques and bool(efforts - {None, 0.0})
-    return Topic(
+    yield Topic(
         name,
         message_type,
         LogTable(path, layout, titles, blocks, row_noun="message"),

@@ -12,6 +12,7 @@ import contextlib
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -165,10 +166,7 @@ class LogRows:
 
 
 def read_rows(
-    table: LogTable,
-    columns: ColumnMap,
-    is_slide: Sequence[bool],
-    progress: Progress | None = None,
+    table: LogTable, columns: ColumnMap, is_slide: NDArray[np.bool_], progress: Progress
 ) -> LogRows:
     """Return the usable rows of a log.
 
@@ -178,7 +176,7 @@ def read_rows(
         is_slide: (n,) whether a joint is a slide, whose positions are not unwrapped.
         progress: receives the progress of reading.
     """
-    lines, cells, complaint = _read_cells(table, columns, progress or Progress())
+    lines, cells, complaint = _read_cells(table, columns, progress)
     n = len(columns.position)
     # Positions and torques.
     needed = cells[:, 1 : 1 + 2 * n]
@@ -189,10 +187,10 @@ def read_rows(
     missing = np.flatnonzero(~finite & ~impossible & ~foreign)
     first = ""
     if len(missing):
-        used = columns.columns()
-        is_empty = ~np.isfinite(cells[missing[0], -len(used) :])
-        listed = [used[k].title for k in np.flatnonzero(is_empty)]
-        first = f"{table.row_noun} {lines[missing[0]]}, columns {', '.join(listed)}"
+        titles = [column.title for column in columns.columns()]
+        is_empty = ~np.isfinite(cells[missing[0], -len(titles) :])
+        listed = ", ".join(compress(titles, is_empty))
+        first = f"{table.row_noun} {lines[missing[0]]}, columns {listed}"
     usable = np.flatnonzero(finite & ~impossible)
     anomalies = {
         UNREADABLE: _anomaly(table, lines[impossible], complaint),
@@ -208,7 +206,7 @@ def read_rows(
     widths = [1, *map(len, columns.groups())]
     groups = np.split(cells, np.cumsum(widths)[:-1], axis=1)
     time, q, tau, qd, stamps = (group[rows] for group in groups)
-    for joint in np.flatnonzero(~np.array(is_slide)):
+    for joint in np.flatnonzero(~is_slide):
         # Full turns by which the position jumps against the row before.
         step = np.diff(q[:, joint])
         turns = np.round(step / _TURN)
@@ -261,7 +259,7 @@ def _read_cells(
     factors = np.array([column.factor for column in used])
     np.multiply(cells, factors, out=cells, where=np.isfinite(cells))
     if columns.time is None:
-        time = np.arange(len(cells)) / float(columns.rate or 1.0)
+        time = np.arange(len(cells)) / (columns.rate or 1.0)
         cells = np.column_stack((time, cells))
     return lines, cells, complaint
 

@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import functools
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from io import TextIOWrapper
 from itertools import product
 from pathlib import Path
@@ -145,13 +144,13 @@ def _parse_cell(cell: str, start: str = "") -> float:
     where that is "".
     """
     if cell.lower() in _EMPTY:
-        return float("nan")
+        return np.nan
     if ":" in cell:
         return float((_date(cell) - _date(start)) / np.timedelta64(1, "s"))
     return float(cell.replace(",", "."))
 
 
-@functools.lru_cache(maxsize=4)
+@lru_cache(maxsize=4)
 def _date(cell: str) -> np.datetime64:
     """Return the date and time in a cell, 1970 for "", or raise ValueError.
 
@@ -329,5 +328,4 @@ def write_measurement_csv(
                 # The name of a joint may hold ends of lines.
                 writer.writerow(re.sub(r"[\r\n]", " ", t) for t in ("time", *titles))
             values = [getattr(chunk, _ATTRIBUTES[q]) for q in quantities]
-            rows = np.column_stack((chunk.time, *values)).tolist()
-            writer.writerows(map(repr, row) for row in rows)
+            writer.writerows(np.column_stack((chunk.time, *values)).tolist())

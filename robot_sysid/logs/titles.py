@@ -70,7 +70,7 @@ _NEUTRAL = token_set(
     "sensor data values value currents as"
 )
 # Tokens of a motor's current; "current" may mean "present" as well.
-_CURRENT = frozenset({"current", "currents"})
+_CURRENT = token_set("current currents")
 # Sequences of tokens to the single token that they stand for; Unitree calls its torque tauEst.
 _JOINED = {
     " tau est ": " tau ",

@@ -77,8 +77,7 @@ def resample_uniformly(measurement: Measurement) -> UniformSignals:
 def sampling_period(time: Array) -> float:
     """Return the mean step between time stamps (N,), holes left out [s]."""
     step = np.diff(time)
-    is_usual = step <= GAP_STEPS * np.median(step)
-    return float(np.mean(step[is_usual]))
+    return float(np.mean(step[step <= GAP_STEPS * np.median(step)]))
 
 
 def is_even(time: Array) -> bool:
