@@ -32,7 +32,7 @@ from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.logs.joint_names import JointMatch
+from robot_sysid.logs.joint_names import NO_MATCH, JointMatch
 from robot_sysid.logs.titles import (
     QUANTITIES,
     TIME_UNITS,
@@ -203,7 +203,8 @@ class ColumnMap:
         titles: of all columns of the log, used or not.
         angle_declared: whether the unit of angles was declared (option or title), not assumed.
         commanded: whether ``torque`` holds commanded positions in place of torques.
-        joint_match: how the log's joints were matched with the model's, where by all names.
+        joint_match: how the log's joints were matched with the model's; ``NO_MATCH`` where not by
+            all names.
     """
 
     time: Column | None
@@ -215,7 +216,7 @@ class ColumnMap:
     titles: Sequence[str]
     angle_declared: bool
     commanded: bool = False
-    joint_match: JointMatch | None = None
+    joint_match: JointMatch = NO_MATCH
 
     def groups(self) -> tuple[tuple[Column, ...], ...]:
         """Return the columns of position, torque, velocity and joint time; () for a missing one."""
@@ -344,12 +345,12 @@ class _ColumnFinder:
         for joint, name in enumerate(self.robot.joint_names):
             indices = candidates[joint] if candidates else ()
             if name in declared:
-                index, factor = self._look_up(declared[name])
-                columns.append(self._column(quantity, joint, index, factor))
+                found = self._look_up(declared[name])
+                columns.append(self._column(quantity, joint, *found))
             elif len(indices) > 1:
                 raise ambiguity_error(quantity, name, self.titles, indices)
             elif indices:
-                columns.append(self._column(quantity, joint, indices[0], factor=1.0))
+                columns.append(self._column(quantity, joint, indices[0]))
         if len(columns) == self.robot.n_joints:
             return tuple(columns)
         if declared or quantity in ("position", self.driven):
@@ -359,8 +360,7 @@ class _ColumnFinder:
     def _find_time(self) -> Column | None:
         """Return the time column, or None where a rate stands in for it."""
         if self.choices.time is not None:
-            index, factor = self._look_up(self.choices.time)
-            return self._column("time", joint=0, index=index, factor=factor)
+            return self._column("time", 0, *self._look_up(self.choices.time))
         if self.choices.rate is not None:
             return None
         rows = []
@@ -377,7 +377,7 @@ class _ColumnFinder:
             raise InputError(
                 "the log has no time column (evenly spaced rows may have rate = HZ in its place)"
             )
-        return self._column("time", joint=0, index=rows[0], factor=1.0)
+        return self._column("time", joint=0, index=rows[0])
 
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""
@@ -426,7 +426,9 @@ class _ColumnFinder:
             f"the log has no single column {title!r}; name one that there is once"
         )
 
-    def _column(self, quantity: str, joint: int, index: int, factor: float) -> Column:
+    def _column(
+        self, quantity: str, joint: int, index: int, factor: float = 1.0
+    ) -> Column:
         """Return a column with its factor to SI, by its title's unit or else the declared one.
 
         Args:

@@ -64,10 +64,12 @@ def join_names(names: Sequence[str]) -> str:
     return ", ".join(names)
 
 
-def match_joint_names(
-    names: Sequence[str], joint_names: Sequence[str]
-) -> JointMatch | None:
-    """Return which of a recording's joints are those of a model's arm; None where no set fits.
+NO_MATCH = JointMatch({}, ())
+"""The match where no set of a recording's names fits the model's."""
+
+
+def match_joint_names(names: Sequence[str], joint_names: Sequence[str]) -> JointMatch:
+    """Return which of a recording's joints are those of a model's arm, ``NO_MATCH`` for none.
 
     Args:
         names: of the recording's joints, also repeated.
@@ -78,13 +80,11 @@ def match_joint_names(
             other arm of two.
     """
     names = list(dict.fromkeys(names))
-    if not names or not joint_names:
-        return None
     arm = _NameSet.of(joint_names)
     frames = arm.frames_in(names).items()
     complete = {f: by_core for f, by_core in frames if len(by_core) == len(arm.cores)}
     if not complete:
-        return None
+        return NO_MATCH
     frame = _choose_frame(complete, arm)
     arm_joints = list(joint_names)
     # Equal names come before those that differ in signs only, such as arm-1 and arm_1.

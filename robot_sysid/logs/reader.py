@@ -122,8 +122,7 @@ def open_log(
     check_notes = check_log(str(path), rows, robot, columns.angle_declared)
     pieces = tuple(map(LogPiece.of, split_at_gaps(rows.samples)))
     details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
-    joint_note = columns.joint_match.describe() if columns.joint_match else ""
-    source_notes = filter(None, (*table.notes, joint_note))
+    source_notes = filter(None, (*table.notes, columns.joint_match.describe()))
     notes = (*details, *source_notes, *check_notes, *piece_notes(rows.samples, pieces))
     return MeasurementLog(
         path, columns, rows.samples, pieces, notes, scale, names, options

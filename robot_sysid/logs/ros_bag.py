@@ -183,8 +183,8 @@ def _read_topic(
         return
     arm_joints: list[str] = []
     with contextlib.suppress(InputError):
-        joint_match = match_joint_names([joint for joint, _ in sent], joint_names)
-        arm_joints += joint_match.model_names if joint_match else ()
+        recorded_joints = [joint for joint, _ in sent]
+        arm_joints += match_joint_names(recorded_joints, joint_names).model_names
     efforts: set[float | None] = set()
     for _, sample in messages:
         efforts.update(map(sample.get, product(arm_joints, TORQUE)))

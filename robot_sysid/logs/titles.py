@@ -243,8 +243,8 @@ def match_joints(
     robot: RobotModel,
     first_row: Sequence[str],
     quantities: Sequence[str],
-) -> tuple[Candidates, JointMatch | None]:
-    """Return the candidate columns of quantities, and how joint names were matched if so.
+) -> tuple[Candidates, JointMatch]:
+    """Return the candidate columns of quantities, and how joint names were matched.
 
     A quantity of which a joint has no candidate is left out.
 
@@ -263,7 +263,7 @@ def match_joints(
     by_name = _columns_by_joint_name(titles, listed_names)
     names = [*by_name["position"]] if "position" in quantities else []
     joint_match = match_joint_names(names, joint_names)
-    log_names = joint_match.model_names if joint_match else joint_names
+    log_names = joint_match.model_names or joint_names
     # Names decide for all joints of a quantity or for none.
     candidates = {}
     for quantity in quantities:

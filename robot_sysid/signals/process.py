@@ -137,7 +137,7 @@ class ProcessedSignals:
         """Return (K, n) whether each decimated row of each joint may be used: the filter's window
         holds little weight of slow samples, and the row is complete.
         """
-        is_slow = np.less(np.abs(self.qd), self.deadband)
+        is_slow = np.abs(self.qd) < self.deadband
         moving = self.low_pass.weight_shares(is_slow) <= LARGEST_SLOW_SHARE
         return moving & self.is_complete()[:, None]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.joint_names import match_joint_names
+from robot_sysid.logs.joint_names import NO_MATCH, match_joint_names
 
 
 def count(name: str, last: int = 7, first: int = 1) -> list[str]:
@@ -44,7 +44,7 @@ RIGHT = count("right_joint")
 )  # fmt: skip
 def test_names_match_whatever_stands_around_them_and_in_any_order(names, joints):
     match = match_joint_names(names, joints)
-    assert match is not None and list(match.model_names.values()) == list(joints)
+    assert list(match.model_names.values()) == list(joints)
     matched = list(match.model_names)
     assert sorted([*matched, *match.unused]) == sorted(names)
     for name, joint in match.model_names.items():
@@ -73,7 +73,7 @@ def test_joints_of_the_model_beyond_the_arm_may_be_in_the_log():
     five = count("joint", 5)
     for names in (JOINTS, count("panda_joint")):
         match = match_joint_names(names, five)
-        assert match is not None and match.unused == tuple(names[5:])
+        assert match.unused == tuple(names[5:])
 
 
 @pytest.mark.parametrize(
@@ -88,14 +88,14 @@ def test_joints_of_the_model_beyond_the_arm_may_be_in_the_log():
     ],
 )
 def test_nothing_is_made_of_names_that_are_no_set(names):
-    assert match_joint_names(names, JOINTS) is None
+    assert match_joint_names(names, JOINTS) == NO_MATCH
 
 
 def test_what_was_matched_is_one_sentence_and_nothing_where_names_are_equal():
     match = match_joint_names(count("panda_joint") + FINGERS, JOINTS)
-    assert match is not None and match.describe() == (
+    assert match.describe() == (
         "log joints: panda_joint1, ..., panda_joint7 are joint1, ..., joint7; "
         "not used: panda_finger_joint1, panda_finger_joint2"
     )
     equal = match_joint_names(JOINTS + FINGERS, JOINTS)
-    assert equal is not None and equal.describe() == ""
+    assert equal.describe() == ""
