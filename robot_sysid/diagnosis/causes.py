@@ -43,7 +43,7 @@ from robot_sysid.records.messages import Level, position_unit, torque_unit, with
 
 STEPS = 15
 """Number of evenly spaced instants at which a change of payload is tried."""
-RIPPLES = tuple(range(4, 41))
+RIPPLES = np.arange(4, 41)
 """Numbers of torque waves per turn of a joint that are tried."""
 LIKELY = 3
 """Number of them, those most like what is left of the torque, that are tried first."""
@@ -109,8 +109,8 @@ class Explanation:
     def number(self, values: Array, errors: Array) -> tuple[float, float]:
         """Return the number of values (e,) with standard errors (e,), and its standard error."""
         if self.is_norm:
-            return float(np.linalg.norm(values[:3])), float(np.max(errors[:3]))
-        return float(values[0]), float(errors[0])
+            return float(np.linalg.norm(values[:3])), np.max(errors[:3])
+        return values[0], errors[0]
 
     def is_sure(self, values: Array, errors: Array) -> bool:
         """Return whether values (e,) are possible, and the stated number clearly not zero."""
@@ -121,7 +121,7 @@ class Explanation:
     def describe(self, values: Array, errors: Array) -> tuple[str, str]:
         """Return (text, remedy) with values (e,) and standard errors (e,)."""
         value, error = self.number(values, errors)
-        error = abs(self.factor) * float(np.hypot(error, self.relative_error * value))
+        error = abs(self.factor) * np.hypot(error, self.relative_error * value)
         number = with_error(abs(self.factor * value), error, self.unit)
 
         def fill_in(template: str) -> str:
@@ -153,7 +153,7 @@ def single(
         remedy: see ``Explanation``.
         fields: other ones of the explanation.
     """
-    deviations = np.atleast_1d(np.asarray(spread, dtype=float))
+    deviations = np.atleast_1d(spread)
     names = tuple(f"{check} {key} {k}" for k in range(len(deviations)))
 
     def stacked(rows: Rows, point: Point) -> Array:
@@ -192,9 +192,7 @@ def per_joint(
     def column(joint: int | None, rows: Rows, point: Point) -> Array:
         """Return the torque (m, J) per unit of one joint's error, or of a common one."""
         torque = columns(rows, point)
-        return np.asarray(
-            np.sum(torque, axis=2) if joint is None else torque[:, :, joint]
-        )
+        return np.sum(torque, axis=2) if joint is None else torque[:, :, joint]
 
     owners: dict[str, int | None] = {}
     if has_common and len(arm.joints) > 1:
@@ -228,10 +226,14 @@ def last_weight(arm: ArmTerms, rows: Rows, gravity: Array) -> Array:
     return moves.columns([arm.robot.n_joints - 1])[:, arm.indices, :4]
 
 
+def span_of(fitted: Fit) -> tuple[float, float]:
+    """Return the times of the first and of the last row of a log [s]."""
+    return fitted.recordings[0].motion.time[0], fitted.recordings[-1].motion.time[-1]
+
+
 def along(fitted: Fit, columns: Column) -> Column:
     """Return a torque (m, ...) times the time, from -1 at the begin of the log to 1 at its end."""
-    first = fitted.recordings[0].motion.time[0]
-    last = fitted.recordings[-1].motion.time[-1]
+    first, last = span_of(fitted)
 
     def drifting(rows: Rows, point: Point) -> Array:
         """Return the torque (m, ...)."""
@@ -260,7 +262,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "--torque-scale",
         factor=100.0,
         unit="%",
-        is_possible=lambda v, e: bool(v[0] > -0.5),
+        is_possible=lambda v, e: v[0] > -0.5,
     )
     yield from per_joint(
         arm,
@@ -299,7 +301,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "record torques and positions of all joints at the same instant",
         factor=1e3,
         unit="ms",
-        is_possible=lambda v, e: bool(abs(v[0]) < LONGEST_DELAY),
+        is_possible=lambda v, e: abs(v[0]) < LONGEST_DELAY,
         harmful_from=GROSS_DELAY,
     )
     yield single(
@@ -312,7 +314,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         level=Level.SAYS,
         factor=100.0,
         unit="%",
-        is_possible=lambda v, e: bool(0.0 < v[0] < 0.5),
+        is_possible=lambda v, e: 0.0 < v[0] < 0.5,
     )
 
 
@@ -326,7 +328,7 @@ def tilt(fitted: Fit) -> Iterator[Explanation]:
             np.full(2, 0.15),
             "the base is tilted by {value} against the model's",
             "level it, or turn the base in the model",
-            factor=float(np.degrees(1.0)),
+            factor=np.degrees(1.0),
             unit="degrees",
             is_norm=True,
         )
@@ -380,11 +382,9 @@ def time_base(fitted: Fit) -> Iterator[Explanation]:
 
 def payload_steps(fitted: Fit) -> Iterator[Explanation]:
     """Yield a change of the last link's load at each of ``STEPS`` evenly spaced instants."""
-    start = fitted.recordings[0].motion.time[0]
-    end = fitted.recordings[-1].motion.time[-1]
-    instants, spacing = np.linspace(start, end, STEPS + 2, retstep=True)
+    instants, spacing = np.linspace(*span_of(fitted), STEPS + 2, retstep=True)
     for instant in instants[1:-1].tolist():
-        yield payload_step(fitted, instant, float(spacing))
+        yield payload_step(fitted, instant, spacing)
 
 
 def payload_step(fitted: Fit, instant: float, spacing: float) -> Explanation:
@@ -404,7 +404,7 @@ def payload_step(fitted: Fit, instant: float, spacing: float) -> Explanation:
 
     def nearby() -> list[Explanation]:
         """Return steps at eleven instants around this one, a sixth of the spacing apart."""
-        period = float(np.median(np.diff(fitted.recordings[0].motion.time)))
+        period = np.median(np.diff(fitted.recordings[0].motion.time))
         finer = spacing / 6.0
         if finer < 0.1 * period:
             return []
@@ -423,7 +423,7 @@ def payload_step(fitted: Fit, instant: float, spacing: float) -> Explanation:
         level=Level.REFUSES,
         unit="kg",
         # The torque scales multiply the load, too.
-        relative_error=float(np.max(fitted.errors[scales], initial=0.0)),
+        relative_error=np.max(fitted.errors[scales], initial=0.0),
         choices=STEPS,
         nearby=nearby,
     )
@@ -459,7 +459,7 @@ def forces(fitted: Fit) -> Iterator[Explanation]:
         "a constant force of {value} acts on the last link, as of a hand, a cable or a spring",
         "take it away, and record again",
         level=Level.REFUSES,
-        is_possible=lambda v, e: bool(np.any(np.abs(v[:3]) > 3.0 * e[:3])),
+        is_possible=lambda v, e: np.any(np.abs(v[:3]) > 3.0 * e[:3]),
         unit="N",
         is_norm=True,
     )
@@ -485,9 +485,7 @@ def forces(fitted: Fit) -> Iterator[Explanation]:
         level=Level.REFUSES,
         factor=-100.0,
         unit="%",
-        is_possible=lambda v, e: bool(
-            -1.0 - 3.0 * e[0] < v[0] < -max(0.05, SURE * e[0])
-        ),
+        is_possible=lambda v, e: -1.0 - 3.0 * e[0] < v[0] < -max(0.05, SURE * e[0]),
     )
 
 
@@ -522,8 +520,8 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
     residual = np.nan_to_num(fitted.residuals())
     q = np.concatenate([recording.motion.q for recording in fitted.recordings])
     time = np.concatenate([recording.motion.time for recording in fitted.recordings])
-    span = float(time[-1] - time[0])
-    step = float(np.median(np.diff(time)))
+    span = time[-1] - time[0]
+    step = np.median(np.diff(time))
     rates = 2.0 * np.pi * np.arange(2.0 / span, 0.4 / step, 0.25 / span)
     in_time = np.abs(np.exp(1j * np.outer(rates, time)) @ residual)
     for joint, name in enumerate(arm.joints):
@@ -544,7 +542,7 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
             unit=torque_unit(name in arm.robot.slides),
             is_norm=True,
         )
-        rate = float(rates[np.argmax(in_time[:, joint])])
+        rate = rates[np.argmax(in_time[:, joint])]
         yield sine(
             "contact",
             name,
@@ -556,7 +554,7 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
         )
         in_turn = np.exp(1j * np.outer(RIPPLES, q[:, arm.indices[joint]]))
         sizes = np.abs(in_turn @ residual[:, joint])
-        for count in np.array(RIPPLES)[np.argsort(sizes)[-LIKELY:]].tolist():
+        for count in RIPPLES[np.argsort(sizes)[-LIKELY:]].tolist():
             yield sine(
                 "ripple",
                 f"{count} {name}",
@@ -607,8 +605,8 @@ def warming(fitted: Fit) -> Iterator[Explanation]:
     Nothing is yielded for a log no longer than the first of them.
     """
     arm = fitted.arm
-    first = fitted.recordings[0].motion.time[0]
-    if fitted.recordings[-1].motion.time[-1] - first <= WARM_UP[0]:
+    first, last = span_of(fitted)
+    if last - first <= WARM_UP[0]:
         return
     dry = [fitted.by_name[name] for name in names_of("coulomb", arm.joints)]
     spread = 0.5 * np.maximum(np.abs(dry), 0.01 * typical_torque(fitted.sums))

@@ -10,20 +10,15 @@ Then it joins the fit, and the others are scored again.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.causes import Explanation, explanations
-from robot_sysid.diagnosis.log_fit import (
-    LogFit,
-    LogRows,
-    compare,
-    dry_friction,
-    log_rows,
-)
+from robot_sysid.diagnosis.log_fit import LogFit, compare, dry_friction, log_rows
 from robot_sysid.diagnosis.relabelling import (
     SMALLER,
     Correction,
@@ -37,7 +32,6 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Level, percent, with_error
 
@@ -116,17 +110,16 @@ class Score:
     @property
     def is_gross(self) -> bool:
         """Whether the first value is as large as is harmful in any case."""
-        return bool(abs(self.values[0][0]) >= self.explanation.harmful_from)
+        return abs(self.values[0][0]) >= self.explanation.harmful_from
 
     @property
     def is_reportable(self) -> bool:
         """Whether the explanation is large enough for a finding."""
         explanation = self.explanation
         is_of_log = explanation.joint is None and explanation.level is not Level.SAYS
-        is_large = self.torque_share > LEAST_SHARE
-        if explanation.is_norm:
-            shares = self.torque / self.log.rows.typical_torque
-            is_large |= bool(np.max(shares) > LEAST_OF_JOINT)
+        shares = self.torque / self.log.rows.typical_torque
+        is_wave = explanation.is_norm and bool(np.max(shares) > LEAST_OF_JOINT)
+        is_large = self.torque_share > LEAST_SHARE or is_wave
         return is_of_log or is_large or self.is_gross
 
     @property
@@ -143,8 +136,11 @@ class Score:
         moved = self.log.fit.free[self.log.fit.at(spatial.PARAMETER_NAMES)]
         change = np.abs(moved - self.before.free[last])
         errors = np.sqrt(np.diag(self.before.inverse)[last])
-        is_harmful = self.is_gross or bool(np.any(change > MATTERS * errors))
-        is_harmful |= self.torque_share > HARMFUL_SHARE
+        is_harmful = (
+            self.is_gross
+            or np.any(change > MATTERS * errors)
+            or self.torque_share > HARMFUL_SHARE
+        )
         return explanation.level if is_harmful else Level.SAYS
 
 
@@ -157,7 +153,7 @@ class Contest:
         found: explanations that act in it.
 
     Attributes:
-        log: the fit, its rows with the columns of the explanations.
+        log: the fit with the explanations that are found, its rows with the columns of all.
         offered: the explanations.
     """
 
@@ -178,23 +174,26 @@ class Contest:
         fitted = self.log.fit
         terms = [explanation.term for explanation in self.offered]
         rows = log_rows(fitted.arm, fitted.recordings, fitted.point, terms)
-        self.log = LogFit(fitted, rows)
+        self.log = replace(self.log, rows=rows)
 
-    def score(self, current: Fit, explanation: Explanation, rows: LogRows) -> Score:
+    def score(self, explanation: Explanation) -> Score:
         """Return the score of an explanation; both fits have the noise that it leaves."""
-        terms = [*current.equations.terms, explanation.term]
         self._advance()
-        wider = rows.fit(terms, current, np.ones(len(current.noise)))
-        gain, log = compare(LogFit(current, rows), LogFit(wider, rows))
-        choices = float(np.log(explanation.choices))
-        return Score(explanation, gain - choices, current, log)
+        log = self.log
+        term = explanation.term
+        terms = [*log.fit.equations.terms, term]
+        wider = log.rows.fit(terms, log.fit, np.ones(len(log.fit.noise)))
+        after = replace(log, fit=wider, found=(*log.found, term))
+        gain, after = compare(log, after)
+        return Score(explanation, gain - np.log(explanation.choices), log.fit, after)
 
-    def ranked(self, current: Fit) -> list[Score]:
+    def ranked(self) -> list[Score]:
         """Return the scores of the best explanations that are possible, the largest gain first.
 
         Of those of one check and joint that differ in a setting, the best one counts. A fault makes
         noise slow, and hides in it: explanations are compared as if it were white.
         """
+        current = self.log.fit
         ones = np.ones(len(current.noise))
         white = self.log.rows.fit(current.equations.terms, current, ones)
         best: dict[object, tuple[float, Explanation]] = {}
@@ -203,10 +202,10 @@ class Contest:
                 gain = white.gain(explanation.term) - np.log(explanation.choices)
                 family = (*explanation.subject, len(explanation.term.names))
                 if gain > best.get(family, (_WORTH,))[0]:
-                    best[family] = float(gain), explanation
-        scores: list[Score] = []
+                    best[family] = gain, explanation
+        scores = []
         for _, explanation in sorted(best.values(), key=lambda pair: -pair[0]):
-            score = self.score(current, explanation, self.log.rows)
+            score = self.score(explanation)
             # Of all joints together, less torque has to be left over than without it.
             before, after = (
                 np.sum(each.sums.squared_residuals(each.full))
@@ -216,9 +215,9 @@ class Contest:
                 scores.append(score)
             if len(scores) == _REFITTED:
                 break
-        scores.sort(key=lambda score: -score.gain)
+        scores.sort(key=attrgetter("gain"), reverse=True)
         if scores and scores[0].gain > CLEAR:
-            scores[0] = self.refine(current, scores[0])
+            scores[0] = self.refine(scores[0])
         return scores
 
     def wrong_time(self, share: float) -> Iterator[Finding]:
@@ -227,18 +226,17 @@ class Contest:
         Nothing is yielded where the share is zero, or torques rather say that time is right.
         """
         clock = next(e for e in self.offered if e.term.cause == "clock")
-        value = float(self.score(self.log.fit, clock, self.log.rows).values[0][0])
+        value = self.score(clock).values[0][0]
         if abs(value - share) < abs(value):
             text, remedy = clock.describe(np.array([share]), np.zeros(1))
             text += ", and so do the recorded velocities"
             yield Finding(Level.REFUSES, "clock", text, remedy)
 
-    def refine(self, current: Fit, score: Score) -> Score:
+    def refine(self, score: Score) -> Score:
         """Return the best score that ``Explanation.nearby`` leads to, step by step."""
         while nearby := score.explanation.nearby():
             self.offer(nearby)
-            scores = [self.score(current, each, self.log.rows) for each in nearby]
-            better = max(scores, key=lambda each: each.gain)
+            better = max(map(self.score, nearby), key=attrgetter("gain"))
             if better.gain < score.gain:
                 break
             score = better
@@ -263,36 +261,35 @@ def findings(
         share: by which time is too long if recorded velocities are right; 0 where they say nothing.
         advance: is called after each explanation and correction that is tried.
     """
-    first = log = LogFit.of(robot, recordings, options)
-    if is_computed(log):
+    first = LogFit.of(robot, recordings, options)
+    if is_computed(first):
         text = "the torque follows rigid-body dynamics and has no friction: it was computed, or "
         text += "commanded, not measured"
         return [Finding(Level.DOUBTS, "computed", text, MEASURED)]
-    odd_unit = odd_unit_finding(log)
-    contest = Contest(log, advance)
+    odd_unit = odd_unit_finding(first)
+    contest = Contest(first, advance)
     if wrong_time := [*contest.wrong_time(share)]:
         return wrong_time
     rounds: list[list[Score]] = []
     corrected: list[Finding] = []
     while len(rounds) + len(corrected) < _MOST_ROUNDS:
-        ranked = contest.ranked(log.fit)
+        log = contest.log
+        ranked = contest.ranked()
         winner = ranked[0] if ranked and ranked[0].gain > CLEAR else None
         best = log if winner is None else winner.log
-        found = [scores[0].explanation for scores in rounds]
         tried: list[Correction] = []
         # Where the log fits with what was found, corrections were tried before.
         if not rounds or log.misfit > UNEXPLAINED or not log.is_plausible:
-            terms = [each.term for each in found]
             is_turned = bool(winner and winner.explanation.term.cause in LIKE_GRAVITY)
-            tried = corrections(log, best, terms, options, divided, is_turned, advance)
+            tried = corrections(log, best, divided, is_turned, advance)
         is_exchanged = bool(tried) and tried[0].finding.about in ("order", "tilt")
         # An exchange of joints also gives one of them torque that is far too large for it.
         if odd_unit and not corrected and not is_exchanged:
             return [odd_unit]
         if tried and is_better(tried[0], winner, best.is_plausible):
             corrected.append(tried[0].finding)
+            found = [scores[0].explanation for scores in rounds]
             contest = Contest(tried[0].log, advance, found)
-            log = contest.log
         elif winner is None:
             break
         else:
@@ -300,7 +297,7 @@ def findings(
             # Of equally likely ones, one with a single value joins the fit.
             ties.sort(key=lambda score: len(score.values[0]) > 1)
             rounds.append(ties)
-            log = ties[0].log
+            contest.log = replace(ties[0].log, rows=contest.log.rows)
     # No single cause takes that much of the weight.
     if not corrected and np.median(first.torque_ratio[first.loaded]) < SMALLER:
         text = "the torque has little of the links' weight: it may be external torque, left after "
@@ -309,28 +306,19 @@ def findings(
         return [Finding(Level.REFUSES, "gravity", text, remedy)]
     named = [*corrected, *name_causes(rounds[:MOST_NAMES])]
     if all(finding.level is Level.SAYS for finding in named):
-        terms = [scores[0].explanation.term for scores in rounds]
-        named += wrong_models(first, log, terms, options, divided)
+        named += wrong_models(first, contest.log, divided)
     return named
 
 
-def wrong_models(
-    first: LogFit,
-    last: LogFit,
-    found: Sequence[Term],
-    options: EstimationOptions,
-    divided: Array,
-) -> list[Finding]:
+def wrong_models(first: LogFit, last: LogFit, divided: Array) -> list[Finding]:
     """Return what is wrong as a whole, where no cause is named that forbids an estimate.
 
     Args:
         first: the fit of the log.
         last: that with all that is named.
-        found: explanations that act in it.
-        options: prior uncertainties of the estimate.
         divided: (n,) torque scales by which the torques were divided already.
     """
-    for correction in common_scale(last, found, options, divided):
+    for correction in common_scale(last, divided):
         if correction.log.misfit < max(UNEXPLAINED, last.misfit):
             return [correction.finding]
     robot = last.fit.arm.robot
@@ -356,8 +344,9 @@ def wrong_models(
         return [Finding(Level.DOUBTS, "model", text, remedy)]
     spread = first.fit.question.link_scales.mass
     if spread > ODD_LINKS:
+        link_prior = first.options.priors.link
         text = (
-            f"the links differ from the model by {percent(spread * PER_CENT * options.priors.link)}"
+            f"the links differ from the model by {percent(spread * PER_CENT * link_prior)}"
             " of their masses: it may be the model of a sibling of this arm; the standard errors "
             "of links before the last may be too small"
         )

@@ -127,7 +127,7 @@ def unusual_torque(
                 start = time[rows.start] - (margin if rows.start else lost)
                 stop = time[rows.stop - 1]
                 stop += margin if rows.stop < len(size) else lost
-                yield Stretch("contact", float(start), float(stop), joints)
+                yield Stretch("contact", start, stop, joints)
 
 
 def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
@@ -152,12 +152,12 @@ def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
         left = (rows[:, :, -1] - own @ values) * log.used
         for joint, residual in enumerate(left.T):
             used = np.abs(residual[log.used[:, joint]])
-            median = float(np.median(used)) if len(used) else 0.0
+            median = np.median(used) if len(used) else 0.0
             size[joint] = max(1.4826 * median, _LEAST_SIZE * typical[joint])
         distance = np.abs(left / size)
         weights = log.used / np.maximum(1.0, 0.5 * distance)
         weights[distance > _OUTLYING] = 0.0
-    return np.asarray(left / size)
+    return left / size
 
 
 def leave_out(
@@ -191,8 +191,8 @@ def leave_out(
             names = ", ".join(compress(joint_names, np.any(wrong[rows], axis=0)))
             text = "something touched the arm, or a sensor failed, "
             text += f"from {start:.2f} s to {stop:.2f} s ({names}): left out"
-            notes.append(Finding(Level.SAYS, str(checks[rows.start]), text))
-        left_out_count += int(np.sum(left_out))
+            notes.append(Finding(Level.SAYS, checks[rows.start], text))
+        left_out_count += np.sum(left_out)
         if not np.any(left_out):
             kept.append(piece)
         elif not np.all(left_out):

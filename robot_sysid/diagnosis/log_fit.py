@@ -7,14 +7,15 @@ parameters.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import names_of, split_name
+from robot_sysid.dynamics.equations import names_of
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Fit, correlation_times, fit, solve
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -37,7 +38,7 @@ FAR = 40.0
 def typical_torque(sums: Sums) -> Array:
     """Return the root mean square torque (J,), at least ``LEAST_TORQUE`` of the largest [N m]."""
     torque = sums.rms_torque
-    return np.asarray(np.maximum(torque, LEAST_TORQUE * np.max(torque)))
+    return np.maximum(torque, LEAST_TORQUE * np.max(torque))
 
 
 @dataclass(frozen=True)
@@ -77,18 +78,16 @@ class LogRows:
             logs=self.sums.logs[:1],
         )
 
-    def columns_of(self, names: Sequence[str]) -> Array:
-        """Return the columns (K, J, e) of named parameters."""
-        return self.columns[:, :, [self.sums.names.index(name) for name in names]]
-
-    def torque_of(self, names: Sequence[str], values: Array) -> Array:
+    def torque_of(self, names: Iterable[str], values: Array) -> Array:
         """Return the torque (K, J) of named parameters with values [N m]."""
-        return np.asarray(self.columns_of(names) @ values)
+        at = [self.sums.names.index(name) for name in names]
+        return self.columns[:, :, at] @ values
 
     def residuals(self, fitted: Fit) -> Array:
         """Return the residual torque (K, J) of a fit [N m]; NaN where a row is not used."""
-        names = np.array(fitted.sums.names)[fitted.full != 0.0].tolist()
-        predicted = self.torque_of(names, fitted.full[fitted.full != 0.0])
+        is_set = fitted.full != 0.0
+        names = compress(fitted.sums.names, is_set)
+        predicted = self.torque_of(names, fitted.full[is_set])
         return np.where(self.used, self.right_sides - predicted, np.nan)
 
     def fit(
@@ -116,7 +115,7 @@ class LogRows:
 
 def root_mean_square(torque: Array) -> Array:
     """Return the root mean square (J,) of torques (K, J)."""
-    return np.asarray(np.sqrt(np.mean(torque**2, axis=0)))
+    return np.sqrt(np.mean(torque**2, axis=0))
 
 
 def log_rows(
@@ -152,11 +151,11 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     equations = fitted.equations
     normal = equations.data(fitted.weights) + equations.prior
     values, inverse = solve(normal, equations.reference)
-    for name in set(names_of("coulomb", joints)).intersection(fitted.names):
-        row = joints.index(split_name(name)[1])
-        (at,) = fitted.at([name])
-        dry[row] = values[at]
-        error[row] = np.sqrt(max(inverse[at, at], 0.0))
+    for joint, name in enumerate(names_of("coulomb", joints)):
+        if name in fitted.names:
+            at = fitted.names.index(name)
+            dry[joint] = values[at]
+            error[joint] = np.sqrt(max(inverse[at, at], 0.0))
     return dry, error
 
 
@@ -165,7 +164,7 @@ def evidence(fitted: Fit) -> float:
     from scipy.special import log_ndtr
 
     dry, error = dry_friction(fitted)
-    return fitted.log_evidence + float(np.sum(log_ndtr(dry / error)))
+    return fitted.log_evidence + np.sum(log_ndtr(dry / error))
 
 
 def wide_priors(priors: Priors) -> Priors:
@@ -183,10 +182,19 @@ def wide_priors(priors: Priors) -> Priors:
 
 @dataclass(frozen=True)
 class LogFit:
-    """A log's fit and its rows."""
+    """A log's fit and its rows.
+
+    Attributes:
+        fit: of the log.
+        rows: of the log, with the columns of all terms.
+        options: prior uncertainties of the estimate, as the user gave them.
+        found: explanations that act in the log.
+    """
 
     fit: Fit
     rows: LogRows
+    options: EstimationOptions
+    found: tuple[Term, ...]
 
     @classmethod
     def of(
@@ -194,7 +202,7 @@ class LogFit:
         robot: RobotModel,
         recordings: Sequence[Recording],
         options: EstimationOptions,
-        found: Sequence[Term] = (),
+        found: tuple[Term, ...] = (),
     ) -> LogFit:
         """Return the fit of recordings with all that they decide on the question of the arm.
 
@@ -211,7 +219,7 @@ class LogFit:
         rows = log_rows(fitted.arm, fitted.recordings, fitted.point, found)
         if found:
             fitted = rows.fit([*fitted.equations.terms, *found], fitted)
-        return cls(fitted, rows)
+        return cls(fitted, rows, options, found)
 
     @cached_property
     def misfit_by_joint(self) -> Array:
@@ -231,18 +239,14 @@ class LogFit:
         slow = np.linalg.norm(self.misfit_by_joint * typical)
         return float(slow / np.linalg.norm(typical))
 
-    def _torque_of_model(self, causes: Sequence[str]) -> Array:
-        """Return the torque (K, J) that the model's values of some causes make [N m]."""
-        arm = self.rows.arm
-        present = [arm.terms[cause] for cause in causes if cause in arm.terms]
-        names = [name for term in present for name in term.names]
-        values = np.array([arm.model[name] for name in names])
-        return self.rows.torque_of(names, values)
-
     @cached_property
     def links_torque(self) -> Array:
         """Torque (K, J) of the model's links [N m]."""
-        return self._torque_of_model((LAST_LINK, LINKS))
+        arm = self.rows.arm
+        links = [arm.terms[name] for name in (LAST_LINK, LINKS) if name in arm.terms]
+        names = [name for term in links for name in term.names]
+        values = np.array([arm.model[name] for name in names])
+        return self.rows.torque_of(names, values)
 
     @property
     def model_torque(self) -> Array:
@@ -269,7 +273,7 @@ class LogFit:
     def last_mass(self) -> tuple[float, float]:
         """The last link's mass and its standard error [kg]."""
         at = self.fit.names.index("m")
-        return float(self.fit.free[at]), float(np.sqrt(self.fit.inverse[at, at]))
+        return self.fit.free[at], np.sqrt(self.fit.inverse[at, at])
 
     @property
     def is_plausible(self) -> bool:
@@ -285,7 +289,7 @@ class LogFit:
         for term, span in zip(self.fit.equations.terms, self.fit.equations.spans):
             if term.cause == LINKS and term.prior is not None:
                 values = np.append(self.fit.free[span], -1.0)
-                is_possible &= float(np.sum((term.prior.rows @ values) ** 2)) < FAR
+                is_possible &= np.sum((term.prior.rows @ values) ** 2) < FAR
         return is_possible
 
 
@@ -306,5 +310,5 @@ def compare(
     # A parameter without a prior is unknown in proportion to the torque, not in its unit.
     unknowns = sum(len(term.names) for term in terms if term.prior is None)
     independent = np.sum(before.rows.sums.counts, axis=0) / correlation
-    gain += unknowns * float(np.mean(density)) - float(np.sum(independent * density))
-    return gain, LogFit(refitted, after.rows)
+    gain += unknowns * np.mean(density) - np.sum(independent * density)
+    return gain, replace(after, fit=refitted)

@@ -30,10 +30,8 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.estimate.choose import CLEAR, common_factor
 from robot_sysid.estimate.links import AS_STATED
-from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import arm_question
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import Term
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Level, torque_unit, with_error
@@ -82,6 +80,8 @@ WEIGHING = (
     "1 kg (of another mass, state it), record a motion called weight, and compare"
 )
 """What to do where torques are motor currents; the command that compares follows the message."""
+UNCHANGED = ColumnCorrection((), (), ())
+"""The correction of columns that are right."""
 _ROUNDS = 4
 FINALISTS = 2
 """Number of mistakes that are corrected in a fit: those that the model's links follow best."""
@@ -117,12 +117,13 @@ def corrected(
     right = []
     for recording in recordings:
         signals = recording.signals
-        q, qd, qdd = (
-            columns.apply("position", values)
-            for values in (signals.q, signals.qd, signals.qdd)
+        signals = replace(
+            signals,
+            q=columns.apply("position", signals.q),
+            qd=columns.apply("position", signals.qd),
+            qdd=columns.apply("position", signals.qdd),
+            tau=columns.apply("torque", signals.tau),
         )
-        tau = columns.apply("torque", signals.tau)
-        signals = replace(signals, q=q, qd=qd, qdd=qdd, tau=tau)
         right.append(Recording(recording.name, signals))
         right[-1].__dict__["used"] = recording.used
     return right
@@ -134,7 +135,7 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Finding]:
     ``moving`` are the numbers of the joints that move: columns of a joint that stands still say
     nothing of whose they are.
     """
-    names = tuple(robot.joint_names)
+    names = robot.joint_names
     n = len(names)
     of_factors = ColumnCorrection.of_factors
 
@@ -143,11 +144,9 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Finding]:
         text: str,
         columns: ColumnCorrection,
         remedy: str = "put the columns right with --columns FILE",
-        *options: str,
     ) -> Finding:
         """Return the finding on columns that a correction puts right."""
-        ways = (options,) if options else ()
-        return Finding(Level.REFUSES, check, text, remedy, ways, correction=columns)
+        return Finding(Level.REFUSES, check, text, remedy, correction=columns)
 
     for quantities in (("torque",), ("position",), ("position", "torque")):
         subject = " and ".join(quantities)
@@ -172,7 +171,8 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Finding]:
     radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     columns = of_factors(radians, "position")
     text = "positions look like degrees"
-    yield mistake("angle-unit", text, columns, "pass --units deg", "--units", "deg")
+    degrees = mistake("angle-unit", text, columns, "pass --units deg")
+    yield replace(degrees, options=(("--units", "deg"),))
     yield mistake(
         "angle-unit",
         "positions look like radians that were taken for degrees",
@@ -185,8 +185,6 @@ def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Finding]:
 def corrections(
     log: LogFit,
     best: LogFit,
-    found: Sequence[Term],
-    options: EstimationOptions,
     divided: Array,
     is_of_gravity: bool,
     advance: Callable[[], object],
@@ -200,20 +198,17 @@ def corrections(
     Args:
         log: the fit of the log.
         best: the fit with the best explanation.
-        found: explanations that act in the log.
-        options: prior uncertainties of the estimate.
         divided: (n,) torque scales by which the torques were divided already.
         is_of_gravity: whether gravity in another direction may explain the log.
         advance: is called after each correction.
     """
-    tried = [wrong_columns(log, found, options)]
+    tried = [wrong_columns(log)]
     is_far = best.misfit > GROSS or not best.is_plausible
-    ratio = float(np.median(log.torque_ratio[log.loaded]))
+    ratio = np.median(log.torque_ratio[log.loaded])
     if is_far or abs(np.log(ratio)) > np.log(ODD):
-        tried.append(common_scale(log, found, options, divided))
-        tried.append(wrong_scales(log, found, options, divided))
+        tried += [common_scale(log, divided), wrong_scales(log, divided)]
     if is_of_gravity or (is_far and log.fit.arm.has_gravity):
-        tried.append(mounted(log, found, options))
+        tried.append(mounted(log))
     plausible = []
     for each in chain.from_iterable(tried):
         advance()
@@ -222,29 +217,25 @@ def corrections(
     return sorted(plausible, key=lambda correction: -correction.gain)
 
 
-def wrong_columns(
-    log: LogFit, found: Sequence[Term], options: EstimationOptions
-) -> Iterator[Correction]:
+def wrong_columns(log: LogFit) -> Iterator[Correction]:
     """Yield the corrections of mistakes that the arm follows better than the log as it is."""
     robot = log.fit.arm.robot
     counts = np.sum(log.rows.sums.counts, axis=0)
-    moving = [int(log.fit.arm.indices[row]) for row in np.flatnonzero(counts)]
+    moving = [log.fit.arm.indices[row] for row in np.flatnonzero(counts)]
     tried = [*mistakes(robot, moving)]
     level = gravity_vector(robot)
-    unchanged = ColumnCorrection.of_factors(np.ones(robot.n_joints))
-    columns = [each.correction or unchanged for each in tried]
-    as_is = agreement(log, found, unchanged, level)
-    scores = [agreement(log, found, each, level) for each in columns]
+    columns = [each.correction or UNCHANGED for each in tried]
+    as_is = agreement(log, UNCHANGED, level)
+    scores = [agreement(log, each, level) for each in columns]
     for number in np.argsort(scores)[::-1][:FINALISTS].tolist():
         if scores[number] > as_is + CLEAR:
             right = corrected(log.fit.recordings, columns[number])
-            gain, after = compare(log, LogFit.of(robot, right, options, found))
-            yield Correction(tried[number], gain - float(np.log(len(tried))), after)
+            after = LogFit.of(robot, right, log.options, log.found)
+            gain, after = compare(log, after)
+            yield Correction(tried[number], gain - np.log(len(tried)), after)
 
 
-def agreement(
-    log: LogFit, found: Sequence[Term], correction: ColumnCorrection, gravity: Array
-) -> float:
+def agreement(log: LogFit, correction: ColumnCorrection, gravity: Array) -> float:
     """Return how well torques follow the model's links, with corrected columns and gravity.
 
     It is a log likelihood: each joint's torque is a factor times that of the links but the last, a
@@ -253,7 +244,6 @@ def agreement(
 
     Args:
         log: the fit of the log.
-        found: explanations that act in it.
         correction: of the columns.
         gravity: (3,) [m/s^2].
     """
@@ -261,7 +251,7 @@ def agreement(
 
     arm = log.fit.arm
     robot = arm.robot
-    names = [name for term in found for name in term.names]
+    names = [name for term in log.found for name in term.names]
     explained = log.rows.torque_of(names, log.fit.free[log.fit.at(names)])
     every = max(1, len(explained) // COMPARED)
     torque = np.zeros((len(explained), robot.n_joints))
@@ -288,13 +278,11 @@ def agreement(
         columns = signed[:, joint] - basis @ (basis.T @ signed[:, joint])
         size = root_mean_square(columns[:, :-1]) + 1e-12
         left = nnls(columns[:, :-1] / size, columns[:, -1])[1] / np.sqrt(len(torque))
-        score -= len(torque) * float(np.log(max(left, least)))
+        score -= len(torque) * np.log(max(left, least))
     return score
 
 
-def mounted(
-    log: LogFit, found: Sequence[Term], options: EstimationOptions
-) -> Iterator[Correction]:
+def mounted(log: LogFit) -> Iterator[Correction]:
     """Yield the correction of a model whose base is mounted otherwise, if that is likely.
 
     From the likeliest of 26 directions, gravity is turned until the fit, which allows it a wide
@@ -302,23 +290,23 @@ def mounted(
     """
     robot = log.fit.arm.robot
     level = gravity_vector(robot)
-    size = float(np.linalg.norm(level))
+    size = np.linalg.norm(level)
     axes = np.array([axis for axis in product((-1.0, 0.0, 1.0), repeat=3) if any(axis)])
     directions = size * axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    unchanged = ColumnCorrection.of_factors(np.ones(robot.n_joints))
-    scores = [agreement(log, found, unchanged, g) for g in (level, *directions)]
-    gravity = (level, *directions)[int(np.argmax(scores))]
-    wide = replace(options, priors=replace(options.priors, gravity=WIDE_TILT))
+    gravities = (level, *directions)
+    gravity = max(gravities, key=lambda gravity: agreement(log, UNCHANGED, gravity))
+    priors = replace(log.options.priors, gravity=WIDE_TILT)
+    wide = replace(log.options, priors=priors)
     for _ in range(_TURNS):
         turned = with_gravity(robot, gravity)
-        after = LogFit.of(turned, log.fit.recordings, wide, found)
+        after = LogFit.of(turned, log.fit.recordings, wide, log.found)
         at = after.fit.at(TILT_NAMES)
         gravity = turn_gravity(gravity, after.fit.free[at])
-        cosine = float(np.clip(level @ gravity / size**2, -1.0, 1.0))
-        angle = float(np.degrees(np.arccos(cosine)))
+        cosine = np.clip(level @ gravity / size**2, -1.0, 1.0)
+        angle = np.degrees(np.arccos(cosine))
         if angle < LEAST_TURN:
             return
-    error = float(np.degrees(np.sqrt(np.max(np.diag(after.fit.inverse)[at]))))
+    error = np.degrees(np.sqrt(np.max(np.diag(after.fit.inverse)[at])))
     numbers = " ".join(f"{value:.2f}" for value in gravity + 0.0)
     text = f"gravity acts {with_error(angle, error, 'degrees')} from the model's: the base is "
     text += "mounted otherwise, on a wall or a ceiling"
@@ -327,15 +315,14 @@ def mounted(
         "body; URDF: rpy of the first joint's origin)"
     )
     finding = Finding(Level.REFUSES, "tilt", text, remedy)
-    yield Correction(finding, *compare(log, after))
+    gain, after = compare(log, after)
+    yield Correction(finding, gain, replace(after, options=log.options))
 
 
 # ---- torque scales
 
 
-def common_scale(
-    log: LogFit, found: Sequence[Term], options: EstimationOptions, divided: Array
-) -> Iterator[Correction]:
+def common_scale(log: LogFit, divided: Array) -> Iterator[Correction]:
     """Yield the correction of all masses by one factor, if they are clearly ``ODD`` times off.
 
     Torques do not tell it from torques that are all scaled. Arguments are as in ``corrections``.
@@ -350,12 +337,12 @@ def common_scale(
         if abs(np.log(factor)) < max(np.log(ODD), SURE * relative):
             return
         scaled = with_mass_scale(robot, factor)
-        after = LogFit.of(scaled, log.fit.recordings, options, found)
+        after = LogFit.of(scaled, log.fit.recordings, log.options, log.found)
         if abs(np.log(estimate)) < np.log(ODD):
             break
     if after is not log:
         gain, after = compare(log, after)
-        gain -= float(np.log(COMMON_RANGE / relative))
+        gain -= np.log(COMMON_RANGE / relative)
         yield Correction(common_finding(robot, factor, relative, divided), gain, after)
 
 
@@ -386,9 +373,7 @@ def common_finding(
     return Finding(Level.REFUSES, "torque-scale", text, remedy, ways)
 
 
-def wrong_scales(
-    log: LogFit, found: Sequence[Term], options: EstimationOptions, divided: Array
-) -> Iterator[Correction]:
+def wrong_scales(log: LogFit, divided: Array) -> Iterator[Correction]:
     """Yield the correction of torque scales of one per joint.
 
     Found by Gauss-Newton from the ratios of root mean square torques: torques are divided by the
@@ -400,16 +385,16 @@ def wrong_scales(
     scale[~log.loaded] = np.median(scale[log.loaded])
     if not SMALLER < np.median(scale) < LARGER:
         scale *= signs_of(log)
-    wide = replace(options, priors=replace(options.priors, scale=WIDE))
+    wide = replace(log.options, priors=replace(log.options.priors, scale=WIDE))
     # Links that explain the scales as they are would leave none to find.
     question = replace(log.fit.question, options=wide, link_scales=AS_STATED)
     point = arm.start()
     for _ in range(_ROUNDS):
         division = ColumnCorrection.of_factors(1.0 / scale, "torque")
         undone = corrected(log.fit.recordings, division)
-        rows = log_rows(arm, undone, point, found)
+        rows = log_rows(arm, undone, point, log.found)
         torque = rows.sums.rms_torque
-        terms = [*arm_question(arm, question, torque), *found]
+        terms = [*arm_question(arm, question, torque), *log.found]
         ones = np.ones(len(scale))
         fitted = rows.fit(terms, replace(log.fit, noise=0.05 * torque), ones)
         at = fitted.at(names_of("scale", arm.joints))
@@ -426,8 +411,7 @@ def wrong_scales(
     covariance = covariance[np.ix_(sure, sure)]
     precision = np.linalg.inv(covariance)
     own = np.log(np.abs(scale[sure]))
-    typical = float(np.exp(np.sum(precision @ own) / np.sum(precision)))
-    scale[~is_sure] = typical
+    scale[~is_sure] = np.exp(np.sum(precision @ own) / np.sum(precision))
     if np.ptp(own) < np.log(SAME) and np.all(scale > 0.0):
         return
     # Loss for scales that fit the data instead of being one: the prior's volume over that left.
@@ -436,10 +420,10 @@ def wrong_scales(
     penalty = 0.5 * (penalty + own @ np.linalg.solve(prior_covariance, own))
     division = ColumnCorrection.of_factors(1.0 / scale, "torque")
     undone = corrected(log.fit.recordings, division)
-    after = LogFit.of(arm.robot, undone, options, found)
+    after = LogFit.of(arm.robot, undone, log.options, log.found)
     gain, after = compare(log, after, np.log(np.abs(scale)))
     finding = scale_finding(log, scale, sure, divided)
-    yield Correction(finding, gain - float(penalty), after)
+    yield Correction(finding, gain - penalty, after)
 
 
 def signs_of(log: LogFit) -> Array:
@@ -461,9 +445,9 @@ def odd_unit_finding(log: LogFit) -> Finding | None:
     ratio = log.torque_ratio * log.model_torque / np.maximum(log.model_torque, least)
     if len(ratio) < 3:
         return None
-    joint = int(np.argmax(ratio))
-    typical = float(np.median(log.torque_ratio[log.loaded]))
-    factor = float(ratio[joint] / np.median(np.delete(ratio, joint)))
+    joint = np.argmax(ratio)
+    typical = np.median(log.torque_ratio[log.loaded])
+    factor = ratio[joint] / np.median(np.delete(ratio, joint))
     # A torque without gravity has a share of the model's at joints that carry weight.
     if factor < ODD_UNIT or typical < 0.6:
         return None
@@ -480,7 +464,7 @@ def scale_finding(
     """Return the finding on torque scales (n,), of which those with indices ``sure`` are found."""
     names = log.fit.arm.robot.joint_names
     known = np.abs(scale[sure])
-    typical = float(np.median(known))
+    typical = np.median(known)
     listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
     text = f"torque reads {typical:.3g} times what the model takes ({listed}): "
     off = np.max(np.abs(np.log(known)))

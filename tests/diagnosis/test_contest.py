@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -44,8 +45,10 @@ def test_each_explanation_is_found_with_the_value_that_is_put_in(contest):
         added = rows.torque_of(term.names, value)
         spoilt.__dict__["torque"] = recording.torque + added
         wrong = log_rows(right.arm, [spoilt], right.point, [term])
-        score = contest.score(right, explanation, wrong)
-        unspoilt = contest.score(right, explanation, rows)
+        spoilt_contest = copy(contest)
+        spoilt_contest.log = replace(contest.log, rows=wrong)
+        score = spoilt_contest.score(explanation)
+        unspoilt = contest.score(explanation)
         found, _ = score.values
         at = score.log.fit.at(term.names)
         covariance = score.log.fit.inverse[np.ix_(at, at)]
