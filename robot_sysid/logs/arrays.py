@@ -62,17 +62,15 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         listed = ", ".join(shapes) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
     n_rows = statistics.mode(lengths)
-    samples = {}
+    titles = []
+    samples = []
     for name, values in columns.items():
         rows = values if len(values) == n_rows else values.T
         if len(rows) == n_rows:
-            samples[name] = rows.reshape(n_rows, -1)
-    titles = []
-    for name, rows in samples.items():
-        width = rows.shape[1]
-        titles += [f"{name}[{k}]" for k in range(width)] if width > 1 else [name]
-    blocks = partial(array_blocks, list(samples.values()))
-    return LogTable(path, layout, tuple(titles), blocks)
+            width = rows.size // n_rows
+            titles += [f"{name}[{k}]" for k in range(width)] if width > 1 else [name]
+            samples.append(rows.reshape(n_rows, width))
+    return LogTable(path, layout, tuple(titles), partial(array_blocks, samples))
 
 
 def can_be_column(array: Any) -> bool:
@@ -186,7 +184,7 @@ def lerobot_table(source: LogSource) -> LogTable:
         names = _as_mapping(descriptions.get(feature)).get("names")
         if feature_titles := _lerobot_titles(names, feature):
             titles[feature] = feature_titles
-    columns = ["timestamp [s]", *chain.from_iterable(titles.values())]
+    columns = ["timestamp [s]", *chain(*titles.values())]
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{path} has no Parquet files in data/; {_DOWNLOAD}")

@@ -133,9 +133,10 @@ def read_columns_file(path: Path, joint_names: Sequence[str]) -> ColumnChoices:
     units = parse_units(values["units"]) if "units" in values else ColumnChoices()
     rate = None
     if "rate" in values:
+        rate = 0.0
         with contextlib.suppress(ValueError):
             rate = float(values["rate"])
-        if rate is None or not 0.0 < rate < math.inf:
+        if not 0.0 < rate < math.inf:
             raise InputError(
                 f"{path}: rate must be a positive number of samples per second"
             )
@@ -164,7 +165,7 @@ def _titles_by_joint(
         )
     if joint or value == "none":
         return dict.fromkeys([joint] if joint else joint_names, value)
-    titles = list(map(str.strip, value.split(",")))
+    titles = [title.strip() for title in value.split(",")]
     if len(titles) != len(joint_names):
         joints = count_text(len(joint_names), "joint")
         listed = count_text(len(titles), "column")
@@ -225,7 +226,7 @@ class ColumnMap:
     def columns(self) -> list[Column]:
         """Return all columns: time, where there is one, then ``groups`` one after the other."""
         time = [self.time] if self.time else []
-        return [*time, *chain.from_iterable(self.groups())]
+        return [*time, *chain(*self.groups())]
 
     def describe(self) -> tuple[str, ...]:
         """Return one sentence on the columns that are used, and one on the others."""

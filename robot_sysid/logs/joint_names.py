@@ -124,9 +124,9 @@ class _NameSet:
         cores: (n,) the pieces between these, by which each joint is told apart.
     """
 
-    names: tuple[str, ...]
+    names: Sequence[str]
     frame: Frame
-    cores: tuple[NamePieces, ...]
+    cores: Sequence[NamePieces]
 
     @classmethod
     def of(cls, names: Sequence[str]) -> _NameSet:
@@ -136,10 +136,12 @@ class _NameSet:
         reversed_ends = [pieces[len(front) :][::-1] for pieces in cores]
         back = tuple(os.path.commonprefix(reversed_ends))[::-1]
         short_cores = [tuple(end[len(back) :])[::-1] for end in reversed_ends]
+        frame = front, back
         if len(names) == 1 or not all(short_cores):
             # Of one name, or where one is all that the others share, whole names count.
-            return cls(tuple(names), ((), ()), tuple(cores))
-        return cls(tuple(names), (front, back), tuple(short_cores))
+            frame = (), ()
+            short_cores = cores
+        return cls(names, frame, short_cores)
 
     def frames_in(self, names: Sequence[str]) -> dict[Frame, NamesByCore]:
         """Return the frame of each core in names."""
@@ -185,7 +187,6 @@ def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame
 
 def are_opposite_sides(pieces: set[str], other_pieces: set[str]) -> bool:
     """Return whether the pieces of two names say that they are those of two arms of a robot."""
-    for side, other_side in _OPPOSITE_SIDES:
-        if side in pieces - other_pieces and other_side in other_pieces - pieces:
-            return True
-    return False
+    own = pieces - other_pieces
+    others = other_pieces - pieces
+    return any(side in own and other in others for side, other in _OPPOSITE_SIDES)

@@ -206,7 +206,7 @@ def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str
 
 def _can_be_row(line: str) -> bool:
     """Return whether a line may be a row of a table; an empty or a binary one is none."""
-    has_control = any(mark < " " and mark != "\t" for mark in line)
+    has_control = re.search(r"[\0-\x08\n-\x1f]", line)
     return len(line) < _LONGEST_LINE and not has_control and bool(line.strip())
 
 
@@ -260,7 +260,7 @@ def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
             numbers.append(number)
             rows.append(row)
         if rows:
-            yield Block(np.array(numbers), np.array(rows), complaint, share_read=share)
+            yield Block(np.array(numbers), np.array(rows), complaint, share)
 
 
 def _read_plain_rows(dialect: Dialect, lines: Sequence[str]) -> Array | None:

@@ -163,7 +163,7 @@ class Title:
         tokens = {*self.tokens}
         named = {QUANTITY_OF_TOKEN[t] for t in tokens if t in QUANTITY_OF_TOKEN}
         # This may mean "present" as well.
-        has_current = bool(_CURRENT & tokens)
+        has_current = _CURRENT & tokens
         if self.is_commanded:
             marks = tokens & (_COMMANDED - _FEED_FORWARD)
             # A bare d is too short to stand for a command without a position beside it.
@@ -318,7 +318,7 @@ def joint_quantity(title: Title) -> str | None:
     if title.quantity != "time":
         return title.quantity
     # A bare "t" beside a joint could as well be its torque or temperature.
-    is_stamp = bool({*title.tokens} & {"time", "stamp", "timestamp"})
+    is_stamp = {*title.tokens} & {"time", "stamp", "timestamp"}
     return "joint_time" if is_stamp else None
 
 
