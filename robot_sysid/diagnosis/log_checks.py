@@ -63,8 +63,8 @@ def slow_findings(
     robot: RobotModel, recordings: Sequence[Recording]
 ) -> Iterator[Finding]:
     """Yield a finding where no speed reaches ``SLOWEST``, too slow for friction."""
-    speeds = np.concatenate([np.abs(each.motion.qd) for each in recordings])
-    fastest = np.max(speeds, axis=0)
+    speeds = np.concatenate([each.motion.qd for each in recordings])
+    fastest = np.max(np.abs(speeds), axis=0)
     joint = np.argmax(fastest)
     if fastest[joint] < SLOWEST:
         unit = position_unit(robot.is_slide[joint])
@@ -128,7 +128,7 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     # Speeds and durations are relative to those of the steps around, see ``_steps``.
     is_long = duration > _JUMP
     is_jump = is_long & (speed * duration < _NO_WAY) & (speed > 0.0)
-    jumps = int(np.count_nonzero(is_jump))
+    jumps = np.sum(is_jump)
     speed[is_long] = 1.0
     lost = float(np.mean((speed > LOST[0]) & (speed < LOST[1])))
     # A lost sample doubles the speed; noise makes smaller excesses, too, and more of them.
@@ -327,7 +327,7 @@ def low_pass(pieces: Sequence[Measurement], cutoff: float | None) -> list[Record
     for piece in spread_windows(pieces):
         log_piece = LogPiece.of(piece)
         cutoff_hz = min(cutoff or CUTOFF_SHARE * log_piece.choice.cutoff, CUTOFF_HZ)
-        signals.append(process(log_piece, joint_names=(), cutoff=cutoff_hz))
+        signals.append(process(log_piece, cutoff=cutoff_hz))
     check_losses(signals)
     return [Recording("log", piece) for piece in signals]
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations, product
+from itertools import chain, combinations, compress, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +129,7 @@ def corrected(
     return right
 
 
-def mistakes(robot: RobotModel, moving: Sequence[int]) -> Iterator[Finding]:
+def mistakes(robot: RobotModel, moving: NDArray[np.int64]) -> Iterator[Finding]:
     """Yield every mistake in signs, order and units of angles that is tried, with its correction.
 
     ``moving`` are the numbers of the joints that move: columns of a joint that stands still say
@@ -210,7 +210,7 @@ def corrections(
     if is_of_gravity or (is_far and log.fit.arm.has_gravity):
         tried.append(mounted(log))
     plausible = []
-    for each in chain.from_iterable(tried):
+    for each in chain(*tried):
         advance()
         if each.log.is_plausible and each.log.misfit < max(0.7 * log.misfit, LITTLE):
             plausible.append(each)
@@ -221,8 +221,7 @@ def wrong_columns(log: LogFit) -> Iterator[Correction]:
     """Yield the corrections of mistakes that the arm follows better than the log as it is."""
     robot = log.fit.arm.robot
     counts = np.sum(log.rows.sums.counts, axis=0)
-    moving = [log.fit.arm.indices[row] for row in np.flatnonzero(counts)]
-    tried = [*mistakes(robot, moving)]
+    tried = [*mistakes(robot, log.fit.arm.indices[counts > 0])]
     level = gravity_vector(robot)
     columns = [each.correction or UNCHANGED for each in tried]
     as_is = agreement(log, UNCHANGED, level)
@@ -476,9 +475,9 @@ def scale_finding(
     correction = None
     if np.any(scale < 0.0):
         correction = ColumnCorrection.of_factors(np.sign(scale), "torque")
-        opposite = ", ".join(name for name, s in zip(names, scale) if s < 0.0)
+        opposite = ", ".join(compress(names, scale < 0.0))
         text += f"of {opposite} with the opposite sign; "
-    start = [format(value, ".4g") for value in np.abs(scale) * divided]
+    start = [f"{value:.4g}" for value in np.abs(scale) * divided]
     options = ("--torque-scale", ",".join(start))
     text += (
         "a factor of its own for every joint, as motor currents or per cent of rated "
