@@ -34,8 +34,8 @@ from robot_sysid.signals.resampling import RECORDING_SEPARATION
 
 def array_blocks(arrays: Sequence[Array], columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of arrays, (N,) or (N, k), side by side, with the columns of these indices."""
-    cells = np.column_stack(arrays)[:, list(columns)].astype(float)
-    yield Block(np.arange(len(cells)) + 1, cells)
+    cells = np.column_stack([np.asarray(array, dtype=float) for array in arrays])
+    yield Block(np.arange(len(cells)) + 1, cells[:, list(columns)])
 
 
 def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
