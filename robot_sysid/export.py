@@ -10,12 +10,12 @@ import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO, Union
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.model.compilation import warnings_as_notes
-from robot_sysid.records import Motion, file_access
+from robot_sysid.records import file_access
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.messages import Level, NextStep, Progress, says
 from robot_sysid.results.cards import card_text, number_groups
@@ -44,8 +44,8 @@ RESULT_NAMES = (
     "report.html",
 )
 """Result files of all commands and releases; a planned motion is no result."""
-MotorFile = Callable[[TextIO], "DamiaoExportReport"]
-"""Writes the motor trajectory into an open file and returns a report on it."""
+MotorFile = Callable[[Union[Path, TextIO]], "DamiaoExportReport"]
+"""Writes the motor trajectory to a path or into an open file and returns a report on it."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,6 @@ def writable_folder(folder: Path, progress: Progress) -> Iterator[None]:
 def save(
     result: Result,
     folder: Path,
-    checkpoints: Motion,
     progress: Progress,
     *,
     mesh_dir: Path | None = None,
@@ -98,8 +97,8 @@ def save(
     which says why. An error before files take their places leaves the folder as it was.
 
     Args:
+        result: with ``checkpoints``, on which the written model must reproduce the predicted torque.
         folder: the output folder, in which files of earlier runs are removed.
-        checkpoints: motion on which the written model must reproduce the predicted torque.
         progress: receives notes on the written files.
         mesh_dir: the user's mesh folder, if any.
         as_body: name of a new body for the payload; None merges it into the terminal link.
@@ -126,8 +125,9 @@ def save(
     with file_access.atomic_files() as files:
         if failure is None and not is_calibration:
             # Drafted first, the model appears last: what the other files say then holds for it.
+            assert result.checkpoints is not None
             target = ModelTarget(
-                files, folder, checkpoints, result.estimate.rmse, mesh_dir
+                files, folder, result.checkpoints, result.estimate.rmse, mesh_dir
             )
             try:
                 written, notes = _write_models(result, target, as_body)

@@ -60,7 +60,8 @@ def out(tmp_path):
 def save_result(robot, result, out, progress=None, **options):
     """Save a result as a run does."""
     progress = progress or NoteRecorder()
-    return save(result, out, checkpoints(robot), progress, **options)
+    result = replace(result, checkpoints=checkpoints(robot))
+    return save(result, out, progress, **options)
 
 
 def heavier(robot):

@@ -227,8 +227,7 @@ def plan(model: Model, **options: Any) -> PlanResult:
     Raises:
         InputError: an option or the model cannot be used.
     """
-    path = path_of(model)
-    config = PlanConfig.of(path, **options)
+    config = PlanConfig.of(path_of(model), **options)
     with _quietly() as notes:
         robot = load_arm(config, notes)
         checked = design_motion(config, robot, notes)
@@ -315,16 +314,14 @@ def joint_torque_regressor(
     for name, signal in (("q", q), ("qd", qd), ("qdd", qdd)):
         samples = np.atleast_2d(np.asarray(signal, dtype=float))
         motion.append(checked_array(samples, (None, n), name))
-    velocity = motion[1]
-    acceleration = motion[2]
-    if not len(motion[0]) == len(velocity) == len(acceleration):
+    position, velocity, acceleration = motion
+    if not len(position) == len(velocity) == len(acceleration):
         raise InputError("q, qd and qdd need the same number of samples")
     link_indices = [k for k, link in enumerate(robot.links) if link.has_mass]
     columns = [LinkDynamics(robot).motion(*motion).columns(link_indices)]
-    theta = []
+    theta = [robot.thetas[link_indices].ravel()]
     names: list[str] = []
     for k in link_indices:
-        theta.append(robot.links[k].theta)
         names += link_names(robot, k)
     joint_terms = (
         ("armature", acceleration, robot.armature),

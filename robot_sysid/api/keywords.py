@@ -27,8 +27,15 @@ from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import InMemory, file_of, is_in_memory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel
-from robot_sysid.records import option_fields as option_records
-from robot_sysid.records.option_fields import Option, default_of, options_of, value_text
+from robot_sysid.records.option_fields import (
+    Option,
+    default_of,
+    given_values,
+    options_of,
+    record_from,
+    refuse_unknown,
+    value_text,
+)
 
 Model = Union[str, "os.PathLike[str]", InMemory]
 """Path of an MJCF or URDF file, or a model of MuJoCo's."""
@@ -54,15 +61,9 @@ def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
     Raises:
         InputError: it is no model, or cannot be read.
     """
-    options = option_records.record_from(ModelOptions, values)
+    options = record_from(ModelOptions, values)
     source = model if is_in_memory(model) else path_of(model)
-    return load_robot_model(
-        source,
-        options.mesh_dir,
-        options.joint,
-        keyframe=options.keyframe,
-        mass_scale=options.mass_scale,
-    )
+    return load_robot_model(source, **given_values(options))
 
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -97,9 +98,8 @@ def with_keywords(
         """Return a function that checks its keywords and then calls the decorated one."""
         signature = inspect.signature(function)
         parameters = dict(signature.parameters)
-        parameters.pop("options", None)
-        own_keys = {*parameters}
-        for key in own_keys:
+        del parameters["options"]
+        for key in parameters:
             flag = "--" + key.replace("_", "-")
             _KEYWORDS.setdefault(flag, Option(flag, ""))
         helps = []
@@ -111,7 +111,7 @@ def with_keywords(
                 if is_left_out or not option.flag.startswith("-"):
                     continue
                 _KEYWORDS[option.flag] = option
-                if key in own_keys:
+                if key in parameters:
                     continue
                 default = defaults.get(key, default_of(record, field_name))
                 parameters[key] = inspect.Parameter(
@@ -123,10 +123,10 @@ def with_keywords(
         def call(*arguments: Any, **keywords: Any) -> Any:
             """Raise InputError for an unknown keyword; else call the function."""
             with in_python():
-                option_records.refuse_unknown(keywords, parameters)
+                refuse_unknown(keywords, parameters)
                 return function(*arguments, **keywords)
 
-        full_signature = signature.replace(parameters=list(parameters.values()))
+        full_signature = signature.replace(parameters=[*parameters.values()])
         call.__signature__ = full_signature  # type: ignore[attr-defined]
         call.__doc__ = _with_keyword_help(function.__doc__ or "", helps)
         return call  # type: ignore[return-value]
@@ -191,8 +191,11 @@ def in_python() -> Iterator[None]:
 _KEYWORDS: dict[str, Option] = {}
 """Flag of the command line to the option that is a keyword of a function."""
 _WORD = r"'[^']*'|(?!--)(?:[^\s;:()',.]|[,.](?=[^\s;:()',.]))+"
-_OPTION = re.compile(rf"(?<![\w-])(--[a-z][a-z-]*[a-z])(?: ({_WORD}))?")
-"""An option, and the word behind it without the punctuation that ends its clause."""
+_OPTION = re.compile(
+    rf"^  robot-sysid .*|(?<![\w-])(--[a-z][a-z-]*[a-z])(?: ({_WORD}))?", re.MULTILINE
+)
+"""A command on a line of its own; or an option, and the word behind it without the punctuation that
+ends its clause."""
 _NUMBERS = re.compile(r"[-\d.e+x,]*\d")
 _REPEATED = re.compile(r'\b(\w+)=("[^"]*")((?: \1="[^"]*")+)')
 """A keyword with a text, and the same keyword with other texts."""
@@ -205,26 +208,21 @@ def python_words(text: str) -> str:
 
     A command on a line of its own stays one, and so do options that no function here has.
     """
-    lines = []
-    for line in text.split("\n"):
-        if not line.startswith("  robot-sysid "):
-            line = _OPTION.sub(_keyword_text, line)
-            line = _REPEATED.sub(_list_text, line)
-        lines.append(line)
-    return "\n".join(lines)
+    return _REPEATED.sub(_list_text, _OPTION.sub(_keyword_text, text))
 
 
 def _keyword_text(match: re.Match[str]) -> str:
     """Return an option as a keyword, with the word behind it as its value if it is one.
 
     Numbers and choices are known by the option; another text is a value if its clause ends with it.
+    A command is returned as it is.
     """
     option = _KEYWORDS.get(match[1])
     if option is None:
         return match[0]
     word = match[2] or ""
     text = word.strip("'")
-    is_number = not {Real, Integral}.isdisjoint(option.types)
+    is_number = option.types[0] in (Real, Integral)
     if word in _PLACEHOLDERS or (is_number and _NUMBERS.fullmatch(word)):
         value = f"[{word.replace(',', ', ')}]" if "," in word else word
         return f"{option.key}={value}"

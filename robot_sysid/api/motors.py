@@ -72,11 +72,10 @@ def play(
             may still be enabled.
     """
     with _motor_file(trajectory) as (path, plan_options):
-        values: dict[str, Any] = {**plan_options}
+        values = {"trajectory": path, "joint_map": joint_map, **plan_options, **options}
         if model is not None:
             values["model"] = path_of(model)
-        values.update(options)
-        run = execution.MotorRun({"trajectory": path, "joint_map": joint_map, **values})
+        run = execution.MotorRun(values)
         plan = run.plan()
         require_no_stop(run.checks(plan), "not played")
         with run.open_simulated(plan) if simulate else run.open_guarded() as link:
@@ -118,10 +117,6 @@ def _motor_file(
             "the plan is for no motors; give rs.plan export_damiao and motor_type"
         )
     arm_options = {"model": config.model.path, **given_values(config.model)}
-    with (
-        temporary_folder() as folder,
-        open(folder / DAMIAO_NAME, "w", encoding="utf-8") as file,
-    ):
-        write(file)
-        file.flush()
+    with temporary_folder() as folder:
+        write(folder / DAMIAO_NAME)
         yield folder / DAMIAO_NAME, arm_options

@@ -13,7 +13,11 @@ from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.records.messages import NextStep
-from robot_sysid.records.option_fields import command_arguments, record_from
+from robot_sysid.records.option_fields import (
+    command_arguments,
+    given_values,
+    record_from,
+)
 
 INTERRUPTED = "interrupted; nothing was written"
 """What is said where the user interrupts the command."""
@@ -88,12 +92,7 @@ def _check_log(
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
-    robot = load_robot_model(
-        model_path,
-        model_options.mesh_dir,
-        model_options.joint,
-        mass_scale=model_options.mass_scale,
-    )
+    robot = load_robot_model(model_path, **given_values(model_options))
     log = open_log(robot, path, log_options, console)
     console.stage(*map(str, log.notes))  # As plain text: details are printed here.
     count = len(log.samples)

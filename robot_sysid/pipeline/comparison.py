@@ -72,20 +72,18 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
     logs = []
     pieces = []
     estimates = []
-    for config, is_second in zip(configs, (False, True)):
+    for config, order in zip(configs, (-1.0, 1.0)):
         estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
         estimates.append(estimation)
         for path in config.log.measurements:
             progress.stage(f"Reading {path}...")
             log = open_log(robot, path, config.log)
             # The run has accepted it: what is left out of it counts, not what is said of it.
-            accept = config.log.accept
-            log = check_log(robot, log, accept, Progress(), estimation)
+            log = check_log(robot, log, config.log.accept, Progress(), estimation)
             logs.append(log)
             for samples in log.pieces:
                 samples = replace(samples, qd=None)
-                order = 1.0 if is_second else -1.0
-                pieces.append(Piece(str(log.path), samples, is_second, order))
+                pieces.append(Piece(str(log.path), samples, order > 0.0, order))
     refuse_repeated_logs(logs)
     progress.stage("Fitting both runs at once...")
     estimation = replace(estimates[0], torques="chain", no_friction=False)
@@ -122,9 +120,7 @@ def changes(fitted: Fit) -> Iterator[Quantity]:
         ("m", "hx", "hy", "hz"), PARAMETER_UNITS, values, errors
     ):
         reason = DIFFERS if min(distance, abs(value) / error) > SURE else ""
-        yield Quantity(
-            name, body, unit, None, float(value), float(error), reason=reason
-        )
+        yield Quantity(name, body, unit, None, value, error, reason=reason)
     joints = fitted.arm.joints
     at = fitted.at(names_of("drift", joints))
     # Friction is 1 - d in the first run and 1 + d in the second: the logarithm of their ratio.
@@ -138,7 +134,7 @@ def changes(fitted: Fit) -> Iterator[Quantity]:
     yield _friction(ALL_JOINTS, common, error, is_common)
     apart = np.abs(logarithms - common * is_common) > SURE * spreads
     for joint, logarithm, error, differs in zip(joints, logarithms, errors, apart):
-        yield _friction(joint, logarithm, error, bool(differs))
+        yield _friction(joint, logarithm, error, differs)
 
 
 def _friction(of: str, logarithm: float, error: float, differs: bool) -> Quantity:

@@ -62,9 +62,14 @@ def identify_payload(
     cutoff = config.estimation.cutoff
     datasets, notes = _datasets(robot, logs, is_loaded, order, cutoff)
     if not drifts:
-        notes = (
-            *notes,
-            _no_drift_note(len(logs), is_order_known=positions is not None),
+        reason = "in this order it looks like a payload"
+        if positions is None and len(logs) != 2:
+            reason = (
+                "the order in which they were recorded is not known (--order tells it)"
+            )
+        notes.append(
+            f"a drift of friction over the {len(logs)} logs is not estimated, nor in the ±: "
+            f"{reason}; record in the order empty, loaded, loaded, empty (--order ABBA)"
         )
     progress.note(*notes)
     question = Question(
@@ -91,7 +96,7 @@ def _datasets(
     is_loaded: NDArray[np.bool_],
     positions: Array,
     cutoff: float | None,
-) -> tuple[list[Recording], tuple[str, ...]]:
+) -> tuple[list[Recording], list[str]]:
     """Return logs as low-passed signals, and notes on them.
 
     Args:
@@ -107,18 +112,7 @@ def _datasets(
             pieces.append(Piece(str(log.path), samples, loaded, position))
     datasets, filter_notes = low_pass_recordings(robot, pieces, cutoff)
     notes = shared_notes({str(log.path): log.notes for log in logs})
-    return datasets, (*notes, *filter_notes)
-
-
-def _no_drift_note(count: int, is_order_known: bool) -> str:
-    """Return the sentence that says why no drift of friction is estimated from logs, so many."""
-    reason = "in this order it looks like a payload"
-    if not is_order_known and count != 2:
-        reason = "the order in which they were recorded is not known (--order tells it)"
-    return (
-        f"a drift of friction over the {count} logs is not estimated, nor in the ±: {reason}; "
-        "record in the order empty, loaded, loaded, empty (--order ABBA)"
-    )
+    return datasets, [*notes, *filter_notes]
 
 
 def _read_logs(
@@ -140,9 +134,10 @@ def _read_logs(
         for path in paths:
             progress.stage(f"Reading {side} log {path}...")
             log = open_log(robot, path, config.log, progress)
-            accept = config.log.accept
             options = config.estimation
-            log = check_log(robot, log, accept, progress, options, links_known=False)
+            log = check_log(
+                robot, log, config.log.accept, progress, options, links_known=False
+            )
             logs.append(log)
     refuse_repeated_logs(logs)
     return logs

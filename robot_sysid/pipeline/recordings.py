@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -55,26 +55,26 @@ def identify_logs(
         InputError: a log cannot be read or is refused.
     """
     options = config.log
-    logs = []
+    read = []
     for path in options.measurements:
         progress.stage(f"Reading measurements from {path}...")
-        logs.append(open_log(robot, path, options, progress))
-    tests = []
+        read.append(open_log(robot, path, options, progress))
     if options.validation_measurements is not None:
         path = options.validation_measurements
-        tests.append(open_log(robot, path, options, progress))
-    read = [*logs, *tests]
+        read.append(open_log(robot, path, options, progress))
     refuse_repeated_logs(read)
     checked: list[MeasurementLog] = []
     for log in read:
         log = check_log(robot, log, options.accept, progress, config.estimation)
         checked.append(log)
-    logs, tests = checked[: len(logs)], checked[len(logs) :]
+    n_logs = len(options.measurements)
+    logs = checked[:n_logs]
+    tests = checked[n_logs:]
     for test in tests:
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
     origin = origin_of(logs)
-    notes = tuple(shared_notes({str(log.path): log.notes for log in logs}))
+    notes = shared_notes({str(log.path): log.notes for log in logs})
     pieces = []
     for log in logs:
         for samples in log.pieces:
@@ -128,7 +128,7 @@ def _identify_pieces(
     robot: RobotModel,
     pieces: list[Piece],
     origin: DataOrigin,
-    notes: Sequence[str],
+    notes: Iterable[str],
     progress: Progress,
     tests: Sequence[MeasurementLog] = (),
 ) -> Result:

@@ -44,7 +44,7 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
         return step_after(
             "part bolted on",
             model=model,
-            log=[str(log) for log in config.log.measurements],
+            log=list(map(str, config.log.measurements)),
             options=arm + given_arguments(config.log, _READING),
             folder=folder,
         )

@@ -26,7 +26,6 @@ from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, split_n
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
-from robot_sysid.motion import LimitOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.planning import (
     design_motion,
@@ -40,7 +39,7 @@ from robot_sysid.records import ITSELF, DataOrigin, Estimate, MotionPlan, RobotM
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.messages import Detail, Progress, says, term_unit
-from robot_sysid.records.option_fields import write_torque_scale
+from robot_sysid.records.option_fields import given_values, write_torque_scale
 from robot_sysid.results.quantities import body_quantities, without_rounding
 from robot_sysid.results.record import LINK, Quantity, Result, Verdict
 from robot_sysid.results.verification import CHECKPOINTS
@@ -97,17 +96,10 @@ def load_arm(config: Config, progress: Progress) -> RobotModel:
     """
     model = config.model
     progress.stage(f"Loading robot model from {model.path}...")
-    max_velocity = LimitOptions.max_velocity
+    options = given_values(model)
     if isinstance(config, MotionConfig):
-        max_velocity = config.limits.max_velocity
-    robot = load_robot_model(
-        model.path,
-        model.mesh_dir,
-        model.joint,
-        max_velocity,
-        model.keyframe,
-        model.mass_scale,
-    )
+        options["max_velocity"] = config.limits.max_velocity
+    robot = load_robot_model(model.path, **options)
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     progress.note(*robot.notes)
     progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
@@ -197,9 +189,6 @@ def write_results(
         progress: receives stages, and notes on the written files.
         plan: the motion that a simulation followed.
     """
-    assert result.checkpoints is not None
-    robot = result.robot
-    mesh_dir = config.model.mesh_dir
     folder = config.output.output_dir
     as_body = None
     card_choice = AUTO
@@ -211,13 +200,12 @@ def write_results(
         scale_path = config.payload.save_torque_scale
     elif isinstance(config, MotionConfig) and plan is not None:
         rate = config.trajectory.sample_rate
-        motor_file = motor_writer(config.motors, robot, plan, rate)
+        motor_file = motor_writer(config.motors, result.robot, plan, rate)
     written = save(
         result,
         folder,
-        result.checkpoints,
         progress,
-        mesh_dir=mesh_dir,
+        mesh_dir=config.model.mesh_dir,
         as_body=as_body,
         card_choice=card_choice,
         motor_file=motor_file,
@@ -226,8 +214,10 @@ def write_results(
         step=step_after_run(config, result),
     )
     if scale_path is not None and written.failure is None and result.payload:
-        rows = [row for row in result.quantities if row.name == "torque_scale"]
-        scales = {row.of: (row.value, row.error or 0.0) for row in rows}
+        scales = {}
+        for row in result.quantities:
+            if row.name == "torque_scale":
+                scales[row.of] = row.value, row.error or 0.0
         write_torque_scale(scale_path, scales)
     if result.traces and (config.output.report or result.is_measured):
         from robot_sysid.report import runs
@@ -304,8 +294,7 @@ def self_test_verdict(estimate: Estimate) -> Verdict:
     """
     errors = estimate.standard_errors
     mass_error = np.inf if errors is None else errors[0]
-    largest = max(_NEGLIGIBLE_MASS_ERROR, 0.5 * estimate.inertial.mass)
-    if np.isfinite(mass_error) and mass_error > largest:
+    if max(_NEGLIGIBLE_MASS_ERROR, 0.5 * estimate.inertial.mass) < mass_error < np.inf:
         return Verdict.TOO_WEAK
     identifiability = estimate.identifiability
     if identifiability.rank < identifiability.n_parameters:
