@@ -97,7 +97,7 @@ def save(
     which says why. An error before files take their places leaves the folder as it was.
 
     Args:
-        result: with ``checkpoints``, on which the written model must reproduce the predicted torque.
+        result: with ``checkpoints``, where the written model must reproduce the predicted torque.
         folder: the output folder, in which files of earlier runs are removed.
         progress: receives notes on the written files.
         mesh_dir: the user's mesh folder, if any.

@@ -43,7 +43,7 @@ class Asset:
     path: Path | None
 
 
-def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> list[Asset]:
+def find_assets(document: ModelDocument) -> list[Asset]:
     """Return every file reference of a document, with the file where there is one.
 
     InputError where that is a pipe, a device, or a pointer of Git LFS.
@@ -58,9 +58,9 @@ def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> list[A
         for attribute in filter(node.get, attributes):
             name = node.get(attribute).replace("\\", "/")
             if document.is_urdf:
-                candidates = _urdf_candidates(document, mesh_dir, name)
+                candidates = _urdf_candidates(document, name)
             else:
-                candidates = _mjcf_candidates(document, mesh_dir, node, name)
+                candidates = _mjcf_candidates(document, node, name)
             # A pipe is found, too, so that it can be refused.
             paths = (
                 p for p in candidates if os.path.exists(p) and not os.path.isdir(p)
@@ -72,9 +72,9 @@ def find_assets(document: ModelDocument, mesh_dir: Path | None = None) -> list[A
     return assets
 
 
-def refuse_missing_assets(document: ModelDocument, mesh_dir: Path | None) -> None:
+def refuse_missing_assets(document: ModelDocument) -> None:
     """Raise ModelError naming the first file that an MJCF document needs and that is missing."""
-    for asset in find_assets(document, mesh_dir):
+    for asset in find_assets(document):
         if asset.path is None:
             raise ModelError(
                 f"{document.path}: {asset.node.tag} file {asset.name} not found; check the path, "
@@ -82,40 +82,36 @@ def refuse_missing_assets(document: ModelDocument, mesh_dir: Path | None) -> Non
             )
 
 
-def _asset_folder(document: ModelDocument, tag: str, mesh_dir: Path | None) -> Path:
+def _asset_folder(document: ModelDocument, tag: str) -> Path:
     """Return the absolute folder that an MJCF's names of files in elements of a tag start from.
 
-    ``mesh_dir`` replaces the meshdir of the document, and a texturedir that is no folder.
+    Its ``mesh_dir`` replaces the meshdir of the document, and a texturedir that is no folder.
     """
     if tag == "model":
         return document.path.parent
     setting = "texturedir" if tag == "texture" else "meshdir"
     name = document.compiler_setting("assetdir", setting) or "."
     folder = _join(document.path.parent, name)
-    if mesh_dir is None or (tag == "texture" and os.path.isdir(folder)):
+    if tag == "texture" and os.path.isdir(folder):
         return folder
-    return Path(mesh_dir).absolute()
+    return document.mesh_dir or folder
 
 
-def _mjcf_candidates(
-    document: ModelDocument, mesh_dir: Path | None, node: Node, name: str
-) -> Iterator[Path]:
+def _mjcf_candidates(document: ModelDocument, node: Node, name: str) -> Iterator[Path]:
     """Yield where a file of an MJCF document may be, the first choice first.
 
     Args:
-        mesh_dir: the user's folder of meshes, if any.
         node: the element that refers to the file.
         name: the reference, with / between folders.
     """
     is_model = node.tag == "model"
     if document.compiler_setting("strippath") == "true" and not is_model:
         name = Path(name).name
-    yield _join(_asset_folder(document, node.tag, mesh_dir), name)
-    if mesh_dir is not None and not is_model:
+    yield _join(_asset_folder(document, node.tag), name)
+    if document.mesh_dir is not None and not is_model:
         # People keep textures beside the meshes, and drop sub-folders when they move both.
-        meshes = Path(mesh_dir).absolute()
-        yield _join(meshes, name)
-        yield meshes / Path(name).name
+        yield _join(document.mesh_dir, name)
+        yield document.mesh_dir / Path(name).name
     elif node in document.sources:
         yield _join(document.sources[node].parent, name)
 
@@ -125,9 +121,7 @@ def _join(folder: Path, name: str) -> Path:
     return Path(os.path.normpath(folder / name.replace("\\", "/")))
 
 
-def _urdf_candidates(
-    document: ModelDocument, mesh_dir: Path | None, name: str
-) -> Iterator[Path]:
+def _urdf_candidates(document: ModelDocument, name: str) -> Iterator[Path]:
     """Yield where a mesh of a URDF may be, the first choice first.
 
     ``name``: the reference, with / between folders, such as "package://arm/meshes/link1.stl".
@@ -138,8 +132,8 @@ def _urdf_candidates(
         path = Path("/") / path
     # Behind a scheme, the first folder is the name of a package.
     in_package = Path(*path.parts[1:])
-    if mesh_dir is not None:
-        folder = Path(mesh_dir).absolute()
+    folder = document.mesh_dir
+    if folder is not None:
         yield from (folder / path, folder / in_package, folder / path.name)
     main_folder = document.path.parent
     folder = main_folder / (document.compiler_setting("meshdir") or ".")
@@ -151,22 +145,19 @@ def _urdf_candidates(
     yield main_folder / path.name
 
 
-def relocate(
-    document: ModelDocument, folder: Path | None, mesh_dir: Path | None = None
-) -> None:
+def relocate(document: ModelDocument, folder: Path | None) -> None:
     """Make a document find its files from another folder; those not found keep their names.
 
     Args:
         document: one that was read from its own folder.
         folder: where its text will live; None makes every path absolute.
-        mesh_dir: folder of the meshes; default as the file says.
     """
     # Name of a folder setting to its value in the new folder.
     settings = {}
-    for asset in find_assets(document, mesh_dir):
+    for asset in find_assets(document):
         start = folder
         if not document.is_urdf and asset.node.tag != "model":
-            old_folder = _asset_folder(document, asset.node.tag, mesh_dir)
+            old_folder = _asset_folder(document, asset.node.tag)
             if not os.path.isabs(asset.name):
                 setting = "texturedir" if asset.node.tag == "texture" else "meshdir"
                 settings[setting] = reference(old_folder, folder)

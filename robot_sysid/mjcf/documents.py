@@ -13,7 +13,6 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +39,14 @@ class ModelDocument:
 
     Attributes:
         path: absolute path of the main file, the one that was read.
+        mesh_dir: the user's folder of its meshes, absolute; None where the file's own holds.
         root: root of the tree.
         contents: path of the main file and of each included one to its bytes, in MuJoCo's order.
         sources: element of an included file to the path of that file.
     """
 
     path: Path
+    mesh_dir: Path | None
     root: Node = None
     contents: dict[Path, bytes] = field(default_factory=dict)
     sources: dict[Node, Path] = field(default_factory=dict)
@@ -67,12 +68,11 @@ class ModelDocument:
         return hashlib.sha256(b"".join(self.contents.values())).hexdigest()
 
     def settings(self, tag: str) -> list[Node]:
-        """Return the elements of MuJoCo's settings with a tag; the last one counts most.
+        """Return the elements of MuJoCo's settings with a tag or path; the last one counts most.
 
         Those of a URDF stand in its ``<mujoco>`` element.
         """
-        parents = self.root.findall("mujoco") if self.is_urdf else [self.root]
-        return list(chain.from_iterable(parent.findall(tag) for parent in parents))
+        return self.root.findall(f"mujoco/{tag}" if self.is_urdf else tag)
 
     def compiler_setting(self, *names: str) -> str | None:
         """Return the last value of any of some attributes of MuJoCo's <compiler>; None for none."""
@@ -116,12 +116,16 @@ class ModelDocument:
         return text.replace(b"\n", b"\r\n") if "\r\n" in source else text
 
 
-def read_document(path: Path) -> ModelDocument:
+def read_document(path: Path, mesh_dir: Path | None = None) -> ModelDocument:
     """Read a model file, MJCF (root ``<mujoco>``) or URDF (``<robot>``), and what it includes.
 
     ModelError where it is not XML, only a fragment of a model, or an include fails.
+
+    Args:
+        path: the file.
+        mesh_dir: folder that replaces the file's own for meshes (and, in a URDF, its packages).
     """
-    document = ModelDocument(Path(path).absolute())
+    document = ModelDocument(path.absolute(), mesh_dir and mesh_dir.absolute())
     root = _read(document.path, document)
     document.root = root
     required = {"mujoco": "worldbody", "robot": "link"}.get(root.tag)

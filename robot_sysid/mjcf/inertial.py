@@ -8,6 +8,7 @@ is rigidly attached to it.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -27,8 +28,6 @@ MARGIN = 1e-11
 MuJoCo refuses what these put outside."""
 URDF_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of a URDF's <inertia> [kg m^2], in the order of ``spatial.six_from_symmetric``."""
-_SMALLEST_NORMAL = float(np.finfo(float).tiny)
-"""Smallest positive float that is not denormal."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def plan_write_back(
         ExportError: the composite is no possible body itself, or leaves no room for the bodies on
             joints of their own.
     """
-    mass = float(composite[0])
+    mass = composite[0]
     name = bodies[0].name
     # A body without mass and inertia takes nothing away.
     others = [body for body in bodies[1:] if np.any(body.theta)]
@@ -106,7 +105,7 @@ def plan_write_back(
 
 def sum_theta(bodies: Sequence[SubtreeBody]) -> Array:
     """Return the sum of the bodies' theta (10,), all in one frame; zeros for no bodies."""
-    return np.sum([np.zeros(10), *(body.theta for body in bodies)], axis=0)
+    return sum((body.theta for body in bodies), np.zeros(10))
 
 
 def possible_body(
@@ -127,18 +126,18 @@ def possible_body(
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     # The sum of the three second moments.
-    size = float(np.trace(inertia)) / 2.0
+    size = np.trace(inertia) / 2.0
     if not np.all(np.isfinite(theta)) or mass <= NEGLIGIBLE * scale or size <= 0.0:
         return None
     moments = np.linalg.eigvalsh(inertia)
-    smallest_share = 1.0 - float(moments[-1]) / size
+    smallest_share = 1.0 - moments[-1] / size
     # Adding s to each second moment adds 2 s to each moment of inertia.
     inflation = 2.0 * max(0.0, MARGIN - smallest_share) * size
     # Rounding alone explains second moments that are negative by SLACK, and a body of no mass, to
     # which the compiler gives its least one, those that are by its least moment.
     if inflation > 2.0 * ((SLACK + MARGIN) * size + least_moment):
         return None
-    inflation = max(inflation, least_moment - float(moments[0]))
+    inflation = max(inflation, least_moment - moments[0])
     return spatial.theta_from_com(mass, com, inertia + inflation * np.eye(3))
 
 
@@ -188,4 +187,4 @@ def format_numbers(values: Array) -> str:
 def format_number(value: float) -> str:
     """Return a number with all its digits."""
     # Also turns -0.0 into 0.0; MuJoCo 3.3 refuses to read denormal numbers.
-    return repr(float(value)) if abs(value) >= _SMALLEST_NORMAL else "0.0"
+    return repr(float(value)) if abs(value) >= sys.float_info.min else "0.0"

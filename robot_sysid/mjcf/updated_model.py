@@ -9,10 +9,9 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 
-import numpy as np
 from lxml import etree
 
 from robot_sysid.dynamics import spatial
@@ -130,7 +129,7 @@ class ModelChange:
         bodies, joints, actuators, tendons: those that get new numbers.
         rmse: residual of the identification, for the comments [N m].
         welded: a new body, or None.
-        gravity: new gravity in the world frame [m/s^2]; None leaves the file's.
+        gravity: (3,) new gravity in the world frame [m/s^2]; None leaves the file's.
         principal: whether inertias are written as principal moments and axes, not as full matrix.
         rotors: joint of a URDF to its rotor inertia at the joint [kg m^2].
     """
@@ -141,7 +140,7 @@ class ModelChange:
     welded: WeldedBody | None = None
     actuators: tuple[ActuatorChange, ...] = ()
     tendons: tuple[TendonChange, ...] = ()
-    gravity: tuple[float, float, float] | None = None
+    gravity: Array | None = None
     principal: bool = False
     rotors: Mapping[str, float] = field(default_factory=dict)
 
@@ -163,8 +162,13 @@ def changed_model_text(
     Raises:
         ExportError: the file does not contain an element itself (see ``find_element``).
     """
-    document = read_document(source)
-    written = _write_bodies(document, change)
+    document = read_document(source, mesh_dir)
+    written: list[Node] = []
+    for body in change.bodies:
+        node = find_element(document, "body", body.label)
+        put_comment(node, _comment(f"body '{body.label}'", change.rmse, body.addition))
+        put_inertial(node, _inertial(document, body.theta, change.principal))
+        written.append(node)
     for joint in change.joints:
         write_joint(document, joint)
     for joint_name, rotor in change.rotors.items():
@@ -186,23 +190,8 @@ def changed_model_text(
         for node in document.settings("compiler"):
             if node.get("inertiafromgeom") == "true":
                 node.set("inertiafromgeom", "auto")
-    relocate(document, folder, mesh_dir)
+    relocate(document, folder)
     return document.text()
-
-
-def _write_bodies(document: ModelDocument, change: ModelChange) -> list[Node]:
-    """Write the inertias of ``change.bodies``, with comments, and return their elements.
-
-    ExportError where the file does not contain one of them itself (see ``find_element``).
-    """
-    written = list[Node]()
-    for body in change.bodies:
-        node = find_element(document, "body", body.label)
-        comment = _comment(f"body '{body.label}'", change.rmse, body.addition)
-        put_comment(node, comment)
-        put_inertial(node, _inertial(document, body.theta, change.principal))
-        written.append(node)
-    return written
 
 
 def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
@@ -268,49 +257,49 @@ _DEFAULT_GRAVITY = "0 0 -9.81"
 """MuJoCo's own, where a model states none [m/s^2]."""
 
 
-def _write_gravity(
-    document: ModelDocument, gravity: tuple[float, float, float], rmse: float
-) -> None:
+def _write_gravity(document: ModelDocument, gravity: Array, rmse: float) -> None:
     """Give a model another gravity; MuJoCo reads the ``<option>`` in a URDF's ``<mujoco>``.
 
     ExportError where the file switches gravity off.
 
     Args:
         document: the model file.
-        gravity: in the world frame [m/s^2].
+        gravity: (3,) in the world frame [m/s^2].
         rmse: residual of the identification, for the comment [N m].
     """
-    options = document.settings("option")
-    for flag in chain.from_iterable(option.findall("flag") for option in options):
+    for flag in document.settings("option/flag"):
         if flag.get("gravity") == "disable":
             fault = '<flag gravity="disable"/> switches gravity off; remove it'
             raise ExportError(f"{document.path}: {fault}")
     # The last option that states it counts, in whichever file it stands.
-    if not options:
+    if not document.settings("option"):
         document.add_setting(etree.Element("option"))
-        options = document.settings("option")
+    options = document.settings("option")
     stating = [option for option in options if option.get("gravity")]
     changed = (stating or options)[-1]
     old = changed.get("gravity", _DEFAULT_GRAVITY)
     addition = f"in place of {old}, because the arm does not stand as the file said"
-    comment = _comment("gravity", rmse, addition)
-    put_comment(changed, comment)
-    changed.set("gravity", format_numbers(np.asarray(gravity)))
+    put_comment(changed, _comment("gravity", rmse, addition))
+    changed.set("gravity", format_numbers(gravity))
 
 
-def _require_resistance(owner: str, numbers: Mapping[str, float]) -> None:
-    """Raise ExportError unless friction and rotor inertia are finite and not negative.
+def _resistance_texts(owner: str, numbers: Mapping[str, float]) -> dict[str, str]:
+    """Return friction and rotor inertia, by name, as text.
+
+    ExportError unless they are finite and not negative.
 
     Args:
         owner: of the numbers, such as "joint 'elbow'", for the message.
-        numbers: name of a number, for the message, to its value.
+        numbers: name of a number to its value.
     """
+    texts = {}
     for name, value in numbers.items():
         if not 0.0 <= value < math.inf:
-            fault = (
-                f"cannot get {name} {value:.4g}: it would drive itself, or is no number"
+            raise ExportError(
+                f"{owner} cannot get {name} {value:.4g}: it would drive itself, or is no number"
             )
-            raise ExportError(f"{owner} {fault}")
+        texts[name] = format_number(value)
+    return texts
 
 
 def write_joint(document: ModelDocument, change: JointChange) -> None:
@@ -319,8 +308,7 @@ def write_joint(document: ModelDocument, change: JointChange) -> None:
     ExportError where a number is negative or not finite, or the file does not contain the joint
     itself (see ``find_element``).
     """
-    _require_resistance(f"joint '{change.label}'", change.numbers)
-    texts = {name: format_number(value) for name, value in change.numbers.items()}
+    texts = _resistance_texts(f"joint '{change.label}'", change.numbers)
     node = find_element(document, "joint", change.label)
     if document.is_urdf:
         if "frictionloss" in texts:
@@ -377,10 +365,8 @@ def _set_numbers(node: Node, texts: Mapping[str, str]) -> None:
 
 def _write_tendon(document: ModelDocument, change: TendonChange, rmse: float) -> None:
     """Give a fixed tendon its new numbers, or add it; ExportError where the file cannot hold it."""
-    joints = list(change.coefficients)
-    subject = f"motor that turns {' and '.join(joints)}"
-    _require_resistance(f"the {subject}", change.numbers)
-    texts = {name: format_number(value) for name, value in change.numbers.items()}
+    subject = f"motor that turns {' and '.join(change.coefficients)}"
+    texts = _resistance_texts(f"the {subject}", change.numbers)
     comment = _comment(subject, rmse)
     if not change.is_new:
         node = _section_child(document, "tendon", change.tendon)

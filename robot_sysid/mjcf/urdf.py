@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Collection, Iterator
-from pathlib import Path
 
 import numpy as np
 
@@ -44,19 +43,14 @@ LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 
 
-def make_compilable(
-    document: ModelDocument, mesh_dir: Path | None = None
-) -> tuple[str, ...]:
+def make_compilable(document: ModelDocument) -> tuple[str, ...]:
     """Make a URDF one that MuJoCo can compile, and return notes on what was changed.
-
-    Args:
-        mesh_dir: folder of the meshes; default as the file says.
 
     Raises:
         ModelError: a mesh that decides a link's inertia is missing.
         ValueError: a number cannot be read.
     """
-    notes = list(_use_absolute_meshes(document, mesh_dir))
+    notes = list(_use_absolute_meshes(document))
     document.set_compiler({"fusestatic": "false", "strippath": "false"})
     raised = raise_inertias(document)
     if raised:
@@ -67,10 +61,9 @@ def make_compilable(
         )
     inertias = link_inertias(document)
     for link in document.root.findall("link"):
-        angles = _floats(get(link.find("inertial/origin"), "rpy"))
         # MuJoCo 3.3 ignores the rpy of an inertial.
-        if np.any(angles) and not _lacks_inertia(link):
-            inertia = inertias[str(link.get("name"))]
+        if np.any(_origin(link, "rpy")) and not _lacks_inertia(link):
+            inertia = inertias[link.get("name")]
             put_inertial(link, urdf_inertial_about_com(*inertia))
     names = give_minimum(document)
     if names:
@@ -82,9 +75,7 @@ def make_compilable(
     return tuple(notes)
 
 
-def _use_absolute_meshes(
-    document: ModelDocument, mesh_dir: Path | None
-) -> Iterator[str]:
+def _use_absolute_meshes(document: ModelDocument) -> Iterator[str]:
     """Remove shapes with an unusable mesh, make the paths of all others absolute; yield notes.
 
     A shape is a link's <visual> or <collision>. ModelError where the inertia of a link that moves
@@ -92,7 +83,7 @@ def _use_absolute_meshes(
     overrules it.
     """
     from_geometry = document.compiler_setting("inertiafromgeom") == "true"
-    assets = {asset.node: asset for asset in find_assets(document, mesh_dir)}
+    assets = {asset.node: asset for asset in find_assets(document)}
     moving_links = _moving_links(document)
     collisions = document.root.findall("link/collision")
     removed = set()
@@ -113,7 +104,7 @@ def _use_absolute_meshes(
                     "or add an <inertial>"
                 )
             removed.add(str(name))
-    relocate(document, folder=None, mesh_dir=mesh_dir)
+    relocate(document, folder=None)
     if removed:
         yield MeshesLeftOut(
             f"collision meshes that MuJoCo cannot find or read are left out, which changes no "
@@ -153,9 +144,9 @@ def give_minimum(document: ModelDocument, excluded: Collection[Node] = ()) -> li
     for link in _massless_moving_links(document):
         if link in excluded:
             continue
-        com = _floats(get(link.find("inertial/origin"), "xyz"))
+        mass = max(_mass(link), _MINIMUM_MASS)
         inertia = _MINIMUM_INERTIA * np.eye(3)
-        minimum = urdf_inertial_about_com(max(_mass(link), _MINIMUM_MASS), com, inertia)
+        minimum = urdf_inertial_about_com(mass, _origin(link, "xyz"), inertia)
         put_inertial(link, minimum)
         names.append(str(link.get("name")))
     return names
@@ -172,8 +163,8 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
         node = link.find("inertial/inertia")
         if node is None:
             continue
-        com = _floats(get(link.find("inertial/origin"), "xyz"))
-        angles = _floats(get(link.find("inertial/origin"), "rpy"))
+        com = _origin(link, "xyz")
+        angles = _origin(link, "rpy")
         moments = [float(node.get(name) or 0.0) for name in URDF_MOMENTS]
         if not np.all(np.abs([*moments, *com, *angles]) <= LARGEST):
             raise ValueError(
@@ -182,7 +173,7 @@ def link_inertias(document: ModelDocument) -> dict[str, tuple[float, Array, Arra
         rotation = spatial.rotation_of_angles(angles)
         inertia = spatial.symmetric_from_six(np.array(moments))
         inertia = rotation @ inertia @ rotation.T
-        inertias[str(link.get("name"))] = (_mass(link), com, inertia)
+        inertias[link.get("name")] = (_mass(link), com, inertia)
     return inertias
 
 
@@ -223,7 +214,7 @@ def raise_inertias(
     raised = []
     increases = inertia_increases(document)
     for link in document.root.findall("link"):
-        increase = increases.get(str(link.get("name")), 0.0)
+        increase = increases.get(link.get("name"), 0.0)
         node = link.find("inertial/inertia")
         if node is None or not increase or link in excluded:
             continue
@@ -247,8 +238,9 @@ def velocity_limits(document: ModelDocument) -> dict[str, float]:
     return limits
 
 
-def _floats(text: str | None) -> Array:
-    """Return the numbers of an attribute, three in a valid file; zeros (3,) where there is none."""
+def _origin(link: Node, name: str) -> Array:
+    """Return the "xyz" or "rpy" of a link's inertial, three numbers in a valid file; else zeros."""
+    text = get(link.find("inertial/origin"), name)
     return np.array(list(map(float, text.split()))) if text else np.zeros(3)
 
 
@@ -276,10 +268,8 @@ def _lacks_inertia(link: Node) -> bool:
         return link.find("collision") is None
     if _mass(link) <= 0.0:
         return True
-    for name in ("ixx", "iyy", "izz"):
-        if float(get(link.find("inertial/inertia"), name) or 0.0) > 0.0:
-            return False
-    return True
+    node = link.find("inertial/inertia")
+    return not any(float(get(node, n) or 0.0) > 0.0 for n in ("ixx", "iyy", "izz"))
 
 
 def _mass(link: Node) -> float:

@@ -46,8 +46,8 @@ def control_rows(mj_model: Any, actuator: int) -> NDArray[np.int64]:
     """Return the rows of an actuator's (id) controls in ``ctrl`` and ``actuator_ctrlrange``."""
     if not hasattr(mj_model, "actuator_ctrladr"):
         return np.array([actuator])
-    first = int(mj_model.actuator_ctrladr[actuator])
-    return np.arange(first, first + int(mj_model.actuator_ctrlnum[actuator]))
+    first = mj_model.actuator_ctrladr[actuator]
+    return first + np.arange(mj_model.actuator_ctrlnum[actuator])
 
 
 def output_row(mj_model: Any, actuator: int) -> int:
@@ -59,7 +59,7 @@ def output_row(mj_model: Any, actuator: int) -> int:
 
 def gear_ratio(mj_model: Any, actuator: int) -> float:
     """Return the gear ratio of an actuator (id) on a hinge, slide or tendon."""
-    return float(mj_model.actuator_gear[output_row(mj_model, actuator), 0])
+    return mj_model.actuator_gear[output_row(mj_model, actuator), 0]
 
 
 def actuators_on(
@@ -100,9 +100,9 @@ def _transmissions(mj_model: Any) -> Iterator[Array]:
 
 def tendon_coefficients(mj_model: Any, tendon: int) -> Array | None:
     """Return a fixed tendon's (id) speed per speed of each joint (nv,), of another one None."""
-    first = int(mj_model.tendon_adr[tendon])
+    first = mj_model.tendon_adr[tendon]
     # The joints, sites or geoms that the tendon runs over; a fixed one has joints alone.
-    wraps = slice(first, first + int(mj_model.tendon_num[tendon]))
+    wraps = slice(first, first + mj_model.tendon_num[tendon])
     if not np.all(mj_model.wrap_type[wraps] == _WRAPS_JOINT):
         return None
     coefficients = np.zeros(mj_model.nv)
@@ -192,14 +192,14 @@ def servo_gains(mj_model: Any, actuator: int) -> tuple[float, float] | None:
     bias, kp, kv = (-mj_model.actuator_biasprm[actuator, :3]).tolist()
     gain_type = int(mj_model.actuator_gaintype[actuator])
     if gain_type == _PID_GAIN:
-        takes_position = bool(mj_model.actuator_ctrlspec[actuator] & _TAKES_POSITION)
+        takes_position = mj_model.actuator_ctrlspec[actuator] & _TAKES_POSITION
     else:
-        gain = float(mj_model.actuator_gainprm[actuator, 0])
+        gain = mj_model.actuator_gainprm[actuator, 0]
         takes_position = gain_type == _FIXED_GAIN and gain == kp
     is_servo = (
         takes_position
         and is_static(mj_model, actuator)
-        and int(mj_model.actuator_biastype[actuator]) == _AFFINE_BIAS
+        and mj_model.actuator_biastype[actuator] == _AFFINE_BIAS
         and kp > 0.0
         and bias == 0.0
     )
@@ -208,7 +208,7 @@ def servo_gains(mj_model: Any, actuator: int) -> tuple[float, float] | None:
 
 def is_static(mj_model: Any, actuator: int) -> bool:
     """Return whether an actuator (id) has no state of its own."""
-    return int(mj_model.actuator_dyntype[actuator]) == _NO_DYNAMICS
+    return mj_model.actuator_dyntype[actuator] == _NO_DYNAMICS
 
 
 _STATED = ("armature", "damping", "dampingpoly")

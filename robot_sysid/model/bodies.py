@@ -32,7 +32,7 @@ from robot_sysid.records import ArmLink, Array, Flange, RobotModel, SubtreeBody
 
 def body_theta(mj_model: Any, body_id: int) -> Array:
     """Return theta (10,) of one compiled body in its own frame, inertia about its origin."""
-    mass = float(mj_model.body_mass[body_id])
+    mass = mj_model.body_mass[body_id]
     com = mj_model.body_ipos[body_id]
     return spatial.theta_from_com(mass, com, inertia_about_com(mj_model, body_id))
 
@@ -64,9 +64,8 @@ def subtree_bodies(
             rotation = axes.T @ data.xmat[i].reshape(3, 3)
             translation = axes.T @ (data.xpos[i] - data.xpos[body_id])
             theta = spatial.transform_theta(theta, rotation, translation)
-        parent = bodies.get(int(mj_model.body_parentid[i]))
-        is_jointless = bool(mj_model.body_jntnum[i] == 0)
-        is_welded = parent is None or (parent.welded and is_jointless)
+        parent = bodies.get(mj_model.body_parentid[i])
+        is_welded = parent is None or (parent.welded and not mj_model.body_jntnum[i])
         bodies[i] = SubtreeBody(i, body_label(mj_model, i), theta, is_welded)
     return tuple(bodies.values())
 
@@ -88,7 +87,7 @@ def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
     spheres = distances + mj_model.geom_rbound[geoms]
     theta = composite_theta(mj_model, qpos, body_id)
     rod = np.sqrt(3.0) * spatial.characteristic_length(theta)
-    return float(max(rod, np.max(spheres, initial=0.0)))
+    return max(rod, np.max(spheres, initial=0.0))
 
 
 def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink, ...]:

@@ -61,7 +61,7 @@ def body_label(mj_model: Any, body: int) -> str:
 
 def is_hinge_or_slide(mj_model: Any, joint: int) -> bool:
     """Return whether a joint has one degree of freedom."""
-    return int(mj_model.jnt_type[joint]) in (_HINGE, _SLIDE)
+    return mj_model.jnt_type[joint] in (_HINGE, _SLIDE)
 
 
 def chain_to(mj_model: Any, joint: int) -> tuple[int, ...]:
@@ -166,9 +166,7 @@ def find_terminal_joint(mj_model: Any) -> int:
             "the model has no hinge or slide joints, so there is no arm to identify"
         )
     # Run to the joints between it and the world.
-    carriers = {}
-    for run in runs:
-        carriers[run] = {*_towards_world(mj_model, run[0])} - {run[0]}
+    carriers = {run: {*_towards_world(mj_model, run[0])} - {run[0]} for run in runs}
     longest = max(map(len, runs))
     longest_runs = [run for run in runs if len(run) == longest]
     ends = {run[-1] for run in longest_runs}
@@ -176,7 +174,7 @@ def find_terminal_joint(mj_model: Any) -> int:
     arm = next(run for run in longest_runs if ends.isdisjoint(carriers[run]))
     rivals = [arm]
     for run in runs:
-        is_in_line = bool({arm[-1], run[-1]} & (carriers[arm] | carriers[run]))
+        is_in_line = {arm[-1], run[-1]} & (carriers[arm] | carriers[run])
         if run != arm and not is_in_line and len(run) >= RIVAL_SHARE * longest:
             rivals.append(run)
     if len(rivals) > 1:
@@ -217,8 +215,7 @@ def _ambiguity(
     candidates = []
     for joint in joints:
         body = int(mj_model.jnt_bodyid[joint])
-        names = joint_label(mj_model, joint), body_label(mj_model, body)
-        candidates.append(names)
+        candidates.append((joint_label(mj_model, joint), body_label(mj_model, body)))
     return AmbiguousJointError(reason, candidates)
 
 

@@ -76,13 +76,16 @@ class CompiledModel:
 
 @contextmanager
 def captured_warnings() -> Iterator[list[str]]:
-    """Collect MuJoCo's warnings in the list yielded, instead of on stderr and in a log file."""
+    """Collect MuJoCo's warnings in the list yielded, instead of on stderr and in a log file.
+
+    Each is a sentence for the user.
+    """
     messages = []
     previous = mujoco.get_mju_user_warning()
 
     def collect(message: object) -> None:
         """Take a warning from MuJoCo, on one line."""
-        messages.append(" ".join(str(message).split()))
+        messages.append(f"MuJoCo warns: {' '.join(str(message).split())}")
 
     mujoco.set_mju_user_warning(collect)
     try:
@@ -96,17 +99,15 @@ def warnings_as_notes(progress: Progress) -> Iterator[None]:
     """Report MuJoCo's warnings of a block at its end, each of them once."""
     with captured_warnings() as warnings:
         yield
-    for warning in dict.fromkeys(warnings):
-        progress.note(f"MuJoCo warns: {warning}")
+    progress.note(*dict.fromkeys(warnings))
 
 
 def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     """Compile an MJCF or URDF file, or raise ModelError with one line on why not.
 
-    Args:
-        mesh_dir: folder that replaces the file's own for meshes (and, in a URDF, its packages).
+    ``mesh_dir``: folder that replaces the file's own for meshes (and, in a URDF, its packages).
     """
-    document = read_document(path)
+    document = read_document(path, mesh_dir)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
         raise ModelError(f"mesh folder {mesh_dir} is no folder; check --mesh-dir")
     point = locale.localeconv()["decimal_point"]
@@ -116,41 +117,39 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
             f"a locale that has {point!r} for a decimal point spoils OBJ meshes; {remedy}"
         )
     # Refuses pipes, for which MuJoCo would wait for ever.
-    find_assets(document, mesh_dir)
+    find_assets(document)
     with captured_warnings() as warnings:
-        if document.is_urdf:
-            compiled = _compile_urdf(document, mesh_dir)
-        else:
-            compiled = _compile_mjcf(document, mesh_dir)
+        compile_document = _compile_urdf if document.is_urdf else _compile_mjcf
+        compiled = compile_document(document)
     _check_values(compiled.mj_model, document)
     mj_model = with_actuators_in_joints(compiled.mj_model)
-    notes = tuple(f"MuJoCo warns: {text}" for text in dict.fromkeys(warnings))
-    return replace(compiled, mj_model=mj_model, notes=compiled.notes + notes)
+    notes = (*compiled.notes, *dict.fromkeys(warnings))
+    return replace(compiled, mj_model=mj_model, notes=notes)
 
 
-def _compile_mjcf(document: ModelDocument, mesh_dir: Path | None) -> CompiledModel:
+def _compile_mjcf(document: ModelDocument) -> CompiledModel:
     """Return an MJCF document, which may be changed, compiled; or raise ModelError."""
     text = None
-    if mesh_dir is not None or not document.is_utf8:
-        relocate(document, folder=None, mesh_dir=mesh_dir)
+    if document.mesh_dir is not None or not document.is_utf8:
+        relocate(document, folder=None)
         text = document.text().decode()
     try:
         mj_model = _compile(document.path, text)
     except ModelError:
         # Asked only now, so that MuJoCo's own rules decide what is missing.
-        refuse_missing_assets(document, mesh_dir)
+        refuse_missing_assets(document)
         raise
     return CompiledModel(mj_model, (), document.sha256, "mjcf")
 
 
-def _compile_urdf(document: ModelDocument, mesh_dir: Path | None) -> CompiledModel:
+def _compile_urdf(document: ModelDocument) -> CompiledModel:
     """Return a URDF document, which is changed, compiled; or raise ModelError.
 
     Moving links without mass get a minimum, and moments of inertia that no body has are raised.
     Other inertias are exact.
     """
     try:
-        notes = make_compilable(document, mesh_dir)
+        notes = make_compilable(document)
         inertias = link_inertias(document)
     except (ValueError, TypeError) as error:
         raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
@@ -179,7 +178,7 @@ def _check_values(mj_model: Any, document: ModelDocument) -> None:
     arrays = {name: getattr(mj_model, name) for name in _MUST_BE_FINITE}
     arrays["gravity"] = mj_model.opt.gravity
     for name, values in arrays.items():
-        largest = float(np.max(np.abs(values), initial=0.0))
+        largest = np.max(np.abs(values), initial=0.0)
         # Also where it is no number.
         if not largest <= LARGEST:
             raise ModelError(
@@ -210,11 +209,11 @@ def restore_exact_inertias(
         moments, axes = np.linalg.eigh(inertia)
         if body <= 0:
             continue
-        size = float(np.trace(inertia))
+        size = np.trace(inertia)
         compiled = inertia_about_com(mj_model, body)
-        has_same_trace = abs(float(np.trace(compiled)) - size) <= _SAME_TRACE * size
+        has_same_trace = abs(np.trace(compiled) - size) <= _SAME_TRACE * size
         # balanceinertia keeps the trace too, but makes all three moments equal.
-        difference = float(np.max(np.abs(compiled - inertia)))
+        difference = np.max(np.abs(compiled - inertia))
         is_inaccurate = _ALREADY_EXACT * size < difference < _BALANCED * size
         if has_same_trace and is_inaccurate:
             # Rounding must not leave a flat body with moments that no body has.
@@ -285,7 +284,7 @@ def _write_all_digits(path: Path, model: Any) -> None:
         # The order differs where MuJoCo wrote another model, or frames around bodies.
         if inertial is None or node.get("name", "") != model.body(body).name:
             continue
-        mass = float(model.body_mass[body])
+        mass = model.body_mass[body]
         if np.isclose(float(inertial.get("mass", 0.0)), mass, _WRITING_ACCURACY):
             inertial.set("pos", format_numbers(model.body_ipos[body]))
             inertial.set("quat", format_numbers(model.body_iquat[body]))

@@ -52,14 +52,14 @@ def with_references(
     masses = np.array([link.theta[0] for link in links if link.theta[0] > 0.0])
     if not len(masses):
         return tuple(links)
-    median = float(np.median(masses[masses >= LEAST_MASS * np.max(masses)]))
+    median = np.median(masses[masses >= LEAST_MASS * np.max(masses)])
     data = data_at_pose(mj_model, qpos)
     steps = [*(link.translation for link in links[1:]), np.zeros(3)]
-    reach = sum(float(np.linalg.norm(step)) for step in steps)
+    lengths = np.linalg.norm(steps, axis=1).tolist()
     copied = _copied(links)
     result = []
-    for link, step, ids in zip(links, steps, bodies):
-        size = max(float(np.linalg.norm(step)), LEAST_SIZE_SHARE * reach, LEAST_SIZE)
+    for link, step, length, ids in zip(links, steps, lengths, bodies):
+        size = max(length, LEAST_SIZE_SHARE * sum(lengths), LEAST_SIZE)
         rod = 0.5 * step, ROD_MOMENT * size**2 * np.eye(3)
         centre, gyration = _boxes(mj_model, data, ids) or rod
         mass, com, inertia = spatial.com_from_theta(link.theta)
@@ -81,7 +81,7 @@ def with_references(
             inertia = mass * gyration if INERTIA in unknown else inertia
             reference = spatial.theta_from_com(mass, com, inertia)
         size = max(size, ROD * spatial.characteristic_length(reference))
-        kinds = tuple(kind for kind in (MASS, CENTRE, INERTIA) if kind in unknown)
+        kinds = tuple(kind for kind in KINDS if kind in unknown)
         if link.has_mass:
             link = replace(link, reference=reference, size=size, placeholders=kinds)
         result.append(link)
@@ -104,7 +104,7 @@ def _copied(links: Sequence[ArmLink]) -> dict[str, set[str]]:
             (link, np.ptp(moments) < 1e-6 * moments[-1])
         )
     for members in groups.values():
-        masses = {float(link.theta[0]) for link, _ in members}
+        masses = {link.theta[0] for link, _ in members}
         is_ball = all(is_round for _, is_round in members)
         if len(members) < min(ALIKE, max(len(present), 2)) or not (
             is_ball or len(masses) > 1
@@ -131,7 +131,7 @@ def _boxes(
         middle, half = np.split(mj_model.geom_aabb[geom], 2)
         if mj_model.geom_type[geom] in _SHAPELESS or not np.all(half > 0.0):
             continue
-        box = float(np.prod(half))
+        box = np.prod(half)
         inertia = box / 3.0 * (half @ half * np.eye(3) - np.diag(half**2))
         turn = axes.T @ data.geom_xmat[geom].reshape(3, 3)
         place = axes.T @ (data.geom_xpos[geom] - data.xpos[bodies[0]])
@@ -147,7 +147,7 @@ def _boxes(
 def placeholder_notes(links: Sequence[ArmLink]) -> Iterator[str]:
     """Yield one sentence on what a model does not state of its links but the last."""
     phrases = []
-    for kind in (MASS, CENTRE, INERTIA):
+    for kind in KINDS:
         names = [link.body_name for link in links[:-1] if kind in link.placeholders]
         if names:
             phrases.append(f"the {kind} of {', '.join(names)}")

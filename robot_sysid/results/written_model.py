@@ -114,11 +114,10 @@ def write_model(
     notes += body_notes
     written_thetas[-1] += theta_beside
     change = ModelChange(bodies, target.rmse, tuple(joints), welded, rotors=rotors)
-    if result.file is not None and robot.kind == "mjcf":
-        change = replace(change, tendons=tuple(_tendon_changes(robot, result.file)))
-    if result.file is not None and result.file.gravity is not None:
-        x, y, z = result.file.gravity.tolist()
-        change = replace(change, gravity=(x, y, z))
+    if result.file is not None:
+        change = replace(change, gravity=result.file.gravity)
+        if robot.kind == "mjcf":
+            change = replace(change, tendons=tuple(_tendon_changes(robot, result.file)))
     _write(robot, change, target, written_thetas)
     return notes
 

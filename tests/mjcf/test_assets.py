@@ -112,8 +112,8 @@ def test_the_users_mesh_folder_replaces_that_of_the_file(tmp_path):
         "<asset>", "<asset><texture name='t' file='t.png'/>"
     )
     files = {"m.xml": text, "d/s/m.obj": "", "mine/m.obj": "", "mine/t.png": ""}
-    document = read_document(write_files(tmp_path, files))
-    paths = {a.name: a.path for a in find_assets(document, tmp_path / "mine")}
+    document = read_document(write_files(tmp_path, files), tmp_path / "mine")
+    paths = {a.name: a.path for a in find_assets(document)}
     assert paths == {
         "s/m.obj": tmp_path / "mine/m.obj",
         "t.png": tmp_path / "mine/t.png",

@@ -6,13 +6,14 @@ import pytest
 
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import find_assets, relocate
+from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.urdf import inertia_increases, make_compilable
 from tests.support import urdf
 from tests.support.model_files import document_of, write_files
 
 
-def compilable_urdf(document, **options):
-    notes = make_compilable(document, **options)
+def compilable_urdf(document):
+    notes = make_compilable(document)
     return document.text(), notes
 
 
@@ -79,7 +80,8 @@ def document(tmp_path, *elements, name="robots/arm.urdf"):
 def mesh_found(tmp_path, name, mesh_dir=None):
     """The file that a mesh of this name is."""
     link = urdf.link("l1", urdf.mesh("visual", name))
-    (mesh,) = find_assets(document(tmp_path, link), mesh_dir)
+    path = document(tmp_path, link).path
+    (mesh,) = find_assets(read_document(path, mesh_dir))
     return mesh.path
 
 
