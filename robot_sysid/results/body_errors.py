@@ -44,10 +44,10 @@ def load_covariance(body: BodyEstimate) -> Array:
     that is lighter by one standard error of the mass, at most twice that of the body itself.
     Variances of what is not determined are infinite.
     """
-    is_com_known = body.mass > 0.0 and bool(np.all(body.is_determined[:4]))
-    is_inertia_known = is_com_known and bool(np.all(body.is_determined))
+    is_com_known = body.mass > 0.0 and np.all(body.is_determined[:4])
+    is_inertia_known = is_com_known and np.all(body.is_determined)
     mass = body.mass if is_com_known else 1.0
-    mass_error = float(np.sqrt(max(body.covariance[0, 0], 0.0)))
+    mass_error = np.sqrt(max(body.covariance[0, 0], 0.0))
     com = body.com
     identity = np.eye(3)
     jacobian = np.eye(10)
@@ -61,7 +61,7 @@ def load_covariance(body: BodyEstimate) -> Array:
     for column, slope in enumerate(inertia_slopes):
         jacobian[4:, column] = spatial.six_from_symmetric(slope)
     covariance = jacobian @ body.covariance @ jacobian.T
-    is_known = [bool(body.is_determined[0]), is_com_known, is_inertia_known]
+    is_known = [body.is_determined[0], is_com_known, is_inertia_known]
     is_hidden = ~np.repeat(is_known, [1, 3, 6])
     covariance[is_hidden] = 0.0
     covariance[:, is_hidden] = 0.0

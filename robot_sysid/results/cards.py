@@ -142,10 +142,9 @@ def number_groups(body: BodyEstimate) -> dict[str, Any]:
 
 def _is_possible(moments: Array, rounding: float) -> bool:
     """Return whether a rigid body has these principal moments (3,) [kg m^2], but for rounding."""
-    tolerance = _CONSISTENCY_TOLERANCE * float(np.sum(np.abs(moments))) + rounding
-    negativity = -float(np.min(moments))
-    triangle_excess = float(2.0 * np.max(moments) - np.sum(moments))
-    return max(negativity, triangle_excess) <= tolerance
+    tolerance = _CONSISTENCY_TOLERANCE * np.sum(np.abs(moments)) + rounding
+    triangle_excess = 2.0 * np.max(moments) - np.sum(moments)
+    return max(-np.min(moments), triangle_excess) <= tolerance
 
 
 def _principal_moments_of(six: Array) -> Array:
@@ -164,7 +163,7 @@ def _round_to_possible(
         moments_of: returns the principal moments (3,), ascending, of such numbers.
         rounding: rounding error of the values [kg m^2].
     """
-    least_moment = _MIN_MOMENT_SHARE * float(moments_of(values)[0])
+    least_moment = _MIN_MOMENT_SHARE * moments_of(values)[0]
     rounded: list[float] = []
     for extra_digits in range(DIGITS + 1):
         rounded = round_to_errors(values, errors, extra_digits)

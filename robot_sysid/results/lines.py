@@ -98,7 +98,7 @@ def _quality_lines(content: Content) -> list[str]:
 
 def _decimals_text(values: Sequence[float]) -> str:
     """Return numbers with three decimals; if all are below 0.01, with two digits of the largest."""
-    largest = float(np.max(np.abs(values)))
+    largest = np.max(np.abs(values))
     is_small = 0.0 < largest < 0.01
     decimals = 1 - math.floor(math.log10(largest)) if is_small else 3
     return ", ".join(f"{value:.{decimals}f}" for value in values)

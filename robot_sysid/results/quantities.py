@@ -66,9 +66,9 @@ def body_quantities(body: BodyEstimate, of: str) -> Iterator[Quantity]:
     errors = [*load_errors(body).tolist(), *body.errors[1:].tolist()]
     rows = zip(BODY_NAMES, _UNITS, before, _numbers(body), errors, _INDICES)
     for name, unit, model, value, error, index in rows:
-        share = float(body.data_share[index])
+        share = body.data_share[index]
         if name.startswith("com"):
-            share = min(share, float(body.data_share[0]))
+            share = min(share, body.data_share[0])
         reason = body.largest_cause(index)
         if np.isinf(error):
             reason = NOT_SHOWN

@@ -100,11 +100,6 @@ class Verdict(Enum):
         """Whether the result may go into a model or a controller."""
         return self.level is Level.SAYS
 
-    @property
-    def writes_model(self) -> bool:
-        """Whether a model file is written; ``TORQUES_ONLY`` gets one for predicting torques."""
-        return self.level is not Level.REFUSES
-
     def remark(self, reason: str = "") -> Remark:
         """Return the remark by which this verdict follows from a reason, one phrase."""
         if reason:
@@ -180,15 +175,15 @@ class BodyEstimate(InertialParameters):
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return np.where(self.is_determined, errors, np.inf)
 
-    def largest_cause(self, index: int = 0) -> str:
+    def largest_cause(self, index: int) -> str:
         """Return the cause of the largest part of a parameter's error; "" where that is not known.
 
         ``index``: of the parameter, 0 for the mass.
         """
-        causes = {cause: float(errors[index]) for cause, errors in self.budget.items()}
+        causes = {cause: errors[index] for cause, errors in self.budget.items()}
         if not np.all(np.isfinite([self.errors[index], *causes.values()])):
             return ""
-        return max(causes, key=lambda cause: causes[cause], default="")
+        return max(causes, key=causes.__getitem__, default="")
 
 
 @dataclass(frozen=True)
@@ -318,11 +313,6 @@ class Result:
         """
         needs_mjcf = self.file is not None and self.file.needs_mjcf
         return "mjcf" if needs_mjcf or self.robot.lacks_meshes else self.robot.kind
-
-    @property
-    def written_file(self) -> ModelFile | None:
-        """``file``; None where the verdict forbids to write it."""
-        return self.file if self.verdict.writes_model else None
 
     @property
     def model_name(self) -> str:

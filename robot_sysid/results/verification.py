@@ -11,7 +11,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Collection, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,31 +43,57 @@ BODY_FIELDS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sam
 _AXES_FIELDS = ("body_inertia", "body_iquat", "body_sameframe")
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
-    *["body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0", "dof_length"],
-    *["tendon_invweight0", "actuator_acc0"],
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_M0",
+    "dof_invweight0",
+    "dof_length",
+    "tendon_invweight0",
+    "actuator_acc0",
     # Sizes of the memory of actuators and sensors, which follow from compared fields.
-    *["nhistory", "actuator_historyadr", "sensor_historyadr"],
+    "nhistory",
+    "actuator_historyadr",
+    "sensor_historyadr",
     # Found by simulating the actuator's movement, so masses enter.
     "actuator_lengthrange",
     # Joints and tendons have the rotors and damping of their actuators.
-    *["actuator_armature", "actuator_damping", "actuator_dampingpoly"],
-    *["jnt_actuatorid", "tendon_actuatorid"],
+    "actuator_armature",
+    "actuator_damping",
+    "actuator_dampingpoly",
+    "jnt_actuatorid",
+    "tendon_actuatorid",
     # Whether a body's inertia is diagonal in its joint's axes, or a geom or site coincides with its
     # body's inertial frame: shortcuts for the engine.
-    *["body_simple", "dof_simplenum", "geom_sameframe", "site_sameframe"],
+    "body_simple",
+    "dof_simplenum",
+    "geom_sameframe",
+    "site_sameframe",
     # Camera and light positions relative to the subtree's centre of mass.
-    *["cam_poscom0", "light_poscom0"],
+    "cam_poscom0",
+    "light_poscom0",
     # Collision bounding boxes are kept in the inertial frame of their body.
-    *["bvh_aabb", "bvh_child", "bvh_depth", "bvh_nodeid"],
+    "bvh_aabb",
+    "bvh_child",
+    "bvh_depth",
+    "bvh_nodeid",
     # Scene size and mean mass, for drawing and for scaling contacts.
-    *["stat.center", "stat.extent", "stat.meaninertia"],
-    *["stat.meanmass", "stat.meansize"],
+    "stat.center",
+    "stat.extent",
+    "stat.meaninertia",
+    "stat.meanmass",
+    "stat.meansize",
 }
 # Paths of asset files, and the sizes that follow from the length of these names. The signature is a
 # hash of sizes and types, which are compared themselves; MuJoCo loses it when it pickles.
 PATHS = {
-    *["paths", "npaths", "nbuffer", "mesh_pathadr", "skin_pathadr", "hfield_pathadr"],
-    *["tex_pathadr", "signature"],
+    "paths",
+    "npaths",
+    "nbuffer",
+    "mesh_pathadr",
+    "skin_pathadr",
+    "hfield_pathadr",
+    "tex_pathadr",
+    "signature",
 }
 _GAIN_ADVICE = "give the actuator kp and kv of its own"
 _ADVICE = {
@@ -98,9 +123,9 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
         change: the difference that is wanted; bodies and new tendons are left out.
     """
     expected = copy.copy(original)
-    labels = list(map(partial(joint_label, original), range(original.njnt)))
+    labels = [joint_label(original, joint) for joint in range(original.njnt)]
     for joint in change.joints:
-        dof = int(original.jnt_dofadr[labels.index(joint.label)])
+        dof = original.jnt_dofadr[labels.index(joint.label)]
         for name, value in joint.numbers.items():
             getattr(expected, f"dof_{name}")[dof] = value
     for servo in change.actuators:
@@ -222,12 +247,12 @@ def require_theta(
         length = spatial.characteristic_length(scale_theta)
         scale = spatial.parameter_scale(scale_theta[0], length)
     actual = body_theta(mj_model, body_id)
-    deviation = float(np.max(np.abs(actual - theta) / scale))
+    deviation = np.max(np.abs(actual - theta) / scale)
     if deviation <= TOLERANCE and theta[0] > 0.0:
         # The inertia about the centre of mass is small beside that about a distant origin.
         inertia = spatial.com_from_theta(theta)[2]
         difference = np.max(np.abs(spatial.com_from_theta(actual)[2] - inertia))
-        deviation = float(difference / np.max(np.abs(inertia)))
+        deviation = difference / np.max(np.abs(inertia))
     if not deviation <= TOLERANCE:
         raise ExportError(
             f"in the written model, body '{body_label(mj_model, body_id)}' has an inertia that is "
@@ -299,8 +324,7 @@ def require_reproduction(
     predicted = LinkDynamics(expected).motion(*samples).torque(thetas)
     predicted += BeyondRigidBodies(expected).torque(*samples)
     for tendon in new_tendons:
-        coefficients = [tendon.coefficients.get(n, 0.0) for n in robot.joint_names]
-        ratios = np.array(coefficients)
+        ratios = np.array([tendon.coefficients.get(n, 0.0) for n in robot.joint_names])
         force = tendon.numbers.get("armature", 0.0) * (motion.qdd @ ratios)
         force += tendon.numbers.get("damping", 0.0) * (motion.qd @ ratios)
         predicted += np.outer(force, ratios)
@@ -310,7 +334,7 @@ def require_reproduction(
     scale = np.maximum(peak, _MIN_TORQUE_SHARE * np.max(peak, initial=0.0))
     deviation = np.max(np.abs(actual - predicted), axis=0)
     relative = deviation / np.where(scale > 0.0, scale, 1.0)
-    worst = int(np.argmax(relative))
+    worst = np.argmax(relative)
     if not relative[worst] <= TORQUE_TOLERANCE:
         raise ExportError(
             f"{path.name} does not reproduce the identified torques: joint "

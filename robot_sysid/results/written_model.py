@@ -52,10 +52,7 @@ _MJCF_ATTRIBUTES = {
 
 
 def write_model(
-    result: Result,
-    target: ModelTarget,
-    as_body: str | None = None,
-    file_kind: str | None = None,
+    result: Result, target: ModelTarget, as_body: str | None, file_kind: str
 ) -> tuple[str, ...]:
     """Write a model with the identified numbers, and with the payload if there is one.
 
@@ -67,7 +64,7 @@ def write_model(
         result: result of the identification; it stays unchanged.
         target: where to write; ``target.path`` is the path of the file.
         as_body: name of a new body for the payload; None merges it into the terminal link.
-        file_kind: format of the file, "mjcf" or "urdf"; None for that of the result.
+        file_kind: format of the file, "mjcf" or "urdf".
 
     Returns:
         Notes for the user, one sentence each.
@@ -78,7 +75,7 @@ def write_model(
     """
     thetas = _links_without_payload(result)
     robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
-    robot, target = _arm_of_kind(robot, file_kind or result.model_kind, target)
+    robot, target = _arm_of_kind(robot, file_kind, target)
     terms = {} if result.file is None else result.file.joints
     rotors: dict[str, float] = {}
     joints = []
@@ -89,7 +86,6 @@ def write_model(
             rotors[name] = numbers.pop("armature")
         if name in terms:
             joints.append(JointChange(name, numbers))
-    notes: tuple[str, ...] = ()
     payload = result.payload
     welded = None
     comments = []
@@ -108,10 +104,7 @@ def write_model(
         else:
             thetas[-1] += theta
             comments.append(f"with {text} in it")
-    bodies, written_thetas, body_notes = _body_changes(
-        robot, thetas, "; ".join(comments)
-    )
-    notes += body_notes
+    bodies, written_thetas, notes = _body_changes(robot, thetas, "; ".join(comments))
     written_thetas[-1] += theta_beside
     change = ModelChange(bodies, target.rmse, tuple(joints), welded, rotors=rotors)
     if result.file is not None:
@@ -224,7 +217,7 @@ def _body_changes(
     body_ids = [link.body_id for link in robot.links]
     # Smallest principal moment that the model's compiler leaves alone [kg m^2].
     bound = float(read_document(robot.path).compiler_setting("boundinertia") or 0.0)
-    written_thetas = np.array(thetas, dtype=float)
+    written_thetas = thetas.copy()
     indices = np.flatnonzero(np.any(thetas != robot.thetas, axis=1)).tolist()
     changes: list[BodyChange] = []
     notes: list[str] = []
@@ -291,9 +284,8 @@ def _write(
             torques. The draft is withdrawn on this and on any other exception.
     """
     release = tuple(map(int, MUJOCO_VERSION.split(".")[:2]))
-    change = replace(change, principal=release < (3, 14))
-    emptied = _emptied_actuators(robot, change)
-    change = replace(change, actuators=(*change.actuators, *emptied))
+    actuators = (*change.actuators, *_emptied_actuators(robot, change))
+    change = replace(change, principal=release < (3, 14), actuators=actuators)
     tendons = tuple(tendon for tendon in change.tendons if not tendon.is_new)
     without_new = replace(change, welded=None, tendons=tendons)
     path = target.path
@@ -331,8 +323,7 @@ def _emptied_actuators(
     owners = []
     for joint in change.joints:
         dof = robot.dof_index[robot.joint_names.index(joint.label)]
-        pulling = actuators_on(model, int(model.dof_jntid[dof]))
-        owners.append((pulling, joint.numbers))
+        owners.append((actuators_on(model, model.dof_jntid[dof]), joint.numbers))
     for tendon in change.tendons:
         owners.append((actuators_on(model, tendon.tendon, AT_TENDON), tendon.numbers))
     for actuators, numbers in owners:

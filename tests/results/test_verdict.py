@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from robot_sysid.records.messages import Level
 from robot_sysid.results.content import content_of
 from robot_sysid.results.record import Verdict
 from robot_sysid.results.verdict import plan_conditions, plan_verdict
@@ -74,7 +75,7 @@ def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
     assert result.failure is None
 
 
-@pytest.mark.parametrize("verdict", [v for v in Verdict if not v.writes_model])
+@pytest.mark.parametrize("verdict", [v for v in Verdict if v.level is Level.REFUSES])
 def test_a_result_that_is_not_usable_has_one_sentence_with_the_reason(verdict):
     for result in (made.found(verdict=verdict), made.payload(verdict=verdict)):
         sentence = verdict_line(result)
