@@ -65,8 +65,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             module = importlib.import_module(f"robot_sysid.commands.{module_name}")
             interrupted = getattr(module, "INTERRUPTED", UNFINISHED)
             if module_name == COMMANDS["identify"]:
-                return int(module.main(arguments, name))
-            return int(module.main(arguments))
+                return module.main(arguments, name)
+            return module.main(arguments)
         except SysidError as error:
             message = f"{error}{_write_columns_draft(error)}"
             for command in _remedies(error, name, arguments):
@@ -142,7 +142,7 @@ def _record_interrupts(process_ends: bool = False) -> Iterator[list[int]]:
     Args:
         process_ends: ignore the signals after the block, see ``handle_stop_signals``.
     """
-    numbers: list[int] = []
+    numbers = []
 
     def interrupt(number: int, frame: Any) -> None:
         """Note the signal and stop the command."""

@@ -104,7 +104,9 @@ class MotorOptions(OptionRecord):
 _FOLDERS = ("output_dir", "mesh_dir")
 """Keys of options that name a folder."""
 _RESULT_NAMES = (
-    *(file_access.PARAMS_NAME, file_access.SERVO_NAME, file_access.CARD_NAME),
+    file_access.PARAMS_NAME,
+    file_access.SERVO_NAME,
+    file_access.CARD_NAME,
     *file_access.MODEL_NAMES.values(),
 )
 """Names of files that a run may write to its output folder."""
@@ -150,7 +152,7 @@ class Config:
                 another one.
         """
         option_fields.refuse_unknown(values, cls.option_keys())
-        records: dict[str, Any] = {}
+        records = {}
         for name, record in cls.records().items():
             records[name] = option_fields.record_from(type(record), values)
         records["model"] = replace(records["model"], path=Path(path))
@@ -213,8 +215,7 @@ class MotionConfig(Config):
     def __post_init__(self) -> None:
         super().__post_init__()
         is_timed = self.trajectory.duration != TrajectoryOptions.duration
-        is_from_file = self.trajectory.file is not None
-        if is_timed and is_from_file:
+        if is_timed and self.trajectory.file is not None:
             raise InputError("--trajectory and --duration exclude each other")
 
     @property
@@ -253,7 +254,9 @@ class SelfTestConfig(MotionConfig):
 
     arm: SimulatedArmOptions = SimulatedArmOptions()
     left_out: ClassVar[tuple[str, ...]] = (
-        *("friction_model", "priors", "keep"),
+        "friction_model",
+        "priors",
+        "keep",
         *Config.left_out,
     )
 
@@ -279,8 +282,12 @@ class PlanConfig(MotionConfig):
     aim: AimOptions = AimOptions()
     limits: LimitOptions = LimitOptions()
     left_out: ClassVar[tuple[str, ...]] = (
-        *("links", "torque_from", "report"),
-        *("no_friction", "friction_model", "keep"),
+        "links",
+        "torque_from",
+        "report",
+        "no_friction",
+        "friction_model",
+        "keep",
     )
 
     @property
@@ -409,10 +416,7 @@ class PayloadConfig(LogConfig):
     """Options of ``payload``."""
 
     payload: PayloadOptions = PayloadOptions()
-    left_out: ClassVar[tuple[str, ...]] = (
-        *("torques", "no_friction"),
-        *Config.left_out,
-    )
+    left_out: ClassVar[tuple[str, ...]] = ("torques", "no_friction", *Config.left_out)
 
     def __post_init__(self) -> None:
         self._require_both()

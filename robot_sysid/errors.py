@@ -192,7 +192,7 @@ def ignore_repeated_ctrl_c() -> Iterator[None]:
 
     A stopped run needs a moment to save its results; a second Ctrl-C must not lose them.
     """
-    handler: Any = signal.getsignal(signal.SIGINT)
+    handler = signal.getsignal(signal.SIGINT)
     # Not callable: SIGINT is ignored, or a program that embeds Python handles it.
     if not _in_main_thread() or not callable(handler):
         yield

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, Union
@@ -119,7 +119,7 @@ def save(
     is_calibration = payload is not None and payload.known_mass is not None
     failure = result.failure
     report = None
-    card: Mapping[str, Any] | None = None
+    card = None
     written: list[Path] = []
     notes: tuple[str, ...] = ()
     with file_access.atomic_files() as files:
@@ -176,9 +176,8 @@ def _write_models(
     Raises:
         ExportError: one of them cannot be written; then neither is.
     """
-    robot = result.robot
-    kinds = dict.fromkeys((result.model_kind, robot.kind))
-    written: list[Path] = []
+    kinds = dict.fromkeys((result.model_kind, result.robot.kind))
+    written = []
     notes: list[str] = []
     try:
         for file_kind in kinds:

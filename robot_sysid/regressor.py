@@ -14,14 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import N_INERTIAL
+from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.records import Array
 
 
 def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
     """Derive Y6 = dF / dtheta symbolically.
-
-    F is linear in theta, so that column k of its Jacobian is F at theta = e_k.
 
     Returns:
         (Y6, symbols): the (6, 10) SymPy matrix in the order of ``spatial.PARAMETER_NAMES``, and the
@@ -40,16 +38,14 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
     v = hat(*twist[3:])
     # ad(V) = [[[omega]x, 0], [[v]x, [omega]x]].
     adjoint = omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
-    columns = []
-    for unit in sp.eye(N_INERTIAL).tolist():
-        m, hx, hy, hz, xx, xy, xz, yy, yz, zz = unit
-        # G = [[I, [h]x], [-[h]x, m 1]].
-        inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        h = hat(hx, hy, hz)
-        spatial_inertia = inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
-        momentum = spatial_inertia * twist
-        columns.append(spatial_inertia * acceleration - adjoint.T * momentum)
-    return sp.Matrix.hstack(*columns), motion
+    theta = sp.symbols(" ".join(PARAMETER_NAMES))
+    m, hx, hy, hz, xx, xy, xz, yy, yz, zz = theta
+    # G = [[I, [h]x], [-[h]x, m 1]].
+    inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    h = hat(hx, hy, hz)
+    spatial_inertia = inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
+    wrench = spatial_inertia * acceleration - adjoint.T * spatial_inertia * twist
+    return wrench.jacobian(theta), motion
 
 
 def wrench_regressor(velocity: Array, acceleration: Array) -> Array:

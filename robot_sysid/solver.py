@@ -32,9 +32,9 @@ def identify_parameters(
     space = visible_space(matrix)
     free = prior + space.solve(right_side - matrix @ prior)
     freedom = max(information.n_samples - space.rank, 1)
-    torque = float(np.linalg.norm(right_side)) / np.sqrt(max(information.n_samples, 1))
-    rms = float(np.sqrt(np.sum(information.squared_residuals(free)) / freedom))
-    noise = max(rms, _LEAST_NOISE * torque) or 1.0
+    torque = np.linalg.norm(right_side) / np.sqrt(max(information.n_samples, 1))
+    rms = np.sqrt(np.sum(information.squared_residuals(free)) / freedom)
+    noise = float(max(rms, _LEAST_NOISE * torque)) or 1.0
     values = free
     if possible and not spatial.is_consistent(free[:N_INERTIAL]):
         # Near this body the solver looks for possible ones; other parameters are zero in it.

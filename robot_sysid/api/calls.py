@@ -104,7 +104,7 @@ def _log_source(log: Log) -> Any:
 
 def _log_sources(logs: Log | Sequence[Log]) -> tuple[Any, ...]:
     """Return one log, or each of several, as something that ``logs.reader.open_log`` takes."""
-    several: Any = logs if isinstance(logs, (list, tuple)) else (logs,)
+    several = logs if isinstance(logs, (list, tuple)) else (logs,)
     return tuple(map(_log_source, several))
 
 
@@ -187,7 +187,7 @@ def identify(
     Raises:
         InputError: an option, the model or a log cannot be used; says why.
     """
-    values: dict[str, Any] = {**options, "measurements": _log_sources(log)}
+    values = {**options, "measurements": _log_sources(log)}
     if not values["measurements"]:
         raise InputError("the list of logs is empty; give at least one log")
     if isinstance(validation_measurements, (list, tuple)):
@@ -254,11 +254,7 @@ def payload(
     Raises:
         InputError: an option, the model or a recording cannot be used.
     """
-    values: dict[str, Any] = {
-        **options,
-        "empty": _log_sources(empty),
-        "loaded": _log_sources(loaded),
-    }
+    values = {**options, "empty": _log_sources(empty), "loaded": _log_sources(loaded)}
     return _run_quietly(PayloadConfig.of(path_of(model), **values))
 
 

@@ -110,8 +110,7 @@ def _motor_file(
         raise SysidError(f"{trajectory.failure}; not played")
     config = trajectory.config
     rate = config.trajectory.sample_rate
-    plan = trajectory.checked.plan
-    write = motor_writer(config.motors, trajectory.robot, plan, rate)
+    write = motor_writer(config.motors, trajectory.robot, trajectory.checked.plan, rate)
     if write is None:
         raise InputError(
             "the plan is for no motors; give rs.plan export_damiao and motor_type"

@@ -158,8 +158,8 @@ class Result(record.Result):
         figure = Figure(figsize=(8.0, 1.6 * count + 0.6), layout="constrained")
         axes = figure.subplots(count, sharex=True, squeeze=False)[:, 0]
         # Blue and orange of Okabe and Ito, safe for colour-blind readers.
-        dots: Any = {"ls": "none", "marker": ".", "ms": 2, "color": "#0072B2"}
-        line: Any = {"lw": 1, "color": "#D55E00"}
+        dots = {"ls": "none", "marker": ".", "ms": 2, "color": "#0072B2"}
+        line = {"lw": 1, "color": "#D55E00"}
         for k, (axis, joint) in enumerate(zip(axes, traces.joints)):
             axis.plot(traces.time, traces.measured[:, k], label="measured", **dots)
             axis.plot(traces.time, traces.predicted[:, k], label="predicted", **line)

@@ -44,43 +44,36 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     values, console = parse_command(build_parser, arguments)
     log_options = record_from(LogOptions, values)
-    model_options = record_from(ModelOptions, values)
+    model_options = replace(record_from(ModelOptions, values), path=values["path"])
     path = values["log"]
-    model_path = values["path"]
     try:
-        _check_log(path, model_path, log_options, model_options, console)
+        _check_log(path, log_options, model_options, console)
     except InputError as error:
         # A columns file that the error suggests replaces the one in use.
         is_replaced = isinstance(error, ColumnsError)
         if error.command == "payload":
             from robot_sysid.pipeline.run_words import add_weighing_commands
 
-            model_options = replace(model_options, path=model_path)
             add_weighing_commands(error, model_options, log_options, path)
         # Only that command has these options, or who has stated columns goes on to it.
         elif error.command == "identify" or is_replaced:
             columns = None if is_replaced else values.get("columns")
             options = {**values, "columns": columns}
-            words = _next_step(model_path, path, options).command[1:]
+            words = _next_step(model_options.path, path, options).command[1:]
             error.command_lines = [[*words, *o] for o in error.options]
         raise
     return 0
 
 
 def _check_log(
-    path: Path,
-    model_path: Path,
-    log_options: LogOptions,
-    model_options: ModelOptions,
-    console: Console,
+    path: Path, log_options: LogOptions, model_options: ModelOptions, console: Console
 ) -> None:
     """Print a log's findings against a model.
 
     Args:
         path: of the log.
-        model_path: of the model.
         log_options: how the log is read, and which findings are accepted.
-        model_options: the arm in the model.
+        model_options: the model, and the arm in it.
         console: prints the findings, and their JSON.
 
     Raises:
@@ -92,7 +85,7 @@ def _check_log(
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
-    robot = load_robot_model(model_path, **given_values(model_options))
+    robot = load_robot_model(model_options.path, **given_values(model_options))
     log = open_log(robot, path, log_options, console)
     console.stage(*map(str, log.notes))  # As plain text: details are printed here.
     count = len(log.samples)
@@ -116,7 +109,7 @@ def _check_log(
     require_acceptable(log, findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
     values = {**vars(model_options), **vars(log_options)}
-    console.stage(*_next_step(model_path, path, values).lines())
+    console.stage(*_next_step(model_options.path, path, values).lines())
 
 
 def _next_step(model_path: Path, path: Path, options: Mapping[str, Any]) -> NextStep:

@@ -44,13 +44,12 @@ def main(arguments: Sequence[str]) -> int:
     from robot_sysid.pipeline.comparison import compare_runs, sentences
     from robot_sysid.report.page import write_report
     from robot_sysid.report.runs import load_run
-    from robot_sysid.results.record import Quantity
 
     runs = [load_run(folder) for folder in values["folders"]]
     if "output_dir" not in values:
         folder = runs[0].folder
-    differences: list[str] = []
-    changes: list[Quantity] = []
+    differences = []
+    changes = []
     if len(runs) == 2:
         try:
             changes = compare_runs(runs, console)

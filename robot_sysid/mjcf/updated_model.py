@@ -163,7 +163,7 @@ def changed_model_text(
         ExportError: the file does not contain an element itself (see ``find_element``).
     """
     document = read_document(source, mesh_dir)
-    written: list[Node] = []
+    written = []
     for body in change.bodies:
         node = find_element(document, "body", body.label)
         put_comment(node, _comment(f"body '{body.label}'", change.rmse, body.addition))

@@ -146,8 +146,7 @@ def give_minimum(document: ModelDocument, excluded: Collection[Node] = ()) -> li
             continue
         mass = max(_mass(link), _MINIMUM_MASS)
         inertia = _MINIMUM_INERTIA * np.eye(3)
-        minimum = urdf_inertial_about_com(mass, _origin(link, "xyz"), inertia)
-        put_inertial(link, minimum)
+        put_inertial(link, urdf_inertial_about_com(mass, _origin(link, "xyz"), inertia))
         names.append(str(link.get("name")))
     return names
 

@@ -118,8 +118,7 @@ def torque_limits(mj_model: Any, joints: tuple[int, ...]) -> Array:
     """
     # Smallest and largest torque of each degree of freedom.
     torques = np.zeros((mj_model.nv, 2))
-    ranges = output_ranges(mj_model)
-    for ratios, forces in zip(_transmissions(mj_model), ranges):
+    for ratios, forces in zip(_transmissions(mj_model), output_ranges(mj_model)):
         for dof in np.flatnonzero(ratios):
             torques[dof] += np.sort(ratios[dof] * forces)
     limits = []

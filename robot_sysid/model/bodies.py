@@ -219,8 +219,7 @@ def _fixed_frames(robot: RobotModel) -> Iterator[tuple[str, Flange]]:
     for kind, name, pose in frames:
         rotation = axes.T @ pose.xmat.reshape(3, 3)
         translation = axes.T @ (pose.xpos - origin)
-        label = f"{kind} '{name}'"
-        yield name, Flange(label, rotation, translation, robot.body_name)
+        yield name, Flange(f"{kind} '{name}'", rotation, translation, robot.body_name)
 
 
 def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
@@ -270,8 +269,7 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
         )
     angles = np.radians(numbers[3:] or [0.0] * 3)
     rotation = spatial.rotation_of_angles(angles)
-    name = text.replace(" ", "")
-    return Flange(name, rotation, translation, robot.body_name)
+    return Flange(text.replace(" ", ""), rotation, translation, robot.body_name)
 
 
 _POSITIONS = 7

@@ -21,7 +21,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.dynamics.spatial import ROD, ROD_MOMENT
-from robot_sysid.records import KINDS, ArmLink, Array
+from robot_sysid.records import KINDS, ArmLink, Array, InertialParameters
 from robot_sysid.records.usual_errors import LEAST_SIZE, LEAST_SIZE_SHARE
 
 MASS, CENTRE, INERTIA = KINDS
@@ -98,8 +98,7 @@ def _copied(links: Sequence[ArmLink]) -> dict[str, set[str]]:
     copied: dict[str, set[str]] = {link.body_name: set() for link in links}
     present = [link for link in links if link.has_mass]
     for link in present:
-        _, _, inertia = spatial.com_from_theta(link.theta)
-        moments = np.linalg.eigvalsh(inertia)
+        moments = InertialParameters(link.theta).principal_moments
         groups[f"{moments[-1]:.4g}"].append(
             (link, np.ptp(moments) < 1e-6 * moments[-1])
         )

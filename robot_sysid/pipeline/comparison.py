@@ -102,8 +102,7 @@ def of_two_runs(
             and at order 1.
         options: priors and friction terms.
     """
-    question = Question(options, loaded=True, drifts=True)
-    fitted = solved(robot, recordings, question)
+    fitted = solved(robot, recordings, Question(options, loaded=True, drifts=True))
     # What came off is no possible body.
     return replace(fitted, values=fitted.free)
 

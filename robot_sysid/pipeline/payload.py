@@ -59,8 +59,7 @@ def identify_payload(
     drifts = positions is not None and is_drift_identifiable(is_loaded, positions)
     # Where the order is not known, a drift may have come with the payload.
     order = np.where(is_loaded, 1.0, -1.0) if positions is None else positions
-    cutoff = config.estimation.cutoff
-    datasets, notes = _datasets(robot, logs, is_loaded, order, cutoff)
+    datasets, notes = _datasets(robot, logs, is_loaded, order, config.estimation.cutoff)
     if not drifts:
         reason = "in this order it looks like a payload"
         if positions is None and len(logs) != 2:
@@ -163,8 +162,7 @@ def order_positions(logs: Sequence[MeasurementLog], order: str | None) -> Array 
         if np.any(spans[1:, 0] <= spans[:-1, 1]):
             return None
         positions = np.mean(ends, axis=1)
-    first = np.min(positions)
-    return 2.0 * (positions - first) / np.ptp(positions) - 1.0
+    return 2.0 * (positions - np.min(positions)) / np.ptp(positions) - 1.0
 
 
 def is_drift_identifiable(is_loaded: NDArray[np.bool_], positions: Array) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.config import MotionConfig, PlanConfig
+from robot_sysid.config import MotionConfig, MotorOptions, PlanConfig
 from robot_sysid.errors import InputError
 from robot_sysid.export import MotorFile, Written
 from robot_sysid.motion import WEIGHT
@@ -27,7 +27,6 @@ from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
 if TYPE_CHECKING:
-    from robot_sysid.config import MotorOptions
     from robot_sysid.damiao.trajectory import MotionChunk
     from robot_sysid.motion.prediction import Prediction
 
@@ -124,7 +123,7 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
         paths, clamping = _write_motion(config, robot, checked.plan)
         lines += clamping
     shortfall = _shortfall(config, prediction)
-    conditions: list[str] = []
+    conditions = []
     problem = checked.problem
     if problem is not None and not failure:
         from robot_sysid.motion.starts import contact_on_the_way
@@ -171,8 +170,7 @@ def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
     if config.aim.purpose == "payload":
         return step("motion planned for payload", options=options)
     options += ["--links"] if config.aim.purpose == "arm" else []
-    log = str(folder / "log.csv")
-    return step("motion planned", options=options, log=log)
+    return step("motion planned", options=options, log=str(folder / "log.csv"))
 
 
 def _write_motion(

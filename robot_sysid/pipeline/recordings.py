@@ -21,7 +21,6 @@ from robot_sysid.estimate.identify import (
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_ROTORS
 from robot_sysid.estimate.restricted_fit import errors_on
 from robot_sysid.estimate.result import link_result, traces_of
-from robot_sysid.estimate.rows import Recording
 from robot_sysid.logs.reader import (
     MeasurementLog,
     open_log,
@@ -63,7 +62,7 @@ def identify_logs(
         path = options.validation_measurements
         read.append(open_log(robot, path, options, progress))
     refuse_repeated_logs(read)
-    checked: list[MeasurementLog] = []
+    checked = []
     for log in read:
         log = check_log(robot, log, options.accept, progress, config.estimation)
         checked.append(log)
@@ -109,8 +108,7 @@ def identify_plant(
     progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")
     rng = np.random.default_rng([seed, _NOISE_STREAM])
     simulation = plant_measurements(plant, plan, arm, rate, rng)
-    n_samples = sample_count(plan.duration, rate)
-    n_chunks = math.ceil(n_samples / CHUNK)
+    n_chunks = math.ceil(sample_count(plan.duration, rate) / CHUNK)
     chunks = progress.track(simulation, "Collecting measurements", n_chunks)
     run = join_measurements(chunks)
     if arm.save_measurements is not None:
@@ -148,7 +146,7 @@ def _identify_pieces(
     recordings, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
     pieces.clear()
     signals = recordings[0].signals
-    test_recordings: dict[str, list[Recording]] = {}
+    test_recordings = {}
     for log in tests:
         name = str(log.path)
         test_pieces = [Piece(name, samples) for samples in log.pieces]

@@ -266,13 +266,12 @@ class JointFriction:
         # Speeds (N, m) of the shared motors, each as seen at the joint that it moves most.
         largest = np.max(np.abs(self.shared), axis=1, keepdims=True)
         motor_speed = qd @ (self.shared / largest).T
-        by_joints = self.coulomb * direction(qd)
-        return np.asarray(by_joints + direction(motor_speed) @ self.shared)
+        return self.coulomb * direction(qd) + direction(motor_speed) @ self.shared
 
     @property
     def largest_dry(self) -> Array:
         """Largest dry friction (n,) of each joint, whichever way shared motors turn [N m or N]."""
-        return np.asarray(self.coulomb + np.sum(np.abs(self.shared), axis=0))
+        return self.coulomb + np.sum(np.abs(self.shared), axis=0)
 
 
 @dataclass(frozen=True, repr=False)

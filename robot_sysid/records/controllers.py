@@ -44,11 +44,10 @@ def makers_of(robot: RobotModel) -> tuple[str, ...]:
         names.append(robot.mj_model.names.split(b"\0")[0].decode(errors="replace"))
     for parts in (robot.joint_names, names):
         text = "_".join(re.findall(r"[a-z0-9]+", " ".join(parts).lower()))
-        keys = []
-        for key, pattern in MAKERS.items():
-            # One word, or several in a row.
-            if re.search(rf"(?:^|_)(?:{pattern})(?:_|$)", text):
-                keys.append(key)
+        # A pattern fits one word, or several in a row.
+        keys = tuple(
+            k for k in MAKERS if re.search(rf"(?:^|_)(?:{MAKERS[k]})(?:_|$)", text)
+        )
         if keys:
-            return tuple(keys)
+            return keys
     return ()

@@ -12,8 +12,18 @@ from typing import Any
 PARAMETER_UNITS = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
 """Units of the ten inertial parameters [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz]."""
 _TERM_UNITS: Mapping[str, tuple[str, str]] = {
-    **dict.fromkeys(("coulomb", "offset", "stribeck", "sigmoid"), ("N·m", "N")),
-    **dict.fromkeys(("fading_fast", "fading", "fading_slow"), ("N·m", "N")),
+    **dict.fromkeys(
+        (
+            "coulomb",
+            "offset",
+            "stribeck",
+            "sigmoid",
+            "fading_fast",
+            "fading",
+            "fading_slow",
+        ),
+        ("N·m", "N"),
+    ),
     "viscous": ("N·m·s/rad", "N·s/m"),
     "armature": ("kg·m²", "kg"),
     "sqrt": ("N·m·√(s/rad)", "N·√(s/m)"),

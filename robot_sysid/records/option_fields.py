@@ -137,12 +137,10 @@ def option(
     """
     form = _VALUE_FORM.fullmatch(value)
     assert form, value
-    if form[1]:
-        attributes.setdefault("metavar", form[1])
-    if form[2]:
-        attributes.setdefault("unit", form[2])
-    if form[3]:
-        attributes.setdefault("check", _RANGE_CHECKS[form[3]])
+    name, unit, sign = form.groups()
+    attributes.setdefault("metavar", name)
+    attributes.setdefault("unit", unit or "")
+    attributes.setdefault("check", _RANGE_CHECKS.get(sign))
     return field(default=default, metadata={"option": Option(flag, help, **attributes)})
 
 
@@ -209,8 +207,7 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
                 continue
             texts = []
             for leaf in _leaves(single):
-                is_float = isinstance(leaf, float)
-                texts.append(f"{leaf:.12g}" if is_float else str(leaf))
+                texts.append(f"{leaf:.12g}" if isinstance(leaf, float) else str(leaf))
             if stated.takes_many or isinstance(stated.metavar, tuple):
                 arguments += texts
             else:
@@ -373,7 +370,7 @@ def joint_values(values: PerJoint, n_joints: int, flag: str) -> Array:
 def parse_numbers(text: str) -> PerJoint:
     """Return the numbers in a text: one for all joints, or one per joint between commas."""
     try:
-        numbers = tuple(float(number) for number in text.split(","))
+        numbers = tuple(map(float, text.split(",")))
     except ValueError as error:
         raise InputError(
             f"{text!r} is neither a number nor a list like 0.1,0.1,0.05"
@@ -460,8 +457,7 @@ def write_torque_scale(path: Path, scales: Mapping[str, tuple[float, float]]) ->
             "value": _checked_factor(path, joint, scale),
             "standard_error": _checked_factor(path, joint, error),
         }
-    content = {"version": 2, SCALE: entries}
-    write_atomically(path, json.dumps(content, indent=2) + "\n")
+    write_atomically(path, json.dumps({"version": 2, SCALE: entries}, indent=2) + "\n")
 
 
 def _checked_factor(path: Path, joint: str, value: object) -> float:
@@ -520,8 +516,7 @@ def value_text(stated: Option) -> str:
         text = f"{len(stated.metavar)} numbers {' '.join(stated.metavar)}"
     if stated.unit:
         text += f" [{stated.unit}]"
-    takes_many = stated.repeats or stated.takes_many
-    return f"{text}, or a list of them" if takes_many else text
+    return f"{text}, or a list of them" if stated.repeats or stated.takes_many else text
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ draws: text and axes, grid lines, the model before, identified and
 measured values."""
 _WIDTH = 460.0
 """Width of every figure [px]: two fit side by side on a screen, one on a phone."""
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "axes.axisbelow": True,
     "axes.edgecolor": COLOURS["ink"],
     "axes.facecolor": "none",
@@ -82,17 +82,16 @@ def drawing_style() -> Iterator[None]:
     from matplotlib import rc_context
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
-    settings: Any = _STYLE
-    with rc_context(settings):
+    with rc_context(_STYLE):
         yield
 
 
-def new_figure(height: float, rows: int = 1, columns: int = 1, **grid: Any) -> Any:
-    """Return (matplotlib's figure of a height [px], its axes (rows, columns))."""
+def new_figure(height: float, rows: int = 1) -> Any:
+    """Return (matplotlib's figure of a height [px], its axes (rows, 1) above one another)."""
     from matplotlib.figure import Figure as Canvas
 
     canvas = Canvas(figsize=(_WIDTH / 72.0, height / 72.0))
-    return canvas, canvas.subplots(rows, columns, squeeze=False, **grid)
+    return canvas, canvas.subplots(rows, squeeze=False, sharex=True)
 
 
 def add_legend(canvas: Canvas) -> None:

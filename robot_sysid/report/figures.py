@@ -21,7 +21,7 @@ def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:
     measured = traces.measured[:, joint]
     before = traces.prior_prediction[:, joint]
     after = traces.predicted[:, joint]
-    canvas, ((torque_axes,), (axes,)) = new_figure(310.0, 2, sharex=True)
+    canvas, ((torque_axes,), (axes,)) = new_figure(310.0, 2)
     time = traces.time
     torque_axes.plot(
         time, measured, color=COLOURS["measured"], lw=3.2, label="measured"

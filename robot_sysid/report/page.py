@@ -87,7 +87,7 @@ def write_report(
     name = REPORT_NAME if len(runs) == 1 else COMPARISON_NAME
     template = environment.get_template(name)
     try:
-        values: Mapping[str, Any] = {
+        values = {
             "runs": list(map(_summary_of, runs)),
             "differences": differences,
             "changes": changes,

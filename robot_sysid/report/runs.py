@@ -46,9 +46,8 @@ def save_data(folder: Path, traces: Traces, result: str) -> None:
     # The time starts anew with each log: here one log follows the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))
-    arrays: dict[str, Any] = {
-        name: np.asarray(getattr(traces, name)[chosen], np.float32)
-        for name in SIGNAL_NAMES
+    arrays = {
+        name: getattr(traces, name)[chosen].astype(np.float32) for name in SIGNAL_NAMES
     }
     buffer = BytesIO()
     np.savez_compressed(

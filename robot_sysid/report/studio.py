@@ -179,8 +179,7 @@ class Studio:
         self._add_geom(sphere, np.full(3, 0.008), centre, np.eye(3), dot_colour)
         if is_possible:
             ellipsoid = mujoco.mjtGeom.mjGEOM_ELLIPSOID
-            half_axes = np.sqrt(squares)
-            self._add_geom(ellipsoid, half_axes, centre, rotation @ axes, colour)
+            self._add_geom(ellipsoid, np.sqrt(squares), centre, rotation @ axes, colour)
         return is_possible
 
     def _add_geom(

@@ -164,7 +164,7 @@ def _round_to_possible(
         rounding: rounding error of the values [kg m^2].
     """
     least_moment = _MIN_MOMENT_SHARE * moments_of(values)[0]
-    rounded: list[float] = []
+    rounded = []
     for extra_digits in range(DIGITS + 1):
         rounded = round_to_errors(values, errors, extra_digits)
         moments = moments_of(np.array(rounded))
@@ -176,7 +176,7 @@ def _round_to_possible(
 def round_to_errors(
     values: Iterable[float], errors: Iterable[float], extra_digits: int = 0
 ) -> list[float]:
-    """Return m numbers rounded at the second digit of their standard errors.
+    """Return m numbers rounded at the second digit of their standard errors, or to ``DIGITS``.
 
     Zero where they are below ``_ROUNDING`` times the largest.
 
@@ -188,18 +188,15 @@ def round_to_errors(
     numbers = np.array(list(values), dtype=float)
     sizes = np.abs(numbers)
     numbers[sizes < _ROUNDING * np.max(sizes)] = 0.0
-    pairs = zip(numbers.tolist(), errors)
-    return [_round_to_error(value, error, extra_digits) for value, error in pairs]
-
-
-def _round_to_error(value: float, error: float, extra_digits: int) -> float:
-    """Return a number rounded at the second digit of its error, with ``DIGITS`` digits at most."""
-    digits = DIGITS
-    if not math.isfinite(error):
-        digits = min(_UNKNOWN_DIGITS + extra_digits, DIGITS)
-    elif error > 0.0:
-        value = round(value, 1 - math.floor(math.log10(error)) + extra_digits)
-    return float(f"{value:.{digits}g}") + 0.0
+    rounded = []
+    for value, error in zip(numbers.tolist(), errors):
+        digits = DIGITS
+        if not math.isfinite(error):
+            digits = min(_UNKNOWN_DIGITS + extra_digits, DIGITS)
+        elif error > 0.0:
+            value = round(value, 1 - math.floor(math.log10(error)) + extra_digits)
+        rounded.append(float(f"{value:.{digits}g}") + 0.0)
+    return rounded
 
 
 def plain(value: float) -> str:

@@ -300,8 +300,7 @@ class Result:
         It is the identified number, and with the source ``FILE`` that of the written model.
         """
         for row in self.quantities:
-            is_file = row.source == FILE
-            if (row.name, row.of, is_file) == (name, of, source == FILE):
+            if (row.name, row.of, row.source == FILE) == (name, of, source == FILE):
                 return row
         return None
 

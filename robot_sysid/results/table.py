@@ -175,12 +175,10 @@ def table_lines(rows: Iterable[Sequence[str]], title: str = "") -> list[str]:
 def all_cells(content: Content) -> Iterator[tuple[str, ...]]:
     """Yield every row of links, joints and motors, with the written number where it differs."""
     written = file_rows(content)
-    owners = dict.fromkeys(row["of"] for row in content["quantities"])
-    for owner in owners:
+    for owner in dict.fromkeys(row["of"] for row in content["quantities"]):
         rows = [] if owner == BEYOND else body_rows(content, owner)
         for row in (*rows, *friction_rows(content, owner)):
-            title = f"{owner} {label(row)}"
-            yield cells(row, title, written.get((owner, row["name"])))
+            yield cells(row, f"{owner} {label(row)}", written.get((owner, row["name"])))
 
 
 def beyond_line(content: Content) -> str:

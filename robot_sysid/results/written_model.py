@@ -77,7 +77,7 @@ def write_model(
     robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
     robot, target = _arm_of_kind(robot, file_kind, target)
     terms = {} if result.file is None else result.file.joints
-    rotors: dict[str, float] = {}
+    rotors = {}
     joints = []
     for name in robot.joint_names:
         numbers = _numbers(terms.get(name, {}))
@@ -219,7 +219,7 @@ def _body_changes(
     bound = float(read_document(robot.path).compiler_setting("boundinertia") or 0.0)
     written_thetas = thetas.copy()
     indices = np.flatnonzero(np.any(thetas != robot.thetas, axis=1)).tolist()
-    changes: list[BodyChange] = []
+    changes = []
     notes: list[str] = []
     for k in indices:
         link = robot.links[k]
