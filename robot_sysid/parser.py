@@ -73,20 +73,17 @@ def load_robot_model(
     )
     carriers = chain_to(mj_model, terminal)
     chain = arm_without_base(mj_model, carriers)
-    body = int(mj_model.jnt_bodyid[terminal])
     keyframe_id = rest_keyframe(mj_model, keyframe)
-    qpos = np.array(mj_model.qpos0, dtype=float)
+    qpos = mj_model.qpos0.copy()
     if keyframe_id is not None:
         qpos[:] = mj_model.key_qpos[keyframe_id]
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
     links = arm_links(mj_model, qpos, chain)
     if links[-1].theta[0] <= 0.0:
-        fault = (
-            f"the terminal body {links[-1].body_name} and all below it weigh nothing"
-        )
         raise ModelError(
-            f"{fault}; give it an <inertial> or geoms with mass as a starting value"
+            f"the terminal body {links[-1].body_name} and all below it weigh nothing; give it an "
+            "<inertial> or geoms with mass as a starting value"
         )
     speeds = [compiled.velocity_limits.get(name) for name in names]
     robot = RobotModel(
@@ -100,7 +97,7 @@ def load_robot_model(
         reference_qpos=qpos,
         is_slide=mj_model.jnt_type[list(chain)] == int(mujoco.mjtJoint.mjJNT_SLIDE),
         limits=joint_limits(mj_model, chain, max_velocity, speeds),
-        bodies=subtree_bodies(mj_model, qpos, body),
+        bodies=subtree_bodies(mj_model, qpos, links[-1].body_id),
         friction=joint_friction(mj_model, dofs),
         links=links,
         notes=compiled.notes,
@@ -121,8 +118,10 @@ def load_robot_model(
         )
     if keyframe_id is None and mj_model.nkey:
         keyframes = ", ".join(_keyframe_names(mj_model))
-        none = "of several keyframes none is called home, so all joints start at their zero"
-        notes.append(f"{none}; --keyframe chooses one of {keyframes}")
+        notes.append(
+            "of several keyframes none is called home, so all joints start at their zero; "
+            f"--keyframe chooses one of {keyframes}"
+        )
     base = ", ".join(joint_label(mj_model, j) for j in carriers if j not in chain)
     if base:
         notes.append(f"{base} drive a mobile base, which is taken to stand still")

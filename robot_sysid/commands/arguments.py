@@ -64,10 +64,9 @@ class Parser(argparse.ArgumentParser):
 
     def format_help(self) -> str:
         """Return the example, then the overview if there is one, the usage and all options."""
-        paragraphs = [f"example: {self._example}"]
-        if self._overview:
-            paragraphs += ["\n".join(self._overview)]
-        return "\n\n".join([*paragraphs, super().format_help()])
+        overview = "\n".join(self._overview)
+        paragraphs = (f"example: {self._example}", overview, super().format_help())
+        return "\n\n".join(filter(None, paragraphs))
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError instead of printing the usage."""

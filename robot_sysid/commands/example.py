@@ -16,7 +16,6 @@ from robot_sysid.records.file_access import temporary_folder
 from robot_sysid.records.option_fields import record_from
 
 EXAMPLES = ("kinova",)
-MAIN = ("output_dir",)
 GUESS = "kinova_fullinertia_guess.xml"
 TRUTH = "kinova_fullinertia.xml"
 LOG = "true_arm.csv"
@@ -47,7 +46,7 @@ def build_parser(full: bool = True) -> Parser:
         "robot-sysid example kinova",
         "Copy an example out of the package, with two logs of its true arm, and print "
         "the commands that walk through it.",
-        None if full else MAIN,
+        None if full else ("output_dir",),
         codes=(0, 2, 130),
     )
     parser.add_argument(

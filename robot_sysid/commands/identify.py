@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from robot_sysid import __version__
 from robot_sysid.commands import PROGRAM, Console, overview
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.commands.report import draw_report, require_report
+from robot_sysid.commands.report import draw_report
 from robot_sysid.config import (
     Config,
     IdentifyConfig,
@@ -28,6 +28,7 @@ from robot_sysid.config import (
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import file_access
 from robot_sysid.records.option_fields import given_values
+from robot_sysid.report.drawing import require_matplotlib
 
 
 class CommandSpec(NamedTuple):
@@ -177,7 +178,8 @@ def run_command(config: Config, console: Console) -> None:
     Raises:
         SysidError: the run failed, its result cannot be used, or a wanted report is missing.
     """
-    require_report(config.output.report)
+    if config.output.report:
+        require_matplotlib()
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline.stages import run
 
@@ -201,7 +203,7 @@ def run_command(config: Config, console: Console) -> None:
         _write_settings(config)
     missing = None
     if config.output.report:
-        missing = draw_report(config.output, config.model.mesh_dir, console)
+        missing = draw_report(config, console)
     if written.failure:
         raise SysidError(" ".join(written.verdict))
     console.stage(*written.verdict)

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.config import OutputOptions
+from robot_sysid.config import Config, OutputOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
 from robot_sysid.records.option_fields import record_from
+from robot_sysid.report.drawing import require_matplotlib
 
 
 def build_parser(full: bool = True) -> Parser:
@@ -39,7 +40,7 @@ def main(arguments: Sequence[str]) -> int:
     values, console = parse_command(build_parser, arguments)
     mesh_dir = record_from(ModelOptions, values).mesh_dir
     folder = record_from(OutputOptions, values).output_dir
-    require_report(True)
+    require_matplotlib()
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline.comparison import compare_runs, sentences
     from robot_sysid.report.page import write_report
@@ -67,22 +68,11 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def require_report(is_wanted: bool) -> None:
-    """Raise InputError where a wanted report cannot be made; called before a long run."""
-    if is_wanted:
-        from robot_sysid.report.drawing import require_matplotlib
-
-        require_matplotlib()
-
-
-def draw_report(
-    output: OutputOptions, mesh_dir: Path | None, console: Console
-) -> str | None:
+def draw_report(config: Config, console: Console) -> str | None:
     """Draw the report of a run that has just ended; return why it is missing, or None.
 
     Args:
-        output: folder of the results.
-        mesh_dir: folder of the model's meshes; None as the model says.
+        config: options of the run, with the folders of its results and of the model's meshes.
         console: prints where the report is.
     """
     from robot_sysid.report.page import write_report
@@ -90,7 +80,8 @@ def draw_report(
 
     console.stage("Drawing the report...")
     try:
-        folder = output.output_dir
+        folder = config.output.output_dir
+        mesh_dir = config.model.mesh_dir
         path = write_report([load_run(folder)], folder, mesh_dir, console)
     except Exception as error:  # The run is done, and its results must stand.
         cause = f"{type(error).__name__}: {error}"

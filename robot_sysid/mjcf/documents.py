@@ -210,8 +210,9 @@ def _read_bytes(path: Path) -> bytes:
         hint = "" if path.suffix.lower() in SUFFIXES else hint
         raise InputError(f"model file {path} not found; check the path{hint}") from None
     except (OSError, ValueError) as error:
-        fault = error_text(error)
-        raise InputError(f"cannot read model file {path}: {fault}") from None
+        raise InputError(
+            f"cannot read model file {path}: {error_text(error)}"
+        ) from None
 
 
 def _decoded(raw: bytes, path: Path) -> str:

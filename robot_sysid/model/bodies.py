@@ -263,9 +263,9 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
         raise ModelError(f"flange {text}: neither a name nor numbers; {remedy}")
     translation = np.array(numbers[:3])
     if np.max(np.abs(translation)) > REACH:
-        fault = f"more than {REACH:g} m away from body '{robot.body_name}'"
         raise ModelError(
-            f"flange {text}: {fault}; the numbers are metres, not millimetres"
+            f"flange {text}: more than {REACH:g} m away from body '{robot.body_name}'; the "
+            "numbers are metres, not millimetres"
         )
     angles = np.radians(numbers[3:] or [0.0] * 3)
     rotation = spatial.rotation_of_angles(angles)

@@ -328,5 +328,6 @@ def _compile_spec(spec: Any) -> Any:
         try:
             return spec.compile()
         except FAILURES as error:
-            fault = error_text(error)
-            raise ModelError(f"MuJoCo cannot compile the MjSpec: {fault}") from None
+            raise ModelError(
+                f"MuJoCo cannot compile the MjSpec: {error_text(error)}"
+            ) from None

@@ -179,16 +179,14 @@ class NextStep:
 
     Attributes:
         sentence: what to do and what for, without an end mark.
-        command: words of the command line that does it; () where no command does.
+        command: words of the command line that does it.
     """
 
     sentence: str
-    command: tuple[str, ...] = ()
+    command: tuple[str, ...]
 
     def lines(self) -> tuple[str, ...]:
         """Return the sentence, and below it the command, quoted for a shell, alone on its line."""
-        if not self.command:
-            return (self.sentence,)
         return f"{self.sentence}:", f"  {shlex.join(self.command)}"
 
 

@@ -102,9 +102,7 @@ class Verdict(Enum):
 
     def remark(self, reason: str = "") -> Remark:
         """Return the remark by which this verdict follows from a reason, one phrase."""
-        if reason:
-            return Remark(self.level, self.name, reason, self.value)
-        return Remark(self.level, self.name, self.value)
+        return Remark(self.level, self.name, *filter(None, (reason, self.value)))
 
 
 DATA = "data"

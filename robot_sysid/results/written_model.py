@@ -88,7 +88,7 @@ def write_model(
             joints.append(JointChange(name, numbers))
     payload = result.payload
     welded = None
-    comments = []
+    comment = ""
     # Parameters of a payload in a body of its own, which only the torque check adds to the terminal
     # link.
     theta_beside = np.zeros(10)
@@ -100,11 +100,11 @@ def write_model(
         if as_body is not None:
             welded = _payload_body(robot, payload, as_body, text)
             theta_beside = theta
-            comments.append("without the payload")
+            comment = "without the payload"
         else:
             thetas[-1] += theta
-            comments.append(f"with {text} in it")
-    bodies, written_thetas, notes = _body_changes(robot, thetas, "; ".join(comments))
+            comment = f"with {text} in it"
+    bodies, written_thetas, notes = _body_changes(robot, thetas, comment)
     written_thetas[-1] += theta_beside
     change = ModelChange(bodies, target.rmse, tuple(joints), welded, rotors=rotors)
     if result.file is not None:
@@ -174,8 +174,7 @@ def _links_without_payload(result: Result) -> Array:
 
 def _numbers(terms: Mapping[str, float]) -> dict[str, float]:
     """Return the values of friction terms that a file holds by their names in MJCF."""
-    names = _MJCF_ATTRIBUTES
-    return {names[term]: terms[term] for term in names if term in terms}
+    return {name: terms[t] for t, name in _MJCF_ATTRIBUTES.items() if t in terms}
 
 
 def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange]:
@@ -235,8 +234,8 @@ def _body_changes(
         # With the moments of inertia as they were inflated to be possible.
         written_thetas[k] = plan.composite
         notes += plan.notes
-        comments = [terminal_comment] if k == len(body_ids) - 1 else []
-        addition = "; ".join(filter(None, [*comments, *plan.notes]))
+        comment = terminal_comment if link is robot.links[-1] else ""
+        addition = "; ".join(filter(None, (comment, *plan.notes)))
         changes.append(BodyChange(link.body_name, link.body_id, plan.theta, addition))
         for body in plan.emptied:
             addition = f"its inertia is in that of body '{link.body_name}'"
