@@ -103,13 +103,6 @@ class MotorOptions(OptionRecord):
 
 _FOLDERS = ("output_dir", "mesh_dir")
 """Keys of options that name a folder."""
-_RESULT_NAMES = (
-    file_access.PARAMS_NAME,
-    file_access.SERVO_NAME,
-    file_access.CARD_NAME,
-    *file_access.MODEL_NAMES.values(),
-)
-"""Names of files that a run may write to its output folder."""
 _WRITTEN = "save-"
 """Part of the flags of options that name a file to write."""
 
@@ -180,7 +173,7 @@ class Config:
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""
-        for name in _RESULT_NAMES:
+        for name in file_access.RESULT_NAMES:
             yield "--output-dir", self.output.output_dir / name
         for flag, path in self._files():
             if _WRITTEN in flag:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, Union
@@ -35,14 +35,7 @@ if TYPE_CHECKING:
 
 _LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
 """Files that a command writes after the results."""
-RESULT_NAMES = (
-    file_access.PARAMS_NAME,
-    file_access.SERVO_NAME,
-    *file_access.MODEL_NAMES.values(),
-    file_access.CARD_NAME,
-    file_access.DAMIAO_NAME,
-    "report.html",
-)
+RESULT_NAMES = (*file_access.RESULT_NAMES, file_access.DAMIAO_NAME, "report.html")
 """Result files of all commands and releases; a planned motion is no result."""
 MotorFile = Callable[[Union[Path, TextIO]], "DamiaoExportReport"]
 """Writes the motor trajectory to a path or into an open file and returns a report on it."""
@@ -61,8 +54,8 @@ class Written:
     """
 
     files: tuple[Path, ...]
-    lines: tuple[str, ...]
-    verdict: tuple[str, ...]
+    lines: Sequence[str]
+    verdict: Sequence[str]
     failure: str | None
     result: Any
 
@@ -121,7 +114,7 @@ def save(
     report = None
     card = None
     written: list[Path] = []
-    notes: tuple[str, ...] = ()
+    notes: list[str] = []
     with file_access.atomic_files() as files:
         if failure is None and not is_calibration:
             # Drafted first, the model appears last: what the other files say then holds for it.
@@ -167,7 +160,7 @@ def save(
 
 def _write_models(
     result: Result, target: ModelTarget, as_body: str | None
-) -> tuple[list[Path], tuple[str, ...]]:
+) -> tuple[list[Path], list[str]]:
     """Write the updated model into the folder ``target.path``; return (paths, notes).
 
     An arm from a URDF gets both where MuJoCo alone would not load the URDF, or where the best model
@@ -193,7 +186,7 @@ def _write_models(
         for path in written:
             target.files.withdraw(path)
         raise
-    return written, tuple(notes)
+    return written, notes
 
 
 def remove_earlier(
@@ -201,7 +194,7 @@ def remove_earlier(
     folder: Path,
     written: Collection[Path],
     read: Collection[Path],
-) -> tuple[str, ...]:
+) -> list[str]:
     """Have result files of an earlier run removed once those of this run are in place.
 
     Args:
@@ -221,4 +214,4 @@ def remove_earlier(
             files.remove(path)
             if name not in _LATER_NAMES:
                 notes.append(f"{path} of an earlier run was removed")
-    return tuple(notes)
+    return notes

@@ -49,88 +49,89 @@ class CommandSpec(NamedTuple):
     overview: Sequence[str] = ()
 
 
-ALONE = CommandSpec(
-    SelfTestConfig,
-    "robot-sysid identify arm.xml log.csv",
-    "With a model alone: simulate it along a random motion and identify its terminal link from "
-    "that, as a test of the program. A model file that is called like a command is reached as "
-    "./plan.",
-    (
-        "mesh_dir",
-        "duration",
-        "sample_rate",
-        "no_friction",
-        "output_dir",
-        "export_damiao",
-        "motor_type",
-        "seed",
-        "joint",
+SPECS = {
+    "": CommandSpec(
+        SelfTestConfig,
+        "robot-sysid identify arm.xml log.csv",
+        "With a model alone: simulate it along a random motion and identify its terminal link from "
+        "that, as a test of the program. A model file that is called like a command is reached as "
+        "./plan.",
+        (
+            "mesh_dir",
+            "duration",
+            "sample_rate",
+            "no_friction",
+            "output_dir",
+            "export_damiao",
+            "motor_type",
+            "seed",
+            "joint",
+        ),
+        overview=overview(),
     ),
-    overview=overview(),
-)
-PLAN = CommandSpec(
-    PlanConfig,
-    "robot-sysid plan arm.xml --save-trajectory plan.json",
-    "Design a trajectory that tells most about the terminal link, check it against "
-    "all limits, say what it promises, and write it. --trajectory checks one that was saved.",
-    (
-        "mesh_dir",
-        "joint",
-        "output_dir",
-        "duration",
-        "seed",
-        "speed",
-        "trajectory",
-        "save_trajectory",
-        "excitation",
-        "max_velocity",
-        "max_torque",
-        "workspace",
-        "keep_out",
-        "export_damiao",
-        "motor_type",
+    "plan": CommandSpec(
+        PlanConfig,
+        "robot-sysid plan arm.xml --save-trajectory plan.json",
+        "Design a trajectory that tells most about the terminal link, check it against "
+        "all limits, say what it promises, and write it. --trajectory checks one that was saved.",
+        (
+            "mesh_dir",
+            "joint",
+            "output_dir",
+            "duration",
+            "seed",
+            "speed",
+            "trajectory",
+            "save_trajectory",
+            "excitation",
+            "max_velocity",
+            "max_torque",
+            "workspace",
+            "keep_out",
+            "export_damiao",
+            "motor_type",
+        ),
     ),
-)
-IDENTIFY = CommandSpec(
-    IdentifyConfig,
-    "robot-sysid identify arm.xml log.csv",
-    "Identify an arm from one log of it, or from several together: the terminal link, every "
-    "other link with --links, friction and rotor inertia. Write a corrected model.",
-    (
-        "mesh_dir",
-        "joint",
-        "output_dir",
-        "columns",
-        "units",
-        "torque_scale",
-        "validation_measurements",
-        "friction_model",
-        "links",
-        "keep",
+    "identify": CommandSpec(
+        IdentifyConfig,
+        "robot-sysid identify arm.xml log.csv",
+        "Identify an arm from one log of it, or from several together: the terminal link, every "
+        "other link with --links, friction and rotor inertia. Write a corrected model.",
+        (
+            "mesh_dir",
+            "joint",
+            "output_dir",
+            "columns",
+            "units",
+            "torque_scale",
+            "validation_measurements",
+            "friction_model",
+            "links",
+            "keep",
+        ),
     ),
-)
-PAYLOAD = CommandSpec(
-    PayloadConfig,
-    "robot-sysid payload arm.xml --empty a.csv d.csv --loaded b.csv c.csv --order ABBA",
-    "Identify what is bolted to the flange from logs without and with it, and "
-    "write a model that carries it and a card for controllers.",
-    (
-        "mesh_dir",
-        "joint",
-        "output_dir",
-        "empty",
-        "loaded",
-        "order",
-        "flange",
-        "as_body",
-        "known_mass",
-        "save_torque_scale",
-        "columns",
-        "units",
-        "torque_scale",
+    "payload": CommandSpec(
+        PayloadConfig,
+        "robot-sysid payload arm.xml --empty a.csv d.csv --loaded b.csv c.csv --order ABBA",
+        "Identify what is bolted to the flange from logs without and with it, and "
+        "write a model that carries it and a card for controllers.",
+        (
+            "mesh_dir",
+            "joint",
+            "output_dir",
+            "empty",
+            "loaded",
+            "order",
+            "flange",
+            "as_body",
+            "known_mass",
+            "save_torque_scale",
+            "columns",
+            "units",
+            "torque_scale",
+        ),
     ),
-)
-SPECS = {"": ALONE, "plan": PLAN, "identify": IDENTIFY, "payload": PAYLOAD}
+}
 """Name of the command to its specification; "" is the program with a model alone."""
 
 

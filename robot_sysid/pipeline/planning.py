@@ -148,7 +148,7 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
         "files": list(map(str, paths)),
     }
     lines = [*lines, *map("Trajectory saved to {}".format, paths)]
-    return Written(paths, tuple(lines), tuple(verdict), failure, answer)
+    return Written(paths, lines, verdict, failure, answer)
 
 
 def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:

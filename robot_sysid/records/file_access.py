@@ -37,6 +37,8 @@ SERVO_NAME = "servo.json"
 """Name of the file with all numbers identified for an arm without torque measurement."""
 RUN_NAME = "run.toml"
 """Name of the file with all options of a run, from which it can be repeated."""
+RESULT_NAMES = (PARAMS_NAME, SERVO_NAME, *MODEL_NAMES.values(), CARD_NAME)
+"""Names of files that any run may write to its output folder."""
 _DRAFT_PREFIX = ".robot-sysid-"
 """Begin of the name of a draft, a hidden file that is renamed when it is complete."""
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"

@@ -142,7 +142,7 @@ def use_lines(path: Path, contents: str = "") -> tuple[str, str, str]:
 
 def last_lines(
     content: Content, files: Sequence[Path], step: NextStep | None
-) -> tuple[str, ...]:
+) -> list[str]:
     """Return the last lines of the console: the verdict, which files to use, and the next step.
 
     Args:
@@ -152,7 +152,7 @@ def last_lines(
     """
     lines = [verdict_line(content)]
     if content["failure"] is not None:
-        return tuple(lines)
+        return lines
     contents = ", the arm with its payload" if content["payload"] else ""
     # A self-test writes back what its model says already.
     if content["source"] != ITSELF:
@@ -163,4 +163,4 @@ def last_lines(
         start = f"Copy into the controller, in the frame of {flange}"
         lines += [f"{start}: {path}" for path in files if path.name == CARD_NAME]
     lines += step.lines() if step else ()
-    return tuple(lines)
+    return lines

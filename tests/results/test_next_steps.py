@@ -56,7 +56,7 @@ def test_the_last_lines_name_the_files_that_were_written():
     assert card == f"Copy into the controller, {frame}: out/payload_card.txt"
     refused = content_of(made.found(), failure="the disk is gone")
     refused = last_lines(refused, [Path("a.xml")], step)
-    assert refused == ("Not usable: the disk is gone",)
+    assert refused == ["Not usable: the disk is gone"]
 
 
 def test_a_path_with_quotes_is_python_too():
