@@ -125,7 +125,7 @@ def read_document(path: Path, mesh_dir: Path | None = None) -> ModelDocument:
         path: the file.
         mesh_dir: folder that replaces the file's own for meshes (and, in a URDF, its packages).
     """
-    document = ModelDocument(path.absolute(), mesh_dir and mesh_dir.absolute())
+    document = ModelDocument(path.absolute(), mesh_dir and Path(mesh_dir).absolute())
     root = _read(document.path, document)
     document.root = root
     required = {"mujoco": "worldbody", "robot": "link"}.get(root.tag)
