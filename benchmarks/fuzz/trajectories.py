@@ -77,7 +77,7 @@ def use(case: Case, folder: Path) -> None:
     """Read it, and check it against an arm as a run does."""
     input_folder = write_case(case, folder)
     if "motors.csv" in case:
-        plan_checks(Plan(read_damiao_trajectory(input_folder / "motors.csv")))
+        list(plan_checks(Plan(read_damiao_trajectory(input_folder / "motors.csv"))))
         return
     path = input_folder / "motion.json"
     saved = load_trajectory(path)

@@ -14,7 +14,7 @@ from robot_sysid.api.keywords import MOTORS, Model, path_of, with_keywords
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.player import PlayReport, StopRequest
-from robot_sysid.damiao.preflight import require_no_stop
+from robot_sysid.damiao.preflight import require_playable
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.motion import LimitOptions
@@ -77,12 +77,12 @@ def play(
             values["model"] = path_of(model)
         run = execution.MotorRun(values)
         plan = run.plan()
-        require_no_stop(run.checks(plan), "not played")
+        require_playable(run.checks(plan))
         with run.open_simulated(plan) if simulate else run.open_guarded() as link:
             inspection = inspect_bus(link)
             # The signs of a simulated arm's motors are not in doubt.
             checks = run.inspection_checks(plan, inspection, not simulate)
-            require_no_stop(checks, "not played")
+            require_playable(checks)
             holding = run.holding(plan)
             return execution.run(link, plan, inspection, StopRequest(), say, holding)
 

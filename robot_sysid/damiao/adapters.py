@@ -25,8 +25,18 @@ from robot_sysid.records.installation import install_hint
 from robot_sysid.records.option_fields import OptionRecord, option
 
 INTERFACES = (
-    *("socketcan", "slcan", "gs_usb", "pcan", "kvaser", "vector", "ixxat"),
-    *("canalystii", "cantact", "seeedstudio", "damiao", "virtual"),
+    "socketcan",
+    "slcan",
+    "gs_usb",
+    "pcan",
+    "kvaser",
+    "vector",
+    "ixxat",
+    "canalystii",
+    "cantact",
+    "seeedstudio",
+    "damiao",
+    "virtual",
 )
 """Kinds of adapters that may be opened: none that puts motor commands on a network."""
 
@@ -71,8 +81,9 @@ def import_can() -> Any:
     try:
         import can
     except ImportError:
-        hint = install_hint("python-can", "can")
-        raise InputError(f"talking to motors {hint}") from None
+        raise InputError(
+            f"talking to motors {install_hint('python-can', 'can')}"
+        ) from None
     return can
 
 
@@ -86,43 +97,47 @@ def can_message(frame: Frame, **stamp: Any) -> Any:
 
     ``stamp`` are further fields of the Message: timestamp [s], is_rx and channel.
     """
-    fd = {"is_fd": frame.fd, "bitrate_switch": frame.fd}
-    identifier = {"arbitration_id": frame.id, "is_extended_id": False}
-    return import_can().Message(data=frame.data, **identifier, **fd, **stamp)
+    return import_can().Message(
+        arbitration_id=frame.id,
+        is_extended_id=False,
+        data=frame.data,
+        is_fd=frame.fd,
+        bitrate_switch=frame.fd,
+        **stamp,
+    )
 
 
+@dataclass(frozen=True)
 class BusLink:
     """A link over an open bus of python-can.
 
-    Args:
+    Attributes:
         bus: the open bus, which ``close`` closes.
         clock: clock in which the times of frames and deadlines are given.
     """
 
-    def __init__(self, bus: Any, clock: SystemClock) -> None:
-        self._bus = bus
-        self._clock = clock
+    bus: Any
+    clock: SystemClock
 
     def send(self, frame: Frame) -> None:
         """Send a frame, tried for 1.5 ms while the queue is full; else LinkError."""
         message = can_message(frame)
         # A queue that is full for longer does not empty within a control cycle.
-        patience = self._clock.now() + 1.5e-3
+        patience = self.clock.now() + 1.5e-3
         while True:
             try:
-                return self._bus.send(message, timeout=_SEND_TIMEOUT)
+                return self.bus.send(message, timeout=_SEND_TIMEOUT)
             except (Exception, SystemExit) as error:
                 # Whatever a driver raises: the caller has to go on with the other motors.
                 # ENOBUFS: the queue is full. Drivers have the code in either attribute.
-                attributes = "error_code", "errno"
-                codes = [getattr(error, name, None) for name in attributes]
+                codes = [getattr(error, name, None) for name in ("error_code", "errno")]
                 if errno.ENOBUFS not in codes:
                     raise LinkError(
                         f"the CAN bus does not take frames: {_driver_text(error)}"
                     ) from error
-                if self._clock.now() >= patience:
+                if self.clock.now() >= patience:
                     raise LinkError(_FULL) from error
-            self._clock.sleep_until(self._clock.now() + 2e-4)
+            self.clock.sleep_until(self.clock.now() + 2e-4)
 
     def receive(self, until: float) -> Frame | None:
         """Return the next data frame with a standard id; None if none came by ``until`` [s].
@@ -133,14 +148,14 @@ class BusLink:
         while True:
             message = None
             try:
-                message = self._bus.recv(max(until - self._clock.now(), 0.0))
+                message = self.bus.recv(max(until - self.clock.now(), 0.0))
             except (ValueError, IndexError):
                 pass
             except (Exception, SystemExit) as error:
                 raise LinkError(
                     f"the CAN bus cannot be read: {_driver_text(error)}"
                 ) from error
-            if message is None and self._clock.now() >= until:
+            if message is None and self.clock.now() >= until:
                 return None
             if message is None or message.is_extended_id or message.is_error_frame:
                 continue
@@ -149,7 +164,7 @@ class BusLink:
     def close(self) -> None:
         """Close the bus; a driver's exceptions are dropped: they would hide errors about motors."""
         with contextlib.suppress(BaseException):
-            self._bus.shutdown()
+            self.bus.shutdown()
 
     def _frame(self, message: Any) -> Frame:
         """Return python-can's message as a frame.
@@ -164,7 +179,7 @@ class BusLink:
         return Frame(
             id=message.arbitration_id,
             data=bytes(message.data),
-            time=self._clock.now() - age,
+            time=self.clock.now() - age,
             fd=message.is_fd,
             echo=not message.is_rx,
         )
@@ -187,7 +202,14 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
         raise InputError(
             "the maker's serial adapter sends classic CAN frames only; leave --fd off"
         )
-    options = _bus_options(interface, timing)
+    options: dict[str, Any] = {}
+    # Where this is an option, sent frames are received as echoes.
+    if interface in ("socketcan", "virtual"):
+        options.update(receive_own_messages=True, fd=timing.fd)
+    elif interface != SERIAL_ADAPTER:
+        options["bitrate"] = int(timing.bitrate)
+        if timing.fd:
+            options.update(fd=True, data_bitrate=int(timing.data_bitrate))
     for text in address.bus_option:
         name, equals, value = text.partition("=")
         if not equals or not name.isidentifier():
@@ -207,21 +229,6 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
     if interface == "slcan":
         read_in_pieces(bus)
     return BusLink(bus, clock)
-
-
-def _bus_options(interface: str, timing: BusTiming) -> dict[str, Any]:
-    """Return the keyword arguments that open an adapter's bus in python-can with given timing.
-
-    They set the bit rates and, where this is an option, that sent frames are received as echoes.
-    """
-    if interface == SERIAL_ADAPTER:
-        return {}
-    if interface in ("socketcan", "virtual"):
-        return {"receive_own_messages": True, "fd": timing.fd}
-    options: dict[str, Any] = {"bitrate": int(timing.bitrate)}
-    if timing.fd:
-        options.update(fd=True, data_bitrate=int(timing.data_bitrate))
-    return options
 
 
 _LINE_END = re.compile(rb"[\r\a]")

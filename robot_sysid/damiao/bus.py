@@ -20,13 +20,23 @@ from typing import Protocol
 
 import numpy as np
 
-from robot_sysid.damiao import protocol
 from robot_sysid.damiao.protocol import (
+    ESC_ID,
+    MST_ID,
+    NAMES,
+    READ,
+    REFRESH,
+    REQUIRED,
+    SCALING,
+    WRITE,
     Feedback,
     Frame,
     Scaling,
+    bytes_from_value,
     decode_feedback,
     is_harmful,
+    register_frame,
+    value_from_bytes,
 )
 from robot_sysid.errors import HardwareAbort, SysidError
 
@@ -145,8 +155,9 @@ def undisturbed_processor(live: bool = True) -> Iterator[None]:
     gc.disable()
     # Time after which a busy thread gives way [s]; Python's default is longer than a control cycle.
     sys.setswitchinterval(2e-4)
-    takes_priority = live and sys.platform == "linux"
-    takes_priority = takes_priority and os.sched_getscheduler(0) == os.SCHED_OTHER
+    takes_priority = (
+        live and sys.platform == "linux" and os.sched_getscheduler(0) == os.SCHED_OTHER
+    )
     try:
         if takes_priority:
             _schedule(os.SCHED_FIFO, PRIORITY, _PRIORITY_ASIDE)
@@ -177,20 +188,19 @@ _TRIES = 3
 """How often a request is sent: a frame may be lost where another program just used the bus."""
 
 
+@dataclass(frozen=True)
 class RegisterClient:
     """Reads and writes registers of motors over a link.
 
-    Args:
+    Attributes:
         link: link of the motors' bus.
     """
 
-    def __init__(self, link: GuardedLink) -> None:
-        self._link = link
-        self._clock = link.clock
+    link: GuardedLink
 
     def read(self, can_id: int, register: int) -> float | None:
         """Return the value of a motor's register; None if three requests get no answer."""
-        request = protocol.register_frame(protocol.READ, can_id, register)
+        request = register_frame(READ, can_id, register)
         replies = self.answers(request, limit=1)
         return replies[0][0] if replies else None
 
@@ -201,29 +211,30 @@ class RegisterClient:
             InputError: the value does not fit into the register; nothing was sent.
             HardwareAbort: the motor did not answer, or refused the value.
         """
-        raw = protocol.bytes_from_value(register, value)
-        name = protocol.NAMES[register]
-        request = protocol.register_frame(protocol.WRITE, can_id, register, raw)
+        raw = bytes_from_value(register, value)
+
+        request = register_frame(WRITE, can_id, register, raw)
         replies = self.answers(request, limit=1)
         if not replies:
-            raise HardwareAbort(f"motor {can_id} did not answer to writing {name}")
-        stored, _ = replies[0]
-        if protocol.bytes_from_value(register, stored) != raw:
             raise HardwareAbort(
-                f"motor {can_id} refused {name} = {value:g} and keeps {stored:g}"
+                f"motor {can_id} did not answer to writing {NAMES[register]}"
+            )
+        stored, _ = replies[0]
+        if bytes_from_value(register, stored) != raw:
+            raise HardwareAbort(
+                f"motor {can_id} refused {NAMES[register]} = {value:g} and keeps {stored:g}"
             )
 
-    def refresh(self, can_id: int, master_id: int) -> protocol.Frame | None:
+    def refresh(self, can_id: int, master_id: int) -> Frame | None:
         """Request a motor's feedback frame, up to three times, and return it; None without answer.
 
         ``master_id`` is the arbitration id of the motor's replies. The request has no other effect.
         """
         # Feedback has the low four bits of the motor's CAN id in its first byte.
-        id_bits = can_id & 0xF
-        request = protocol.register_frame(protocol.REFRESH, can_id)
+        request = register_frame(REFRESH, can_id)
         for _ in range(_TRIES):
             for frame in self._frames_after(request):
-                if frame.id == master_id and frame.data[0] & 0xF == id_bits:
+                if frame.id == master_id and frame.data[0] & 0xF == can_id & 0xF:
                     return frame
         return None
 
@@ -245,22 +256,22 @@ class RegisterClient:
         ``reply_ids`` are the motors' reply ids by CAN id. None if one does not answer within 0.1 s.
         Frames that have come earlier are discarded.
         """
-        self._link.drain()
-        start = self._clock.now()
+        self.link.drain()
+        start = self.link.clock.now()
         for can_id in reply_ids:
-            self._link.send(protocol.register_frame(protocol.REFRESH, can_id))
+            self.link.send(register_frame(REFRESH, can_id))
         missing = set(reply_ids.values())
         while missing:
             # Later answers are useless to a control loop.
-            frame = self._link.receive(start + 0.1)
+            frame = self.link.receive(start + 0.1)
             if frame is None:
                 return None
             if not frame.echo:
                 missing.discard(frame.id)
-        return self._clock.now() - start
+        return self.link.clock.now() - start
 
     def answers(
-        self, request: protocol.Frame, limit: int | None = None
+        self, request: Frame, limit: int | None = None
     ) -> list[tuple[float, int]]:
         """Return value and arbitration id of each reply to a register request.
 
@@ -276,7 +287,7 @@ class RegisterClient:
                 return replies
         return []
 
-    def _replies(self, request: protocol.Frame) -> Iterator[tuple[float, int]]:
+    def _replies(self, request: Frame) -> Iterator[tuple[float, int]]:
         """Send a request about a register; yield value and id of its replies until the timeout.
 
         Requests and replies have the CAN id (two bytes), operation, register and value (four).
@@ -284,26 +295,26 @@ class RegisterClient:
         can_id = request.data[:2]
         operation = request.data[2]
         register = request.data[3]
-        heads = [can_id + bytes([protocol.READ, register])]
-        if operation == protocol.WRITE:
+        heads = [can_id + bytes([READ, register])]
+        if operation == WRITE:
             # Most firmware answers a write with 0x55 (WRITE), some with 0x33 (READ).
-            heads.append(can_id + bytes([protocol.WRITE, register]))
+            heads.append(can_id + bytes([WRITE, register]))
         for frame in self._frames_after(request):
             if frame.data[:4] in heads:
-                value = protocol.value_from_bytes(register, frame.data[4:8])
+                value = value_from_bytes(register, frame.data[4:8])
                 yield value, frame.id
 
-    def _frames_after(self, request: protocol.Frame) -> Iterator[protocol.Frame]:
+    def _frames_after(self, request: Frame) -> Iterator[Frame]:
         """Send a request and yield the 8-byte frames that then come.
 
         It ends at the timeout. Frames that have come earlier are discarded, and so are echoes of
         this program's own frames.
         """
-        self._link.drain()
-        self._link.send(request)
+        self.link.drain()
+        self.link.send(request)
         # Twice the delay of a slow adapter (16 ms).
-        until = self._clock.now() + 0.03
-        while (frame := self._link.receive(until)) is not None:
+        until = self.link.clock.now() + 0.03
+        while (frame := self.link.receive(until)) is not None:
             if not frame.echo and len(frame.data) == 8:
                 yield frame
 
@@ -336,17 +347,17 @@ class InspectedMotor:
     @property
     def master_id(self) -> int:
         """Reply id in register MST_ID, or else the arbitration id of the motor's first reply."""
-        return int(self.registers.get(protocol.MST_ID, self.reply_ids[0]))
+        return int(self.registers.get(MST_ID, self.reply_ids[0]))
 
     @property
     def limits(self) -> tuple[float, ...]:
         """PMAX, VMAX and TMAX in the motor's registers [rad, rad/s, N m]; 0 where unknown."""
-        return tuple(self.registers.get(number, 0.0) for number in protocol.SCALING)
+        return tuple(self.registers.get(number, 0.0) for number in SCALING)
 
     @property
     def position(self) -> float:
         """Position of the motor [rad]; NaN where unknown."""
-        return float(self.feedback.position[0]) if self.feedback else np.nan
+        return self.feedback.position[0] if self.feedback else np.nan
 
 
 @dataclass(frozen=True)
@@ -391,18 +402,18 @@ def inspect_bus(link: GuardedLink) -> Inspection:
             attempts = [client.seconds_to_refresh(reply_ids) for _ in range(_ROUNDS)]
         times = [seconds for seconds in attempts if seconds is not None]
         if len(times) > _ROUNDS // 2:
-            round_trip = float(np.percentile(times, 90.0))
+            round_trip = np.percentile(times, 90.0)
     return Inspection(motors, unsolicited, round_trip)
 
 
 def _inspect_motor(client: RegisterClient, can_id: int) -> InspectedMotor | None:
     """Return registers and state of the motor with a CAN id; None where nothing answers."""
-    request = protocol.register_frame(protocol.READ, can_id, protocol.ESC_ID)
-    answers = client.answers(request)
+    answers = client.answers(register_frame(READ, can_id, ESC_ID))
+
     if not answers:
         return None
     registers = {}
-    for number in protocol.REQUIRED:
+    for number in REQUIRED:
         value = client.read(can_id, number)
         if value is not None:
             registers[number] = value

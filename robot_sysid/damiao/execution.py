@@ -129,7 +129,7 @@ class MotorRun:
 
     def checks(self, plan: Plan) -> list[Remark]:
         """Return a plan's checks that need no bus."""
-        checks = preflight.plan_checks(plan)
+        checks = [*preflight.plan_checks(plan)]
         if self.robot is not None:
             from robot_sysid.damiao.model_check import model_checks, torque_checks
 
@@ -251,7 +251,7 @@ def run(
         SysidError: the trajectory was played, but recording or printing failed.
     """
     checks = [*preflight.plan_checks(plan), *preflight.bus_checks(plan, inspection)]
-    preflight.require_no_stop(checks, "not played")
+    preflight.require_playable(checks)
     joints = plan.trajectory.joints
     motors = [inspection.motors[joint.can_id] for joint in joints]
     scaling = Scaling(motor.limits for motor in motors)

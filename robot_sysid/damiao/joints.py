@@ -29,7 +29,6 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import pi
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +38,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import read_text, write_atomically
 
-RPM = 2.0 * pi / 60.0
+RPM = math.tau / 60.0
 """One revolution per minute [rad/s]."""
 _AGREEMENT = 1e-3
 """Relative difference up to which two scaling limits count as equal.
@@ -94,8 +93,9 @@ MOTORS = {spec.name: spec for spec in _SPECS}
 def motor_spec(name: str) -> MotorSpec:
     """Return the data of the motor type called ``name``; InputError lists the valid names."""
     if name not in MOTORS:
-        valid = ", ".join(MOTORS)
-        raise InputError(f"unknown Damiao motor type {name!r}; valid types: {valid}")
+        raise InputError(
+            f"unknown Damiao motor type {name!r}; valid types: {', '.join(MOTORS)}"
+        )
     return MOTORS[name]
 
 
@@ -236,7 +236,7 @@ class Mounting:
     @classmethod
     def of(cls, joints: Sequence[DamiaoJoint]) -> Mounting:
         """Return the mounting of the motors of n joints, in the order of ``joints``."""
-        direction = np.array([float(joint.direction) for joint in joints])
+        direction = np.array([joint.direction for joint in joints], float)
         return cls(direction, np.array([joint.offset for joint in joints]))
 
     @property
@@ -281,9 +281,10 @@ def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
             table.append([cell.strip() for cell in line.split(",")])
     if table[:1] != [_COLUMNS]:
         raise InputError(f"{path}: expected the columns {', '.join(_COLUMNS)}")
-    joints = []
-    for number, cells in enumerate(table[1:], start=1):
-        joints.append(_parse_row(cells, f"{path}, row {number}"))
+    joints = tuple(
+        _parse_row(cells, f"{path}, row {number}")
+        for number, cells in enumerate(table[1:], start=1)
+    )
     if not joints:
         raise InputError(f"{path} has no lines")
     for name, count in Counter(joint.name for joint in joints).items():
@@ -291,15 +292,17 @@ def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:
             raise InputError(f"{path} names {name} twice")
     for problem in id_problems([(joint.can_id, joint.master_id) for joint in joints]):
         raise InputError(f"{path}: {problem}")
-    return tuple(joints)
+    return joints
 
 
 def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
     """Write joints to a joint map file in the CSV format of this module, one row per joint."""
     lines = [",".join(_COLUMNS)]
     for row in rows:
-        ids = f"{row.name},{row.can_id},{row.master_id:#x}"
-        lines.append(f"{ids},{row.direction:+d},{row.offset:.4f},{row.verified}")
+        lines.append(
+            f"{row.name},{row.can_id},{row.master_id:#x},{row.direction:+d},{row.offset:.4f},"
+            f"{row.verified}"
+        )
     write_atomically(path, "\n".join(lines) + "\n")
 
 
@@ -330,10 +333,10 @@ def map_joints(
             f"joints of the joint map: {len(selected)}, of the trajectory: {len(joints)}; give one "
             "line per joint, base to terminal, or --model to choose them by name"
         )
-    mounted = []
-    for joint, row in zip(joints, selected):
-        mounted.append(replace(row, motor_type=joint.motor_type))
-    return tuple(mounted)
+    return tuple(
+        replace(row, motor_type=joint.motor_type)
+        for joint, row in zip(joints, selected)
+    )
 
 
 def _parse_row(cells: Sequence[str], where: str) -> DamiaoJoint:
@@ -346,15 +349,8 @@ def _parse_row(cells: Sequence[str], where: str) -> DamiaoJoint:
     try:
         name, can_id, master_id, direction, offset, verified = cells
         # Base 0 reads decimal numbers and such as 0x12.
-        joint = DamiaoJoint(
-            motor_type="",
-            can_id=int(can_id, base=0),
-            master_id=int(master_id, base=0),
-            name=name,
-            direction=int(direction),
-            offset=float(offset),
-            verified=verified,
-        )
+        ids = int(can_id, base=0), int(master_id, base=0)
+        joint = DamiaoJoint("", *ids, name, int(direction), float(offset), verified)
         is_known = joint.verified in ("", BY_HAND) and joint.direction in (1, -1)
         if is_known and math.isfinite(joint.offset):
             return joint

@@ -87,9 +87,7 @@ def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
         yield note(unguarded)
     limits = problem.robot.limits
     bounds = Bounds(
-        "the model's",
-        *(limits.lower, limits.upper, limits.velocity),
-        torque=limits.torque,
+        "the model's", limits.lower, limits.upper, limits.velocity, torque=limits.torque
     )
     for excess in excesses(plan.trajectory, plan.settings.speed, bounds):
         yield stop(f"{excess}; {_SMALLER}")
@@ -154,7 +152,7 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
     def holding_torque(q: Array) -> Array:
         """Return the torque (n,) that holds the arm at rest in a pose q (n,) [N m]."""
         zero = np.zeros((1, len(q)))
-        return np.asarray(arm(Motion(np.zeros(1), q[None], zero, zero))[0])
+        return arm(Motion(np.zeros(1), q[None], zero, zero))[0]
 
     return HoldingCheck(
         joints,

@@ -20,16 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.damiao import references as paths
 from robot_sysid.damiao.bus import SystemClock, undisturbed_processor
 from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import (
+    LONGEST_LOWERING,
     CarriedStop,
     HoldingCheck,
+    Lowering,
     Reference,
     ReferenceFunction,
     hold_reference,
+    transfer_reference,
 )
 from robot_sysid.damiao.safety.guards import Mask, Replies
 from robot_sysid.damiao.safety.observer import Observer
@@ -153,7 +155,7 @@ class Player:
         self._reference: Reference | None = None
         self._command: MitCommand | None = None
         # A reference that depends on the arm's state, which it gets in every cycle.
-        self._follower: paths.Lowering | CarriedStop | None = None
+        self._follower: Lowering | CarriedStop | None = None
         # Time in the clock at which the last phase before a stop began [s].
         self._origin: float
         # Time of the last answer in the clock [s].
@@ -178,10 +180,13 @@ class Player:
                 reason = f"{type(error).__name__}: {error_text(error)}"
                 raise HardwareAbort(reason) from error
         p50, p99 = np.percentile(self._timer.lateness, [50.0, 99.0]).tolist()
-        missed = self._observer.total_missed
-        worst = self._observer.worst_tracking
         return PlayReport(
-            self._n_recorded, self._timer.skipped, p50, p99, missed, worst
+            self._n_recorded,
+            self._timer.skipped,
+            p50,
+            p99,
+            self._observer.total_missed,
+            self._observer.worst_tracking,
         )
 
     def _run_phases(self, trajectory: ReferenceFunction, duration: float) -> None:
@@ -195,9 +200,12 @@ class Player:
         self._announce("enabling the motors")
         start = self._session.enable()
         standing = Reference(start, np.zeros_like(start), self._holding.torque(start))
-        approach, approach_time = paths.transfer_reference(
-            *(standing, first, settings.approach_speed, settings.approach_time),
-            carries=self._holding.torque,
+        approach, approach_time = transfer_reference(
+            standing,
+            first,
+            settings.approach_speed,
+            settings.approach_time,
+            self._holding.torque,
         )
         self._timer = CycleTimer(self._clock, settings.period, settings.max_lateness)
         self._announce("raising the gains")
@@ -215,7 +223,7 @@ class Player:
         self._phase(hold_reference(last), settings.rest_time)
         if settings.park is not None:
             self._announce("lowering the arm")
-            self._phase(self._lower_from(last), paths.LONGEST_LOWERING)
+            self._phase(self._lower_from(last), LONGEST_LOWERING)
 
     def _hold_and_compare(self, reference: Reference) -> None:
         """Hold the arm still for ``rest_time``, and compare its torques with the expected ones.
@@ -230,7 +238,7 @@ class Player:
             q, commanded_torque = np.mean(second_half, axis=0)
             self._holding(q, commanded_torque)
 
-    def _lower_from(self, begin: Reference) -> paths.Lowering:
+    def _lower_from(self, begin: Reference) -> Lowering:
         """Return the reference that lowers the arm from ``begin``.
 
         It becomes the follower, to which ``_exchange`` passes the torques of every cycle. Without a
@@ -239,9 +247,12 @@ class Player:
         if not self._holding.is_model:
             self._session.open_range()
         session = self._session
-        speed = self._settings.approach_speed
-        peak = session.peak_torque
-        lowering = paths.Lowering(begin, speed, peak, session.command_range)
+        lowering = Lowering(
+            begin,
+            self._settings.approach_speed,
+            session.peak_torque,
+            session.command_range,
+        )
         self._follower = lowering
         return lowering
 
@@ -286,9 +297,8 @@ class Player:
         """Raise HardwareAbort if a stop was requested, or recording failed."""
         if self._stop.reason:
             raise HardwareAbort(self._stop.reason)
-        failure = self._recorder.failure if self._recorder else None
-        if failure is not None:
-            raise HardwareAbort(f"cannot record: {error_text(failure)}")
+        if self._recorder and self._recorder.failure is not None:
+            raise HardwareAbort(f"cannot record: {error_text(self._recorder.failure)}")
 
     def _exchange(
         self, reference: Reference, joints: Mask | None = None, braking: bool = False
@@ -353,7 +363,7 @@ class Player:
             # Then the arm is disabled even if it has not come to rest.
             self._stop_phase(carried, 2.0)
             if self._settings.park is not None and not self._stop.insisted:
-                self._stop_phase(self._lower_from(carried.last), paths.LONGEST_LOWERING)
+                self._stop_phase(self._lower_from(carried.last), LONGEST_LOWERING)
 
     def _carry_from(self, reference: Reference) -> CarriedStop:
         """Return the reference that stops the arm, from the last reference and the believed state.
@@ -405,7 +415,7 @@ class Player:
             # has failed.
             silent = self._clock.now() - self._heard_at > 0.15
             # Where all motors have failed or are silent, commands have no effect any more.
-            hopeless = bool(np.all(self._observer.failed)) or silent
+            hopeless = silent or np.all(self._observer.failed)
             is_done = self._follower is not None and self._follower.is_done
             if hopeless or self._stop.insisted or is_done:
                 return
@@ -413,12 +423,14 @@ class Player:
             # may still obey, so only failed ones are left out.
             with contextlib.suppress(BaseException):
                 target = reference(deadline - origin)
-                is_driven = ~self._observer.failed
-                replies, acted = self._exchange(target, is_driven, braking=True)
+                replies, acted = self._exchange(
+                    target, ~self._observer.failed, braking=True
+                )
                 if self._recorder:
                     time = self._clock.now() - self._origin
-                    cycle = time, self._origin, replies, acted
-                    self._recorder.write(*cycle, mark="# stop: ")
+                    self._recorder.write(
+                        time, self._origin, replies, acted, mark="# stop: "
+                    )
 
 
 class StopRequest:

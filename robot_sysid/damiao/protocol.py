@@ -65,9 +65,7 @@ class _Layout:
     def unpack(self, frames: Bytes) -> Codes:
         """Return the integer fields (..., n, F) of frames (..., n, 8)."""
         big_endian = np.ascontiguousarray(frames, dtype=np.uint8).view(">i8")
-        return np.asarray(
-            (big_endian.astype(np.int64) >> self._shifts) & self.max_codes
-        )
+        return (big_endian.astype(np.int64) >> self._shifts) & self.max_codes
 
 
 _COMMAND = _Layout(16, 12, 12, 12, 12)
@@ -163,7 +161,7 @@ class MitCommand(NamedTuple):
     def motor_torque(self, q: Array, qd: Array) -> Array:
         """Return the commanded torque (..., n) [N m] at q (..., n) [rad], qd (..., n) [rad/s]."""
         position, velocity, kp, kd, torque = self
-        return np.asarray(kp * (position - q) + kd * (velocity - qd) + torque)
+        return kp * (position - q) + kd * (velocity - qd) + torque
 
 
 @dataclass(frozen=True)
@@ -185,6 +183,11 @@ class Feedback:
     torque: Array
     temperature_mos: Codes
     temperature_rotor: Codes
+
+    @property
+    def temperature(self) -> Codes:
+        """The higher one of both temperatures (..., n) [deg C]."""
+        return np.maximum(self.temperature_mos, self.temperature_rotor)
 
 
 def encode_mit(command: MitCommand, scaling: Scaling) -> Bytes:

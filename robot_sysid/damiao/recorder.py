@@ -108,8 +108,15 @@ class Aside:
 
 
 _EXTRA = (
-    *("time", "cmd_pos", "cmd_vel", "cmd_tau", "cmd_mean"),
-    *("doubted", "status", "temp_mos", "temp_rotor"),
+    "time",
+    "cmd_pos",
+    "cmd_vel",
+    "cmd_tau",
+    "cmd_mean",
+    "doubted",
+    "status",
+    "temp_mos",
+    "temp_rotor",
 )
 """Titles of a joint's further columns, which follow the measured ones of all joints."""
 
@@ -235,8 +242,10 @@ def _head(plan: Plan, registers: Sequence[Mapping[int, float]]) -> list[str]:
     run = plan.settings
     lines = ["robot-sysid motors recording", f"trajectory={plan.trajectory.path.name}"]
     for joint in plan.trajectory.joints:
-        ids = f"can_id={joint.can_id},mode=MIT,master_id={joint.master_id}"
-        lines.append(f"motor_type={joint.motor_type},{ids}")
+        lines.append(
+            f"motor_type={joint.motor_type},can_id={joint.can_id},mode=MIT,"
+            f"master_id={joint.master_id}"
+        )
     for j, values in enumerate(registers):
         texts = starmap(register_text, sorted(values.items()))
         lines.append(f"registers_j{j}: {','.join(texts)}")

@@ -87,7 +87,7 @@ def transfer_reference(
             equals the torques of ``start`` and ``target`` at the ends.
     """
     line = target.position - start.position
-    duration = float(max(shortest, 15.0 / 8.0 * np.max(np.abs(line)) / speed))
+    duration = max(shortest, 15.0 / 8.0 * np.max(np.abs(line)) / speed)
     extra_at_start = start.torque - carries(start.position)
     extra_at_target = target.torque - carries(target.position)
 
@@ -228,8 +228,11 @@ class HoldingCheck:
     def unverified_joints(self, q: Array) -> list[DamiaoJoint]:
         """Return the unverified joints whose load at q (n,) [rad] does not show how they turn."""
         is_bare = np.abs(self.torque(q)) <= _LOADED * self.doubt
-        joints = zip(self.joints, is_bare)
-        return [joint for joint, bare in joints if bare and not joint.verified]
+        return [
+            joint
+            for joint, bare in zip(self.joints, is_bare)
+            if bare and not joint.verified
+        ]
 
     def __call__(self, q: Array, tau: Array) -> None:
         """Compare the torques tau (n,) [N m] of an arm that is held still at q (n,) [rad].
@@ -240,8 +243,8 @@ class HoldingCheck:
         """
         if self.pose is not None and np.any(np.abs(q - self.pose) > _NEAR):
             return
-        is_loaded = np.abs(tau) > _LOADED * self.doubt
         if not self.carries_arm:
+            is_loaded = np.abs(tau) > _LOADED * self.doubt
             for j in np.flatnonzero(is_loaded).tolist():
                 raise HardwareAbort(
                     f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N·m, and the "
@@ -271,7 +274,7 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
     q = trajectory.q
     is_near = np.all(np.abs(q - q[0]) <= _NEAR, axis=1)
     acceleration = np.max(np.abs(trajectory.qdd), axis=1)
-    row = int(np.argmin(np.where(is_near, acceleration, np.inf)))
+    row = np.argmin(np.where(is_near, acceleration, np.inf))
     torque = trajectory.tau[row]
     doubt = torque_doubt(trajectory.joints)
     return HoldingCheck(
@@ -281,7 +284,7 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
         source="the trajectory feeds forward",
         pose=q[0],
         # Slower, a torque is that at rest: 1 N m at 2 kg m^2.
-        is_at_rest=bool(acceleration[row] < 0.5),
+        is_at_rest=acceleration[row] < 0.5,
         carries_arm=bool(np.any(np.abs(trajectory.tau) > doubt)),
     )
 
@@ -361,7 +364,7 @@ class CarriedStop:
         self._velocity = np.clip(
             joint_velocity, np.minimum(led, 0.0), np.maximum(led, 0.0)
         )
-        top_speed = float(np.max(np.abs(self._velocity), initial=0.0))
+        top_speed = np.max(np.abs(self._velocity), initial=0.0)
         self.duration = top_speed / settings.deceleration
         # Reference minus joint position; the share ``_relief`` of kp times it is removed.
         self._offset = np.nan_to_num(reference.position - q)
@@ -414,7 +417,7 @@ class CarriedStop:
         displacement = self._displacement(goal)
         leaving_speed = -np.sign(displacement) * np.nan_to_num(self._qd)
         share = _STEADY + _LEAVING * np.tanh(leaving_speed / _SPEED_SCALE)
-        return np.asarray(self._stiffening * displacement * share)
+        return self._stiffening * displacement * share
 
     def _displacement(self, goal: Array) -> Array:
         """Return the displacement (n,) [rad] that moves the joints back to their paths.

@@ -13,10 +13,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, peak_torques
-from robot_sysid.damiao.protocol import ENABLED, Feedback, Frame
+from robot_sysid.damiao.protocol import (
+    DISABLE,
+    ENABLE,
+    ENABLED,
+    REFRESH,
+    Bytes,
+    Feedback,
+    Frame,
+    MitCommand,
+    Scaling,
+    decode_feedback,
+    decode_mit,
+    encode_mit,
+    is_fault,
+    register_frame,
+    special_frame,
+    status_text,
+)
 from robot_sysid.damiao.safety.guards import (
     NO_STATUS,
     CommandBounds,
@@ -79,7 +95,7 @@ class Outstanding:
         """
         self._silent = np.where(self._commanded, 0, self._silent + 1)
         self._owed[self._silent >= PAUSE] = 0
-        self._commanded = np.asarray(motors & (self._owed == 0))
+        self._commanded = motors & (self._owed == 0)
         self._owed += self._commanded
         return self._commanded
 
@@ -130,7 +146,7 @@ class MotorSession:
         self,
         link: GuardedLink,
         joints: Sequence[DamiaoJoint],
-        scaling: protocol.Scaling,
+        scaling: Scaling,
         command_range: CommandRange,
     ) -> None:
         self._link = link
@@ -147,10 +163,11 @@ class MotorSession:
         self._frame_range = CommandRange(*self._mounting.frame_range(pmax), vmax)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         # Command in force as the motors read it, in joint space; None before the first.
-        self._command: protocol.MitCommand | None = None
+        self._command: MitCommand | None = None
         # In a stop commands are limited to the range, which must not exceed what frames can carry.
-        sendable = command_range.within(self._frame_range)
-        self._bounds = CommandBounds(sendable, self.peak_torque, self.steps)
+        self._bounds = CommandBounds(
+            command_range.within(self._frame_range), self.peak_torque, self.steps
+        )
         self.sent_position = np.full(self.n_joints, np.nan)
         # Time up to which each joint's commands have moved it: that of the last command, minus
         # what this left unused [s].
@@ -219,10 +236,10 @@ class MotorSession:
         # From here on every motor may be enabled.
         self.unconfirmed = self.joints
         # The state of all motors before the first one is enabled.
-        answers = []
-        for j, joint in enumerate(self.joints):
-            request = protocol.register_frame(protocol.REFRESH, joint.can_id)
-            answers.append(self._ask(j, request))
+        answers = [
+            self._ask(j, register_frame(REFRESH, joint.can_id))
+            for j, joint in enumerate(self.joints)
+        ]
         position = np.empty(self.n_joints)
         for j, answer in enumerate(answers):
             position[j] = self._enable_one(j, *answer)
@@ -241,7 +258,7 @@ class MotorSession:
         reports the same fault twice in a row, or is not enabled after ``_ENABLE_TRIES`` commands.
         """
         joint = self.joints[j]
-        request = protocol.special_frame(protocol.ENABLE, joint.can_id)
+        request = special_frame(ENABLE, joint.can_id)
         for _ in range(_ENABLE_TRIES):
             last_status = status
             last_position = position
@@ -251,9 +268,9 @@ class MotorSession:
             if status == ENABLED and agree:
                 return position
             # One report of a fault may be a damaged frame; two equal ones are the motor's own.
-            if protocol.is_fault(status) and status == last_status != NO_STATUS:
+            if is_fault(status) and status == last_status != NO_STATUS:
                 break
-        reason = "no answer" if status == NO_STATUS else protocol.status_text(status)
+        reason = "no answer" if status == NO_STATUS else status_text(status)
         if status == ENABLED:
             reason = f"its answers disagree, {last_position:.3f} and {position:.3f} rad"
         raise HardwareAbort(f"{joint.label} did not enable: {reason}")
@@ -266,16 +283,16 @@ class MotorSession:
         """
         self._link.drain()
         self._link.send(request)
-        this_motor = np.arange(self.n_joints) == j
+
         until = self.clock.now() + _CONFIRM_TIMEOUT
-        came, _, feedback = self._receive(this_motor, until)
+        came, _, feedback = self._receive(np.arange(self.n_joints) == j, until)
         if not came[j]:
             return NO_STATUS, np.nan
-        return int(feedback.status[j]), float(feedback.position[j])
+        return int(feedback.status[j]), feedback.position[j]
 
     def exchange(
         self,
-        command: protocol.MitCommand,
+        command: MitCommand,
         until: float,
         joints: Mask | None = None,
         braking: bool = False,
@@ -314,7 +331,7 @@ class MotorSession:
             command = self._bounds.confine(command, *bounds)
         else:
             self._bounds.require(self._labels, command, *bounds)
-        packed = protocol.encode_mit(self._mounting.command(command), self.scaling)
+        packed = encode_mit(self._mounting.command(command), self.scaling)
         commanded = motors if braking else self._outstanding.may_be_commanded(motors)
         # Replies are sampled before this command acts, while the last one is in force.
         acted = self._command
@@ -341,9 +358,7 @@ class MotorSession:
             foreign=self._foreign.copy(),
         )
 
-    def _put_in_force(
-        self, packed: protocol.Bytes, commanded: Mask, now: float
-    ) -> None:
+    def _put_in_force(self, packed: Bytes, commanded: Mask, now: float) -> None:
         """Store a command that is about to be sent: its position, time, and the time left unused.
 
         Args:
@@ -351,10 +366,10 @@ class MotorSession:
             commanded: whether each motor (n,) gets its frame; the others keep their old command.
             now: time of the command [s].
         """
-        read = protocol.decode_mit(packed, self.scaling)
+        read = decode_mit(packed, self.scaling)
         new = self._mounting.inverse.command(read)
         old = self._command or new
-        self._command = protocol.MitCommand(
+        self._command = MitCommand(
             *(np.where(commanded, *pair) for pair in zip(new, old))
         )
         moved = np.abs(new.position - self.sent_position)
@@ -369,10 +384,7 @@ class MotorSession:
         """Command the motors of joints (n,) to disable, once, whatever the bus raises."""
         for j in np.flatnonzero(joints).tolist():
             with contextlib.suppress(BaseException):
-                request = protocol.special_frame(
-                    protocol.DISABLE, self.joints[j].can_id
-                )
-                self._link.send(request)
+                self._link.send(special_frame(DISABLE, self.joints[j].can_id))
 
     def disable(self) -> None:
         """Disable every motor; ``unconfirmed`` then has the joints whose motors did not confirm.
@@ -418,7 +430,7 @@ class MotorSession:
         raw = np.zeros((self.n_joints, 8), dtype=np.uint8)
         # Time (n,) at which each command was on the bus, and at which each answer came [s].
         sent, received = np.full((2, self.n_joints), np.nan)
-        missing = int(np.count_nonzero(motors))
+        missing = np.count_nonzero(motors)
         while missing and (frame := self._link.receive(until)) is not None:
             if frame.echo and frame.id in self._by_command:
                 sent[self._by_command[frame.id]] = frame.time
@@ -427,7 +439,7 @@ class MotorSession:
                 raw[j] = np.frombuffer(frame.data, dtype=np.uint8)
                 received[j] = frame.time
                 missing -= 1
-        decoded = protocol.decode_feedback(raw, self.scaling)
+        decoded = decode_feedback(raw, self.scaling)
         q, qd, tau = self._mounting.inverse.signals(
             decoded.position, decoded.velocity, decoded.torque
         )

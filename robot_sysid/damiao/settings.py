@@ -244,18 +244,21 @@ class Plan:
         settings = self.settings.for_motors(specs, self.timing, self.mobility)
         # The transfer keeps the user's limits, too.
         bounds = user_bounds(self.limits, self.trajectory.n_joints)
-        speed = min(settings.approach_speed, float(np.min(bounds.velocity)))
+        speed = min(settings.approach_speed, np.min(bounds.velocity))
         # The peak acceleration of a transfer is at most 3.08 times its peak speed over its least
         # duration.
-        time = 3.08 * speed / float(np.min(bounds.acceleration))
-        time = max(settings.approach_time, time)
-        settings = replace(settings, approach_speed=speed, approach_time=time)
+        time = 3.08 * speed / np.min(bounds.acceleration)
+        settings = replace(
+            settings,
+            approach_speed=speed,
+            approach_time=max(settings.approach_time, time),
+        )
         object.__setattr__(self, "settings", settings)
 
     @property
     def duration(self) -> float:
         """Time that the trajectory takes to play [s]: the file's time over the speed factor."""
-        return float(np.ptp(self.trajectory.time)) / self.settings.speed
+        return np.ptp(self.trajectory.time) / self.settings.speed
 
     @property
     def command_range(self) -> CommandRange:

@@ -19,10 +19,34 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import SimulatedClock
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting
-from robot_sysid.damiao.protocol import BusTiming, Frame
+from robot_sysid.damiao.protocol import (
+    CTRL_MODE,
+    DISABLE,
+    DISABLED,
+    ENABLE,
+    ENABLED,
+    ESC_ID,
+    LOST_COMMUNICATION,
+    MIT_MODE,
+    MST_ID,
+    READ,
+    REFRESH,
+    REGISTER_ID,
+    SCALING,
+    TIMEOUT,
+    TIMEOUT_UNIT,
+    BusTiming,
+    Frame,
+    MitCommand,
+    Scaling,
+    bytes_from_value,
+    decode_mit,
+    encode_feedback,
+    is_fault,
+    is_special,
+)
 from robot_sysid.records import Array
 
 if TYPE_CHECKING:
@@ -57,7 +81,7 @@ class SimulatedMotor:
     registers: dict[int, float]
     peak_torque: float
     brake: float
-    status: int = protocol.DISABLED
+    status: int = DISABLED
     position: float = 0.0
     velocity: float = 0.0
     torque: float = 0.0
@@ -69,18 +93,18 @@ class SimulatedMotor:
     @property
     def can_id(self) -> int:
         """CAN id of the motor, from its register."""
-        return int(self.registers[protocol.ESC_ID])
+        return int(self.registers[ESC_ID])
 
     @property
     def driving(self) -> bool:
         """Whether the motor is enabled and follows commands."""
-        return self.status == protocol.ENABLED
+        return self.status == ENABLED
 
     def tick(self, time: float) -> bool:
         """Stop the motor if its watchdog has expired at ``time`` [s]; return whether it stopped."""
-        timeout = self.registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
+        timeout = self.registers[TIMEOUT] * TIMEOUT_UNIT
         if self.driving and 0.0 < timeout < time - self.fed_at:
-            self.fail(protocol.LOST_COMMUNICATION)
+            self.fail(LOST_COMMUNICATION)
             return True
         return False
 
@@ -89,41 +113,41 @@ class SimulatedMotor:
         self.status = code
         self.command = _NOTHING
 
-    def handle(self, frame: protocol.Frame, time: float) -> protocol.Frame | None:
+    def handle(self, frame: Frame, time: float) -> Frame | None:
         """Process a frame on the bus at ``time`` [s]; return the motor's answer, None if silent."""
         data = None
         if len(frame.data) < 4:
             return None
-        if frame.id == protocol.REGISTER_ID:
+        if frame.id == REGISTER_ID:
             data = self._register_answer(frame.data)
         elif frame.id & 0xFF == self.can_id & 0xFF and len(frame.data) == 8:
             data = self._command_answer(frame.data, time)
         if data is None:
             return None
-        return protocol.Frame(int(self.registers[protocol.MST_ID]), data)
+        return Frame(int(self.registers[MST_ID]), data)
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         """Feed the watchdog at ``time`` [s], obey a command's 8 bytes, return the answer's data."""
         self.fed_at = time
-        if protocol.is_special(data):
+        if is_special(data):
             self._special(data[7])
             return self._feedback()
         # The answer to a command is the state before it acts.
         answer = self._feedback()
-        if self.driving and self.registers[protocol.CTRL_MODE] == protocol.MIT_MODE:
+        if self.driving and self.registers[CTRL_MODE] == MIT_MODE:
             frame = np.frombuffer(data, np.uint8)
-            command = protocol.decode_mit(frame, self._scaling)
+            command = decode_mit(frame, self._scaling)
             self.command = np.ravel(command).tolist()
         return answer
 
     def _special(self, code: int) -> None:
         """Obey the special command with a code: enable or disable; with a fault, neither."""
-        if protocol.is_fault(self.status):
+        if is_fault(self.status):
             return
-        if code == protocol.ENABLE:
-            self.status = protocol.ENABLED
-        elif code == protocol.DISABLE:
-            self.fail(protocol.DISABLED)
+        if code == ENABLE:
+            self.status = ENABLED
+        elif code == DISABLE:
+            self.fail(DISABLED)
 
     def _register_answer(self, data: bytes) -> bytes | None:
         """Return the data of the answer to a register frame's data, or None if there is none.
@@ -134,11 +158,11 @@ class SimulatedMotor:
             return None
         operation = data[2]
         number = data[3]
-        if operation == protocol.REFRESH:
+        if operation == REFRESH:
             return self._feedback()
-        if operation != protocol.READ or number not in self.registers:
+        if operation != READ or number not in self.registers:
             return None
-        return data[:4] + protocol.bytes_from_value(number, self.registers[number])
+        return data[:4] + bytes_from_value(number, self.registers[number])
 
     def _feedback(self) -> bytes:
         """Return the data of a feedback frame with the present state."""
@@ -146,20 +170,20 @@ class SimulatedMotor:
 
     def _pack(self, *measured: float) -> bytes:
         """Return the data of feedback with position [rad], velocity [rad/s], torque [N m]."""
-        heat = self.temperature_mos, self.temperature_rotor
-        fields = np.array([[self.status, self.can_id, *measured, *heat]])
-        return protocol.encode_feedback(fields, self._scaling).tobytes()
+        temperatures = self.temperature_mos, self.temperature_rotor
+        fields = np.array([[self.status, self.can_id, *measured, *temperatures]])
+        return encode_feedback(fields, self._scaling).tobytes()
 
     @property
-    def _scaling(self) -> protocol.Scaling:
+    def _scaling(self) -> Scaling:
         """Ranges of the quantities in frames, by the motor's registers."""
-        return _scaling_of(*(self.registers[number] for number in protocol.SCALING))
+        return _scaling_of(*(self.registers[number] for number in SCALING))
 
 
 @lru_cache
-def _scaling_of(*limits: float) -> protocol.Scaling:
+def _scaling_of(*limits: float) -> Scaling:
     """Return the scaling of one motor with PMAX, VMAX and TMAX, made once: frames come fast."""
-    return protocol.Scaling([limits])
+    return Scaling([limits])
 
 
 def simulated_motor(
@@ -170,15 +194,13 @@ def simulated_motor(
     ``watchdog`` is the time without a command after which the motor stops [s].
     """
     peak = joint.spec.peak_torque
-    registers = {
-        protocol.MST_ID: float(joint.master_id),
-        protocol.ESC_ID: float(joint.can_id),
-        protocol.CTRL_MODE: float(protocol.MIT_MODE),
-        protocol.TIMEOUT: float(round(watchdog / protocol.TIMEOUT_UNIT)),
+    registers: dict[int, float] = {
+        MST_ID: joint.master_id,
+        ESC_ID: joint.can_id,
+        CTRL_MODE: MIT_MODE,
+        TIMEOUT: round(watchdog / TIMEOUT_UNIT),
     }
-    registers.update(
-        zip(protocol.SCALING, np.array(joint.spec.limits, np.float32).tolist())
-    )
+    registers.update(zip(SCALING, np.array(joint.spec.limits, np.float32).tolist()))
     # Shorted windings brake strongly: a full peak torque sinks at about 2 rad/s.
     return SimulatedMotor(joint, registers, peak, brake=0.5 * peak)
 
@@ -230,12 +252,12 @@ class SimulatedArm:
             torque, damping = self._motor_torques(ahead)
             self.mechanism.step(torque, damping, duration)
 
-    def handle(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
+    def handle(self, frame: Frame, time: float) -> list[Frame]:
         """Simulate up to ``time`` [s], send a frame to all motors and return their answers."""
         self.advance(time)
         return self.answers(frame, time)
 
-    def answers(self, frame: protocol.Frame, time: float) -> list[protocol.Frame]:
+    def answers(self, frame: Frame, time: float) -> list[Frame]:
         """Send a frame to all motors at ``time`` [s] and return their answers; simulate nothing."""
         self._read_sensors()
         self._changed = True
@@ -253,9 +275,7 @@ class SimulatedArm:
         table = np.array([(*m.command, m.brake, m.peak_torque) for m in motors])
         driving = np.array([m.driving for m in motors])
         *commands, brake, peak = table.T
-        self._p, v, kp, kd, t = self._mounting.inverse.command(
-            protocol.MitCommand(*commands)
-        )
+        self._p, v, kp, kd, t = self._mounting.inverse.command(MitCommand(*commands))
         self._peak = peak
         self._kd = np.where(driving, kd, brake)
         self._offset = np.where(driving, kd * v + t, 0.0)

@@ -109,7 +109,7 @@ class DamiaoTrajectory:
     @property
     def qdd(self) -> Array:
         """Accelerations (N, n), the gradient of the velocities over the file's time [rad/s^2]."""
-        return np.asarray(np.gradient(self.qd, self.time, axis=0))
+        return np.gradient(self.qd, self.time, axis=0)
 
     @property
     def slopes(self) -> Array:
@@ -150,7 +150,8 @@ def export_damiao_trajectory(
     # Greatest position, velocity and torque (3, 1, n) that frames can carry.
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
     n_rows = 0
-    n_clamped, peak_velocity, peak_torque = np.zeros((3, len(joints)))
+    n_clamped = np.zeros(len(joints))
+    peaks = np.zeros((3, len(joints)))
     # Milliseconds where all times of the first chunk are whole ones, else microseconds.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
     with atomic_file(path_or_file) as file:
@@ -164,16 +165,12 @@ def export_damiao_trajectory(
                 )
             clamped = np.clip(signals, -limits, limits)
             n_clamped += np.any(clamped != signals, axis=0).sum(axis=0)
-            _, top_velocity, top_torque = np.abs(signals).max(axis=1, initial=0.0)
-            peak_velocity = np.maximum(peak_velocity, top_velocity)
-            peak_torque = np.maximum(peak_torque, top_torque)
+            peaks = np.maximum(peaks, np.abs(signals).max(axis=1, initial=0.0))
             n_rows += len(chunk[0])
             file.write(_rows(chunk[0], clamped, decimals))
     percent = 100.0 * n_clamped / n_rows
     warnings = []
-    for joint, share, velocity, torque in zip(
-        joints, percent, peak_velocity, peak_torque
-    ):
+    for joint, share, velocity, torque in zip(joints, percent, *peaks[1:]):
         if share:
             warnings.append(
                 f"{joint.label}: {share:.2f} % of the samples were clamped to the limits of a "
@@ -255,10 +252,11 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     lines = read_text(path, "give a trajectory file").splitlines()
     # Comment lines, one line of column titles, then one line of numbers per row.
     comments = list(takewhile(lambda line: line.startswith("#"), lines))
-    joints = []
-    for line_number, line in enumerate(comments, start=1):
-        if "motor_type" in line:
-            joints.append(_parse_joint(line, path, line_number))
+    joints = tuple(
+        _parse_joint(line, path, number)
+        for number, line in enumerate(comments, start=1)
+        if "motor_type" in line
+    )
     n = len(joints)
     if n == 0 or len(comments) == len(lines):
         raise InputError(
@@ -284,10 +282,9 @@ def read_damiao_trajectory(path: str | os.PathLike[str]) -> DamiaoTrajectory:
     time = table[:, 0].copy()
     for row in np.flatnonzero(np.diff(time) <= 0.0)[:1]:
         raise InputError(f"{path}: time does not increase after {time[row]:g} s")
-    q = table[:, 1::3]
-    qd = table[:, 2::3]
-    tau = table[:, 3::3]
-    return DamiaoTrajectory(path, tuple(joints), time, q, qd, tau)
+    return DamiaoTrajectory(
+        path, joints, time, q=table[:, 1::3], qd=table[:, 2::3], tau=table[:, 3::3]
+    )
 
 
 def _parse_joint(line: str, path: Path, number: int) -> DamiaoJoint:
@@ -372,8 +369,11 @@ def excesses(
         ("position", "rad", -trajectory.q, -bounds.lower, ROUNDING),
         ("velocity", "rad/s", speed * velocity, bounds.velocity, ROUNDING),
         (
-            *("acceleration", "rad/s^2", speed**2 * np.abs(trajectory.qdd)),
-            *(bounds.acceleration, change),
+            "acceleration",
+            "rad/s^2",
+            speed**2 * np.abs(trajectory.qdd),
+            bounds.acceleration,
+            change,
         ),
         ("torque", "N·m", np.abs(trajectory.tau), bounds.torque, ROUNDING),
     ):
@@ -382,7 +382,7 @@ def excesses(
         # Registers hold float32.
         slack = rounding + 1e-6 * np.abs(limit)
         for j in np.flatnonzero(largest > limit + slack).tolist():
-            row = int(np.argmax(values[:, j]))
+            row = np.argmax(values[:, j])
             moment = (trajectory.time[row] - trajectory.time[0]) / speed
             yield (
                 f"{trajectory.joints[j].label}: {quantity} {largest[j]:.4g} {unit} is beyond "
@@ -420,5 +420,5 @@ def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | 
     difference = drift[rows:] - drift[:-rows]
     tolerance = doubt[rows:] - doubt[:-rows] + ROUNDING * (4.0 + duration)
     for k, j in np.argwhere(np.abs(difference) > tolerance)[:1].tolist():
-        return k, j, float(difference[k, j] / duration[k, 0])
+        return k, j, difference[k, j] / duration[k, 0]
     return None

@@ -192,7 +192,7 @@ class Clearance:
         if near.wall[0] >= 0:
             space, _, _ = self._walls[near.wall[0]]
             label = f"{body_label(self._model, second)} and {space.label}"
-        return Closest(float(near.slack[0]), float(near.distance[0]), label)
+        return Closest(near.slack[0], near.distance[0], label)
 
     def _label(self, first: int, second: int) -> str:
         """Return the names of two bodies, given by MuJoCo ids, joined by "and"."""
@@ -312,7 +312,7 @@ class Clearance:
         for space in half_spaces:
             for solid in solids_of(self._model, space.bodies):
                 lowest = solid.lowest(data.xpos[None], data.xmat[None], space.normal)
-                height = float(lowest[0] @ space.normal) - space.offset
+                height = lowest[0] @ space.normal - space.offset
                 if height <= 0.0:
                     body = body_label(self._model, solid.body)
                     raise InputError(

@@ -126,7 +126,7 @@ def typical_load(problem: ExcitationProblem) -> Array:
     (``--payload-reserve``) or, without one, a share ``TYPICAL_LOAD`` of the moving mass.
     """
     robot = problem.robot
-    mass = problem.reserve or TYPICAL_LOAD * float(np.sum(robot.thetas[:, 0]))
+    mass = problem.reserve or TYPICAL_LOAD * np.sum(robot.thetas[:, 0])
     body = robot.links[-1].reference
     return mass / body[0] * body
 
@@ -162,9 +162,12 @@ def predict(
     at = fitted.at(names)
     selection = np.eye(len(fitted.names))[at]
     mass_errors = fitted.budget(selection[:1])
-    by_cause = {}
-    for cause, errors in fitted.budget(centre_slopes(theta) @ selection).items():
-        by_cause[cause] = float(mass_errors[cause][0]), float(np.linalg.norm(errors))
+    centre_errors = fitted.budget(centre_slopes(theta) @ selection)
+    by_cause = {
+        cause: (float(mass_errors[cause][0]), float(np.linalg.norm(errors)))
+        for cause, errors in centre_errors.items()
+    }
+
     errors_by_name = dict(zip(fitted.names, fitted.errors))
     link_errors = {}
     for link in robot.links if aim.target == "arm" else ():
@@ -254,8 +257,7 @@ def _processed_motion(
 def _payload_recordings(processed: Recording) -> tuple[Recording, ...]:
     """Return the recordings of one motion without and with a payload, in ``PAYLOAD_ORDER``."""
     positions = np.linspace(-1.0, 1.0, len(PAYLOAD_ORDER)).tolist()
-    recordings = []
-    for letter, position in zip(PAYLOAD_ORDER, positions):
-        is_loaded = letter == LOADED
-        recordings.append(replace(processed, is_loaded=is_loaded, order=position))
-    return tuple(recordings)
+    return tuple(
+        replace(processed, is_loaded=letter == LOADED, order=position)
+        for letter, position in zip(PAYLOAD_ORDER, positions)
+    )

@@ -25,7 +25,6 @@ import numpy as np
 
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
-from robot_sysid.trajectory import Series
 
 _RIDGE = 1e-12
 """Share of the trace of the information about all x_j that is added to its diagonal: x_j can then
@@ -147,18 +146,18 @@ class Criterion:
             self._changes[joint, -_N_TERMS:, first : first + _N_TERMS] = np.diag(units)
         self._changes /= sigma[:, None, None]
 
-    def information(self, motion: Series) -> Array:
+    def information(self, motion: Array) -> Array:
         """Return H (P, P), the inverse covariance of all unknowns: the terminal link's along
-        ``visible``, the other links', each joint's. ``motion`` is q, qd and qdd, (N, n) each.
+        ``visible``, the other links', each joint's. ``motion`` is q, qd and qdd (3, N, n).
         """
         return self._information(self._columns(*motion))
 
-    def evaluate(self, motion: Series) -> float:
-        """Return the value of a motion q, qd and qdd, (N, n) each; infinite if singular."""
+    def evaluate(self, motion: Array) -> float:
+        """Return the value of a motion q, qd and qdd (3, N, n); infinite if singular."""
         return self._solve(self._columns(*motion))[0]
 
-    def with_gradient(self, motion: Series) -> tuple[float, Series]:
-        """Return the value of a motion and its gradient by q, qd and qdd, (N, n) each."""
+    def with_gradient(self, motion: Array) -> tuple[float, Array]:
+        """Return the value of a motion (3, N, n) and its gradient by q, qd and qdd."""
         columns = self._columns(*motion)
         value, weight = self._solve(columns)
         by_column = -self._changes @ weight @ self._changes.transpose(0, 2, 1) @ columns
@@ -167,7 +166,7 @@ class Criterion:
             """Return the sums (m, N) of all columns times their derivatives of the value."""
             moved = self._columns(q, qd, qdd)
             moved = moved.reshape(*moved.shape[:2], -1, columns.shape[2])
-            return np.asarray(np.einsum("jkmn,jkn->mn", moved, by_column))
+            return np.einsum("jkmn,jkn->mn", moved, by_column)
 
         return value, gradient_of(total, motion)
 
@@ -216,31 +215,30 @@ class Criterion:
         covariance = np.linalg.inv(scaled) / np.outer(length, length)
         count = self._n_target
         of_target = covariance[:count, :count]
-        value = 0.5 * float(np.linalg.slogdet(of_target)[1]) / count
+        value = 0.5 * np.linalg.slogdet(of_target)[1] / count
         weight = covariance[:, :count] @ np.linalg.solve(of_target, covariance[:count])
         return value, weight / count
 
 
-def random_motion(problem: ExcitationProblem) -> Series:
-    """Return unrelated random positions within the limits, velocities and accelerations, (N, n)
-    each, which are the same in every call.
+def random_motion(problem: ExcitationProblem) -> Array:
+    """Return unrelated random positions within the limits, velocities and accelerations (3, N, n),
+    which are the same in every call.
     """
     rng = np.random.default_rng(0)
-    q, qd, qdd = rng.normal(size=(3, 400, problem.n_joints))
-    q = np.clip(problem.rest + 2.0 * q, problem.limits.lower, problem.limits.upper)
-    return q, qd, qdd
+    motion = rng.normal(size=(3, 400, problem.n_joints))
+    q = problem.rest + 2.0 * motion[0]
+    motion[0] = np.clip(q, problem.limits.lower, problem.limits.upper)
+    return motion
 
 
-def gradient_of(
-    total: Callable[[Array, Array, Array], Array], motion: Series
-) -> Series:
+def gradient_of(total: Callable[[Array, Array, Array], Array], motion: Array) -> Array:
     """Return the gradient of the sum of a function over the samples of a motion, by one-sided
-    differences, exact to a millionth: the derivatives by q, qd and qdd, (N, n) each.
+    differences, exact to a millionth: the derivatives (3, N, n) by q, qd and qdd.
 
     Args:
         total: returns a number per sample (m, N) of m motions q, qd and qdd, (m N, n) each, one
             after the other; depends on each sample alone.
-        motion: q, qd and qdd, (N, n) each.
+        motion: (3, N, n) q, qd and qdd.
     """
     # Dry friction jumps where a joint reverses; a step across the jump would be noise.
     states = np.concatenate(motion, axis=1)
@@ -249,9 +247,9 @@ def gradient_of(
     # A step of each number in turn, at last none: (number that is moved, sample, number).
     moved = np.repeat(states[None], size + 1, axis=0)
     moved[range(size), :, range(size)] += step.T
-    sums = []
-    for part in np.array_split(moved, 1 + size**3 // _MOST_TOGETHER):
-        sums.append(total(*np.split(part.reshape(-1, size), 3, axis=1)))
+    sums = [
+        total(*np.split(part.reshape(-1, size), 3, axis=1))
+        for part in np.array_split(moved, 1 + size**3 // _MOST_TOGETHER)
+    ]
     values = np.concatenate(sums)
-    q, qd, qdd = np.split((values[:-1] - values[-1]).T / step, 3, axis=1)
-    return q, qd, qdd
+    return np.stack(np.split((values[:-1] - values[-1]).T / step, 3, axis=1))

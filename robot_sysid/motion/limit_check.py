@@ -96,9 +96,7 @@ def check_limits(
     excesses = []
     # Written with "not", so that NaN counts as an excess.
     for k in np.flatnonzero(~(share <= 1.0 + ROUNDING)):
-        excesses.append(
-            Excess(problem.signal_names[k], float(share[k]), float(time[k]))
-        )
+        excesses.append(Excess(problem.signal_names[k], share[k], time[k]))
     closest = _tightest(problem.obstacles, plan)
     if closest.slack < -TOUCH:
         missing = 1.0 - closest.slack / OBSTACLE_LENGTH
@@ -188,10 +186,10 @@ def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:
         tested = np.append(np.arange(0, len(time), 64), len(time))
         slacks = obstacles.slacks(motion.q[tested])
         while True:
-            best = int(np.argmin(np.min(slacks, axis=1)))
+            best = np.argmin(np.min(slacks, axis=1))
             if np.min(slacks[best]) < least:
-                least = float(np.min(slacks[best]))
-                tightest = motion.q[tested[best]], float(motion.time[tested[best]])
+                least = np.min(slacks[best])
+                tightest = motion.q[tested[best]], motion.time[tested[best]]
             # Slack above the floor may be used up untested: no contact and no lower minimum is
             # missed by it.
             floor = least - CLEARANCE_RESOLUTION

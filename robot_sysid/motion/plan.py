@@ -148,8 +148,9 @@ def _plan_at_full_speed(
         return saved.plan
     _require_possible(request, options.duration)
     verb = "Designing" if request.is_designed else "Generating"
-    sampling = f"{options.duration:.1f}s, {options.sample_rate:g} Hz"
-    progress.stage(f"{verb} excitation trajectory ({sampling})...")
+    progress.stage(
+        f"{verb} excitation trajectory ({options.duration:.1f}s, {options.sample_rate:g} Hz)..."
+    )
     # Ends on a sample, so that the last one is at rest.
     rate = options.sample_rate
     duration = (trajectory.sample_count(options.duration, rate) - 1) / rate

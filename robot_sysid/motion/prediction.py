@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import LIMIT_NAMES, ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
@@ -73,11 +73,13 @@ def limit_lines(
     if not check.excesses:
         nearness = ""
         if np.isfinite(closest.distance):
-            distance = f"about {1e3 * closest.distance:.0f} mm"
-            nearness = f"; least room between {closest.label}, {distance} apart"
+            nearness = (
+                f"; least room between {closest.label}, about "
+                f"{1e3 * closest.distance:.0f} mm apart"
+            )
         yield f"Keeps all limits for {plan.duration:.1f} s{nearness}"
-    if problem.unguarded:
-        unguarded = unguarded_text(problem.unguarded)
+    unguarded = unguarded_text(problem.unguarded)
+    if unguarded:
         yield unguarded[0].upper() + unguarded[1:]
     for excess in check.excesses:
         yield f"NOT KEPT: {excess}"
@@ -86,7 +88,8 @@ def limit_lines(
 def error_lines(prediction: Prediction) -> Iterator[str]:
     """Yield the errors that an identification will state, and their largest causes."""
     yield f"{prediction.recordings}, it determines {prediction.subject} with these errors:"
-    mass, centre = prediction.errors[0], prediction.centre_error
+    mass = prediction.errors[0]
+    centre = prediction.centre_error
     # The causes, the one with the largest error of the mass first.
     causes = sorted(prediction.by_cause.items(), key=lambda cause: -cause[1][0])
     if np.isfinite(mass):
@@ -96,12 +99,14 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
         cause = max(causes, key=lambda cause: cause[1][1])[0]
         yield f"  centre of mass ± {1e3 * centre:.2g} mm, limited by {cause}"
     if prediction.link_mass_errors:
-        masses = prediction.link_mass_errors.items()
-        listed = ", ".join(f"{name} {percent(error)}" for name, error in masses)
+        listed = ", ".join(
+            f"{name} {percent(error)}"
+            for name, error in prediction.link_mass_errors.items()
+        )
         yield f"  mass of the other links: {listed}"
     uncertain = []
     relative_errors = prediction.errors / prediction.size
-    for name, error in zip(spatial.PARAMETER_NAMES, relative_errors):
+    for name, error in zip(PARAMETER_NAMES, relative_errors):
         if error > LARGE_SHARE:
             known = percent(error) if np.isfinite(error) else "not identified"
             uncertain.append(f"{name} {known}")
@@ -113,10 +118,9 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
             "last joint is used now, or mount the base at another angle"
         )
     for cause, (mass_error, centre_error) in causes:
-        figures = (
-            f"mass {mass_error:.2g} kg, centre of mass {1e3 * centre_error:.2g} mm"
+        yield Detail(
+            f"  by {cause}: mass {mass_error:.2g} kg, centre of mass {1e3 * centre_error:.2g} mm"
         )
-        yield Detail(f"  by {cause}: {figures}")
 
 
 def motion_lines(

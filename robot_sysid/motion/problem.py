@@ -169,18 +169,15 @@ class ExcitationProblem:
         tip = self.tool[np.argmax(np.linalg.norm(self.tool, axis=1))]
         thetas = np.zeros((self.n_joints, N_INERTIAL))
         # A point mass of 1 kg.
-        point_inertia = np.zeros((3, 3))
-        thetas[-1] = spatial.theta_from_com(1.0, tip, point_inertia)
+        thetas[-1] = spatial.theta_from_com(1.0, tip, np.zeros((3, 3)))
         return self.dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
 
-    def torque_at(
-        self, q: Array, qd: Array | float = 0.0, qdd: Array | float = 0.0
-    ) -> Array:
-        """Return ``torque`` (N, n) at positions (N, n) [N m]; velocities and accelerations are one
-        number for all joints and samples, zero by default, or (N, n) each.
+    def torque_at(self, q: Array, qd: float = 0.0) -> Array:
+        """Return ``torque`` (N, n) at positions q (N, n) [N m], where all joints move at one
+        velocity qd that does not change.
         """
         zero = np.zeros_like(q)
-        return self.torque(motion_of_samples(q, zero + qd, zero + qdd))
+        return self.torque(motion_of_samples(q, zero + qd, zero))
 
     @property
     def signal_names(self) -> tuple[str, ...]:
@@ -206,9 +203,7 @@ class ExcitationProblem:
     def scale(self) -> Array:
         """Typical magnitudes (10,) of the inertial parameters: m, m L, m L^2."""
         theta = self.robot.prior.theta
-        return spatial.parameter_scale(
-            float(theta[0]), spatial.characteristic_length(theta)
-        )
+        return spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
 
 
 def motion_of_samples(q: Array, qd: Array, qdd: Array) -> Motion:
@@ -298,7 +293,7 @@ def _limits(
     top = TOP_FREQUENCY_HZ if shakes_gently else np.inf
     # The acceleration of a sinusoid of this frequency that reaches the speed limit.
     natural = 2.0 * np.pi * top * model_limits.velocity
-    lower, upper = _position_limits(robot)
+
     is_natural = is_slide | (options.max_acceleration is None)
     acceleration = np.where(is_natural, natural, options.max_acceleration or 0.0)
     torque = joint_values(options.max_torque or np.inf, robot.n_joints, "--max-torque")
@@ -311,8 +306,7 @@ def _limits(
     is_usual_speed = is_default & (model_limits.velocity >= default_speed)
     is_usual_acceleration = is_natural & np.isfinite(acceleration)
     return MotionLimits(
-        lower=lower,
-        upper=upper,
+        *_position_limits(robot),
         velocity=model_limits.velocity,
         acceleration=acceleration,
         torque=TORQUE_MARGIN * np.minimum(model_limits.torque, torque),
@@ -330,7 +324,7 @@ def _half_spaces(
     keep-out plane is one. The base's height is taken with the joints at ``start_pose`` (n,).
     """
     model = robot.mj_model
-    moving = subtree(model, int(model.dof_bodyid[robot.dof_index[0]]))
+    moving = subtree(model, model.dof_bodyid[robot.dof_index[0]])
     spaces = options.half_spaces(moving, subtree(model, robot.body_id))
     base = mounting_plane(robot, start_pose)
     if options.below_base or base is None:

@@ -45,7 +45,7 @@ from robot_sysid.motion.problem import (
 )
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
-from robot_sysid.trajectory import Series, SineTrajectory, TrajectoryOptions
+from robot_sysid.trajectory import SineTrajectory, TrajectoryOptions
 
 LONGEST_FADE = 1.5
 """Longest time in which a designed trajectory leaves its start, and in which it returns [s]. To
@@ -103,7 +103,7 @@ class Design:
         size: number M of free coefficients per joint: offset, sines, cosines.
         unit: (M,) scale of each free coefficient for the optimiser [rad].
         grid: (N,) times at which constraints are computed [s].
-        on_grid: the M basis functions and their first two derivatives there, (N, M) each. They take
+        on_grid: (3, N, M) the M basis functions and their first two derivatives there. They take
             most of the memory of a design.
         criterion: the number that is minimised.
     """
@@ -135,7 +135,7 @@ class Design:
         self.grid = (np.arange(points) + 0.5) * self.duration / points
         functions = self._series(np.zeros(self.size), np.eye(self.size))
         on_grid = functions.evaluate(self.grid)
-        self.on_grid: Series = on_grid.q, on_grid.qd, on_grid.qdd
+        self.on_grid: Array = np.stack((on_grid.q, on_grid.qd, on_grid.qdd))
         # Each point of the coarse grid stands for several samples of the recording: it has as much
         # information as all of them.
         n_points = len(self.grid[INFORMATION_POINTS])
@@ -151,15 +151,15 @@ class Design:
         """Return the trajectory of the free coefficients x (n, M)."""
         return self._series(self.problem.rest, x)
 
-    def motion(self, x: Array) -> Series:
-        """Return q, qd and qdd (N, n) of the free coefficients x (n, M) on the grid."""
-        b, db, ddb = self.on_grid
-        return self.problem.rest + b @ x.T, db @ x.T, ddb @ x.T
+    def motion(self, x: Array) -> Array:
+        """Return q, qd and qdd (3, N, n) of the free coefficients x (n, M) on the grid."""
+        motion = self.on_grid @ x.T
+        motion[0] += self.problem.rest
+        return motion
 
     def criterion_of(self, x: Array) -> float:
         """Return the criterion of free coefficients x (n, M)."""
-        q, qd, qdd = (signal[INFORMATION_POINTS] for signal in self.motion(x))
-        return self.criterion.evaluate((q, qd, qdd))
+        return self.criterion.evaluate(self.motion(x)[:, INFORMATION_POINTS])
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ class Candidate:
 
 
 def constraints_of(
-    problem: ExcitationProblem, motion: Series, extra_slack: float = 0.0
+    problem: ExcitationProblem, motion: Array, extra_slack: float = 0.0
 ) -> tuple[Array, Array]:
     """Return all constraints g at the samples of a motion, and the derivative of the last one.
 
@@ -192,7 +192,7 @@ def constraints_of(
 
     Args:
         problem: the arm and its limits.
-        motion: q, qd and qdd, (N, n) each.
+        motion: (3, N, n) q, qd and qdd.
         extra_slack: distance to keep in addition to the required one [m].
     """
     signals = np.abs(problem.signals(motion_of_samples(*motion)))
@@ -204,13 +204,13 @@ def constraints_of(
 
 
 def constraint_gradient(
-    problem: ExcitationProblem, motion: Series, by_position: Array, weight: Array
-) -> Series:
-    """Return the gradient (N, n) of sum(weight * g) by each of q, qd and qdd.
+    problem: ExcitationProblem, motion: Array, by_position: Array, weight: Array
+) -> Array:
+    """Return the gradient (3, N, n) of sum(weight * g) by q, qd and qdd.
 
     Args:
         problem: the arm and its limits.
-        motion: q, qd and qdd, (N, n) each.
+        motion: (3, N, n) q, qd and qdd.
         by_position: (N, n) derivative of the last constraint by q.
         weight: (N, 4 n + 2) of the constraints g.
     """
@@ -229,10 +229,10 @@ def constraint_gradient(
             """Return the weighted sums (m, N) of torques and the tool's speed."""
             signals = np.abs(problem.signals(motion_of_samples(*at))[:, n_linear:])
             weighted = signals.reshape(-1, *functions[active].shape) * functions[active]
-            return np.asarray(np.sum(weighted, axis=2))
+            return np.sum(weighted, axis=2)
 
-        gradients[:, active] += gradient_of(total, (q[active], qd[active], qdd[active]))
-    return tuple(gradients)
+        gradients[:, active] += gradient_of(total, motion[:, active])
+    return gradients
 
 
 def penalised_objective(
@@ -246,15 +246,13 @@ def penalised_objective(
     """
     multipliers = candidate.multipliers
     motion = design.motion(x)
-    q, qd, qdd = (signal[INFORMATION_POINTS] for signal in motion)
-    value, gradients = design.criterion.with_gradient((q, qd, qdd))
+    value, gradients = design.criterion.with_gradient(motion[:, INFORMATION_POINTS])
     constraints, by_position = constraints_of(design.problem, motion, EXTRA_SLACK)
     active = np.maximum(0.0, multipliers + constraints)
-    penalty = 0.5 * float(np.sum(active**2 - multipliers**2))
-    # Gradients (N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
+    penalty = 0.5 * np.sum(active**2 - multipliers**2)
+    # Gradients (3, N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
     adjoints = constraint_gradient(design.problem, motion, by_position, active)
-    for adjoint, gradient in zip(adjoints, gradients):
-        adjoint[INFORMATION_POINTS] += gradient
+    adjoints[:, INFORMATION_POINTS] += gradients
     # q, qd and qdd are linear in x, by the basis functions and their derivatives.
     gradient = np.sum([a.T @ f for a, f in zip(adjoints, design.on_grid)], axis=0)
     # The optimiser needs a number in place of infinity.
@@ -444,7 +442,7 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
         if np.max(value) <= ROUNDING:
             return Draw(design.criterion_of(x), x, "")
     # The constraint that the smallest multiple exceeds most.
-    sample, column = np.unravel_index(int(np.argmax(value)), value.shape)
+    sample, column = np.unravel_index(np.argmax(value), value.shape)
     names = design.problem.signal_names
     if column < len(names):
         obstacle = names[column]
@@ -488,9 +486,9 @@ def _largest_factor(design: Design, base: Array, x: Array) -> Array:
         x: (n, M) coefficients that are scaled.
     """
     limits = design.problem.limits
-    start = np.stack(design.motion(base))
+    start = design.motion(base)
     start[0] -= limits.center
-    step = np.stack([function @ x.T for function in design.on_grid])
+    step = design.on_grid @ x.T
     largest = LIMIT_SHARE * limits.columns[:-1].reshape(4, 1, -1)[:3]
     room = largest - np.sign(step) * start
     factor = np.min(room / np.maximum(np.abs(step), 1e-12), axis=(0, 1))

@@ -75,7 +75,7 @@ class Solid:
 
 def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
     """Return the shapes of bodies, given by MuJoCo ids, without those that are planes alone."""
-    solids = [_solid(mj_model, int(body)) for body in bodies]
+    solids = [_solid(mj_model, body) for body in bodies]
     return [solid for solid in solids if len(solid.points)]
 
 
@@ -151,15 +151,15 @@ def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
     data = data_at_pose(model, qpos)
     # The parent of the first body that the arm moves.
     moving = np.flatnonzero(link_of_body)
-    carrier = int(model.body_parentid[moving[0]])
+    carrier = model.body_parentid[moving[0]]
     is_fixed = model.body_weldid[model.geom_bodyid] == model.body_weldid[carrier]
     is_mesh = is_fixed & (model.geom_type == _TYPES.mjGEOM_MESH)
-    height = float(up @ data.xpos[carrier])
+    height = up @ data.xpos[carrier]
     for geom in np.flatnonzero(is_mesh if np.any(is_mesh) else is_fixed).tolist():
         points, radius = _shape(model, geom)
         turned = points @ data.geom_xmat[geom].reshape(3, 3).T
         heights = (data.geom_xpos[geom] + turned) @ up - radius
-        height = float(np.min(heights, initial=height))
+        height = np.min(heights, initial=height)
     above = []
     for solid in solids_of(model, moving.tolist()):
         (lowest,) = solid.lowest(data.xpos[None], data.xmat[None], up)
@@ -185,11 +185,11 @@ def unguarded_links(robot: RobotModel) -> tuple[str, ...]:
     moves = link_of_geom[:, None] != link_of_geom
     can_meet = np.any((meets | meets.T) & moves, axis=1)
     guarded = set(link_of_geom[can_meet].tolist())
-    unguarded = []
-    for number, link in enumerate(robot.links, start=1):
-        if link.has_mass and number not in guarded:
-            unguarded.append(link.body_name)
-    return tuple(unguarded)
+    return tuple(
+        link.body_name
+        for number, link in enumerate(robot.links, start=1)
+        if link.has_mass and number not in guarded
+    )
 
 
 def unguarded_text(links: Sequence[str]) -> str:

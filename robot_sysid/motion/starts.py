@@ -36,7 +36,7 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     """
     collisions = problem.obstacles.collisions
     share = _torque_share(problem, problem.rest[None])[0]
-    worst = int(np.argmax(share))
+    worst = np.argmax(share)
     if share[worst] < 1.0 and not collisions:
         return problem
     if collisions:
@@ -119,4 +119,4 @@ def _held_poses(problem: ExcitationProblem) -> Array:
     is_held = np.all(_torque_share(problem, poses) < 0.9, axis=1)
     poses = poses[is_held & (problem.obstacles.slack(poses)[0] >= 0.0)]
     distance = np.max(np.abs(poses - problem.rest) / (upper - lower), axis=1)
-    return np.asarray(poses[np.argsort(distance)])
+    return poses[np.argsort(distance)]

@@ -39,13 +39,12 @@ class LineTrajectory:
     @property
     def duration(self) -> float:
         """Length [s]: 1 s, or more where a joint's mean speed would exceed 1 rad/s (1 m/s)."""
-        return max(1.0, float(np.max(np.abs(self.end - self.begin))))
+        return max(1.0, np.max(np.abs(self.end - self.begin)))
 
     def evaluate(self, time: Array) -> Motion:
         """Return position, velocity and acceleration of all joints at times (N,) [s]; velocities
         and accelerations are exact derivatives.
         """
-        time = np.asarray(time, dtype=float)
         length = self.duration
         w, dw, ddw = smooth_step(np.clip(time / length, 0.0, 1.0))
         way = self.end - self.begin
@@ -129,9 +128,11 @@ def load_trajectory(path: Path) -> SavedTrajectory:
         )
     try:
         # Indexing with () makes a number of an array without axes.
-        numbers: dict[str, Any] = {}
-        for entry in fields(SineTrajectory):
-            numbers[entry.name] = np.array(content[entry.name], float)[()]
+        numbers: dict[str, Any] = {
+            entry.name: np.array(content[entry.name], float)[()]
+            for entry in fields(SineTrajectory)
+        }
+
         plan = SineTrajectory(**numbers)
         names = tuple(str(name) for name in content["joints"])
     except KeyError as error:
@@ -156,11 +157,11 @@ def save_samples(
 
     The file appears whole or not at all; it has ``sample_rate`` rows per second.
     """
-    titles = []
+    titles = ["time"]
     for quantity in ("q", "qd", "qdd"):
         titles += [f"{quantity}_{name}" for name in joint_names]
     with atomic_file(path) as file:
-        file.write(",".join(["time", *titles]) + "\n")
+        file.write(",".join(titles) + "\n")
         for motion in motion_chunks(plan, sample_rate):
             table = np.hstack((motion.time[:, None], motion.q, motion.qd, motion.qdd))
             file.writelines(",".join(map(repr, row)) + "\n" for row in table.tolist())

@@ -78,8 +78,8 @@ def plant_measurements(
     step = options.encoder_resolution
     noise = np.random.default_rng(rng.integers(2**63, size=4))
     for exact in simulate_inverse(plant, motion_chunks(plan, sample_rate)):
-        tau = exact.tau + sigma * noise.standard_normal(exact.tau.shape)
-        measured = replace(exact, tau=tau)
+        error = sigma * noise.standard_normal(exact.tau.shape)
+        measured = replace(exact, tau=exact.tau + error)
         if step > 0.0:
             q = np.round(exact.q / step) * step
             measured = replace(measured, q=q, qd=None, qdd=None)
@@ -117,10 +117,10 @@ def load_plant(
 
 def _joints_text(robot: RobotModel) -> str:
     """Return the names of the chain's joints, in order, with a word for slides."""
-    texts = []
-    for name, is_slide in zip(robot.joint_names, robot.is_slide):
-        texts.append(f"{name} (slide)" if is_slide else name)
-    return ", ".join(texts)
+    return ", ".join(
+        f"{name} (slide)" if is_slide else name
+        for name, is_slide in zip(robot.joint_names, robot.is_slide)
+    )
 
 
 def forward_model(robot: RobotModel) -> Any:
@@ -206,8 +206,7 @@ class ArmStepper:
         # Change of velocity in the last step.
         self._last_change: Array = np.zeros(robot.n_joints)
         # A unit torque on each joint (n, nv), and room for the accelerations that these make.
-        self._unit_torques = np.zeros((robot.n_joints, self._model.nv))
-        self._unit_torques[np.arange(robot.n_joints), robot.dof_index] = 1.0
+        self._unit_torques = np.eye(self._model.nv)[robot.dof_index]
         self._accelerations = np.empty_like(self._unit_torques)
 
     def step(
@@ -247,7 +246,7 @@ class ArmStepper:
             raise SimulationError(
                 "the simulated arm diverged; lower the gains or the torques"
             )
-        return np.asarray(torque - damping * mean_velocity)
+        return torque - damping * mean_velocity
 
     def tip(self) -> Array:
         """Return the present world position of the terminal link's centre of mass (3,) [m]."""

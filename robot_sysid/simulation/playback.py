@@ -127,13 +127,14 @@ def chain_actuators(robot: RobotModel) -> ChainActuators:
     limit = np.minimum(np.append(largest, np.inf)[index], robot.limits.torque)
     kv = np.nan_to_num(damping)
     total_damping = kv + robot.mj_model.dof_damping[robot.dof_index]
+
     share = kv / np.maximum(total_damping, 1e-300)
     return ChainActuators(index, gear, stiffness, damping, limit, share)
 
 
 def _chain_joints(robot: RobotModel) -> NDArray[np.int64]:
     """Return the MuJoCo joint ids (n,) of the chain."""
-    return np.asarray(robot.mj_model.dof_jntid[robot.dof_index])
+    return robot.mj_model.dof_jntid[robot.dof_index]
 
 
 def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
@@ -147,9 +148,9 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
     """
     moving = [k for k in actuators_on(model, joint) if gear_ratio(model, k) != 0.0]
     usable = [k for k in moving if servo_gains(model, k) is not None]
-    for actuator in moving:
-        if is_static(model, actuator) and len(control_rows(model, actuator)) == 1:
-            usable.append(actuator)
+    usable += [
+        k for k in moving if is_static(model, k) and len(control_rows(model, k)) == 1
+    ]
     if not usable:
         return NO_ACTUATOR, 1.0, np.nan, np.nan
     gear = gear_ratio(model, usable[0])
@@ -232,8 +233,9 @@ def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     model.actuator_forcelimited[ids] = np.isfinite(limit)
     model.actuator_forcerange[ids] = np.column_stack((-limit, limit))
     springs = _chain_joints(robot)[~driven]
-    own_stiffness = robot.mj_model.jnt_stiffness[springs]
-    model.jnt_stiffness[springs] = own_stiffness + servos.stiffness[~driven]
+    model.jnt_stiffness[springs] = (
+        robot.mj_model.jnt_stiffness[springs] + servos.stiffness[~driven]
+    )
     # As in a compiled file, dry friction is as firm as these rotor inertias make it.
     mujoco.mj_setConst(model, mujoco.MjData(model))
     # An implicit step damps the velocity at its end. Half a step of damping less of rotor inertia
@@ -277,7 +279,7 @@ def mean_commands(time: Array, command: Array, edges: Array) -> Array:
     integral = np.cumsum(np.vstack((0.0 * command[:1], steps)), axis=0)
     values = interpolate(edges, knots, integral)
     values += np.minimum(edges - time[0], 0.0)[:, None] * command[0]
-    return np.asarray(np.diff(values, axis=0) / np.diff(edges)[:, None])
+    return np.diff(values, axis=0) / np.diff(edges)[:, None]
 
 
 class ServoRollouts:
@@ -323,7 +325,7 @@ class ServoRollouts:
         index = chain_actuators(robot).index
         driven = index != NO_ACTUATOR
         rows = [control_rows(self.model, actuator)[0] for actuator in index[driven]]
-        spring_rest = np.array(robot.mj_model.qpos_spring[robot.qpos_index])
+        spring_rest = robot.mj_model.qpos_spring[robot.qpos_index]
         commands = []
         for window in windows:
             # Between the velocities, which are half a step before the positions.
@@ -356,14 +358,14 @@ class ServoRollouts:
         late = timestep * np.arange(q.shape[1]) - states[:, :, 0]
         is_well = np.all(np.abs(q) < 1e6, axis=2) & (late < 0.5 * timestep)
         q[~np.logical_and.accumulate(is_well, axis=1)] = np.nan
-        return np.asarray(q)
+        return q
 
     def _run_threads(self, starts: Array, inputs: Array) -> Array:
         """Return the states (W, S, s) after each step from starts (W, s), on all processors."""
         states, _ = self._pool.rollout(
             [self.model] * len(starts), self._data, starts, inputs, control_spec=_INPUTS
         )
-        return np.asarray(states)
+        return states
 
     def _run_stepwise(self, starts: Array, inputs: Array) -> Array:
         """Return the states (W, S, s) after each step, from starts (W, s), one after the other.

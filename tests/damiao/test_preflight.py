@@ -37,7 +37,7 @@ def checks_of(rows, types, timing=None, **settings):
     )
     fields = {"settings": completed, "timing": timing, "limits": NO_LIMITS}
     played = DamiaoTrajectory(Path(), joints, *rows)
-    return plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))
+    return [*plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))]
 
 
 def severities(checks, words):

@@ -11,13 +11,14 @@ from typing import NamedTuple
 from robot_sysid.commands import PROGRAM
 from robot_sysid.commands.arguments import Parser, parse_command
 from robot_sysid.commands.motors.mapping import MapOptions, map_joints
-from robot_sysid.commands.motors.next_steps import play_step, step_after_play
 from robot_sysid.commands.motors.session import (
     Session,
     check_lines,
     confirm,
     motor_table,
+    play_step,
     run_lines,
+    step_after_play,
 )
 from robot_sysid.commands.motors.setup import (
     MonitorOptions,
@@ -27,21 +28,15 @@ from robot_sysid.commands.motors.setup import (
 )
 from robot_sysid.damiao import preflight
 from robot_sysid.damiao.adapters import BusAddress
-from robot_sysid.damiao.bus import GuardedLink, inspect_bus
+from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.settings import (
-    Permissions,
-    Plan,
-    PlaySettings,
-    RecordingOptions,
-)
+from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.messages import Remark
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
@@ -79,26 +74,49 @@ def check(session: Session) -> int:
     return 0
 
 
-def play(session: Session) -> int:
-    """Play a trajectory on the motors and return the exit code; errors are those of ``_play_on``.
+def play(session: Session, is_real: bool = True) -> int:
+    """Check a plan on inspected motors, ask the user, play it, and print how it ended.
 
-    InputError without --channel.
+    Returns the exit code 0. When the user has confirmed, the motors are inspected and checked once
+    more.
+
+    Args:
+        session: run of the command.
+        is_real: whether to play on real motors, not on a simulated arm in simulated time.
+
+    Raises:
+        HardwareAbort: a check forbids the run, or the run was stopped.
+        InputError: the user does not confirm, there is no --channel for real motors, or a recording
+            would replace a file.
     """
+    console = session.console
     plan = session.plan()
     checks = session.checks(plan)
-    with session.open_guarded() as link:
-        return _play_on(link, plan, checks, session, is_real=True)
-
-
-def simulate(session: Session) -> int:
-    """Play a trajectory on a simulated arm of a model, in simulated time; return the exit code 0.
-
-    HardwareAbort where a check forbids to play.
-    """
-    plan = session.plan()
-    checks = session.checks(plan)
-    with session.open_simulated(plan) as link:
-        return _play_on(link, plan, checks, session, is_real=False)
+    opened = session.open_guarded() if is_real else session.open_simulated(plan)
+    with opened as link:
+        inspection = inspect_bus(link)
+        checks += session.inspection_checks(plan, inspection, real=is_real)
+        table = motor_table(inspection.motors.values(), plan.trajectory.joints)
+        console.stage(*table, *check_lines(checks))
+        preflight.require_playable(checks)
+        if is_real and not record_from(PlayChoices, session.values).yes:
+            if not confirm():
+                raise InputError("not confirmed; nothing was moved")
+            # The arm may have moved or been touched in the meantime.
+            inspection = inspect_bus(link)
+            checks = session.inspection_checks(plan, inspection)
+            preflight.require_playable(checks)
+        holding = session.holding(plan)
+        report = run(link, plan, inspection, StopRequest(), console.stage, holding)
+        console.stage(*run_lines(report))
+    verdict = "Done: played, and all motors are disabled"
+    if plan.recording.record is not None:
+        verdict = (
+            "Usable: played, and all motors are disabled; recorded to "
+            f"{plan.recording.record}"
+        )
+    session.conclude(verdict, step_after_play(session, plan, is_real))
+    return 0
 
 
 class MotorCommand(NamedTuple):
@@ -119,15 +137,15 @@ class MotorCommand(NamedTuple):
 
 # Groups of option classes that several commands have, by heading in the help.
 _MOTION = {"motion and limits": (PlaySettings,), "what to allow": (Permissions,)}
-_ASKING = {"asking": (PlayChoices,)}
+_RECORDED = {**_MOTION, "recording": (RecordingOptions,)}
 # Commands that take a trajectory, and all commands, by name.
 _PLAYED = {
     "simulate": MotorCommand(
-        simulate,
+        partial(play, is_real=False),
         "damiao_trajectory.csv --model arm.xml --record measured.csv",
         "Play a trajectory on the arm of a model with simulated Damiao motors, in simulated time "
         "and without a bus, with all checks of play.",
-        {**_MOTION, "recording": (RecordingOptions,)},
+        _RECORDED,
     ),
     "check": MotorCommand(
         check,
@@ -143,7 +161,7 @@ _PLAYED = {
         "Go through all checks, ask for confirmation, enable the motors, move slowly to the first "
         "point, play, come to rest, and disable. A disabled arm sinks: support it or park it where "
         "it cannot fall.",
-        {**_MOTION, "recording": (RecordingOptions,), **_ASKING},
+        {**_RECORDED, "asking": (PlayChoices,)},
     ),
 }
 COMMANDS: Mapping[str, MotorCommand] = {
@@ -201,20 +219,25 @@ def build_parser(command: str, full: bool = True) -> Parser:
         )
     if is_run or command == "map":
         arm = parser.add("arm", ModelOptions)
-        needs_model = command in ("simulate", "map")
-        text = "MJCF or URDF of the arm"
         arm.add_argument(
-            "--model", metavar="MODEL", type=Path, required=needs_model, help=text
+            "--model",
+            metavar="MODEL",
+            type=Path,
+            required=command in ("simulate", "map"),
+            help="MJCF or URDF of the arm",
         )
     parser.add("bus", BusAddress, BusTiming)
     for title, records in spec.groups.items():
         parser.add(title, *records)
     if is_run:
-        text = "how each joint's motor is mounted (see: motors map)"
-        arm.add_argument("--joint-map", metavar="FILE", type=Path, help=text)
+        arm.add_argument(
+            "--joint-map",
+            metavar="FILE",
+            type=Path,
+            help="how each joint's motor is mounted (see: motors map)",
+        )
         # By default only the model limits the motion.
-        no_limits = dict.fromkeys(LIMITS)
-        parser.add("limits", LimitOptions, only=LIMITS, defaults=no_limits)
+        parser.add("limits", LimitOptions, only=LIMITS, defaults=dict.fromkeys(LIMITS))
     return parser.add_console_options()
 
 
@@ -225,7 +248,16 @@ def main(arguments: Sequence[str]) -> int:
     """
     name = arguments[0] if arguments else "--help"
     if name not in COMMANDS:
-        _overview_parser().parse_args(arguments or ["--help"])
+        overview = Parser(
+            "motors",
+            f"{PROGRAM} motors setup --channel can0",
+            "Inspect Damiao motors, play a trajectory on them and record it, or rehearse "
+            "all that with a simulated arm; set motors up, watch them, and map them to a model's "
+            "joints. Each command has its own --help.",
+            codes=_CODES,
+        )
+        overview.add_argument("command", metavar="|".join(COMMANDS), help="what to do")
+        overview.add_console_options().parse_args(arguments or ["--help"])
         raise InputError(f"unknown command {name!r}; valid: {', '.join(COMMANDS)}")
     session = Session(*parse_command(partial(build_parser, name), arguments[1:]))
     failure: SysidError | None = None
@@ -250,64 +282,3 @@ def main(arguments: Sequence[str]) -> int:
         if failure is not None:
             raise failure
     return code
-
-
-def _overview_parser() -> Parser:
-    """Return the parser of ``motors`` without a subcommand."""
-    parser = Parser(
-        "motors",
-        f"{PROGRAM} motors setup --channel can0",
-        "Inspect Damiao motors, play a trajectory on them and record it, or rehearse "
-        "all that with a simulated arm; set motors up, watch them, and map them to a model's "
-        "joints. Each command has its own --help.",
-        codes=_CODES,
-    )
-    parser.add_argument("command", metavar="|".join(COMMANDS), help="what to do")
-    return parser.add_console_options()
-
-
-def _play_on(
-    link: GuardedLink,
-    plan: Plan,
-    checks: Sequence[Remark],
-    session: Session,
-    is_real: bool,
-) -> int:
-    """Check a plan on inspected motors, ask the user, play it, and print how it ended.
-
-    Returns 0. When the user has confirmed, the motors are inspected and checked once more.
-
-    Args:
-        link: link of the open bus.
-        plan: plan of the motion.
-        checks: checks that were made without a bus.
-        session: run of the command.
-        is_real: whether the motors are real ones.
-
-    Raises:
-        HardwareAbort: a check forbids the run, or the run was stopped.
-        InputError: the user does not confirm, or a recording would replace a file.
-    """
-    console = session.console
-    inspection = inspect_bus(link)
-    checks = [*checks, *session.inspection_checks(plan, inspection, real=is_real)]
-    table = motor_table(inspection.motors.values(), plan.trajectory.joints)
-    console.stage(*table, *check_lines(checks))
-    preflight.require_no_stop(checks, "not played")
-    if is_real and not record_from(PlayChoices, session.values).yes:
-        if not confirm():
-            raise InputError("not confirmed; nothing was moved")
-        # The arm may have moved or been touched in the meantime.
-        inspection = inspect_bus(link)
-        checks = session.inspection_checks(plan, inspection, real=is_real)
-        preflight.require_no_stop(checks, "not played")
-    holding = session.holding(plan)
-    report = run(link, plan, inspection, StopRequest(), console.stage, holding)
-    console.stage(*run_lines(report))
-    record = plan.recording.record
-    done = "played, and all motors are disabled"
-    verdict = f"Done: {done}"
-    if record is not None:
-        verdict = f"Usable: {done}; recorded to {record}"
-    session.conclude(verdict, step_after_play(session, plan, is_real))
-    return 0

@@ -67,7 +67,7 @@ def movement_texts(robot: RobotModel) -> list[str]:
         if not np.max(np.abs(vector)) > _VISIBLE_SHIFT:
             vector = arm.axis(joint)
             text = "it turns counter-clockwise seen from"
-        axis = int(np.argmax(np.abs(vector)))
+        axis = np.argmax(np.abs(vector))
         texts.append(f"{text} {_DIRECTIONS[axis][int(vector[axis] > 0.0)]}")
     return texts
 
@@ -128,7 +128,7 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
                 raise HardwareAbort(
                     "a motor does not answer any more; nothing was written"
                 )
-            positions[can_id] = float(state.position[0])
+            positions[can_id] = state.position[0]
         return positions
 
     directions: dict[int, int] = {}
@@ -146,17 +146,10 @@ def map_by_hand(link: GuardedLink, robot: RobotModel) -> list[DamiaoJoint]:
     # ``directions`` has the motors' CAN ids in the order of the joints.
     for name, q, can_id in zip(robot.joint_names, robot.reference, directions):
         direction = directions[can_id]
-        offset = round(positions[can_id] - direction * float(q), 4)
+        offset = round(positions[can_id] - direction * q, 4)
+        master_id = motors[can_id].master_id
         rows.append(
-            DamiaoJoint(
-                motor_type="",
-                can_id=can_id,
-                master_id=motors[can_id].master_id,
-                name=name,
-                direction=direction,
-                offset=offset,
-                verified=BY_HAND,
-            )
+            DamiaoJoint("", can_id, master_id, name, direction, offset, BY_HAND)
         )
     return rows
 

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from robot_sysid.commands.motors.session import Session, motor_table
-from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import (
     GuardedLink,
     InspectedMotor,
@@ -21,7 +20,23 @@ from robot_sysid.damiao.bus import (
     inspect_bus,
 )
 from robot_sysid.damiao.joints import id_problems
-from robot_sysid.damiao.protocol import is_motion
+from robot_sysid.damiao.protocol import (
+    CLEAR_ERROR,
+    CTRL_MODE,
+    ENABLED,
+    ESC_ID,
+    MIT_MODE,
+    MST_ID,
+    STORE,
+    TIMEOUT,
+    TIMEOUT_UNIT,
+    is_fault,
+    is_motion,
+    register_frame,
+    register_text,
+    special_frame,
+    status_text,
+)
 from robot_sysid.errors import HardwareAbort, InputError
 from robot_sysid.records.file_access import DAMIAO_NAME
 from robot_sysid.records.messages import NextStep
@@ -74,7 +89,7 @@ class MotorSetup:
         self._client = RegisterClient(link)
         self._name = motor.name
         # Present ids of the motor, by their registers.
-        self._ids = {protocol.ESC_ID: motor.can_id, protocol.MST_ID: motor.master_id}
+        self._ids = {ESC_ID: motor.can_id, MST_ID: motor.master_id}
 
     def apply(self, options: SetupOptions) -> Iterator[str]:
         """Make the changes, in an order in which the motor stays reachable; yield a line for each.
@@ -86,20 +101,20 @@ class MotorSetup:
             yield self._clear_error()
         ticks = None
         if options.watchdog is not None:
-            ticks = round(options.watchdog / protocol.TIMEOUT_UNIT)
+            ticks = round(options.watchdog / TIMEOUT_UNIT)
         values: dict[int, float | None] = {
-            protocol.CTRL_MODE: protocol.MIT_MODE if options.mit else None,
-            protocol.TIMEOUT: ticks,
-            protocol.MST_ID: options.new_master_id,
-            protocol.ESC_ID: options.new_id,
+            CTRL_MODE: MIT_MODE if options.mit else None,
+            TIMEOUT: ticks,
+            MST_ID: options.new_master_id,
+            ESC_ID: options.new_id,
         }
         for register, value in values.items():
             if value is not None:
                 yield self._write_register(register, value)
         if options.store:
             self._require_disabled()
-            can_id = self._ids[protocol.ESC_ID]
-            self._link.send(protocol.register_frame(protocol.STORE, can_id, register=1))
+            can_id = self._ids[ESC_ID]
+            self._link.send(register_frame(STORE, can_id, register=1))
             self._link.clock.sleep_until(self._link.clock.now() + _STORE_TIME)
             yield f"{self._name} keeps its values when the power goes off"
 
@@ -109,35 +124,31 @@ class MotorSetup:
         HardwareAbort where the motor is enabled, or refuses the value.
         """
         self._require_disabled()
-        can_id = self._ids[protocol.ESC_ID]
+        can_id = self._ids[ESC_ID]
         old = self._client.read(can_id, register)
         self._client.write(can_id, register, value)
         if register in self._ids:
             self._ids[register] = int(value)
-        old_text = "unknown"
-        if old is not None:
-            old_text = protocol.register_text(register, old)
-        return (
-            f"{self._name}: {old_text} is now {protocol.register_text(register, value)}"
-        )
+        old_text = "unknown" if old is None else register_text(register, old)
+        return f"{self._name}: {old_text} is now {register_text(register, value)}"
 
     def _clear_error(self) -> str:
         """Clear the motor's error and return a line with its old and its new status.
 
         HardwareAbort where the motor still reports an error.
         """
-        text = protocol.status_text(self._status())
-        can_id = self._ids[protocol.ESC_ID]
-        self._link.send(protocol.special_frame(protocol.CLEAR_ERROR, can_id))
+        text = status_text(self._status())
+        can_id = self._ids[ESC_ID]
+        self._link.send(special_frame(CLEAR_ERROR, can_id))
         status = self._status()
-        new_text = protocol.status_text(status)
-        if protocol.is_fault(status):
+        new_text = status_text(status)
+        if is_fault(status):
             raise HardwareAbort(f"{self._name} still reports {new_text}")
         return f"{self._name}: {text} is now {new_text}"
 
     def _require_disabled(self) -> None:
         """Raise HardwareAbort where the motor is enabled."""
-        if self._status() == protocol.ENABLED:
+        if self._status() == ENABLED:
             raise HardwareAbort(
                 f"{self._name} is enabled; end the program that uses it, nothing was changed"
             )
@@ -147,9 +158,7 @@ class MotorSetup:
 
         It is the upper half of the first byte of a feedback frame.
         """
-        frame = self._client.refresh(
-            self._ids[protocol.ESC_ID], self._ids[protocol.MST_ID]
-        )
+        frame = self._client.refresh(self._ids[ESC_ID], self._ids[MST_ID])
         if frame is None:
             raise HardwareAbort(
                 f"{self._name} does not tell its state; nothing more is done"
@@ -164,7 +173,7 @@ def setup(session: Session) -> int:
     --motor.
     """
     options = record_from(SetupOptions, session.values)
-    changes = bool(given_values(options).keys() - {"motor"})
+    changes = given_values(options).keys() - {"motor"}
     if changes and options.motor is None:
         raise InputError("--motor says which motor to change, for instance --motor 1")
     with session.open_guarded(is_motion) as link:

@@ -22,8 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.damiao import protocol
-from robot_sysid.damiao.protocol import ENABLED, MitCommand
+from robot_sysid.damiao.protocol import ENABLED, Codes, Feedback, MitCommand
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
@@ -68,13 +67,13 @@ class Replies:
 
     answered: Mask
     time: Array
-    feedback: protocol.Feedback
+    feedback: Feedback
     requested: Mask
-    command: protocol.MitCommand | None
+    command: MitCommand | None
     doubted: Mask
     jump: Array
-    surplus: protocol.Codes
-    foreign: protocol.Codes
+    surplus: Codes
+    foreign: Codes
 
 
 class _Samples(NamedTuple):
@@ -126,16 +125,12 @@ class SampleFilter:
 
     def start(self, time: float, q: Array) -> None:
         """Take q (n,) [rad] at zero velocity as the last believed sample, of ``time`` [s]."""
-        zero_speed = np.zeros_like(q)
-        times = zero_speed + time
-        self.last = self.last._replace(time=times, q=q.copy(), qd=zero_speed)
+        self.last = self.last._replace(
+            time=np.full_like(q, time), q=q.copy(), qd=np.zeros_like(q)
+        )
 
     def believe(
-        self,
-        came: Mask,
-        time: Array,
-        feedback: protocol.Feedback,
-        acted: protocol.MitCommand | None,
+        self, came: Mask, time: Array, feedback: Feedback, acted: MitCommand | None
     ) -> tuple[Mask, Array]:
         """Return which answers are believed (n,), and the ``jump`` (n,) of ``Replies``.
 
@@ -153,8 +148,7 @@ class SampleFilter:
         tau = feedback.torque
         expected = tau if acted is None else acted.motor_torque(q, qd)
         error = tau - np.clip(expected, -self._peak, self._peak)
-        hotter = np.maximum(feedback.temperature_mos, feedback.temperature_rotor)
-        heat = hotter.astype(float)
+        heat = feedback.temperature.astype(float)
         now = _Samples(time, q, qd, error, feedback.status == ENABLED, heat)
         # An answer is believed if it follows the last believed one, or repeats the suspect one. A
         # motor that was enabled and reports that it is not has to say so twice.
@@ -189,9 +183,8 @@ class SampleFilter:
         tolerance = _LEAST_JUMP + _SPEED_DOUBT * np.abs(expected_change)
         tolerance += 0.5 * accelerated * passed
         jumps = distance > tolerance
-        speed_change = np.abs(now.qd - previous.qd)
         most_change = _LEAST_SPEED_CHANGE + 4.0 * self._velocity_step + accelerated
-        accelerates = speed_change > most_change
+        accelerates = np.abs(now.qd - previous.qd) > most_change
         torque_change = np.abs(now.torque_error - previous.torque_error)
         bends = torque_change > _TORQUE_DOUBT * self._peak
         heats = np.abs(now.heat - previous.heat) > _HEAT_CHANGE
@@ -250,7 +243,7 @@ class ScaleCheck:
         unexplained = ratio / np.clip(ratio, 1.0, self._explained)
         excess = np.abs(unexplained - 1.0) - doubt
         j = int(np.argmax(excess))
-        return (j, float(ratio[j])) if excess[j] > self._tolerance else None
+        return (j, ratio[j]) if excess[j] > self._tolerance else None
 
 
 class VelocityCheck:
@@ -306,8 +299,9 @@ class VelocityCheck:
         self._begin = np.where(is_full, now[:2], self._begin)
         # Sampling late in each cycle explains any change from the integral to ``fastest``.
         fastest = integral * self.explained
-        lower = np.minimum(integral, fastest)
-        mismatch = change - np.clip(change, lower, np.maximum(integral, fastest))
+        mismatch = change - np.clip(
+            change, np.minimum(integral, fastest), np.maximum(integral, fastest)
+        )
         # Where a joint slows down within a cycle, its mean speed is known less well. Twice the
         # rounding is an error of one velocity step throughout the window.
         doubt = _SLIP_SHARE + 0.5 * (self.explained - 1.0)
@@ -359,9 +353,10 @@ class CommandBounds:
     def including(self, q: Array) -> CommandBounds:
         """Return the bounds, widened to include the positions q (n,) of an arm [rad]."""
         current = self.command_range
-        lower = np.fmin(current.lower, q)
-        upper = np.fmax(current.upper, q)
-        return replace(self, command_range=CommandRange(lower, upper, current.speed))
+        widened = replace(
+            current, lower=np.fmin(current.lower, q), upper=np.fmax(current.upper, q)
+        )
+        return replace(self, command_range=widened)
 
     def require(
         self,
@@ -392,15 +387,21 @@ class CommandBounds:
         torque_slack = torque_step + command.kp * position_step
         for wanted, limited, slack, text in (
             (
-                *(command.position, allowed.position, position_step),
+                command.position,
+                allowed.position,
+                position_step,
                 "be sent to {:.3f} rad; from the last command it may go to {:.3f}",
             ),
             (
-                *(command.velocity, allowed.velocity, velocity_step),
+                command.velocity,
+                allowed.velocity,
+                velocity_step,
                 "be told {:.2f} rad/s, limit {:.2f}",
             ),
             (
-                *(asked, makes, torque_slack),
+                asked,
+                makes,
+                torque_slack,
                 "be asked for {:.1f} N·m and makes {:.1f} at most: something holds the arm back, "
                 "or it needs more than this motor has (see --for weight of plan)",
             ),

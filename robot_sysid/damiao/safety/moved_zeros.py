@@ -208,7 +208,7 @@ class MovedZeroCheck:
         """
         times = np.array([time for time, _ in window])
         signals = np.array([signal for _, signal in window])
-        time = float(np.mean(times))
+        time = np.mean(times)
         since = times - time
         q, qd, tau = np.mean(signals, axis=0)
         if np.max(np.abs(qd)) <= _MOVING:
@@ -338,7 +338,7 @@ class MovedZeroCheck:
             gains[0] = 0.0
         best = np.max(gains, axis=0)
         joint = int(np.argmax(best[:n]))
-        onset = int(np.argmax(gains[:, joint]))
+        onset = np.argmax(gains[:, joint])
         # The shift's mean and standard error follow from a, B and the prior N(0, unit^2).
         variance = 1.0 / (1.0 + self._information[onset, joint, joint])
         unit = _SHIFT * self._growth(time)[onset]

@@ -120,9 +120,7 @@ class Observer:
         kp = np.maximum(settings.kp, 1e-9)
         self._sag = np.minimum(_SAG * rated / kp, settings.max_tracking_error)
         way = _EFFORT_WAY * kp
-        effort_limit = np.clip(
-            way, _LEAST_EFFORT * peak_torque, _MOST_EFFORT * peak_torque
-        )
+
         self._still_limit = np.maximum(way, _STILL_EFFORT * peak_torque)
         # Limits (5, n) of what is watched, for an arm that moves.
         self._limits = np.array(
@@ -131,7 +129,7 @@ class Observer:
                 np.full(n_joints, settings.max_tracking_error),
                 settings.max_speed_error + _STEPS * self._velocity_step,
                 settings.max_torque_error,
-                effort_limit,
+                np.clip(way, _LEAST_EFFORT * peak_torque, _MOST_EFFORT * peak_torque),
             ]
         )
         # Number of cycles in a row (5, n) in which each was beyond its limit.
@@ -142,9 +140,11 @@ class Observer:
         # Error of a single torque: by rounding, or half a percent of the peak torque.
         self._torque_scale = ScaleCheck(
             np.maximum(4.0 * torque_step, 0.005 * peak_torque),
-            *(_LEAST_TORQUES, _TORQUE_TOLERANCE, np.ones(n_joints)),
+            _LEAST_TORQUES,
+            _TORQUE_TOLERANCE,
+            np.ones(n_joints),
         )
-        self._zero_check = holding.watch() if holding.watch is not None else None
+        self._zero_check = holding.watch and holding.watch()
         # Means (2, n) of effort and of feed-forward torque over the last moments; NaN before.
         self._means = np.full((2, n_joints), np.nan)
         self._cycles = 0
@@ -179,12 +179,14 @@ class Observer:
         self._foreign = _MEMORY * self._foreign + replies.foreign
         feedback = replies.feedback
         is_faulty = (feedback.status != ENABLED) & (feedback.status != NO_STATUS)
-        # Where two motors answer on one id, the status may be the other motor's: see _check_bus.
+        # Where two motors answer on one id, the status may be the other motor's: see _check_states.
         is_double = is_faulty & (self._surplus > 1.0)
         self._surplus = np.where(is_double, np.inf, self._surplus)
         self.failed |= is_faulty & ~is_double
-        motion = feedback.position, feedback.velocity
-        self._slip = self._velocity_check.add(replies.time, *motion) or self._slip
+        slip = self._velocity_check.add(
+            replies.time, feedback.position, feedback.velocity
+        )
+        self._slip = slip or self._slip
 
     def check(
         self,
@@ -207,7 +209,6 @@ class Observer:
         """
         feedback = replies.feedback
         commanded = acted.motor_torque(feedback.position, feedback.velocity)
-        self._check_bus()
         self._check_states(replies)
         self._check_frozen(replies, acted, commanded)
         self._moments = np.roll(self._moments, 1, axis=0)
@@ -223,9 +224,10 @@ class Observer:
         changed = means + share * (values - means)
         self._means = np.where(np.isnan(values), means, changed)
         if self._zero_check is not None and not (rising or lowered):
-            time = float(np.mean(replies.time))
-            motion = feedback.position, feedback.velocity
-            finding = self._zero_check(time, *motion, commanded)
+            time = np.mean(replies.time)
+            finding = self._zero_check(
+                time, feedback.position, feedback.velocity, commanded
+            )
             if finding is not None:
                 self._raise(*finding)
 
@@ -240,12 +242,27 @@ class Observer:
         return self._means[1]
 
     def _check_states(self, replies: Replies) -> None:
-        """Stop for a motor that is not enabled, does not answer, is too hot, or jumped."""
+        """Stop for a motor that gets commands of another program, answers too often, is not
+        enabled, does not answer, is too hot, or jumped.
+        """
+        self._raise_first(
+            self._foreign > _FEW,
+            lambda j: (
+                "gets commands of another program: end it; one master moves an arm"
+            ),
+        )
+        self._raise_first(
+            self._surplus > _FEW,
+            lambda j: (
+                "answers more often than it is asked: a second motor has its id, or another "
+                "program commands it"
+            ),
+        )
         feedback = replies.feedback
         settings = self._settings
         self._raise_first(
             replies.answered & (feedback.status != ENABLED),
-            lambda j: f"reports {status_text(int(feedback.status[j]))}",
+            lambda j: f"reports {status_text(feedback.status[j])}",
         )
         silent = self.missed >= settings.max_missed
         silent |= self.silent >= _SILENT_CYCLES * settings.max_missed
@@ -259,7 +276,7 @@ class Observer:
         self._raise_first(
             silent, lambda j: f"did not answer in time for {self.silent[j]} cycles"
         )
-        hot = np.maximum(feedback.temperature_mos, feedback.temperature_rotor)
+        hot = feedback.temperature
         self._raise_first(
             replies.answered & (hot > settings.max_temperature),
             lambda j: f"is at {hot[j]} deg C, limit {settings.max_temperature:g}",
@@ -271,18 +288,6 @@ class Observer:
             lambda j: (
                 f"jumped by {abs(replies.jump[j]):.3f} rad between two samples: its encoder or its "
                 "mounting is not sound"
-            ),
-        )
-
-    def _check_bus(self) -> None:
-        """Stop for a motor that gets commands of another program, or answers too often."""
-        text = "gets commands of another program: end it; one master moves an arm"
-        self._raise_first(self._foreign > _FEW, lambda j: text)
-        self._raise_first(
-            self._surplus > _FEW,
-            lambda j: (
-                "answers more often than it is asked: a second motor has its id, or another "
-                "program commands it"
             ),
         )
 
@@ -382,7 +387,7 @@ class Observer:
         The arguments are those of ``standing_limit``; a torque that friction may explain pushes
         nothing.
         """
-        return np.asarray(((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt))
+        return ((q - reference_q) * fed > 0.0) & (np.abs(fed) > self._doubt)
 
     def _check_limits(
         self,
