@@ -34,14 +34,16 @@ SPREADS = (1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e8, 1e12)
 """Standard deviations of bodies from their reference bodies that are tried, as shares of them: the
 smallest one is used that fits hardly worse, so that what data hardly shows stays near them. The
 largest ones are for reference bodies that are far too small."""
-TOLERANCES = (1e-8, 1e-6)
-"""Relative errors of the solution that are tried: where rounding ends a search for the first one,
-the second one is reached before."""
+WEIGHTS = (1e7, 1e5, 1e3)
+"""Largest norms of the equations that are tried: where rounding ends a search with exact data, it
+comes to an end with data that weighs less, and begins again from there."""
 HARDLY = 3.0
 """Increase of the sum of squared residuals, each of unit variance, that is negligible: fitting is
 expected to decrease this sum by the number of parameters."""
-# Largest norm of the equations.
-_HEAVIEST = 1e7
+# Relative error of the solution.
+_TOLERANCE = 1e-8
+# Searches, each relative to what the last one found.
+_ROUNDS = 3
 # Weight of rows that hold directions without data at the reference bodies, in shares of them.
 _PIN = 1e4
 # Share of the largest eigenvalue to which those of an inconsistent reference body are raised.
@@ -180,7 +182,7 @@ def _possible_coordinates(
     """Return the coordinates z (10 L,) of least ||A z - b|| with which L bodies are consistent.
 
     They are searched relative to the consistent bodies that are nearest to the solution in which
-    bodies may be impossible, so that numbers of very different sizes do not meet; and once more
+    bodies may be impossible, so that numbers of very different sizes do not meet; and twice more
     relative to what was found, as rounding counts relative to the distance that is searched.
 
     Args:
@@ -188,7 +190,7 @@ def _possible_coordinates(
         bodies: per link (theta, U), as of ``LinksProblem``.
     """
     z = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
-    for _ in range(2):
+    for _ in range(_ROUNDS):
         centre = np.zeros_like(z)
         change = np.zeros((len(z), len(z)))
         least = []
@@ -221,18 +223,17 @@ def _by_cone(equations: Array, least: Array) -> Array:
     import clarabel
     from scipy import sparse
 
-    # Equations of exact data weigh as much as rounding allows.
-    rows = equations / max(1.0, float(np.linalg.norm(equations)) / _HEAVIEST)
-    count, size = len(rows), rows.shape[1] - 1
-    # Residuals are variables of their own: the condition of the problem is not squared.
-    residuals = np.hstack((rows[:, :-1], -np.eye(count)))
-    constraints = np.vstack((residuals, -np.eye(size, size + count)))
-    limits = np.append(rows[:, -1], _coefficients(np.eye(4) - least))
+    count, size = len(equations), equations.shape[1] - 1
     cones = [clarabel.ZeroConeT(count), *(clarabel.PSDTriangleConeT(4) for _ in least)]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    for tolerance in TOLERANCES:
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
+    for heaviest in WEIGHTS:
+        rows = equations / max(1.0, float(np.linalg.norm(equations)) / heaviest)
+        # Residuals are variables of their own: the condition of the problem is not squared.
+        residuals = np.hstack((rows[:, :-1], -np.eye(count)))
+        constraints = np.vstack((residuals, -np.eye(size, size + count)))
+        limits = np.append(rows[:, -1], _coefficients(np.eye(4) - least))
         try:
             solution = clarabel.DefaultSolver(
                 sparse.diags(np.repeat((0.0, 1.0), (size, count)), format="csc"),

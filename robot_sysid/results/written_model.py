@@ -34,7 +34,8 @@ from robot_sysid.mjcf.updated_model import (
     changed_model_text,
 )
 from robot_sysid.model.actuators import AT_TENDON, actuators_on, stated_at_actuator
-from robot_sysid.model.bodies import link_bodies
+from robot_sysid.model.bodies import body_theta, link_bodies
+from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import mjcf_of
 from robot_sysid.model.units import with_mass_scale
 from robot_sysid.parser import load_robot_model
@@ -104,8 +105,17 @@ def write_model(
         else:
             thetas[-1] += theta
             comment = f"with {text} in it"
-    bodies, written_thetas, notes = _body_changes(robot, thetas, comment)
+    scaled = with_mass_scale(robot, result.robot.mass_scale)
+    bodies, written_thetas, notes = _body_changes(scaled, thetas, comment)
     written_thetas[-1] += theta_beside
+    if scaled is not robot:
+        # What is not identified, such as fingers, is of the user's factor, too.
+        model = scaled.mj_model
+        changed = {body.body_id for body in bodies}
+        for body in np.flatnonzero(model.body_mass).tolist():
+            if body not in changed:
+                theta = body_theta(model, body)
+                bodies += (BodyChange(body_label(model, body), body, theta),)
     change = ModelChange(bodies, target.rmse, tuple(joints), welded, rotors=rotors)
     if result.file is not None:
         change = replace(change, gravity=result.file.gravity)

@@ -474,6 +474,20 @@ def test_a_result_that_the_file_does_not_reproduce_is_withdrawn(robots, monkeypa
         assert not folder.exists()
 
 
+@pytest.mark.parametrize("factor", [0.5, 1.5])
+def test_a_factor_on_all_masses_is_in_all_bodies_of_the_file(tmp_path, factor):
+    text = arms.serial_arm(("0 0 1", "0 1 0"), tip=arms.fingers())
+    path = write_files(tmp_path, {"arm.xml": text})
+    robot = load_robot_model(path, mass_scale=factor)
+    thetas = robot.thetas
+    thetas[0] *= 1.2
+    file = file_of(robot, thetas)
+    written = write_and_compile(robot, result_of(robot, file=file)).mj_model
+    expected = factor * load_robot_model(path).mj_model.body_mass
+    expected[robot.links[0].body_id] *= 1.2
+    assert_allclose(written.body_mass, expected, rtol=1e-9)
+
+
 def test_fingers_that_leave_no_possible_gripper_are_refused(tmp_path):
     text = arms.serial_arm(("0 0 1", "0 1 0"), tip=arms.fingers())
     # The model says more of its fingers than there is of the whole gripper.
