@@ -149,8 +149,7 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     dry = np.zeros(len(joints))
     error = dry + np.inf
     equations = fitted.equations
-    normal = equations.data(fitted.weights) + equations.prior
-    values, inverse = solve(normal, equations.reference)
+    values, inverse = solve(equations.normal(fitted.weights), equations.reference)
     for joint, name in enumerate(names_of("coulomb", joints)):
         if name in fitted.names:
             at = fitted.names.index(name)

@@ -262,20 +262,28 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
 def links_information(fitted: Fit) -> tuple[Array, Array] | None:
     """Return what data and all other priors say of the links before the last, L of them.
 
-    It is (curvature (10 L, 10 L), gradient (10 L,) at zero); None where they are not estimated.
+    It is (curvature (10 L, 10 L), gradient (10 L,) at zero), all other parameters eliminated: the
+    Schur complement. None where the links are not estimated.
     """
     equations = fitted.equations
-    causes = [term.cause for term in equations.terms]
-    if LINKS not in causes:
+    pairs = zip(equations.terms, equations.spans)
+    links = [pair for pair in pairs if pair[0].cause == LINKS]
+    if not links:
         return None
-    span = equations.spans[causes.index(LINKS)]
-    prior = equations.terms[causes.index(LINKS)].prior
-    assert prior is not None
-    normal = equations.data(fitted.weights) + equations.prior
-    columns = np.arange(span.start, span.stop)
-    at = np.append(columns, len(normal) - 1)
-    normal[np.ix_(at, at)] -= prior.rows.T @ prior.rows
-    return eliminate(normal, columns)
+    ((term, span),) = links
+    assert term.prior is not None
+    normal = equations.normal(fitted.weights)
+    *indices, last = np.arange(len(normal))
+    at = np.append(indices[span], last)
+    others = np.setdiff1d(indices, at)
+    normal[np.ix_(at, at)] -= term.prior.rows.T @ term.prior.rows
+    diagonal = np.diag(normal)[others]
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    scaled = scale[:, None] * normal[np.ix_(others, others)] * scale
+    scaled[np.diag_indices_from(scaled)] += 1e-12
+    crossed = scale[:, None] * normal[np.ix_(others, at)]
+    left = normal[np.ix_(at, at)] - crossed.T @ np.linalg.solve(scaled, crossed)
+    return 0.5 * (left + left.T)[:-1, :-1], left[:-1, -1]
 
 
 def common_factor(fitted: Fit) -> tuple[float, float]:
@@ -308,22 +316,6 @@ def common_factor(fitted: Fit) -> tuple[float, float]:
     return factor, precision**-0.5
 
 
-def eliminate(normal: Array, keep: Array) -> tuple[Array, Array]:
-    """Return (matrix (k, k), right-hand side (k,)) of some parameters, all others eliminated.
-
-    The Schur complement in products [A b]' [A b] (p + 1, p + 1); ``keep`` (k,) are indices.
-    """
-    others = np.setdiff1d(np.arange(len(normal) - 1), keep)
-    at = np.append(keep, len(normal) - 1)
-    diagonal = np.diag(normal)[others]
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    scaled = scale[:, None] * normal[np.ix_(others, others)] * scale
-    scaled[np.diag_indices_from(scaled)] += 1e-12
-    crossed = scale[:, None] * normal[np.ix_(others, at)]
-    rest = normal[np.ix_(at, at)] - crossed.T @ np.linalg.solve(scaled, crossed)
-    return 0.5 * (rest + rest.T)[:-1, :-1], rest[:-1, -1]
-
-
 def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Coupling:
     """Return the motor that turns several joints, named after them ("joint_5+joint_6").
 
@@ -333,24 +325,18 @@ def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Cou
     """
     text = ""
     for joint, ratio in zip(robot.joint_names, ratios):
-        if ratio < 0.0:
-            text += "-"
-        elif ratio > 0.0 and text:
-            text += "+"
-        if ratio != 0.0:
+        if ratio:
+            text += "-" if ratio < 0.0 else "+"
             text += joint if abs(ratio) == 1.0 else f"{abs(ratio):g}*{joint}"
-    motor = Coupling(np.asarray(ratios, dtype=float), text)
+    motor = Coupling(np.asarray(ratios, dtype=float), text.removeprefix("+"))
     if tendon is None:
         return motor
     model = robot.mj_model
-    of_tendon = {
-        "coulomb": model.tendon_frictionloss[tendon],
-        "viscous": np.ravel(model.tendon_damping[tendon])[0],
-    }
-    if hasattr(model, "tendon_armature"):  # since MuJoCo 3.2.7
-        of_tendon["armature"] = model.tendon_armature[tendon]
-    values = [float(of_tendon.get(term, 0.0)) for term in motor.terms]
-    return replace(motor, model=np.array(values), tendon=tendon)
+    # Tendons have rotor inertia since MuJoCo 3.2.7.
+    rotors = getattr(model, "tendon_armature", np.zeros(model.ntendon))
+    damping = np.ravel(model.tendon_damping[tendon])[0]
+    values = np.array([model.tendon_frictionloss[tendon], damping, rotors[tendon]])
+    return replace(motor, model=values, tendon=tendon)
 
 
 def motors_of(

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,9 +101,13 @@ class Equations:
                 self.log_prior += np.linalg.slogdet(term.prior.factor)[1]
                 self.reference[span] = term.prior.mean
 
-    def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
-        """Return the products (k + 1, k + 1) of weighted rows, the held torque subtracted."""
-        return self.own.normal(weights, blocks)
+    def normal(self, weights: Array, left_out: Sequence[int] = ()) -> Array:
+        """Return the products (k + 1, k + 1) of priors and of weighted rows.
+
+        The held torque is subtracted, and the rows of some blocks are left out.
+        """
+        normal = self.own.normal(weights) + self.prior
+        return normal - self.own.normal(weights, left_out) if left_out else normal
 
     def inside(self, values: Array) -> Array:
         """Return values (k,) with those that cross a bound moved to it."""
@@ -112,7 +116,7 @@ class Equations:
     def crossing(self, values: Array) -> NDArray[np.bool_]:
         """Return which of values (k,) cross a bound by more than rounding."""
         inside = self.inside(values)
-        return np.asarray(np.abs(values - inside) > 1e-9 * (1.0 + np.abs(inside)))
+        return np.abs(values - inside) > 1e-9 * (1.0 + np.abs(inside))
 
     def full(self, values: Array) -> Array:
         """Return all parameters (p,) from the estimated ones (k,)."""
@@ -157,7 +161,7 @@ def _inverse(matrix: Array) -> Array:
         half = vectors / np.sqrt(np.maximum(values, _RIDGE))
         return scale[:, None] * (half @ half.T) * scale
     inverse = np.linalg.inv(scaled)
-    return np.asarray(scale[:, None] * (0.5 * (inverse + inverse.T)) * scale)
+    return scale[:, None] * (0.5 * (inverse + inverse.T)) * scale
 
 
 @dataclass(frozen=True)
@@ -232,8 +236,7 @@ class Fit:
     @cached_property
     def is_hidden(self) -> NDArray[np.bool_]:
         """Which estimated parameters (k,) nothing shows."""
-        normal = self.equations.data(self.weights) + self.equations.prior
-        return _hidden(self.inverse, normal)
+        return _hidden(self.inverse, self.equations.normal(self.weights))
 
     @cached_property
     def covariance(self) -> Array:
@@ -268,25 +271,24 @@ class Fit:
         its question leaves out.
         """
         question = self.question
-        stated = scale_spread(self.arm, question.options, question.loaded)
-        deviations = dict(zip(self.arm.joints, stated.tolist()))
-        if SCALES not in (term.cause for term in self.equations.terms):
-            deviations = {}
-        owners = [*deviations]
-        effects = np.zeros((len(owners) + 1, len(self.names)))
-        for term, span in zip(self.equations.terms, self.equations.spans):
-            if term.cause == PAYLOAD and deviations:
-                shared = float(np.linalg.norm([*deviations.values()])) / len(owners)
+        deviations = scale_spread(self.arm, question.options, question.loaded)
+        joints = self.arm.joints
+        terms = self.equations.terms
+        effects = np.zeros((len(joints) + 1, len(self.names)))
+        if SCALES not in (term.cause for term in terms):
+            return effects.T @ effects
+        for term, span in zip(terms, self.equations.spans):
+            if term.cause == PAYLOAD:
+                shared = np.linalg.norm(deviations) / len(joints)
                 effects[-1, span] = shared * self.free[span]
             if term.cause not in (FRICTION, FURTHER_FRICTION):
                 continue
             for k, name in enumerate(term.names, span.start):
                 kind, owner = split_name(name)
                 # The loss of a gear is a share, and has no unit.
-                scale = deviations.get(owner, 0.0) * (kind != "load")
-                effects[owners.index(owner) if scale else -1, k] += (
-                    scale * self.values[k]
-                )
+                if kind != "load":
+                    row = joints.index(owner)
+                    effects[row, k] = deviations[row] * self.values[k]
         return effects.T @ effects
 
     @property
@@ -328,10 +330,8 @@ class Fit:
     @cached_property
     def held_out(self) -> Array:
         """Squared errors (B, J) of blocks predicted from the others [N^2 m^2]."""
-        squares = []
-        for block, values in enumerate(self.alone):
-            squares.append(self.equations.own.squared_residuals(values, block))
-        return np.array(squares)
+        own = self.equations.own
+        return np.array([own.squared_residuals(x, b) for b, x in enumerate(self.alone)])
 
     def expected(self, inverse: Array, block: int) -> Array:
         """Return the squared errors (J,) to expect in a block from noise and an estimate's errors.
@@ -344,37 +344,24 @@ class Fit:
     @cached_property
     def expected_held_out(self) -> Array:
         """Squared errors (B, J) to expect of ``held_out`` if the model is right [N^2 m^2]."""
-        rows = []
-        for block in range(len(self.sums.logs)):
-            rows.append(self.expected(self.without([block])[1], block))
-        return np.array(rows)
+        blocks = range(len(self.sums.logs))
+        return np.array([self.expected(self.without([b])[1], b) for b in blocks])
 
     def without(self, blocks: Sequence[int]) -> tuple[Array, Array]:
         """Return (estimate (k,), inverse (k, k)) without some blocks."""
-        return solve(self._normal_without(blocks), self.start, self.is_free)
+        normal = self.equations.normal(self.weights, blocks)
+        return solve(normal, self.start, self.is_free)
 
     def possible_without(self, block: int) -> Array:
         """Return the estimate (k,) without a block that obeys all bounds, its bodies possible."""
         equations = self.equations
-        normal = self._normal_without([block])
-        has_hidden = bool(np.any(self.is_hidden))
         values = self.alone[block]
         if np.any(equations.crossing(values)) or not _are_possible(equations, values):
-            values, *_ = _within_bounds(
-                equations,
-                self.start,
-                lambda start, is_free: _possible(
-                    equations, normal, is_free, start, has_hidden
-                ),
-                self.is_free,
-            )
+            normal = equations.normal(self.weights, [block])
+            possible = partial(_possible, equations, normal, self.is_hidden)
+            start = self.start, self.is_free
+            values, *_ = _within_bounds(equations, possible, *start)
         return values
-
-    def _normal_without(self, blocks: Sequence[int]) -> Array:
-        """Return the products (k + 1, k + 1) of priors and of all rows but those of some blocks."""
-        equations = self.equations
-        normal = equations.data(self.weights) + equations.prior
-        return normal - equations.data(self.weights, blocks)
 
     def of(self, sums: Sums) -> Fit:
         """Return this estimate with the sums of other recordings, to judge it on them."""
@@ -405,12 +392,12 @@ class Fit:
 
         Noise is that of this fit: its size counts, by the number of independent rows.
         """
-        normal = self.equations.data(self.weights) + self.equations.prior
+        normal = self.equations.normal(self.weights)
         values, inverse = solve(normal, self.equations.reference)
         change = np.append(-values, 1.0)
-        misfit = float(change @ normal @ change)
+        misfit = change @ normal @ change
         independent = np.sum(self.sums.counts, axis=0) / self.correlation
-        size = float(independent @ np.log(self.noise))
+        size = independent @ np.log(self.noise)
         log_inverse = np.linalg.slogdet(inverse)[1]
         return 0.5 * (log_inverse - misfit) - size - self.equations.log_prior
 
@@ -481,20 +468,19 @@ class Fit:
 
     def residuals(self) -> Array:
         """Return the residual torque (K of all recordings, J) [N m]; NaN where not used."""
+        arm = self.arm
         residuals = []
         for recording in self.recordings:
-            for rows in recording.chunks(36 * self.arm.robot.n_joints):
-                measured = recording.torque[rows.span][:, self.arm.indices]
-                predicted = self.arm.torque(rows, self.point, self.by_name)
-                used = recording.used[rows.span][:, self.arm.indices]
-                residuals.append(np.where(used, measured - predicted, np.nan))
+            for rows in recording.chunks(36 * arm.robot.n_joints):
+                predicted = arm.torque(rows, self.point, self.by_name)
+                residuals.append(arm.measured(rows) - predicted)
         return np.concatenate(residuals)
 
 
 def _hidden(inverse: Array, normal: Array) -> NDArray[np.bool_]:
     """Return which parameters (k,) nothing shows: neither data nor prior."""
     own = np.diag(normal)[:-1]
-    return np.asarray((own == 0.0) | (np.diag(inverse) * own > _HIDDEN))
+    return (own == 0.0) | (np.diag(inverse) * own > _HIDDEN)
 
 
 def fit(
@@ -526,39 +512,31 @@ def fit(
     equations = equations_of(arm, sums, terms, held or {})
     correlation = np.ones(len(sums.joints)) if correlation is None else correlation
     torque = sums.rms_torque
-    least = max(_LEAST_NOISE * float(np.sqrt(np.mean(torque**2))), 1e-12)
+    least = max(_LEAST_NOISE * np.sqrt(np.mean(torque**2)), 1e-12)
     noise = np.maximum(0.05 * torque if noise is None else noise, least)
     for _ in range(_NOISE_ROUNDS):
         weights = 1.0 / (noise * np.sqrt(correlation))
-        normal = equations.data(weights) + equations.prior
-        values, inverse = solve(normal, equations.reference)
+        values, inverse = solve(equations.normal(weights), equations.reference)
         previous = noise
         noise = np.maximum(_noise(equations, values, inverse, weights), least)
         if np.max(np.abs(noise / previous - 1.0)) < _SETTLED:
             break
     weights = 1.0 / (noise * np.sqrt(correlation))
-    data = equations.data(weights)
-    normal = data + equations.prior
+    normal = equations.normal(weights)
     _, inverse = solve(normal, equations.reference)
-
-    def unrestricted(start: Array, is_free: NDArray[np.bool_]) -> Array:
-        """Return the solution in which bodies may be impossible."""
-        return solve(normal, start, is_free)[0]
-
-    def possible_bodies(start: Array, is_free: NDArray[np.bool_]) -> Array:
-        """Return the solution in which all bodies are possible."""
-        has_hidden = bool(np.any(_hidden(inverse, normal)))
-        return _possible(equations, normal, is_free, start, has_hidden)
-
-    free, start, is_free = _within_bounds(equations, equations.reference, unrestricted)
+    free, start, is_free = _within_bounds(
+        equations,
+        lambda start, is_free: solve(normal, start, is_free)[0],
+        equations.reference,
+        np.ones(len(inverse), dtype=bool),
+    )
     values = free
     if possible and not _are_possible(equations, free):
-        values, start, is_free = _within_bounds(
-            equations, start, possible_bodies, is_free
-        )
+        of_bodies = partial(_possible, equations, normal, _hidden(inverse, normal))
+        values, start, is_free = _within_bounds(equations, of_bodies, start, is_free)
     alone = []
     for block in range(len(sums.logs)) if possible else ():
-        smaller = normal - equations.data(weights, [block])
+        smaller = equations.normal(weights, [block])
         alone.append(solve(smaller, start, is_free)[0])
     return Fit(
         arm,
@@ -596,9 +574,7 @@ def expected(
         noise: (J,) of an independent row [N m].
     """
     equations = equations_of(arm, sums, terms, values)
-    _, inverse = solve(
-        equations.data(1.0 / noise) + equations.prior, equations.reference
-    )
+    _, inverse = solve(equations.normal(1.0 / noise), equations.reference)
     given = equations.held[equations.index]
     return Fit(
         arm,
@@ -656,9 +632,9 @@ def _noise(
 
 def _within_bounds(
     equations: Equations,
-    start: Array,
     solution: Callable[[Array, NDArray[np.bool_]], Array],
-    is_free: NDArray[np.bool_] | None = None,
+    start: Array,
+    is_free: NDArray[np.bool_],
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return a solution (k,) with the parameters that cross a bound held at it.
 
@@ -666,12 +642,10 @@ def _within_bounds(
 
     Args:
         equations: the question, with its bounds.
+        solution: returns the values (k,) for the next two.
         start: (k,) to begin with.
-        solution: returns the values (k,) for these two.
-        is_free: (k,) to begin with; all by default.
+        is_free: (k,) to begin with.
     """
-    if is_free is None:
-        is_free = np.ones(len(start), dtype=bool)
     values = solution(start, is_free)
     for _ in range(_BOUND_ROUNDS):
         crosses = equations.crossing(values) & is_free
@@ -704,9 +678,9 @@ def _are_possible(equations: Equations, values: Array) -> bool:
 def _possible(
     equations: Equations,
     normal: Array,
-    is_free: NDArray[np.bool_],
+    is_hidden: NDArray[np.bool_],
     start: Array,
-    has_hidden: bool,
+    is_free: NDArray[np.bool_],
 ) -> Array:
     """Return the best values (k,) with which all bodies are possible."""
     at = np.flatnonzero(is_free)
@@ -728,8 +702,9 @@ def _possible(
         prior[link] = equations.reference[body] - least
         contained[link] = least
     values = start.copy()
+    problem = LinksProblem(tuple(links), prior)
     values[at] = contained + consistent_least_squares(
-        rows, target - rows @ contained, LinksProblem(tuple(links), prior), has_hidden
+        rows, target - rows @ contained, problem, has_hidden=bool(np.any(is_hidden))
     )
     return values
 
@@ -749,13 +724,13 @@ def correlation_times(residuals: Array) -> Array:
         pairs = np.maximum(lagged_sums(is_used.astype(float), lags), 1.0)
         covariance = products / pairs
         rho = np.append(covariance, 0.0) / max(covariance[0], 1e-300)
-        last = int(np.argmax(rho <= 2.0 / np.sqrt(pairs[0])))
-        times.append(1.0 + 2.0 * float(np.sum(rho[1:last])))
+        last = np.argmax(rho <= 2.0 / np.sqrt(pairs[0]))
+        times.append(1.0 + 2.0 * np.sum(rho[1:last]))
     return np.array(times)
 
 
 def lagged_sums(signal: Array, lags: int) -> Array:
     """Return sums (lags + 1,) over t of s_t s_(t+l), l = 0 ... lags, of a signal (N,)."""
-    size = 1 << int(np.ceil(np.log2(max(len(signal) + lags + 1, 2))))
+    size = 1 << (len(signal) + lags).bit_length()
     power = np.abs(np.fft.rfft(signal, size)) ** 2
     return np.fft.irfft(power, size)[: lags + 1]

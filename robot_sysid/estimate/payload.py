@@ -60,7 +60,9 @@ def written_payload(fitted: Fit) -> tuple[Array, str]:
     """
     theta = fitted.values[fitted.at(PAYLOAD_NAMES)]
     mass, com, _ = spatial.com_from_theta(theta)
-    body = body_estimate(fitted, "payload", select(fitted, PAYLOAD_NAMES), theta, None)
+    body = body_estimate(
+        fitted, "payload", select(fitted, PAYLOAD_NAMES), fitted.values
+    )
     if mass <= 0.0 or is_inertia_known(body):
         return theta, ""
     moments, errors = principal_moments(body)
@@ -157,14 +159,14 @@ def _in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimate:
     # The change of frame is linear: its matrix has the images of the ten unit bodies as columns.
     to_flange = np.stack(list(map(flange.to_flange, np.eye(10))), axis=1)
     combinations = to_flange @ select(fitted, PAYLOAD_NAMES)
-    return body_estimate(fitted, "payload", combinations, combinations @ values, None)
+    return body_estimate(fitted, "payload", combinations, values)
 
 
 def _link_with(fitted: Fit, values: Array) -> BodyEstimate:
     """Return the terminal link with the payload, at parameters (k,)."""
     combinations = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
     name = fitted.arm.robot.body_name
-    return body_estimate(fitted, name, combinations, combinations @ values, None)
+    return body_estimate(fitted, name, combinations, values)
 
 
 def _payload_record(

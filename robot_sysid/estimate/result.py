@@ -83,7 +83,6 @@ from robot_sysid.results.record import (
     Result,
     Verdict,
 )
-from robot_sysid.signals.process import ProcessedSignals
 
 # Distance of an encoder zero from zero, in standard errors, above which it is significant.
 _CLEAR = 3.0
@@ -117,8 +116,8 @@ def link_result(
     """
     robot = fitted.arm.robot
     tests = (validation(fitted), *tests, *held_out_logs(fitted))
-    errors = [signals.acceleration_error for signals in signals_of(fitted)]
-    acceleration_error = max(errors, default=0.0)
+    signals = [recording.signals for recording in fitted.recordings]
+    acceleration_error = max((s.acceleration_error for s in signals), default=0.0)
     common = common_result(fitted, origin, LINK)
     *other_links, last_link = common.links.values()
     refusals = [*find_misfits(fitted, tests, acceleration_error)]
@@ -185,7 +184,7 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
     robot = fitted.arm.robot
     links = {link.name: link for link in link_estimates(fitted)}
     rows = itertools.chain(*(body_quantities(links[name], name) for name in links))
-    signals = signals_of(fitted)
+    recordings = fitted.recordings
     return Result(
         robot=robot,
         question=question,
@@ -195,14 +194,9 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
         data=origin,
         links=links,
         friction_model="-".join(fitted.question.friction) or "none",
-        cutoff=signals[0].cutoff if signals else None,
+        cutoff=recordings[0].signals.cutoff if recordings else None,
         link_scales=asdict(fitted.question.link_scales),
     )
-
-
-def signals_of(fitted: Fit) -> list[ProcessedSignals]:
-    """Return the low-passed signals of all recordings."""
-    return [recording.signals for recording in fitted.recordings]
 
 
 def select(fitted: Fit, names: Sequence[str]) -> Array:
@@ -214,14 +208,14 @@ def body_estimate(
     fitted: Fit,
     name: str,
     combinations: Array,
-    theta: Array,
-    model_theta: Array | None,
+    values: Array,
+    model_theta: Array | None = None,
     joint: str | None = None,
 ) -> BodyEstimate:
     """Return a body whose parameters are combinations (10, k) of the estimated ones.
 
     Args:
-        theta: (10,) their values.
+        values: (k,) of the estimated ones.
         model_theta: (10,) in the model; None where the model lacks the body.
         joint: the joint that moves the body.
     """
@@ -229,7 +223,7 @@ def body_estimate(
     share = weight @ fitted.share() / np.maximum(np.sum(weight, axis=1), 1e-300)
     hidden = weight[:, fitted.is_hidden]
     return BodyEstimate(
-        theta=theta,
+        theta=combinations @ values,
         name=name,
         covariance=combinations @ fitted.covariance @ combinations.T,
         is_determined=np.max(hidden, axis=1, initial=0.0) < 1e-9,
@@ -249,12 +243,11 @@ def link_estimates(fitted: Fit) -> Iterator[BodyEstimate]:
         if index == robot.n_joints - 1:
             names = PARAMETER_NAMES
         if estimated.issuperset(names):
-            theta = fitted.values[fitted.at(names)]
             yield body_estimate(
                 fitted,
                 link.body_name,
                 select(fitted, names),
-                theta,
+                fitted.values,
                 link.theta,
                 robot.joint_names[index],
             )
@@ -269,7 +262,7 @@ def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
     for name, index in zip(cause_of, fitted.at([*cause_of])):
         kind, owner = split_name(name)
         error = float(fitted.errors[index])
-        reason = max(causes, key=lambda cause: float(causes[cause][index]))
+        reason = max(causes, key=lambda cause: causes[cause][index])
         source = DATA if shares[index] >= PRIOR_SHARE else MODEL
         if name in fitted.at_bound:
             error = math.nan
@@ -339,7 +332,7 @@ def _estimate(fitted: Fit) -> Estimate:
         identifiability=analyse_identifiability(
             _rows(fitted, interest), interest, joints[-1]
         ),
-        rmse=float(np.sqrt(np.sum(squares) / max(float(np.sum(counts)), 1.0))),
+        rmse=float(np.sqrt(np.sum(squares) / max(np.sum(counts), 1.0))),
         rmse_per_joint=dict(zip(joints, rms.tolist())),
         samples=dict(zip(joints, counts.astype(int).tolist())),
         standard_errors=fitted.errors[order],
@@ -463,16 +456,16 @@ def _offset_notes(file: RestrictedFit) -> Iterator[str]:
         if name in fitted.names:
             offset, error = quantity(fitted, name)
             if abs(offset) > _CLEAR * error:
-                squares += offset**2 * float(np.sum(fitted.sums.counts[:, row]))
+                squares += offset**2 * np.sum(fitted.sums.counts[:, row])
                 unit = torque_unit(joint in fitted.arm.robot.slides)
                 phrases.append(f"{joint} {offset:.2g} {unit}")
-    squared = squares / float(np.sum(fitted.sums.squared_torque))
+    squared = squares / np.sum(fitted.sums.squared_torque)
     share = file.after.relative_error or 0.0
     if squared > max(HARMLESS, share) ** 2:
         yield (
             f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
             "that is larger in one direction: counted as errors, they make the torque error of the "
-            f"written file on held-out data {percent(float(np.sqrt(squared + share**2)))}"
+            f"written file on held-out data {percent(np.sqrt(squared + share**2))}"
         )
 
 
@@ -495,7 +488,7 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
             )
     if file is not None and file.gravity is not None:
         level = gravity_vector(fitted.arm.robot)
-        sine = float(np.linalg.norm(np.cross(level, file.gravity)))
+        sine = np.linalg.norm(np.cross(level, file.gravity))
         angle = math.degrees(math.atan2(sine, level @ file.gravity))
         yield (
             f"gravity in the written model is turned by {angle:.2f} degrees, because the base is "
@@ -527,17 +520,14 @@ def traces_of(fitted: Fit, file: RestrictedFit | None) -> Traces:
     fields: dict[str, list[Array]] = {}
     for recording in fitted.recordings:
         for rows in recording.chunks(36 * arm.robot.n_joints):
-            used = recording.used[rows.span][:, arm.indices]
-            measured = recording.torque[rows.span][:, arm.indices]
-            known = arm.known(rows)
             motion = rows.motion
             signals = {
                 "time": motion.time,
                 "qd": motion.qd[:, arm.indices],
-                "measured": np.where(used, measured, np.nan),
+                "measured": arm.measured(rows),
                 "predicted": arm.torque(rows, shown.point, values),
                 "prior_prediction": arm.torque(rows, shown.point, model),
-                "friction": arm.torque(rows, shown.point, friction) - known,
+                "friction": arm.torque(rows, shown.point, friction) - arm.known(rows),
             }
             for name, signal in signals.items():
                 fields.setdefault(name, []).append(signal)

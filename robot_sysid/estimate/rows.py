@@ -89,7 +89,7 @@ class Recording:
         """
         if key not in self._kept:
             self._kept[key] = self.signals.filter_columns(make)
-        return np.asarray(self._kept[key])
+        return self._kept[key]
 
     def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
         """Return the torque (K, n) of links with parameters ``thetas`` (n, 10) [N m]."""
@@ -98,7 +98,7 @@ class Recording:
             chunks = self.chunks(36 * robot.n_joints)
             torques = [rows.moves(robot, gravity).torque(thetas) for rows in chunks]
             self._kept[key] = np.concatenate(torques)
-        return np.asarray(self._kept[key])
+        return self._kept[key]
 
     def chunks(self, width: int) -> Iterator[Rows]:
         """Yield the rows in chunks, of which columns ``width`` numbers wide fit in memory."""
@@ -130,18 +130,9 @@ class Rows:
         """Whether the arm carries the payload."""
         return self.recording.is_loaded
 
-    @property
-    def order(self) -> float:
-        """Position of the recording among all, from -1 to 1."""
-        return self.recording.order
-
     def low_passed(self, key: object, make: Callable[[Motion], Array]) -> Array:
         """Return ``Recording.low_passed`` at these rows."""
         return self.recording.low_passed(key, make)[self.span]
-
-    def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
-        """Return ``Recording.links_torque`` at these rows."""
-        return self.recording.links_torque(robot, gravity, thetas)[self.span]
 
 
 @dataclass(frozen=True)
@@ -182,7 +173,7 @@ class Sums:
     def rms_torque(self) -> Array:
         """Root mean square (J,) of the right-hand sides [N m]; zero of a joint without rows."""
         counts = np.maximum(np.sum(self.counts, axis=0), 1.0)
-        return np.asarray(np.sqrt(np.sum(self.squared_torque, axis=0) / counts))
+        return np.sqrt(np.sum(self.squared_torque, axis=0) / counts)
 
     @cached_property
     def squares(self) -> Array:
@@ -208,16 +199,6 @@ class Sums:
             at = np.append(self.columns[joint], size)
             normal[np.ix_(at, at)] += weight**2 * gram
         return normal
-
-    def only(self, blocks: Sequence[int]) -> Sums:
-        """Return the sums of some blocks."""
-        kept = list(blocks)
-        return replace(
-            self,
-            grams=tuple(gram[kept] for gram in self.grams),
-            counts=self.counts[kept],
-            logs=tuple(self.logs[k] for k in kept),
-        )
 
     def of(self, names: Sequence[str], held: Array) -> Sums:
         """Return the sums in named parameters alone, the torque of all others subtracted.
@@ -249,7 +230,7 @@ class Sums:
         for joint, columns in enumerate(self.columns):
             gram = self.totals[joint] if block is None else self.grams[joint][block]
             change = np.append(-values[columns], 1.0)
-            sums.append(max(float(change @ gram @ change), 0.0))
+            sums.append(max(change @ gram @ change, 0.0))
         return np.array(sums)
 
     def spread(self, covariance: Array, block: int | None = None) -> Array:

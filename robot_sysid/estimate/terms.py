@@ -26,7 +26,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import link_names, names_of, other_links
+from robot_sysid.dynamics.equations import link_names, names_of, other_links, split_name
 from robot_sysid.dynamics.friction import DRY_TERMS, FADING_SPEEDS, TERMS, Coupling
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
@@ -266,13 +266,14 @@ class ArmTerms:
                 PAYLOAD, PAYLOAD_NAMES, self._payload, bodies=True, reference=last
             )
         for name in self.friction:
+            own_names = names_of(name, self.joints)
             yield Term(
                 FRICTION,
-                names_of(name, self.joints),
+                own_names,
                 partial(self._friction, name),
                 lower=-np.inf if name in ("offset", "sqrt") else 0.0,
                 in_file=name in ("coulomb", "viscous", "armature"),
-                reference=self._values(names_of(name, self.joints)),
+                reference=np.array([self.model.get(each, 0.0) for each in own_names]),
             )
         for motor in self.motors:
             yield Term(
@@ -293,10 +294,6 @@ class ArmTerms:
             yield Term(TILT, TILT_NAMES, self._tilt, in_file=True)
         yield Term(DELAY, ("delay",), self._delay)
 
-    def _values(self, names: Sequence[str]) -> Array:
-        """Return the model's values (k,) of named parameters."""
-        return np.array([self.model.get(name, 0.0) for name in names])
-
     def sums(self, recordings: Sequence[Recording], point: Point) -> Sums:
         """Return the sums of all rows, linearised around a point."""
         make = partial(self.equations, point=point)
@@ -308,6 +305,11 @@ class ArmTerms:
         tau = rows.recording.torque[rows.span][:, self.indices] - self.known(rows)
         used = rows.recording.used[rows.span][:, self.indices]
         return np.concatenate(columns, axis=2), tau, used
+
+    def measured(self, rows: Rows) -> Array:
+        """Return the measured torque (m, J) of a chunk of rows [N m]; NaN where not used."""
+        tau = rows.recording.torque[rows.span]
+        return np.where(rows.recording.used[rows.span], tau, np.nan)[:, self.indices]
 
     def torque(self, rows: Rows, point: Point, values: Mapping[str, float]) -> Array:
         """Return the torque (m, J) of named parameters, the known torque added [N m]."""
@@ -380,8 +382,8 @@ class ArmTerms:
     def links_torque(self, rows: Rows, point: Point) -> Array:
         """Return the torque (m, J) of the point's links [N m]."""
         thetas = point.carried(rows.is_loaded)
-        torque = rows.links_torque(self.robot, point.gravity, thetas)
-        return torque[:, self.indices]
+        torque = rows.recording.links_torque(self.robot, point.gravity, thetas)
+        return torque[rows.span][:, self.indices]
 
     def _scales(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of torque scales."""
@@ -389,7 +391,7 @@ class ArmTerms:
 
     def _scale_drift(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of torque scales' drift from recording to recording."""
-        return rows.order * self._scales(rows, point)
+        return rows.recording.order * self._scales(rows, point)
 
     def _zeros(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, n) of encoders that read too much [N m/rad]."""
@@ -429,13 +431,10 @@ class ArmTerms:
             sizes = point.sizes(name, self.joints)
             if np.any(sizes):
                 friction += self.friction_column(name, rows, point) * sizes
-        return self._per_joint(rows.order * friction)
+        return self._per_joint(rows.recording.order * friction)
 
 
 def term_key(term: Term) -> str:
     """Return the key of a term among all: its cause, or the name of a friction term or motor."""
-    if term.cause == FRICTION:
-        return term.names[0].partition("[")[0]
-    if term.cause == MOTORS:
-        return term.names[0].partition("[")[2][:-1]
-    return term.cause
+    kind, owner = split_name(term.names[0])
+    return {FRICTION: kind, MOTORS: owner}.get(term.cause, term.cause)

@@ -165,7 +165,7 @@ def test_bounds_are_kept_and_the_rest_is_the_best_beside_them():
     assert {"load[joint2]", "load[joint3]"} <= set(fitted.at_bound)
     held = np.array([name in fitted.at_bound for name in fitted.names])
     equations = fitted.equations
-    normal = equations.data(fitted.weights) + equations.prior
+    normal = equations.normal(fitted.weights)
     change = np.append(-fitted.free, 1.0)
     gradient = (normal @ change)[:-1] / np.sqrt(np.diag(normal)[:-1])
     assert np.max(np.abs(gradient[~held])) < 1e-3 * np.max(np.abs(gradient[held]))

@@ -45,7 +45,8 @@ def test_each_block_is_predicted_from_the_others(noisy_fit):
     equations = noisy_fit.equations
     for block in range(len(noisy_fit.sums.logs)):
         others = [k for k in range(len(noisy_fit.sums.logs)) if k != block]
-        normal = equations.data(noisy_fit.weights, others) + equations.prior
+        data = equations.own.normal(noisy_fit.weights, others)
+        normal = data + equations.prior
         size = np.sqrt(np.diag(normal)[:-1])
         matrix = normal[:-1, :-1] / np.outer(size, size)
         values = np.linalg.solve(matrix, normal[:-1, -1] / size) / size
