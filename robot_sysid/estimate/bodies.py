@@ -62,7 +62,6 @@ _COLUMNS, _ROWS = np.tril_indices(4)
 _BASIS = np.zeros((10, 4, 4))
 _BASIS[range(10), _ROWS, _COLUMNS] = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(0.5))
 _BASIS[range(10), _COLUMNS, _ROWS] = _BASIS[range(10), _ROWS, _COLUMNS]
-_FLAT_BASIS = _BASIS.reshape(10, 16)
 
 
 @dataclass(frozen=True)
@@ -131,19 +130,18 @@ def consistent_least_squares(
 
     def cost(y: Array) -> float:
         """Return the sum of squared residuals."""
-        return float(np.sum((triangle @ np.append(y, -1.0)) ** 2))
+        return np.sum((triangle @ np.append(y, -1.0)) ** 2)
 
     best = _solve(triangle, problem, SPREADS[-1])
     limit = cost(best) + HARDLY
-    pins = np.zeros((0, size + 1))
+    # With all hidden directions held, then with none of them.
+    choices = [np.zeros((0, size + 1))]
     if has_hidden:
         # Rows that measure the hidden part of x, in orthonormal combinations of y.
         space = visible_space(matrix)
         hidden = unit[:, order].T @ (space.null.T / space.scale).T
         hidden = _PIN * np.linalg.qr(hidden)[0].T
-        pins = np.column_stack((hidden, np.zeros(len(hidden))))
-    # With all hidden directions held, then with none of them.
-    choices = (pins, pins[:0]) if len(pins) else (pins,)
+        choices.insert(0, np.column_stack((hidden, np.zeros(len(hidden)))))
     for held, spread in product(choices, SPREADS):
         y = _solve(np.vstack((triangle, held)), problem, spread)
         if cost(y) <= limit:
@@ -154,7 +152,7 @@ def consistent_least_squares(
         theta = values[link]
         if not spatial.is_consistent(theta):
             values[link] = spatial.nearest_consistent_body(theta, theta, _ROUNDING)
-    return np.asarray(values)
+    return values
 
 
 def _solve(rows: Array, problem: LinksProblem, spread: float) -> Array:
@@ -224,6 +222,8 @@ def _by_cone(equations: Array, least: Array) -> Array:
     from scipy import sparse
 
     count, size = len(equations), equations.shape[1] - 1
+    # Coefficients of the matrices 1 - least in the basis.
+    above = (np.eye(4) - least).reshape(-1, 16) @ _BASIS.reshape(10, 16).T
     cones = [clarabel.ZeroConeT(count), *(clarabel.PSDTriangleConeT(4) for _ in least)]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
@@ -233,7 +233,7 @@ def _by_cone(equations: Array, least: Array) -> Array:
         # Residuals are variables of their own: the condition of the problem is not squared.
         residuals = np.hstack((rows[:, :-1], -np.eye(count)))
         constraints = np.vstack((residuals, -np.eye(size, size + count)))
-        limits = np.append(rows[:, -1], _coefficients(np.eye(4) - least))
+        limits = np.append(rows[:, -1], above)
         try:
             solution = clarabel.DefaultSolver(
                 sparse.diags(np.repeat((0.0, 1.0), (size, count)), format="csc"),
@@ -258,8 +258,3 @@ def _units(theta: Array) -> Array:
     root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
     units = map(spatial.theta_from_pseudo_inertia, root @ _BASIS @ root.T)
     return np.column_stack(list(units))
-
-
-def _coefficients(matrices: Array) -> Array:
-    """Return the coefficients (..., 10) of symmetric matrices (..., 4, 4) in the basis."""
-    return matrices.reshape(*matrices.shape[:-2], 16) @ _FLAT_BASIS.T

@@ -69,22 +69,23 @@ class VisibleSpace:
         solution = self.right @ ((self.left.T @ right_hand_side) / self.singular)
         return np.where(self.zero, 0.0, self.scale * solution)
 
-    def inverse_root(self) -> Array:
-        """Return G (p, r) with G G^T = pseudo-inverse of A^T A in parameter units."""
-        return self.scale[:, None] * self.right / self.singular
-
     def inverse(self) -> Array:
         """Return (p, p) the pseudo-inverse of A^T A in parameter units."""
-        root = self.inverse_root()
+        root = self.scale[:, None] * self.right / self.singular
         return root @ root.T
 
 
 def visible_space(matrix: Array) -> VisibleSpace:
     """Return the visible space and null space of a stacked regressor (M, p).
 
-    Its first ten columns are those of the inertial parameters of one link.
+    Its first ten columns are those of the inertial parameters of one link; the three first moments
+    share the scale of their longest column, and so do the six inertias.
     """
-    scale, zero = column_scale(matrix)
+    length = np.linalg.norm(matrix, axis=0)
+    zero = length <= RELATIVE_CUT * np.max(length, initial=0.0)
+    for group in (_FIRST_MOMENT, _INERTIA):
+        length[group] = np.max(length[group], initial=0.0)
+    scale = 1.0 / np.where(zero, 1.0, length)
     scaled = np.where(zero, 0.0, matrix * scale)
     # At least p rows, so that ``right`` contains a basis of the null space as well.
     missing = max(matrix.shape[1] - len(matrix), 0)
@@ -100,20 +101,6 @@ def visible_space(matrix: Array) -> VisibleSpace:
 def _count_visible(singular: NDArray[Any], largest: float) -> int:
     """Return how many singular values (k,) exceed ``RELATIVE_CUT`` of the ``largest`` one."""
     return int(np.count_nonzero(singular > RELATIVE_CUT * largest))
-
-
-def column_scale(matrix: Array) -> tuple[Array, np.ndarray]:
-    """Return (scale (p,), zero (p,)): the inverse length of each column of a matrix (M, p), and
-    whether the column is rounding noise, below ``RELATIVE_CUT`` of the longest one.
-
-    The first ten columns are those of the inertial parameters; the three first moments share the
-    scale of their longest column, and so do the six inertias.
-    """
-    length = np.linalg.norm(matrix, axis=0)
-    zero = length <= RELATIVE_CUT * np.max(length, initial=0.0)
-    for group in (_FIRST_MOMENT, _INERTIA):
-        length[group] = np.max(length[group], initial=0.0)
-    return 1.0 / np.where(zero, 1.0, length), zero
 
 
 def analyse_identifiability(
@@ -154,7 +141,7 @@ def _condition(matrix: Array) -> float:
     """
     singular = np.linalg.svd(matrix, compute_uv=False)
     rank = visible_space(matrix).rank
-    return float(singular[0] / singular[rank - 1]) if rank else float("inf")
+    return float(singular[0] / singular[rank - 1]) if rank else np.inf
 
 
 # Phrases for single parameters, by the name before "[joint]".

@@ -61,11 +61,13 @@ AS_STATED = LinkScales()
 """Factors of one: the prior as the user states it."""
 EXPECTED = LinkScales(*usual_errors.EXPECTED_SCALES)
 """Factors that are expected without any recording."""
-LARGEST = LinkScales(
-    usual_errors.MASS_SCALES[-1],
-    usual_errors.CENTRE_SCALES[-1],
-    usual_errors.INERTIA_SCALES[-1],
+_GRID = (
+    usual_errors.MASS_SCALES,
+    usual_errors.CENTRE_SCALES,
+    usual_errors.INERTIA_SCALES,
 )
+"""The factors that are tried, of each kind."""
+LARGEST = LinkScales(*(scales[-1] for scales in _GRID))
 """The largest factors: for a check of an arm whose model may be a guess."""
 
 
@@ -89,7 +91,7 @@ def link_factor(
     if share == 0.0:
         return np.zeros((len(directions), len(directions)))
     scaled = directions * deviations(stated_kinds(robot, links), share, scales)
-    return np.asarray(np.linalg.cholesky(scaled @ scaled.T), dtype=float)
+    return np.asarray(np.linalg.cholesky(scaled @ scaled.T))
 
 
 def reference_links(robot: RobotModel, links: Sequence[int]) -> Array:
@@ -128,7 +130,7 @@ def link_directions(robot: RobotModel, links: Sequence[int]) -> Array:
         errors = own_errors(link, usual_errors.LEAST_MASS_SHARE * robot.mass)
         directions[block, block] = errors
         _, com, _ = spatial.com_from_theta(link.reference)
-        distance = float(np.linalg.norm(com))
+        distance = np.linalg.norm(com)
         # Common errors scale all parameters with the mass, and move the centre of mass outwards.
         directions[block, -2] = link.reference
         if distance > 0.0:
@@ -149,9 +151,7 @@ def own_errors(link: ArmLink, least_mass: float) -> Array:
     mass, com, inertia = spatial.com_from_theta(link.reference)
     weight = max(1.0, least_mass / mass)
     # No link counts as smaller than a rod.
-    moment = max(
-        float(np.trace(inertia)) / 3.0, weight * mass * ROD_MOMENT * link.size**2
-    )
+    moment = max(np.trace(inertia) / 3.0, weight * mass * ROD_MOMENT * link.size**2)
     # The centre of mass of a link that does not state it lies somewhere between its ends.
     reach = link.size * (0.5 if KINDS[1] in link.placeholders else 1.0)
     columns = [weight * link.reference]
@@ -185,7 +185,7 @@ class LinkEvidence:
         matrix = np.eye(len(scale)) + scale[:, None] * self.curvature * scale
         factor = np.linalg.cholesky(matrix)
         half = np.linalg.solve(factor, scale * self.gradient)
-        return float(0.5 * half @ half - np.sum(np.log(np.diag(factor))))
+        return 0.5 * half @ half - np.sum(np.log(np.diag(factor)))
 
 
 def average_scales(evidence: LinkEvidence) -> LinkScales:
@@ -195,15 +195,7 @@ def average_scales(evidence: LinkEvidence) -> LinkScales:
     values where the data hardly determines a factor.
     """
     # (combinations, 3): factors of mass, centre of mass and inertia.
-    grid = np.array(
-        list(
-            product(
-                usual_errors.MASS_SCALES,
-                usual_errors.CENTRE_SCALES,
-                usual_errors.INERTIA_SCALES,
-            )
-        )
-    )
+    grid = np.array(list(product(*_GRID)))
     octaves = np.log2(grid / np.array(usual_errors.USUAL_SCALES))
     log_posterior = -0.5 * np.sum(octaves**2, axis=1)
     for point, scales in enumerate(grid.tolist()):

@@ -35,7 +35,6 @@ class InformationAccumulator:
         self._names = tuple(names)
         self._joints = []
         for joint, indices in zip(joints, columns):
-            indices = np.asarray(indices, dtype=np.int64)
             triangle = np.zeros((0, len(indices) + 1))
             empty = JointInformation(joint, indices, triangle, n_samples=0)
             self._joints.append(empty)
@@ -49,22 +48,14 @@ class InformationAccumulator:
             tau: (N,) torque [N m].
         """
         joint = self._joints[index]
-        triangle = update_triangle(joint.triangle, np.column_stack((rows, tau)))
+        stacked = np.vstack((joint.triangle, np.column_stack((rows, tau))))
+        triangle = stacked[np.any(stacked != 0.0, axis=1)]
+        # Fewer rows than columns are kept as they are.
+        if len(triangle) >= triangle.shape[1]:
+            triangle = np.asarray(np.linalg.qr(triangle, mode="r"))
         count = joint.n_samples + len(tau)
         self._joints[index] = replace(joint, triangle=triangle, n_samples=count)
 
     def result(self) -> SquareRootInformation:
         """Return the information of all rows added so far."""
         return SquareRootInformation(self._names, tuple(self._joints))
-
-
-def update_triangle(triangle: Array, rows: Array) -> Array:
-    """Return the triangle (k, k) of a previous triangle (m, k) and new rows (N, k) together.
-
-    Where fewer than k rows are not zero, these rows are returned without factorising them.
-    """
-    stacked = np.vstack((triangle, rows)) if len(triangle) else rows
-    is_used = np.any(stacked != 0.0, axis=1)
-    stacked = stacked if np.all(is_used) else stacked[is_used]
-    is_tall = len(stacked) >= stacked.shape[1]
-    return np.asarray(np.linalg.qr(stacked, mode="r")) if is_tall else stacked
