@@ -55,7 +55,7 @@ def _fading(qd: Array, qdd: Array, load: Array, speed: float, power: int = 1) ->
         power: of the speed.
     """
     decay = np.minimum((np.abs(qd) / speed) ** power, _LARGEST_DECAY)
-    return np.asarray(np.sign(qd) * np.exp(-decay))
+    return np.sign(qd) * np.exp(-decay)
 
 
 FADING_SPEEDS: Mapping[str, float] = {

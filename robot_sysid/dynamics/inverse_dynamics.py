@@ -355,7 +355,7 @@ def bracket(a: Array, b: Array) -> Array:
     """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] of two twists [w, v] (6, ...)."""
     angular = cross(a[:3], b[:3])
     linear = cross(a[3:], b[:3]) + cross(a[:3], b[3:])
-    return np.concatenate((angular, linear), axis=0)
+    return np.concatenate((angular, linear))
 
 
 def bracket_transposed(a: Array, b: Array) -> Array:
@@ -364,7 +364,7 @@ def bracket_transposed(a: Array, b: Array) -> Array:
     """
     moment = cross(a[:3], b[:3]) + cross(a[3:], b[3:])
     force = cross(a[:3], b[3:])
-    return -np.concatenate((moment, force), axis=0)
+    return -np.concatenate((moment, force))
 
 
 def _lower_triangular(turn: Array, shift: Array) -> Array:
@@ -399,13 +399,12 @@ def tilt_axes(gravity: Array) -> Array:
     Raises:
         InputError: there is no gravity.
     """
-    size = float(np.linalg.norm(gravity))
+    size = np.linalg.norm(gravity)
     if size == 0.0:
         raise InputError("the model has no gravity against which a tilt could show")
     down = gravity / size
     # Perpendicular to gravity and to the world's axis that is farthest from gravity's direction.
-    axis = int(np.argmin(np.abs(down)))
-    first = np.cross(down, np.eye(3)[axis])
+    first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
     first /= np.linalg.norm(first)
     return np.array([first, np.cross(down, first)])
 
@@ -414,5 +413,5 @@ def turn_gravity(gravity: Array, angles: Array) -> Array:
     """Return gravity (3,) [m/s^2] turned by two angles (2,) [rad] about ``tilt_axes(gravity)``."""
     turn = angles @ tilt_axes(gravity)
     # Rodrigues' formula for a perpendicular axis; numpy's sinc(x) is that of pi x.
-    size = float(np.linalg.norm(turn))
+    size = np.linalg.norm(turn)
     return np.cos(size) * gravity + np.sinc(size / np.pi) * np.cross(turn, gravity)

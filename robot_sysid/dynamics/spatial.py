@@ -48,7 +48,7 @@ def skew(vector: Array) -> Array:
 
 def symmetric_from_six(six: Array) -> Array:
     """Return the (3, 3) symmetric matrix of [xx, xy, xz, yy, yz, zz]."""
-    return np.asarray(six, dtype=float)[_OF_SIX]
+    return six[_OF_SIX]
 
 
 def six_from_symmetric(matrix: Array) -> Array:
@@ -77,8 +77,7 @@ def com_from_theta(theta: Array) -> tuple[float, Array, Array]:
     theta (10,); the centre of mass of a body without mass is the origin.
     """
     mass = float(theta[0])
-    h = np.asarray(theta[1:4], dtype=float)
-    com = h / mass if mass != 0.0 else np.zeros(3)
+    com = theta[1:4] / mass if mass != 0.0 else np.zeros(3)
     return mass, com, symmetric_from_six(theta[4:10]) - _steiner(mass, com)
 
 
@@ -201,7 +200,7 @@ def characteristic_length(theta: Array) -> float:
     """
     if theta[0] <= 0.0:
         return 1.0
-    half_trace = 0.5 * float(theta[4] + theta[7] + theta[9])
+    half_trace = 0.5 * (theta[4] + theta[7] + theta[9])
     return float(np.sqrt(max(half_trace, 0.0) / theta[0])) or 1.0
 
 
@@ -212,13 +211,13 @@ def nearest_consistent_body(theta: Array, reference: Array, floor: float) -> Arr
     ``reference`` (10,), are raised to at least ``floor`` times the largest magnitude (or 1, if that
     is larger). Where none has to be raised, a copy of theta is returned.
     """
-    mass = float(reference[0]) if reference[0] > 0.0 else 1.0
+    mass = reference[0] if reference[0] > 0.0 else 1.0
     length = characteristic_length(reference)
     # Entry (i, j) of a pseudo-inertia has the unit units[i] units[j].
     units = np.sqrt(mass) * np.array([length, length, length, 1.0])
     values, vectors = np.linalg.eigh(pseudo_inertia(theta) / np.outer(units, units))
-    largest = float(np.max(np.abs(values)))
-    lifted = np.maximum(values, floor * max(largest, 1.0))
+    largest = max(np.max(np.abs(values)), 1.0)
+    lifted = np.maximum(values, floor * largest)
     if lifted[0] == values[0]:
         return np.array(theta, dtype=float)
     return theta_from_pseudo_inertia(

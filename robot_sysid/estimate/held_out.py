@@ -121,8 +121,8 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
     if len(errors) < 2:
         return False
     ratio = np.log((errors + _TINY) / (reference + _TINY))
-    mean = float(np.mean(ratio))
-    standard_error = float(np.std(ratio, ddof=1)) / np.sqrt(len(ratio))
+    mean = np.mean(ratio)
+    standard_error = np.std(ratio, ddof=1) / np.sqrt(len(ratio))
     is_lower = np.sum(errors) < (1.0 - CLEAR_SHARE) * np.sum(reference)
     return bool(
         is_lower

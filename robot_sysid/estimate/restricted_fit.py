@@ -174,7 +174,7 @@ def _known_offsets(fitted: Fit) -> Term:
     for name in term.names:
         least = CLEAR_OFFSET * errors.get(name, np.inf)
         is_clear.append(abs(fitted.by_name[name]) > least)
-    known = OFFSET * torque * bool(np.any(is_clear))
+    known = OFFSET * torque * np.any(is_clear)
     return replace(term, prior=independent(np.where(is_clear, 1e3 * torque, known)))
 
 
@@ -275,8 +275,7 @@ def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
     """
     arm = estimate.arm
     robot = arm.robot
-    is_kept = FILE_ROTORS in unchanged or len(arm.joints) < robot.n_joints
-    if is_kept:
+    if FILE_ROTORS in unchanged or len(arm.joints) < robot.n_joints:
         return {}
     errors = dict(zip(estimate.names, estimate.errors))
     rotors = {}

@@ -94,7 +94,7 @@ def find_misfits(
             continue
         errors = test.rmse_per_joint
         ratios = [errors[joint] / noise[joint] for joint in errors if joint in noise]
-        ratio = float(np.sqrt(np.mean(np.square(ratios or [0.0]))))
+        ratio = np.sqrt(np.mean(np.square(ratios or [0.0])))
         if ratio > NOISE_EXPLAINS:
             yield Verdict.UNEXPLAINED.remark(
                 f"torques of {test.source} are predicted {ratio:.1f} times worse than the noise "
@@ -106,7 +106,7 @@ def find_misfits(
         others = [other for other in shares if other != joint]
         if not others or fitted.independent_share[joint] >= MEMORY:
             continue
-        median = float(np.median([shares[other] for other in others]))
+        median = np.median([shares[other] for other in others])
         # Of a wrist that carries nearly nothing, sensors show little but their own slow errors.
         # Only a torque that is not there makes a residual larger than what is measured.
         sensor = max(noise[other] for other in others)
@@ -158,9 +158,9 @@ def missed_friction(fitted: Fit) -> str:
     kept = []
     for term in fitted.equations.terms:
         names = [name for name in term.names if name.partition("[")[0] not in missed]
-        kept.append(term.only(names))
-    terms = [*(term for term in kept if term.names), *added]
-    complete = fitted.refit(terms, possible=True)
+        if names:
+            kept.append(term.only(names))
+    complete = fitted.refit([*kept, *added], possible=True)
     joints = []
     for row, joint in enumerate(fitted.arm.joints):
         given = fitted.held_out[:, row]
@@ -169,9 +169,9 @@ def missed_friction(fitted: Fit) -> str:
             joints.append(joint)
     if not joints:
         return ""
-    errors = []
-    for each in (fitted, complete):
-        errors.append(percent(validation(each).relative_error or 0.0))
+    errors = [
+        percent(validation(each).relative_error or 0.0) for each in (fitted, complete)
+    ]
     remedy = f"leave out --friction-model, or add {'-'.join(missed)} to it"
     return (
         f"the torques of {', '.join(joints)} clearly show friction terms that were left out "
@@ -194,15 +194,15 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Remark]:
     # Largest distances from the link's origin and from the arm's first joint [m].
     reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
     arm = reach + _distance_of_ends(robot)
-    slack = _SURE * float(np.linalg.norm(errors[1:4])) / link.mass
-    distance = float(np.linalg.norm(link.com))
+    slack = _SURE * np.linalg.norm(errors[1:4]) / link.mass
+    distance = np.linalg.norm(link.com)
     where = f"on a link that reaches {reach:.2g} m"
     if distance - slack > reach + COM_BEYOND * arm:
         yield Verdict.IMPLAUSIBLE.remark(
             f"the centre of mass is {distance:.2g} m away {where}"
         )
-    moment = float(link.principal_moments[-1])
-    slack = _SURE * float(np.max(errors[4:10]))
+    moment = link.principal_moments[-1]
+    slack = _SURE * np.max(errors[4:10])
     if moment - slack > link.mass * (reach + GYRATION_BEYOND * arm) ** 2:
         radius = np.sqrt(moment / link.mass)
         yield Verdict.IMPLAUSIBLE.remark(
@@ -349,7 +349,7 @@ def judge_payload(
         validation: held-out error of the fit.
     """
     mass = payload.mass
-    error = float(payload.errors[0])
+    error = payload.errors[0]
     sentence = f"the payload comes out as {with_error(mass, error, 'kg')}"
     if contradicting:
         yield Verdict.DISAGREE.remark(contradicting)
@@ -372,9 +372,9 @@ def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Rem
     Sizes are the distance of the centre of mass from the flange, and the radius of gyration.
     """
     farthest = FARTHEST_PAYLOAD * max(_distance_of_ends(robot), LEAST_REACH)
-    distance = float(np.linalg.norm(payload.com))
+    distance = np.linalg.norm(payload.com)
     trace = max(np.trace(payload.inertia_com), 0.0)
-    gyration = float(np.sqrt(trace / (2.0 * payload.mass)))
+    gyration = np.sqrt(trace / (2.0 * payload.mass))
     for quantity, size in (
         ("centre of mass is", distance),
         ("radius of gyration is", gyration),

@@ -70,7 +70,7 @@ class ServoProblem:
             beginning = round(MAX_DELAY / sampling_period(piece.time))
             for first in range(beginning, len(piece) - count, count):
                 at = slice(first, first + count)
-                start = float(piece.time[first])
+                start = piece.time[first]
                 window = ServoWindow(
                     start, piece.q[first], qd[first], piece.time, commands(piece)
                 )
@@ -135,8 +135,7 @@ def low_pass(time: Array, values: Array, order: int = 0) -> Array:
 
     width = max(SMOOTHING_TIME / sampling_period(time), LEAST_WIDTH)
     # Cut off at seven widths: nearer to the middle, a constant would have a second derivative.
-    filtered = gaussian_filter1d(values, width, 0, order, mode="nearest", truncate=7.0)
-    return np.asarray(filtered)
+    return gaussian_filter1d(values, width, 0, order, mode="nearest", truncate=7.0)
 
 
 def low_pass_motion(piece: Measurement) -> tuple[Array, Array, Array]:
