@@ -116,7 +116,7 @@ class ArmDynamics:
     """
 
     def __init__(self, robot: RobotModel, mj_model: Any = None) -> None:
-        self.model = analysis_copy(robot.mj_model if mj_model is None else mj_model)
+        self.model = analysis_copy(mj_model or robot.mj_model)
         self.data = data_at_pose(self.model, robot.reference_qpos)
         self.chain = robot.qpos_index, robot.dof_index
 
@@ -312,8 +312,8 @@ class LinkDynamics:
             factors = (at_home, -ad @ at_home, ad @ ad @ at_home)
             self._brackets.append(ad)
             self._steps.append(np.stack(factors, axis=-1))
-        options = robot.mj_model.opt
-        is_weightless = options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        flags = robot.mj_model.opt.disableflags
+        is_weightless = flags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         vector = gravity_vector(robot) if gravity is None else gravity
         self._gravity = np.reshape((not is_weightless) * vector, (3, -1))
 
@@ -383,7 +383,7 @@ def _inertia(theta: Array) -> Array:
 
 def gravity_vector(robot: RobotModel) -> Array:
     """Return the model's gravity (3,) in the world frame [m/s^2]."""
-    return np.array(robot.mj_model.opt.gravity, dtype=float)
+    return np.array(robot.mj_model.opt.gravity)
 
 
 def with_gravity(robot: RobotModel, gravity: Array) -> RobotModel:

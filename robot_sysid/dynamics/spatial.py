@@ -67,7 +67,6 @@ def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
 
     Parallel-axis theorem: I_origin = I_com + m (|c|^2 1 - c c^T).
     """
-    com = np.asarray(com, dtype=float)
     about_origin = inertia_com + _steiner(mass, com)
     return np.concatenate(([mass], mass * com, six_from_symmetric(about_origin)))
 
@@ -116,7 +115,7 @@ def roll_pitch_yaw(rotation: Array) -> Array:
     Where pitch is a right angle, only the sum or difference of roll and yaw counts: yaw is zero.
     """
     x_axis = rotation[:, 0]
-    is_locked = np.hypot(x_axis[0], x_axis[1]) < _LOCKED
+    is_locked = np.hypot(*x_axis[:2]) < _LOCKED
     yaw = 0.0 if is_locked else np.arctan2(x_axis[1], x_axis[0])
     # Near a right angle yaw is mostly rounding; roll is computed from it and makes up for it.
     turn = rotation_of_angles(np.array([0.0, 0.0, -yaw])) @ rotation
@@ -147,10 +146,9 @@ def transform_theta(theta: Array, rotation: Array, translation: Array) -> Array:
     """Return theta (10,) in frame A of a body with ``theta`` (10,) in frame B; ``rotation`` R_AB
     (3, 3) has the axes of B as columns, ``translation`` (3,) is the origin of B in A [m].
     """
-    sigma = np.zeros((4, 4))
+    sigma = np.eye(4)
     sigma[:3, :3] = rotation
     sigma[:3, 3] = translation
-    sigma[3, 3] = 1.0
     return theta_from_pseudo_inertia(sigma @ pseudo_inertia(theta) @ sigma.T)
 
 
@@ -163,9 +161,9 @@ def pseudo_inertia(theta: Array) -> Array:
     2018, eq. 17).
     """
     inertia = symmetric_from_six(theta[4:])
-    h = np.reshape(theta[1:4], (3, 1))
+    h = theta[1:4]
     second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    return np.block([[second, h], [h.T, np.reshape(theta[0], (1, 1))]])
+    return np.block([[second, h[:, None]], [h, theta[0]]])
 
 
 def theta_from_pseudo_inertia(matrix: Array) -> Array:

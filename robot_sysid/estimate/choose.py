@@ -98,10 +98,10 @@ def solved(
             point,
             sums,
             terms,
+            question,
             noise=noise,
             correlation=correlation,
             possible=possible,
-            question=question,
         )
 
     current = fitted()
@@ -328,7 +328,7 @@ def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Cou
         if ratio:
             text += "-" if ratio < 0.0 else "+"
             text += joint if abs(ratio) == 1.0 else f"{abs(ratio):g}*{joint}"
-    motor = Coupling(np.asarray(ratios, dtype=float), text.removeprefix("+"))
+    motor = Coupling(ratios, text.removeprefix("+"))
     if tendon is None:
         return motor
     model = robot.mj_model
@@ -349,11 +349,9 @@ def motors_of(
     """
     if torques != "chain":
         return (), ()
-    stated = []
-    for tendon, ratios in shared_motors(robot.mj_model, robot.dof_index).items():
-        motor = coupling(robot, ratios, tendon)
-        if np.any(motor.model):
-            stated.append(motor)
+    tendons = shared_motors(robot.mj_model, robot.dof_index)
+    motors = [coupling(robot, ratios, tendon) for tendon, ratios in tendons.items()]
+    stated = [motor for motor in motors if np.any(motor.model)]
     axes = [motor.ratios / np.linalg.norm(motor.ratios) for motor in stated]
     offered = []
     for motor in neighbours(robot):

@@ -325,7 +325,7 @@ class Fit:
 
     def at(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the indices of named parameters among the estimated ones."""
-        return np.array([self.names.index(name) for name in names], dtype=np.int64)
+        return self.equations.own.at(names)
 
     @cached_property
     def held_out(self) -> Array:

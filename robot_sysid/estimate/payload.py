@@ -162,13 +162,6 @@ def _in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimate:
     return body_estimate(fitted, "payload", combinations, values)
 
 
-def _link_with(fitted: Fit, values: Array) -> BodyEstimate:
-    """Return the terminal link with the payload, at parameters (k,)."""
-    combinations = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
-    name = fitted.arm.robot.body_name
-    return body_estimate(fitted, name, combinations, values)
-
-
 def _payload_record(
     fitted: Fit, flange: Flange, values: Array, divided: Array
 ) -> Payload:
@@ -185,10 +178,11 @@ def _payload_record(
     recordings: dict[str, tuple[str, ...]] = {"empty": (), "loaded": ()}
     for name, is_loaded in _kinds(fitted).items():
         recordings["loaded" if is_loaded else "empty"] += (name,)
+    both = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
     return Payload(
         flange,
         _in_flange(fitted, flange, values),
-        _link_with(fitted, values),
+        body_estimate(fitted, fitted.arm.robot.body_name, both, values),
         recordings,
         torque_scale,
         known_mass,

@@ -96,7 +96,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     """
     options = question.options
     priors = options.priors
-    terms = [replace(arm.terms[LAST_LINK])]
+    terms = [arm.terms[LAST_LINK]]
     if LINKS in arm.terms and priors.link > 0.0:
         terms.append(links_term(arm, question))
     if question.loaded:
@@ -111,21 +111,17 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     terms += _unknown_friction(arm, question, torque)
     terms += [arm.terms[name] for name in question.motors]
     scale = scale_spread(arm, options, question.loaded)
-    sizes = {
+    sizes: dict[str, Array | float] = {
         SCALES: scale,
-        ZEROS: np.full(arm.robot.n_joints, MILLI * priors.zero),
-        DRIFT: np.full(
-            len(arm.joints), usual_errors.FRICTION_DRIFT if question.drifts else 0.0
-        ),
-        SCALE_DRIFT: np.full(
-            len(arm.joints), PER_CENT * usual_errors.SCALE_DRIFT * question.loaded
-        ),
-        TILT: np.full(2, np.radians(priors.gravity)),
-        DELAY: np.full(1, MILLI * priors.delay),
+        ZEROS: MILLI * priors.zero,
+        DRIFT: usual_errors.FRICTION_DRIFT * question.drifts,
+        SCALE_DRIFT: PER_CENT * usual_errors.SCALE_DRIFT * question.loaded,
+        TILT: np.radians(priors.gravity),
+        DELAY: MILLI * priors.delay,
     }
-    for cause, deviations in sizes.items():
-        if cause in arm.terms and np.any(deviations > 0.0):
-            prior = independent(deviations)
+    for cause, size in sizes.items():
+        if cause in arm.terms and np.any(size > 0.0):
+            prior = independent(np.full(len(arm.terms[cause].names), size))
             if cause == SCALES and question.loaded and question.known_mass is None:
                 prior = without_common(prior)
             terms.append(replace(arm.terms[cause], prior=prior))
@@ -191,9 +187,13 @@ def _unknown_friction(
         sizes |= dict.fromkeys(FADING_SPEEDS, usual_errors.FADING * share * dry)
     for name, deviations in sizes.items():
         if name not in friction:
-            term = replace(arm.terms[name], cause=FURTHER_FRICTION, lower=-np.inf)
-            prior = independent(deviations)
-            yield replace(term, prior=prior, reference=None)
+            yield replace(
+                arm.terms[name],
+                cause=FURTHER_FRICTION,
+                prior=independent(deviations),
+                lower=-np.inf,
+                reference=None,
+            )
 
 
 def scale_spread(arm: ArmTerms, options: EstimationOptions, loaded: bool) -> Array:

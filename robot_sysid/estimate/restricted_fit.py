@@ -94,10 +94,9 @@ def fit_file(
     """
     arm = estimate.arm
     rotors = select_rotors(estimate, unchanged)
-    payload = {}
-    if carried is not None:
-        payload = dict(zip(PAYLOAD_NAMES, carried.tolist()))
-    held = {**payload, **{f"armature[{owner}]": rotors[owner] for owner in rotors}}
+    payload = {} if carried is None else dict(zip(PAYLOAD_NAMES, carried.tolist()))
+    rotor_names = names_of("armature", rotors)
+    held = {**payload, **dict(zip(rotor_names, rotors.values()))}
     terms = _terms(estimate, unchanged)
     offset = arm.terms["offset"]
     before = _solved(estimate, [offset], payload)
@@ -123,7 +122,7 @@ def fit_file(
     # What is printed as held-out is the error of such files, not of fits without their bounds.
     alone = [fitted.possible_without(block) for block in range(len(fitted.alone))]
     fitted = replace(fitted, alone=np.array(alone))
-    beyond = [*names_of("armature", rotors)]
+    beyond = [*rotor_names]
     for motor in arm.motors:
         beyond += motor.parameter_names
     bare = {**fitted.by_name, **{name: arm.model.get(name, 0.0) for name in beyond}}
@@ -168,12 +167,12 @@ def _known_offsets(fitted: Fit) -> Term:
     held at zero; where one is, the others are known to ``OFFSET``.
     """
     term = fitted.arm.terms["offset"]
-    torque = np.array([fitted.torque[joint] for joint in fitted.arm.joints])
+    torque = fitted.sums.rms_torque
     errors = dict(zip(fitted.names, fitted.errors))
-    is_clear = []
-    for name in term.names:
-        least = CLEAR_OFFSET * errors.get(name, np.inf)
-        is_clear.append(abs(fitted.by_name[name]) > least)
+    is_clear = [
+        abs(fitted.by_name[name]) > CLEAR_OFFSET * errors.get(name, np.inf)
+        for name in term.names
+    ]
     known = OFFSET * torque * np.any(is_clear)
     return replace(term, prior=independent(np.where(is_clear, 1e3 * torque, known)))
 
@@ -186,8 +185,8 @@ def _solved(estimate: Fit, terms: Sequence[Term], held: Mapping[str, float]) -> 
         estimate.point,
         estimate.sums,
         terms,
-        held=held,
-        question=estimate.question,
+        estimate.question,
+        held,
     )
 
 

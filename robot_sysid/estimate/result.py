@@ -511,12 +511,13 @@ def traces_of(fitted: Fit, file: RestrictedFit | None) -> Traces:
     if fitted.question.loaded:
         model = {**values, **dict.fromkeys(PAYLOAD_NAMES, 0.0)}
     model.update((name, values[name]) for name in values if name.startswith("offset["))
-    friction: dict[str, float] = {}
-    for term in shown.equations.terms:
-        if term.cause == FRICTION:
-            friction.update(
-                (n, values[n]) for n in term.names if split_name(n)[0] != "armature"
-            )
+    friction = {
+        name: values[name]
+        for term in shown.equations.terms
+        if term.cause == FRICTION
+        for name in term.names
+        if split_name(name)[0] != "armature"
+    }
     fields: dict[str, list[Array]] = {}
     for recording in fitted.recordings:
         for rows in recording.chunks(36 * arm.robot.n_joints):

@@ -7,6 +7,7 @@ few at a time, so that memory does not grow with a log: of a log only its signal
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -257,15 +258,15 @@ def block_numbers(
         max(LEAST_BLOCKS, round(BLOCKS / len(names))) if len(names) > 1 else BLOCKS
     )
     numbers: list[NDArray[np.int64]] = []
-    totals = dict.fromkeys(names, 0)
-    for recording in recordings:
-        totals[recording.name] += int(np.sum(np.any(recording.used, axis=1)))
-    done = dict.fromkeys(names, 0)
-    for recording in recordings:
+    in_use = [np.any(recording.used, axis=1) for recording in recordings]
+    totals: Counter[str] = Counter()
+    for recording, is_used in zip(recordings, in_use):
+        totals[recording.name] += int(np.count_nonzero(is_used))
+    done: Counter[str] = Counter()
+    for recording, is_used in zip(recordings, in_use):
         name = recording.name
-        in_use = np.any(recording.used, axis=1)
-        position = done[name] + np.cumsum(in_use) - in_use
-        done[name] += int(np.sum(in_use))
+        position = done[name] + np.cumsum(is_used) - is_used
+        done[name] += int(np.count_nonzero(is_used))
         block = position * per_log // max(totals[name], 1)
         numbers.append(names.index(name) * per_log + np.minimum(block, per_log - 1))
     return numbers, [name for name in names for _ in range(per_log)]

@@ -226,9 +226,7 @@ class ArmTerms:
             ("viscous", robot.friction.viscous),
             ("armature", robot.armature),
         ):
-            values.update(
-                zip(names_of(term, robot.joint_names), np.array(numbers).tolist())
-            )
+            values.update(zip(names_of(term, robot.joint_names), numbers.tolist()))
         for motor in self.motors:
             values.update(zip(motor.parameter_names, motor.model.tolist()))
         return values
