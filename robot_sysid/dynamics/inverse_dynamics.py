@@ -162,12 +162,11 @@ class BeyondRigidBodies:
         rigid = np.empty(model.nv)
         torque = np.empty_like(q)
         for k in range(len(q)):
-            sample = slice(k, k + 1)
             # Leaves the sample's motion in ``data``, of which MuJoCo's Newton-Euler recursion (1:
             # with accelerations) then computes the torque of the rigid bodies alone.
-            total = self._arm.torque(q[sample], qd[sample], qdd[sample])
+            total = self._arm.torque(q[k, None], qd[k, None], qdd[k, None])
             mujoco.mj_rne(model, self._arm.data, 1, rigid)
-            torque[k] = total[0] - rigid[self._arm.chain[1]]
+            torque[k] = total - rigid[self._arm.chain[1]]
         return torque
 
 

@@ -217,7 +217,7 @@ def nearest_consistent_body(theta: Array, reference: Array, floor: float) -> Arr
     largest = max(np.max(np.abs(values)), 1.0)
     lifted = np.maximum(values, floor * largest)
     if lifted[0] == values[0]:
-        return np.array(theta, dtype=float)
+        return theta.copy()
     return theta_from_pseudo_inertia(
         (vectors * lifted) @ vectors.T * np.outer(units, units)
     )

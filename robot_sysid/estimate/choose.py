@@ -178,8 +178,7 @@ def choose_motors(
     A missing motor makes slow residuals, in which it would hide: each is judged with the noise that
     it leaves, as the fit without it is.
     """
-    arm = fitted.arm
-    present = [motor for motor in arm.motors if motor.name in question.motors]
+    present = [motor for motor in fitted.arm.motors if motor.name in question.motors]
     current = fitted
 
     def white_gain(motor: Coupling) -> float:

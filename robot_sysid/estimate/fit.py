@@ -344,7 +344,7 @@ class Fit:
     @cached_property
     def expected_held_out(self) -> Array:
         """Squared errors (B, J) to expect of ``held_out`` if the model is right [N^2 m^2]."""
-        blocks = range(len(self.sums.logs))
+        blocks = self.sums.blocks
         return np.array([self.expected(self.without([b])[1], b) for b in blocks])
 
     def without(self, blocks: Sequence[int]) -> tuple[Array, Array]:
@@ -535,7 +535,7 @@ def fit(
         of_bodies = partial(_possible, equations, normal, _hidden(inverse, normal))
         values, start, is_free = _within_bounds(equations, of_bodies, start, is_free)
     alone = []
-    for block in range(len(sums.logs)) if possible else ():
+    for block in sums.blocks if possible else ():
         smaller = equations.normal(weights, [block])
         alone.append(solve(smaller, start, is_free)[0])
     return Fit(
@@ -720,9 +720,8 @@ def correlation_times(residuals: Array) -> Array:
         is_used = np.isfinite(residual)
         signal = np.where(is_used, residual, 0.0)
         lags = max(int(_LONGEST_LAG * len(signal)), 1)
-        products = lagged_sums(signal, lags)
         pairs = np.maximum(lagged_sums(is_used.astype(float), lags), 1.0)
-        covariance = products / pairs
+        covariance = lagged_sums(signal, lags) / pairs
         rho = np.append(covariance, 0.0) / max(covariance[0], 1e-300)
         last = np.argmax(rho <= 2.0 / np.sqrt(pairs[0]))
         times.append(1.0 + 2.0 * np.sum(rho[1:last]))

@@ -7,7 +7,7 @@ Shapes: B blocks, J joints with equations.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,28 +32,26 @@ _TINY = 1e-30
 
 def validation(fitted: Fit) -> Validation:
     """Return the held-out error of the recordings that were fitted."""
-    blocks = range(len(fitted.sums.logs))
     expected = np.sum(fitted.expected_held_out, axis=0)
+    blocks = fitted.sums.blocks
     return _record(fitted, fitted.held_out, expected, blocks, OWN_SOURCE)
 
 
-def held_out_logs(fitted: Fit) -> list[Validation]:
-    """Return the error of each log predicted from the others; none where there is a single log.
+def held_out_logs(fitted: Fit) -> Iterator[Validation]:
+    """Yield the error of each log predicted from the others; none where there is a single log.
 
     A log whose error does not test the fit is left out, as one with joints that the other logs do
     not identify.
     """
     names = list(dict.fromkeys(fitted.sums.logs))
     if len(names) < 2:
-        return []
-    tests = []
+        return
     for name in names:
         blocks = [k for k, log in enumerate(fitted.sums.logs) if log == name]
         source = f"{name}, predicted from the other logs"
         test = error_in(fitted, *fitted.without(blocks), blocks, source)
         if test.is_informative:
-            tests.append(test)
-    return tests
+            yield test
 
 
 def predicted(fitted: Fit, recordings: Sequence[Recording], source: str) -> Validation:
@@ -63,7 +61,7 @@ def predicted(fitted: Fit, recordings: Sequence[Recording], source: str) -> Vali
         InputError: the recordings hold no usable samples.
     """
     other = fitted.of(fitted.arm.sums(recordings, fitted.next_point()))
-    blocks = range(len(other.sums.logs))
+    blocks = other.sums.blocks
     return error_in(other, other.values, fitted.covariance, blocks, source)
 
 

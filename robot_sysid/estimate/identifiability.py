@@ -126,22 +126,16 @@ def analyse_identifiability(
     # Rank of the nuisances alone, counted by the same cut as that of all columns.
     singular = np.linalg.svd((visible * space.scale)[:, ~interest], compute_uv=False)
     nuisance_rank = _count_visible(singular, np.max(space.singular, initial=0.0))
+    # The largest singular value over the r-th, r the rank; infinite where the rank is zero.
+    of_interest = visible[:, interest]
+    sizes = np.linalg.svd(of_interest, compute_uv=False)
+    own_rank = visible_space(of_interest).rank
     return Identifiability(
         rank=space.rank - nuisance_rank,
         n_parameters=int(np.count_nonzero(interest)),
-        condition_number=_condition(visible[:, interest]),
+        condition_number=float(sizes[0] / sizes[own_rank - 1]) if own_rank else np.inf,
         unidentifiable=describe(space.null, names),
     )
-
-
-def _condition(matrix: Array) -> float:
-    """Return the condition number of a regressor (M, k) without the directions of its null space.
-
-    It is the largest singular value over the r-th, r the rank; infinite where the rank is zero.
-    """
-    singular = np.linalg.svd(matrix, compute_uv=False)
-    rank = visible_space(matrix).rank
-    return float(singular[0] / singular[rank - 1]) if rank else np.inf
 
 
 # Phrases for single parameters, by the name before "[joint]".

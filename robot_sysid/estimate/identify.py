@@ -65,7 +65,6 @@ def low_pass_recordings(
         with prefix_input_errors(piece.name):
             cutoffs.append(cutoff or log.choice.cutoff)
     recordings = []
-    notes: dict[str, dict[str, None]] = {}
     processed: defaultdict[str, list[ProcessedSignals]] = defaultdict(list)
     for piece, log, required in zip(pieces, resampled, cutoffs):
         given = min(cutoffs) if required > min(cutoffs) else cutoff
@@ -73,10 +72,11 @@ def low_pass_recordings(
             signals = process(log, robot.joint_names, given, robot.slides)
         processed[piece.name].append(signals)
         recordings.append(Recording(piece.name, signals, piece.is_loaded, piece.order))
-        notes.setdefault(piece.name, {}).update(dict.fromkeys(signals.notes))
+    notes = {}
     for name, of_log in processed.items():
         with prefix_input_errors(name):
             check_losses(of_log)
+        notes[name] = [note for signals in of_log for note in signals.notes]
     return recordings, tuple(shared_notes(notes))
 
 

@@ -101,8 +101,9 @@ def reference_links(robot: RobotModel, links: Sequence[int]) -> Array:
 
 def stated_kinds(robot: RobotModel, links: Sequence[int]) -> NDArray[np.bool_]:
     """Return which of ``KINDS`` (L, 3) the model states of links, not with a placeholder."""
-    unknown = [robot.links[link].placeholders for link in links]
-    return np.array([[kind not in each for kind in KINDS] for each in unknown])
+    return np.array(
+        [[k not in robot.links[link].placeholders for k in KINDS] for link in links]
+    )
 
 
 def deviations(stated: NDArray[np.bool_], share: float, scales: LinkScales) -> Array:

@@ -132,11 +132,10 @@ def payload_result(
             )
     notes += result_notes(fitted, written)
     common = common_result(fitted, origin, PAYLOAD)
-    of_payload = _payload_quantities(fitted, payload)
     return replace(
         common,
         remarks=(*remarks, *says(notes)),
-        quantities=(*of_payload, *common.quantities, *rows),
+        quantities=(*_payload_quantities(fitted, payload), *common.quantities, *rows),
         payload=payload,
         file=written,
         validation=(validation(fitted),),

@@ -120,7 +120,7 @@ def fit_file(
         terms = [_with_known(term, far) for term in fitted.equations.terms]
         fitted = _solved(estimate, terms, held)
     # What is printed as held-out is the error of such files, not of fits without their bounds.
-    alone = [fitted.possible_without(block) for block in range(len(fitted.alone))]
+    alone = [fitted.possible_without(block) for block in fitted.sums.blocks]
     fitted = replace(fitted, alone=np.array(alone))
     beyond = [*rotor_names]
     for motor in arm.motors:
@@ -150,7 +150,7 @@ def errors_on(
         source: its name.
     """
     other = file.fit.of(file.fit.arm.sums(recordings, file.fit.point))
-    blocks = range(len(other.sums.logs))
+    blocks = other.sums.blocks
     errors = []
     for values in ({}, file.fit.by_name):
         solved = _solved(other, [other.arm.terms["offset"]], values)

@@ -299,15 +299,14 @@ def joint_quantities(fitted: Fit) -> list[Quantity]:
         *fitted.arm.robot.joint_names,
         *(motor.name for motor in fitted.arm.motors),
     ]
-    rows = term_quantities(fitted, terms)
-    return sorted(rows, key=lambda row: owners.index(row.of))
+    return sorted(term_quantities(fitted, terms), key=lambda row: owners.index(row.of))
 
 
 def sensors(fitted: Fit) -> Iterator[Quantity]:
-    """Yield all parameters that are neither of bodies nor of friction."""
+    """Return all parameters that are neither of bodies nor of friction."""
     excluded = (LINKS, LAST_LINK, PAYLOAD, FRICTION, MOTORS)
     terms = [each for each in fitted.equations.terms if each.cause not in excluded]
-    yield from term_quantities(fitted, terms)
+    return term_quantities(fitted, terms)
 
 
 def _estimate(fitted: Fit) -> Estimate:

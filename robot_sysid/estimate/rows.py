@@ -156,6 +156,11 @@ class Sums:
     counts: Array
     logs: tuple[str, ...]
 
+    @property
+    def blocks(self) -> range:
+        """Numbers of all B blocks."""
+        return range(len(self.logs))
+
     def at(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the indices of named parameters."""
         return np.array([self.names.index(name) for name in names], dtype=np.int64)

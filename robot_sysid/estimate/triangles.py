@@ -36,8 +36,7 @@ class InformationAccumulator:
         self._joints = []
         for joint, indices in zip(joints, columns):
             triangle = np.zeros((0, len(indices) + 1))
-            empty = JointInformation(joint, indices, triangle, n_samples=0)
-            self._joints.append(empty)
+            self._joints.append(JointInformation(joint, indices, triangle, 0))
 
     def add(self, index: int, rows: Array, tau: Array) -> None:
         """Add equations rows x = tau of one joint to the rows collected so far.

@@ -125,10 +125,11 @@ def unexplained_share(fitted: Fit) -> tuple[float, str]:
     """
     torque = fitted.torque
     # Joint to root mean square of the residuals that are correlated in time [N m].
-    slow = {}
-    for joint, noise in fitted.noise_per_joint.items():
-        if torque[joint]:
-            slow[joint] = noise * np.sqrt(1.0 - fitted.independent_share[joint])
+    slow = {
+        joint: noise * np.sqrt(1.0 - fitted.independent_share[joint])
+        for joint, noise in fitted.noise_per_joint.items()
+        if torque[joint]
+    }
     share = 0.0
     if slow:
         share = float(
@@ -315,8 +316,7 @@ def judge_file(
         return Verdict.NO_BETTER.remark(sentence)
     worse = worse_joints(model, written)
     if worse:
-        reason = f"{sentence}, but worse at {', '.join(worse)}"
-        return Verdict.NO_BETTER.remark(reason)
+        return Verdict.NO_BETTER.remark(f"{sentence}, but worse at {', '.join(worse)}")
     is_better = is_clearly_lower(after, before)
     return (Verdict.BETTER if is_better else Verdict.AS_GOOD).remark()
 
@@ -351,16 +351,16 @@ def judge_payload(
     mass = payload.mass
     error = payload.errors[0]
     sentence = f"the payload comes out as {with_error(mass, error, 'kg')}"
+    share = validation.relative_error or 0.0
     if contradicting:
         yield Verdict.DISAGREE.remark(contradicting)
     if mass < -_SURE * error:
         yield Verdict.SWAPPED.remark(sentence)
     elif not np.isfinite(error) or mass <= _SURE * error:
         yield Verdict.NOT_SEEN.remark(sentence)
-    elif (validation.relative_error or 0.0) > WORST_OF_PAYLOAD:
-        share = percent(validation.relative_error or 0.0)
+    elif share > WORST_OF_PAYLOAD:
         yield Verdict.UNEXPLAINED.remark(
-            f"held-out torques are predicted with an error of {share}"
+            f"held-out torques are predicted with an error of {percent(share)}"
         )
     else:
         yield from _far_payload(robot, payload)
@@ -401,5 +401,6 @@ def judge_known_mass(
         if finding.about != Verdict.IMPLAUSIBLE.name:
             yield finding
     if not mass / MOST_FACTOR < weighed < mass * MOST_FACTOR:
-        reason = f"weighed with torques as they are, {mass:g} kg come out as {weighed:.4g} kg"
-        yield Verdict.WRONG_WEIGHT.remark(reason)
+        yield Verdict.WRONG_WEIGHT.remark(
+            f"weighed with torques as they are, {mass:g} kg come out as {weighed:.4g} kg"
+        )
