@@ -349,15 +349,15 @@ def motors_of(
     if torques != "chain":
         return (), ()
     tendons = shared_motors(robot.mj_model, robot.dof_index)
-    motors = [coupling(robot, ratios, tendon) for tendon, ratios in tendons.items()]
-    stated = [motor for motor in motors if np.any(motor.model)]
+    motors = (coupling(robot, ratios, tendon) for tendon, ratios in tendons.items())
+    stated = tuple(motor for motor in motors if np.any(motor.model))
     axes = [motor.ratios / np.linalg.norm(motor.ratios) for motor in stated]
     offered = []
     for motor in neighbours(robot):
         axis = motor.ratios / np.linalg.norm(motor.ratios)
         if all(abs(axis @ other) <= _SAME for other in axes):
             offered.append(motor)
-    return tuple(stated), tuple(offered)
+    return stated, tuple(offered)
 
 
 def neighbours(robot: RobotModel) -> Iterator[Coupling]:

@@ -48,8 +48,12 @@ def held_out_logs(fitted: Fit) -> Iterator[Validation]:
         return
     for name in names:
         blocks = [k for k, log in enumerate(fitted.sums.logs) if log == name]
-        source = f"{name}, predicted from the other logs"
-        test = error_in(fitted, *fitted.without(blocks), blocks, source)
+        test = error_in(
+            fitted,
+            *fitted.without(blocks),
+            blocks,
+            f"{name}, predicted from the other logs",
+        )
         if test.is_informative:
             yield test
 
