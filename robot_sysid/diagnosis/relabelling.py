@@ -339,10 +339,9 @@ def common_scale(log: LogFit, divided: Array) -> Iterator[Correction]:
         after = LogFit.of(scaled, log.fit.recordings, log.options, log.found)
         if abs(np.log(estimate)) < np.log(ODD):
             break
-    if after is not log:
-        gain, after = compare(log, after)
-        gain -= np.log(COMMON_RANGE / relative)
-        yield Correction(common_finding(robot, factor, relative, divided), gain, after)
+    gain, after = compare(log, after)
+    gain -= np.log(COMMON_RANGE / relative)
+    yield Correction(common_finding(robot, factor, relative, divided), gain, after)
 
 
 def common_finding(
@@ -357,9 +356,9 @@ def common_finding(
     unit = min(UNITS, key=lambda size: abs(np.log(factor / size)))
     is_close = abs(np.log(factor / unit)) < max(np.log(CLOSE), SURE * relative_error)
     unit_text = f" (as in {UNITS[unit]})" if is_close else ""
-    scale = (unit if is_close else factor) * divided
-    numbers = scale[:1] if np.ptp(scale) == 0.0 else scale
-    torque_scale = ("--torque-scale", ",".join(f"{value:.4g}" for value in numbers))
+    texts = [f"{value:.4g}" for value in (unit if is_close else factor) * divided]
+    numbers = texts if len({*texts}) > 1 else texts[:1]
+    torque_scale = ("--torque-scale", ",".join(numbers))
     if mass_unit(robot, factor) != 1.0:
         remedy = f"they are in another unit{unit_text}: divide them"
         return Finding(Level.REFUSES, "torque-unit", text, remedy, (torque_scale,))
@@ -368,8 +367,9 @@ def common_finding(
         f"are N·m, multiply the masses; if the model is right{unit_text}, divide the torques"
     )
     mass_scale = ("--mass-scale", f"{factor * robot.mass_scale:.4g}")
-    ways = (mass_scale, torque_scale)
-    return Finding(Level.REFUSES, "torque-scale", text, remedy, ways)
+    return Finding(
+        Level.REFUSES, "torque-scale", text, remedy, (mass_scale, torque_scale)
+    )
 
 
 def wrong_scales(log: LogFit, divided: Array) -> Iterator[Correction]:

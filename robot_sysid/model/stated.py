@@ -66,9 +66,8 @@ def with_references(
         unknown = {*copied[link.body_name]}
         if mass < LEAST_MASS * median:
             unknown |= {MASS, INERTIA}
-        if np.trace(inertia) < 3.0 * LEAST_INERTIA * ROD_MOMENT * mass * size**2:
-            unknown.add(INERTIA)
-        if not spatial.is_consistent(link.theta):
+        is_small = np.trace(inertia) < LEAST_INERTIA * mass * np.trace(rod[1])
+        if is_small or not spatial.is_consistent(link.theta):
             unknown.add(INERTIA)
         # Shapes may have their middle at the joint, too.
         is_at_joint = np.linalg.norm(com) < LEAST_DISTANCE * size
@@ -102,16 +101,14 @@ def _copied(links: Sequence[ArmLink]) -> dict[str, set[str]]:
         groups[f"{moments[-1]:.4g}"].append(
             (link, np.ptp(moments) < 1e-6 * moments[-1])
         )
+    least = min(ALIKE, max(len(present), 2))
     for members in groups.values():
         masses = {link.theta[0] for link, _ in members}
         is_ball = all(is_round for _, is_round in members)
-        if len(members) < min(ALIKE, max(len(present), 2)) or not (
-            is_ball or len(masses) > 1
-        ):
-            continue
-        is_whole = len(masses) == 1 and len(members) == len(present)
-        for link, _ in members:
-            copied[link.body_name] |= {MASS, INERTIA} if is_whole else {INERTIA}
+        if len(members) >= least and (is_ball or len(masses) > 1):
+            is_whole = len(masses) == 1 and len(members) == len(present)
+            for link, _ in members:
+                copied[link.body_name] |= {MASS, INERTIA} if is_whole else {INERTIA}
     return copied
 
 

@@ -44,14 +44,13 @@ def with_mass_scale(robot: RobotModel, factor: float) -> RobotModel:
     mj_model.body_mass[:] *= factor
     mj_model.body_inertia[:] *= factor
     mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
-    links = []
-    for link in robot.links:
-        theta = factor * link.theta
-        links.append(replace(link, theta=theta, reference=factor * link.reference))
     return replace(
         robot,
         mj_model=mj_model,
-        links=tuple(links),
+        links=tuple(
+            replace(link, theta=factor * link.theta, reference=factor * link.reference)
+            for link in robot.links
+        ),
         bodies=tuple(replace(b, theta=factor * b.theta) for b in robot.bodies),
         mass_scale=factor * robot.mass_scale,
     )
