@@ -169,7 +169,7 @@ def lines(path, runs, exact):
     covariance = predicted.covariance[:10, :10]
     if exact:
         moved = predicted.inverse[:10]
-        weighted = predicted.equations.data(predicted.weights)[:-1, :-1]
+        weighted = predicted.equations.own.normal(predicted.weights)[:-1, :-1]
         covariance = moved @ weighted @ moved.T
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began = time.process_time()

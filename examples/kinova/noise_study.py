@@ -234,5 +234,4 @@ def cramer_rao_bound(information: SquareRootInformation, noise: Array) -> Array:
     for joint, sigma in zip(information.joints, noise):
         joints.append(replace(joint, triangle=joint.triangle / sigma))
     matrix, _ = replace(information, joints=tuple(joints)).equations()
-    root = visible_space(matrix).inverse_root()
-    return root @ root.T
+    return visible_space(matrix).inverse()
