@@ -7,6 +7,8 @@ names are loaded when they are first used, so that the import itself takes no ti
 from importlib import import_module as _import_module
 
 __version__ = "0.1.0"
+# Module to the public names that it defines: functions, the types that they take and return, and
+# errors. Typed in ``__init__.pyi``.
 _NAMES = {
     "api": ("motors",),
     "api.calls": (
@@ -65,10 +67,8 @@ _NAMES = {
     "results.record": ("BodyEstimate", "ModelFile", "Payload", "Quantity", "Verdict"),
     "signals.process": ("LogPiece",),
 }
-"""Module to the public names that it defines: functions, the types that they take and return, and
-errors. Typed in ``__init__.pyi``."""
+# Public name to the module that defines it.
 _MODULES = {name: module for module in _NAMES for name in _NAMES[module]}
-"""Public name to the module that defines it."""
 __all__ = sorted(_MODULES)
 
 

@@ -33,8 +33,8 @@ from robot_sysid.records.option_fields import suggestion
 UNFINISHED = "interrupted; no unfinished file is left"
 """Message of an interrupted command whose module has no message ``INTERRUPTED``."""
 _MESSAGE_START = 1500
+# Numbers of characters at either end that are printed of a longer error message.
 _MESSAGE_END = 400
-"""Numbers of characters at either end that are printed of a longer error message."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

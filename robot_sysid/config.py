@@ -101,10 +101,10 @@ class MotorOptions(OptionRecord):
             raise InputError("--motor-type requires --export-damiao")
 
 
+# Keys of options that name a folder.
 _FOLDERS = ("output_dir", "mesh_dir")
-"""Keys of options that name a folder."""
+# Part of the flags of options that name a file to write.
 _WRITTEN = "save-"
-"""Part of the flags of options that name a file to write."""
 
 
 @dataclass(frozen=True)

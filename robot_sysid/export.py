@@ -33,8 +33,8 @@ from robot_sysid.results.written_model import write_model
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
+# Files that a command writes after the results.
 _LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
-"""Files that a command writes after the results."""
 RESULT_NAMES = (*file_access.RESULT_NAMES, file_access.DAMIAO_NAME, "report.html")
 """Result files of all commands and releases; a planned motion is no result."""
 MotorFile = Callable[[Union[Path, TextIO]], "DamiaoExportReport"]

@@ -10,8 +10,8 @@ from robot_sysid.estimate.bodies import LinksProblem, consistent_least_squares
 from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
 from robot_sysid.records import Array, Estimate, SquareRootInformation
 
+# Smallest noise, as a share of the root mean square torque: rounding.
 _LEAST_NOISE = 1e-9
-"""Smallest noise, as a share of the root mean square torque: rounding."""
 
 
 def identify_parameters(

@@ -35,10 +35,10 @@ UNLIMITED_RANGE = {False: 2.0 * np.pi, True: 0.3}
 slide]."""
 LONGEST_FADE = 2.5
 """Longest time in which the window rises, and in which it falls [s]."""
+# Rate at which speeds are compared with their limits.
 _SPEED_CHECK_HZ = 50.0
-"""Rate at which speeds are compared with their limits."""
+# Fewest samples of that comparison.
 _FEWEST_CHECKS = 256
-"""Fewest samples of that comparison."""
 CHUNK = 2048
 """Samples of a motion that are evaluated at a time."""
 

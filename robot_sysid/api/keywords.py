@@ -188,19 +188,19 @@ def in_python() -> Iterator[None]:
         raise
 
 
+# Flag of the command line to the option that is a keyword of a function.
 _KEYWORDS: dict[str, Option] = {}
-"""Flag of the command line to the option that is a keyword of a function."""
 _WORD = r"'[^']*'|(?!--)(?:[^\s;:()',.]|[,.](?=[^\s;:()',.]))+"
+# A command on a line of its own; or an option, and the word behind it without the punctuation that
+# ends its clause.
 _OPTION = re.compile(
     rf"^  robot-sysid .*|(?<![\w-])(--[a-z][a-z-]*[a-z])(?: ({_WORD}))?", re.MULTILINE
 )
-"""A command on a line of its own; or an option, and the word behind it without the punctuation that
-ends its clause."""
 _NUMBERS = re.compile(r"[-\d.e+x,]*\d")
+# A keyword with a text, and the same keyword with other texts.
 _REPEATED = re.compile(r'\b(\w+)=("[^"]*")((?: \1="[^"]*")+)')
-"""A keyword with a text, and the same keyword with other texts."""
+# Words that stand for a value in a message.
 _PLACEHOLDERS = ("FILE", "FOLDER", "KG", "LOG", "NAME")
-"""Words that stand for a value in a message."""
 
 
 def python_words(text: str) -> str:

@@ -28,6 +28,7 @@ COMMANDS = {
     "example": "example",
 }
 """Subcommand to its module; any other first word is a model file, for the module identify."""
+# Words behind the program's name to what they are for, in the order in which one needs them.
 _USES = {
     "log LOG MODEL": "look for what is wrong with a log of the arm",
     "identify MODEL LOG": "correct the model: links, friction, rotor inertia",
@@ -39,7 +40,6 @@ _USES = {
     "MODEL": "test the identification on the model's own simulation",
     "example kinova": "copy an example with two logs, to try all this",
 }
-"""Words behind the program's name to what they are for, in the order in which one needs them."""
 # What a title or a path from a file could do to a terminal; the last two ranges are line ends and
 # marks by which text runs from right to left.
 _CONTROL_CODES = (
@@ -53,6 +53,7 @@ _GREEN = 32
 _YELLOW = 33
 _RED = 31
 _BOLD = 1
+# Beginning of a line to the colour of that beginning on a terminal.
 _COLOURS = {
     **dict.fromkeys(("Not usable", "robot-sysid: error", "STOP"), _RED),
     **dict.fromkeys(
@@ -61,11 +62,10 @@ _COLOURS = {
     **dict.fromkeys(("Usable", "Self-test passed"), _GREEN),
     **dict.fromkeys(("Use this file", "Copy into", "Next"), _BOLD),
 }
-"""Beginning of a line to the colour of that beginning on a terminal."""
 COMMAND_STARTS = ("  robot-sysid ", "  pip install ")
 """Beginnings of lines that are a command and nothing else, which can be pasted into a shell."""
+# Beginnings of lines to paste, which are never wrapped.
 _SHELL_LINES = ("robot-sysid ", "  mujoco.", *COMMAND_STARTS)
-"""Beginnings of lines to paste, which are never wrapped."""
 PROGRESS_INTERVAL = 10.0
 """Time between two lines of progress where there is no terminal [s]."""
 

@@ -64,12 +64,11 @@ class BusAddress(OptionRecord):
 
 SERIAL_ADAPTER = "damiao"
 """Interface name of the maker's serial adapter."""
+# Longest time for which a driver may wait to send a frame [s].
+#
+# It is more than a busy computer makes a program wait (a cycle may be 20 ms late), and less than
+# motors on another bus can wait for their next command: watchdogs take 0.1 s or more.
 _SEND_TIMEOUT = 0.05
-"""Longest time for which a driver may wait to send a frame [s].
-
-It is more than a busy computer makes a program wait (a cycle may be 20 ms late), and less than
-motors on another bus can wait for their next command: watchdogs take 0.1 s or more.
-"""
 _FULL = (
     "the CAN bus takes no more frames because nobody acknowledges them: check the motors' power, "
     "the wiring and the termination (60 ohm between the two wires)"
@@ -231,12 +230,12 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
     return BusLink(bus, clock)
 
 
+# End of a line of slcan: a carriage return, or a bell where it refuses a command.
 _LINE_END = re.compile(rb"[\r\a]")
-"""End of a line of slcan: a carriage return, or a bell where it refuses a command."""
 PACKET = re.compile(rb"\xaa.{14}\x55", re.DOTALL)
 """A packet from the maker's adapter."""
+# First bytes of a packet to the maker's adapter, up to the type of id.
 _HEAD = bytes([0x55, 0xAA, 30, 0x03, 1, 0, 0, 0, 10, 0, 0, 0, 0])
-"""First bytes of a packet to the maker's adapter, up to the type of id."""
 
 
 class SerialReader:

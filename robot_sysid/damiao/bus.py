@@ -131,12 +131,11 @@ class GuardedLink:
 
 PRIORITY = 20
 """Real-time priority of the control loop's thread: below the kernel's own threads (50)."""
+# Real-time priority of this program's other threads.
+#
+# It is above that of other programs, because a thread that is interrupted while it holds Python's
+# lock delays the control loop too.
 _PRIORITY_ASIDE = 10
-"""Real-time priority of this program's other threads.
-
-It is above that of other programs, because a thread that is interrupted while it holds Python's
-lock delays the control loop too.
-"""
 
 
 @contextlib.contextmanager
@@ -184,8 +183,8 @@ def _schedule(policy: int, priority: int, aside: int) -> None:
             )
 
 
+# How often a request is sent: a frame may be lost where another program just used the bus.
 _TRIES = 3
-"""How often a request is sent: a frame may be lost where another program just used the bus."""
 
 
 @dataclass(frozen=True)
@@ -319,8 +318,8 @@ class RegisterClient:
                 yield frame
 
 
+# How often all motors are requested at once, for the 90th percentile of their answering time.
 _ROUNDS = 20
-"""How often all motors are requested at once, for the 90th percentile of their answering time."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,11 +40,10 @@ from robot_sysid.records.file_access import read_text, write_atomically
 
 RPM = math.tau / 60.0
 """One revolution per minute [rad/s]."""
+# Relative difference up to which two scaling limits count as equal.
+#
+# The closest limits of two motor types, PMAX of 12.5 and 12.566 rad, differ by five times as much.
 _AGREEMENT = 1e-3
-"""Relative difference up to which two scaling limits count as equal.
-
-The closest limits of two motor types, PMAX of 12.5 and 12.566 rad, differ by five times as much.
-"""
 
 
 @dataclass(frozen=True)
@@ -265,8 +264,8 @@ class Mounting:
         return middle - pmax, middle + pmax
 
 
+# The columns of a joint map file, in their order.
 _COLUMNS = ["joint", "can_id", "master_id", "direction", "offset", "verified"]
-"""The columns of a joint map file, in their order."""
 
 
 def read_joint_map(path: Path) -> tuple[DamiaoJoint, ...]:

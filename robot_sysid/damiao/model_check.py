@@ -28,8 +28,8 @@ from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import Remark
 from robot_sysid.simulator import ArmTorque
 
+# Remedy for a trajectory that leaves the model's limits, or touches something.
 _SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
-"""Remedy for a trajectory that leaves the model's limits, or touches something."""
 
 
 class PlayedPath:
@@ -97,12 +97,12 @@ def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
         yield stop(f"{text}; {_SMALLER}")
 
 
+# Error of the feed-forward torque, as a share of the torque that the motion needs (both rms).
+#
+# From this value on it is the torque of another motion. The share is 1 without any torque, 2 with
+# the other sign, and 0.5 where a new load doubles the torque of a joint: this is a judgement
+# between.
 _OTHER_TORQUE = 0.8
-"""Error of the feed-forward torque, as a share of the torque that the motion needs (both rms).
-
-From this value on it is the torque of another motion. The share is 1 without any torque, 2 with the
-other sign, and 0.5 where a new load doubles the torque of a joint: this is a judgement between.
-"""
 
 
 def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:

@@ -18,19 +18,17 @@ from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records.messages import Level, Remark
 
+# Highest temperature at which a run may begin [deg C].
+#
+# A judgement: half way from a warm room to the limit, so that motors do not reach it during a run.
 _START_TEMPERATURE = 60.0
-"""Highest temperature at which a run may begin [deg C].
-
-A judgement: half way from a warm room to the limit, so that motors do not reach it during a run.
-"""
+# Least watchdog time in control cycles.
+#
+# A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one. The
+# watchdog has to outlast two such waits in succession.
 _LEAST_WATCHDOG_CYCLES = 2 * (PAUSE + 1)
-"""Least watchdog time in control cycles.
-
-A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one. The
-watchdog has to outlast two such waits in succession.
-"""
+# Watchdog time above which the watchdog is no protection at all [s] (a judgement).
 _NO_WATCHDOG = 5.0
-"""Watchdog time above which the watchdog is no protection at all [s] (a judgement)."""
 
 
 note = partial(Remark, Level.SAYS, "")

@@ -36,10 +36,10 @@ KD_MAX = 5.0
 """The greatest damping that a command frame can carry [N m s/rad]."""
 KD_STEP = KD_MAX / 0xFFF
 """The least damping above zero that a command frame can carry [N m s/rad]."""
+# Lower end of the range of each of a command's five fields, as a multiple of the upper end.
 _LOWER_ENDS = -1.0, -1.0, 0.0, 0.0, -1.0
-"""Lower end of the range of each of a command's five fields, as a multiple of the upper end."""
+# Indices of position, velocity and torque among the five fields of a command.
 _MEASURED = [0, 1, 4]
-"""Indices of position, velocity and torque among the five fields of a command."""
 
 
 class _Layout:
@@ -68,10 +68,10 @@ class _Layout:
         return (big_endian.astype(np.int64) >> self._shifts) & self.max_codes
 
 
+# Layout of a command: position, velocity, kp, kd, torque.
 _COMMAND = _Layout(16, 12, 12, 12, 12)
-"""Layout of a command: position, velocity, kp, kd, torque."""
+# Layout of feedback: status, CAN id, position, velocity, torque, two temperatures.
 _FEEDBACK = _Layout(4, 4, 16, 12, 12, 8, 8)
-"""Layout of feedback: status, CAN id, position, velocity, torque, two temperatures."""
 
 
 class Scaling:
@@ -259,8 +259,8 @@ DISABLE = 0xFD
 """Special command: disable the motor."""
 CLEAR_ERROR = 0xFB
 """Special command: leave a fault, to the disabled state."""
+# First seven bytes of a special frame; the eighth is the special command.
 _SPECIAL = b"\xff" * 7
-"""First seven bytes of a special frame; the eighth is the special command."""
 
 
 class Frame(NamedTuple):
@@ -428,14 +428,14 @@ PLANNING_LIMIT = 0.70
 
 A judgement: the rest is for error frames and for sending one frame in three again.
 """
+# Most bits of a classic 8-byte frame: frame and gap, and the stuff bits at worst.
 _CLASSIC_BITS = 111 + 24
-"""Most bits of a classic 8-byte frame: frame and gap, and the stuff bits at worst."""
+# Most bits of an 8-byte CAN-FD frame at the nominal bit rate: unstuffed and stuff bits.
 _FD_NOMINAL_BITS = 30 + 4
-"""Most bits of an 8-byte CAN-FD frame at the nominal bit rate: unstuffed and stuff bits."""
+# Most bits of an 8-byte CAN-FD frame at the data bit rate: unstuffed and stuff bits.
 _FD_DATA_BITS = 96 + 17
-"""Most bits of an 8-byte CAN-FD frame at the data bit rate: unstuffed and stuff bits."""
+# Placeholder and condition of the bit rate options in the help text.
 _BIT_RATE = "RATE [bit/s] > 0"
-"""Placeholder and condition of the bit rate options in the help text."""
 
 
 @dataclass(frozen=True)

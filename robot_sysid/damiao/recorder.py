@@ -107,6 +107,7 @@ class Aside:
             self.failure = error
 
 
+# Titles of a joint's further columns, which follow the measured ones of all joints.
 _EXTRA = (
     "time",
     "cmd_pos",
@@ -118,7 +119,6 @@ _EXTRA = (
     "temp_mos",
     "temp_rotor",
 )
-"""Titles of a joint's further columns, which follow the measured ones of all joints."""
 
 
 class MeasurementRecorder:

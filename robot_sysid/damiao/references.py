@@ -109,11 +109,10 @@ def hold_reference(reference: Reference) -> ReferenceFunction:
     return lambda time: at_rest
 
 
+# Share of the peak torque at which a joint is lowered with full speed; less torque, less speed.
+#
+# A judgement: dry friction is of this size, and should not move a joint.
 _FULL_LOAD = 0.05
-"""Share of the peak torque at which a joint is lowered with full speed; less torque, less speed.
-
-A judgement: dry friction is of this size, and should not move a joint.
-"""
 LONGEST_LOWERING = 20.0
 """Time after which lowering ends in any case [s]."""
 
@@ -175,15 +174,14 @@ class Lowering:
         return self._time - self._moved_at > 0.5
 
 
+# Share of a motor's peak torque up to which a torque proves no load (a judgement).
 _DOUBT = 0.06
-"""Share of a motor's peak torque up to which a torque proves no load (a judgement)."""
+# Expected torque above which a joint's load is judged, in units of the torque doubt.
+#
+# With this value a guessed model may be twice too heavy.
 _LOADED = 2.0
-"""Expected torque above which a joint's load is judged, in units of the torque doubt.
-
-With this value a guessed model may be twice too heavy.
-"""
+# Measured torque below which a loaded joint counts as unloaded, in units of the torque doubt.
 _BARE = 0.5
-"""Measured torque below which a loaded joint counts as unloaded, in units of the torque doubt."""
 
 
 def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
@@ -191,8 +189,8 @@ def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
     return _DOUBT * peak_torques(joints)
 
 
+# Distance from a pose in which its torque holds the arm [rad]: 2 N m at 20 N m/rad.
 _NEAR = 0.1
-"""Distance from a pose in which its torque holds the arm [rad]: 2 N m at 20 N m/rad."""
 
 
 @dataclass(frozen=True)
@@ -289,27 +287,27 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
     )
 
 
+# Time constant in which torque that pushes a standing joint against something is removed [s].
 _RELIEF_TIME = 0.3
-"""Time constant in which torque that pushes a standing joint against something is removed [s]."""
 # A joint that leaves its path is stiffened and damped by the computer, through the feed-forward
 # torque, which acts one and a half cycles late. The delay removes damping at some frequencies, so
 # the added gains are limited by the motor's own damping kd. With these values no energy goes into a
 # joint of any inertia or flexibility, even if samples are two cycles older; larger ones make light
 # or flexible joints swing.
+# Delay of the feed-forward torque [cycles].
 _DELAY_CYCLES = 1.5
-"""Delay of the feed-forward torque [cycles]."""
+# Added damping, as a share of the motor's kd.
 _ADDED_DAMPING = 0.25
-"""Added damping, as a share of the motor's kd."""
+# Added stiffness, as a share of the motor's kd divided by the delay.
 _ADDED_STIFFNESS = 0.8
-"""Added stiffness, as a share of the motor's kd divided by the delay."""
 # At a velocity v [rad/s] away from the path, the added stiffness is the share
 # _STEADY + _LEAVING tanh(v / _SPEED_SCALE) of its full value: more for a joint
 # that leaves than for one that returns, which removes energy.
 _STEADY = 0.6
 _LEAVING = 0.4
 _SPEED_SCALE = 0.3
+# Velocity below which a joint is at rest [rad/s] (a judgement).
 _REST_SPEED = 0.05
-"""Velocity below which a joint is at rest [rad/s] (a judgement)."""
 
 
 class CarriedStop:

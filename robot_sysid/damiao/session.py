@@ -44,14 +44,14 @@ from robot_sysid.damiao.safety.guards import (
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
+# Time between two disable commands to a motor [s], in which a full queue of 14 frames empties.
 _DISABLE_SPACING = 2e-3
-"""Time between two disable commands to a motor [s], in which a full queue of 14 frames empties."""
+# Longest wait for the answer to a single request [s]: adapters take up to 16 ms.
 _CONFIRM_TIMEOUT = 0.02
-"""Longest wait for the answer to a single request [s]: adapters take up to 16 ms."""
+# Time for which motors are asked to confirm that they are disabled [s], should a bus fail.
 _CONFIRM_PATIENCE = 0.5
-"""Time for which motors are asked to confirm that they are disabled [s], should a bus fail."""
+# How often a motor is commanded to enable, at most.
 _ENABLE_TRIES = 3
-"""How often a motor is commanded to enable, at most."""
 REPLY_SHARE = 0.9
 """Share of a control cycle for which replies are waited for; the rest is for the checks.
 

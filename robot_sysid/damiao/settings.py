@@ -27,10 +27,10 @@ from robot_sysid.records.option_fields import (
 
 # Makers of arms with these motors use a stiffness of 240 N m/rad and a damping of 5 N m s/rad for
 # motors with a rated torque of 9 N m, 10 and 1.5 for 3 N m; the defaults are between these.
+# Default stiffness divided by the rated torque [1/rad].
 _STIFFNESS = 20.0
-"""Default stiffness divided by the rated torque [1/rad]."""
+# Default damping divided by the stiffness [s].
 _DAMPING = 0.025
-"""Default damping divided by the stiffness [s]."""
 _EACH = "one for all or one per joint"
 # Arguments of options whose default depends on the type of each motor.
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}

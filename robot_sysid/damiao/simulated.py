@@ -54,8 +54,8 @@ if TYPE_CHECKING:
 
 DEFAULT_WATCHDOG = 0.1
 """Default watchdog time of simulated motors [s], as docs/damiao.md recommends for real ones."""
+# Command without effect: position, velocity, kp, kd and torque are zero.
 _NOTHING = (0.0,) * 5
-"""Command without effect: position, velocity, kp, kd and torque are zero."""
 
 
 @dataclass

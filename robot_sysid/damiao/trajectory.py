@@ -37,8 +37,8 @@ from robot_sysid.records import Array
 from robot_sysid.records.file_access import atomic_file, read_text
 from robot_sysid.records.option_fields import joint_values
 
+# A name and a value in a comment line of a file.
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
-"""A name and a value in a comment line of a file."""
 
 ROUNDING = 0.5e-4
 """Largest rounding error of a number with four decimals, as the export writes it."""
@@ -390,11 +390,10 @@ def excesses(
             )
 
 
+# Length of a window in which velocities are compared with positions [s].
+#
+# Over this time 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
 _WINDOW = 0.1
-"""Length of a window in which velocities are compared with positions [s].
-
-Over this time 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
-"""
 
 
 def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | None:

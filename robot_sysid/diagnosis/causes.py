@@ -59,8 +59,8 @@ SURE = 2.0
 """Standard errors that count as sure."""
 Column = Callable[[Rows, Point], Array]
 """Function that returns a torque (m, J) or (m, J, e) of a chunk of rows around a point [N m]."""
+# Words of a text for a positive number, and for a negative one.
 _BY_SIGN = re.compile(r"\{([^|{}]*)\|([^|{}]*)\}")
-"""Words of a text for a positive number, and for a negative one."""
 
 
 @dataclass(frozen=True)

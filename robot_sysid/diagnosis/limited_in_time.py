@@ -41,18 +41,18 @@ MOST_STRETCHES = 5
 """Number of stretches above which a fault comes back, and is not limited in time."""
 MOST_SHARE = 0.5
 """Share of a log above which a fault is not limited in time."""
+# Time over which residuals are averaged [s].
 _SMOOTH = 0.3
-"""Time over which residuals are averaged [s]."""
+# Residual above which a row has no weight in the fit, in ordinary sizes.
 _OUTLYING = 6.0
-"""Residual above which a row has no weight in the fit, in ordinary sizes."""
+# Least ordinary size of a residual, as a share of the joint's typical torque.
 _LEAST_SIZE = 0.005
-"""Least ordinary size of a residual, as a share of the joint's typical torque."""
+# Dry friction that sizes the priors of friction, as a share of a joint's torque.
 _DRY = 0.1
-"""Dry friction that sizes the priors of friction, as a share of a joint's torque."""
+# Number of fits, each with the weights of the one before.
 _ROUNDS = 6
-"""Number of fits, each with the weights of the one before."""
+# Number of rows that count as one observation against the prior: residuals are correlated.
 _CORRELATED = 5.0
-"""Number of rows that count as one observation against the prior: residuals are correlated."""
 MANY_VALUES = 100
 """Number of different values below which a channel has coarse steps, which repeat by chance."""
 # Least mean speed of an arm that moves [rad/s].

@@ -295,10 +295,10 @@ have columns that are time derivatives of torques: their noise of positions woul
 """
 MOST_WINDOWS = 4
 """Number of windows of a long log that are used, spread evenly."""
+# Longest part of a log in which torque that is unusual is looked for at once [s].
 _PART = 56.0
-"""Longest part of a log in which torque that is unusual is looked for at once [s]."""
+# Time by which parts of a log overlap [s].
 _OVERLAP = 4.0
-"""Time by which parts of a log overlap [s]."""
 OF_LINKS = (
     "torque-scale",
     "zero",

@@ -15,8 +15,8 @@ from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs.column_map import Column
 from robot_sysid.logs.reader import MeasurementLog
 
+# Titles that no columns file takes for a number, a factor, a key or a comment.
 _PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
-"""Titles that no columns file takes for a number, a factor, a key or a comment."""
 
 
 def refuse_for(log: MeasurementLog, finding: Finding) -> InputError:

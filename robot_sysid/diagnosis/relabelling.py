@@ -97,8 +97,8 @@ _TURNS = 2
 ODD_UNIT = 20.0
 """Ratio of one joint's torque to the model's, over that of the other joints, above which the joint
 has a unit of its own."""
+# Model torque below which friction makes most of a joint's torque, over the strongest joint's.
 _LEAST_LOAD = 0.03
-"""Model torque below which friction makes most of a joint's torque, over the strongest joint's."""
 
 
 @dataclass(frozen=True)

@@ -40,9 +40,9 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
+# Exponent x beyond which exp(-x) is kept constant: arithmetic with numbers near 1e-308 is a hundred
+# times slower.
 _LARGEST_DECAY = 200.0
-"""Exponent x beyond which exp(-x) is kept constant: arithmetic with numbers near 1e-308 is
-a hundred times slower."""
 
 
 def _fading(qd: Array, qdd: Array, load: Array, speed: float, power: int = 1) -> Array:

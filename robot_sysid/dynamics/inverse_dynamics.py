@@ -44,9 +44,9 @@ from robot_sysid.regressor import wrench_regressor
 
 MUJOCO_VERSION: str = mujoco.__version__
 """Release of MuJoCo that computes the torques."""
+# Largest size of an array of intermediate results [numbers], beyond which a motion is split
+# (``split_motion``): it bounds the memory for arms with many joints.
 _ARRAY_SIZE = 1_000_000
-"""Largest size of an array of intermediate results [numbers], beyond which a motion is split
-(``split_motion``): it bounds the memory for arms with many joints."""
 TILT_NAMES = ("tilt_1", "tilt_2")
 """Names of the two angles by which a base is tilted."""
 

@@ -18,14 +18,14 @@ ROD = float(np.sqrt(3.0))
 """Length of a uniform rod over the root mean square distance of its mass from its end."""
 ROD_MOMENT = 1.0 / 18.0
 """Mean moment of inertia of a thin rod about its middle, over its mass and squared length."""
+# Cosine of the pitch below which roll and yaw turn about one axis.
 _LOCKED = 1e-14
-"""Cosine of the pitch below which roll and yaw turn about one axis."""
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 """Names of the inertial parameters theta of one body, in their order."""
 N_INERTIAL = len(PARAMETER_NAMES)
 """Number of inertial parameters of one body."""
+# Index in [xx, xy, xz, yy, yz, zz] of each entry of a symmetric matrix.
 _OF_SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Index in [xx, xy, xz, yy, yz, zz] of each entry of a symmetric matrix."""
 
 
 def cross(a: Array, b: Array) -> Array:

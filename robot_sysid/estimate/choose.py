@@ -43,14 +43,14 @@ LARGER_AT_TURNS = 1.4
 behind the gears of a KUKA LWR4+ show 0.3 to 1.0, motor currents of a UR10e 1.4 to 3.7."""
 CLEARLY_THERE = 3.0
 """Standard errors by which one of a motor's parameters has to exceed zero."""
+# Linearisations of a question with a payload, whose torque scales multiply it.
 _ROUNDS = 3
-"""Linearisations of a question with a payload, whose torque scales multiply it."""
+# Rounds in which the common factor of all masses and the errors of links in its unit are found.
 _FACTOR_ROUNDS = 6
-"""Rounds in which the common factor of all masses and the errors of links in its unit are found."""
+# Cosine between the ratios of two motors above which they are one.
 _SAME = 1.0 - 1e-9
-"""Cosine between the ratios of two motors above which they are one."""
+# Shows nothing.
 _SILENT = Progress()
-"""Shows nothing."""
 
 
 def solved(

@@ -38,8 +38,8 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import N_INERTIAL, ROD_MOMENT
 from robot_sysid.records import KINDS, ArmLink, Array, RobotModel
 
+# Number of a link's parameters of each kind.
 _REPEATS = (1, 3, 6)
-"""Number of a link's parameters of each kind."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ AS_STATED = LinkScales()
 """Factors of one: the prior as the user states it."""
 EXPECTED = LinkScales(*usual_errors.EXPECTED_SCALES)
 """Factors that are expected without any recording."""
+# The factors that are tried, of each kind.
 _GRID = (
     usual_errors.MASS_SCALES,
     usual_errors.CENTRE_SCALES,
     usual_errors.INERTIA_SCALES,
 )
-"""The factors that are tried, of each kind."""
 LARGEST = LinkScales(*(scales[-1] for scales in _GRID))
 """The largest factors: for a check of an arm whose model may be a guess."""
 

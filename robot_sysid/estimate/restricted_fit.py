@@ -48,14 +48,14 @@ predict better than the model's (Akaike, "A new look at the statistical model id
 Transactions on Automatic Control 19(6), 1974)."""
 FARTHEST = 2.0
 """Largest distance of a mass in a file from the identified one, in standard errors."""
+# Share of that distance at which a mass that lies beyond it is held.
 _NEAR = 0.95
-"""Share of that distance at which a mass that lies beyond it is held."""
+# Error of a mass that torques do not show, in this place, as a share of it.
 _HIDDEN = 1e-3
-"""Error of a mass that torques do not show, in this place, as a share of it."""
+# Standard deviation of a body of which nothing is known, as a share of its reference body.
 _WIDE = 1e3
-"""Standard deviation of a body of which nothing is known, as a share of its reference body."""
+# Rounds in which masses of the file are brought near the identified ones.
 _ROUNDS = 3
-"""Rounds in which masses of the file are brought near the identified ones."""
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ BLOCKS = 10
 """Number of blocks that held-out validation and the jackknife leave out in turn."""
 LEAST_BLOCKS = 3
 """Least number of blocks of one log, of several."""
+# Numbers in the columns of one chunk of rows: bounds memory, changes no result.
 _NUMBERS = 4_000_000
-"""Numbers in the columns of one chunk of rows: bounds memory, changes no result."""
 
 
 @dataclass(frozen=True)

@@ -108,10 +108,10 @@ def _numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
         yield name, value
 
 
+# Types of Arrow that make columns: numbers, times, and lists of numbers.
 _NUMERIC_TYPE = re.compile(
     r"((fixed_size_|large_)?list<[^<]*)?(u?int\d+|float|double|halffloat|timestamp|duration)\b.*"
 )
-"""Types of Arrow that make columns: numbers, times, and lists of numbers."""
 
 
 def parquet_table(source: LogSource) -> LogTable:
@@ -160,15 +160,15 @@ _SUFFIXES = {
 }
 # Features (arrays of a frame) whose names are those of joints, to their quantity.
 _FEATURES = {"observation.velocity": "velocity", "observation.effort": "torque"}
+# Names of LeRobot's robots that record positions in degrees or in per cent, by a setting.
 _PER_CENT_ARMS = re.compile(r"so\d{3}|so_follower|koch|lekiwi|omx")
-"""Names of LeRobot's robots that record positions in degrees or in per cent, by a setting."""
 _DEGREES_NOTE = (
     "positions of the data set are taken to be degrees: if use_degrees was false in the robot's "
     "configuration, as by default in many releases, they are per cent of each joint's range, and "
     "all results are wrong"
 )
+# Remedy for a data set of which files or numbers are missing.
 _DOWNLOAD = "download the data set whole"
-"""Remedy for a data set of which files or numbers are missing."""
 
 
 def lerobot_table(source: LogSource) -> LogTable:
@@ -251,13 +251,14 @@ def _lerobot_titles(names: Any, feature: str) -> list[str]:
 
 ALOHA_RATE = 50.0
 """Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
+# Arrays of ALOHA's recorder with a column per joint.
 _ALOHA_ARRAYS = (
     "observations/qpos",
     "observations/qvel",
     "observations/effort",
     "action",
 )
-"""Arrays of ALOHA's recorder with a column per joint."""
+# Names of the joints of one of ALOHA's arms.
 _ALOHA_JOINTS = (
     "waist",
     "shoulder",
@@ -267,7 +268,6 @@ _ALOHA_JOINTS = (
     "wrist_rotate",
     "gripper",
 )
-"""Names of the joints of one of ALOHA's arms."""
 
 
 def hdf5_table(source: LogSource) -> LogTable:

@@ -45,30 +45,29 @@ _TOLERANCES = {
     ),
     BACKWARDS: (0.0, "cut the log where a second recording begins"),
 }
+# Least number of usable rows for which the other checks are run.
 _FEWEST_ROWS = 10
-"""Least number of usable rows for which the other checks are run."""
+# A longer sampling period is in the wrong unit of time [s]: 1 to 1000 Hz are usual.
 _LONGEST_PERIOD = 0.5
-"""A longer sampling period is in the wrong unit of time [s]: 1 to 1000 Hz are usual."""
+# A shorter sampling period is in the wrong unit of time [s].
 _SHORTEST_PERIOD = 1e-5
-"""A shorter sampling period is in the wrong unit of time [s]."""
+# Rate below which a note is made [Hz]: 100 do for a slow arm, 30 hardly ever (docs/logs.md).
 _SLOW_RATE = 50.0
-"""Rate below which a note is made [Hz]: 100 do for a slow arm, 30 hardly ever (docs/logs.md)."""
+# Difference of a joint's time stamp from the row's above which it is of another clock [s]: a few
+# sampling periods of the slowest logs.
 _OTHER_CLOCK = 0.1
-"""Difference of a joint's time stamp from the row's above which it is of another clock [s]: a few
-sampling periods of the slowest logs."""
+# Speed that no arm's joint reaches [rad/s]; a log in degrees passes it at half a radian per second.
 _FAST = 30.0
-"""Speed that no arm's joint reaches [rad/s]; a log in degrees passes it at half a radian per
-second."""
+# Share of steps faster than _FAST above which positions are not in radians.
 _OFTEN = 0.01
-"""Share of steps faster than _FAST above which positions are not in radians."""
+# Options, one of which lets positions pass that look like degrees.
 _ANGLE_OPTIONS = (("--units", "deg"), ("--units", "rad"))
-"""Options, one of which lets positions pass that look like degrees."""
+# Speed within one step that no joint reaches [rad/s]; above _FAST, as noise adds to it.
 _JUMP_SPEED = 100.0
-"""Speed within one step that no joint reaches [rad/s]; above _FAST, as noise adds to it."""
+# Change of position in one step that an encoder's noise does not reach [rad].
 _JUMP = 0.5
-"""Change of position in one step that an encoder's noise does not reach [rad]."""
+# Range of positions below which a joint does not move [rad].
 _AT_REST = 0.01
-"""Range of positions below which a joint does not move [rad]."""
 
 
 def check_log(

@@ -46,16 +46,16 @@ from robot_sysid.logs.titles import (
 from robot_sysid.records import RobotModel
 from robot_sysid.records.messages import count_text
 
+# Keys of a columns file that may be followed by ".joint".
 _JOINT_KEYS = (*QUANTITIES, "joint_time", "command")
-"""Keys of a columns file that may be followed by ".joint"."""
+# All keys of a columns file.
 _KEYS = ("time", *_JOINT_KEYS, "acceleration", "units", "rate")
-"""All keys of a columns file."""
 # A factor and a title: "0.95 * I3", or a title with a minus: "-M2".
 _SCALED = re.compile(
     r"(?:([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?)\s*\*|-)\s*(.+)", re.ASCII
 )
+# Units of angles that a user may declare.
 _ANGLE_UNITS = ("rad", "deg")
-"""Units of angles that a user may declare."""
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ Frame = tuple[NamePieces, NamePieces]
 """Pieces in front of and behind the core, the part by which a joint is told apart."""
 NamesByCore = dict[NamePieces, list[str]]
 """Core to the names that have it in one frame."""
+# Words of names by which two arms of a robot are told apart.
 _OPPOSITE_SIDES = (("left", "right"), ("right", "left"), ("l", "r"), ("r", "l"))
-"""Words of names by which two arms of a robot are told apart."""
 
 
 @dataclass(frozen=True)

@@ -201,6 +201,7 @@ TableReader = Callable[[LogSource], LogTable]
 _BAG = "a ROS bag", bag_table
 _HDF5 = "an HDF5 file", arrays.hdf5_table
 _TEXT = "a table of text", text_table
+# First bytes of a file to its form and the form's reader; any other file is a text table.
 _FILES: Mapping[bytes, tuple[str, TableReader]] = {
     b"\x89MCAP0": _BAG,
     b"#ROSBAG V": _BAG,
@@ -212,21 +213,20 @@ _FILES: Mapping[bytes, tuple[str, TableReader]] = {
     b"PK\x03\x04": ("a NumPy .npz file", arrays.npz_table),
     b"PAR1": ("a Parquet file", arrays.parquet_table),
 }
-"""First bytes of a file to its form and the form's reader; any other file is a text table."""
+# A file in a folder to the folder's form and the form's reader.
 _FOLDERS: Mapping[str, tuple[str, TableReader]] = {
     "metadata.yaml": _BAG,
     "meta/info.json": ("a LeRobot data set", arrays.lerobot_table),
 }
-"""A file in a folder to the folder's form and the form's reader."""
+# What to do where columns are not recognised.
 _REMEDY = (
     "say which column is what with --columns FILE, of lines such as 'position = A, B, C' with a "
     "title for each joint"
 )
-"""What to do where columns are not recognised."""
+# Fields of options that change what is read from a log.
 _READING_OPTIONS = ("columns", "units", "topic", "episode")
-"""Fields of options that change what is read from a log."""
+# Fields of options that change torques.
 _FACTOR_OPTIONS = ("torque_scale", "torque_constants")
-"""Fields of options that change torques."""
 
 
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:

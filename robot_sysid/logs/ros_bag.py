@@ -41,15 +41,15 @@ from robot_sysid.logs.table import Block, LogSource, LogTable, import_optional
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records.file_access import refuse_special_file
 
+# Messages of a topic from which its joints are listed: a second or more, in which each publisher of
+# the topic has sent one.
 _FIRST_MESSAGES = 200
-"""Messages of a topic from which its joints are listed: a second or more, in which each publisher
-of the topic has sent one."""
 Message = tuple[int, Sample]
 """(time of the header, or else of recording [ns since 1970], sample)."""
 
 
+# Words in the names of topics of an arm by which another one is led.
 _LEADERS = frozenset({"leader", "master"})
-"""Words in the names of topics of an arm by which another one is led."""
 
 
 @dataclass(frozen=True)

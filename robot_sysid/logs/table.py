@@ -131,10 +131,10 @@ BACKWARDS = "run backwards in time"
 _TURN = 2.0 * np.pi
 # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
 _WRAP_TOLERANCE = 0.5
+# Largest absolute position, speed or torque in SI units; larger numbers are faults of a file.
 _IMPOSSIBLE = 1e7
-"""Largest absolute position, speed or torque in SI units; larger numbers are faults of a file."""
+# Largest absolute time [s], even of a clock of nanoseconds that is read as seconds.
 _IMPOSSIBLE_TIME = 1e24
-"""Largest absolute time [s], even of a clock of nanoseconds that is read as seconds."""
 
 
 Anomaly = tuple[int, str]

@@ -26,16 +26,16 @@ from robot_sysid.logs.table import Block, LogSource, LogTable
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.file_access import atomic_file
 
+# Texts, in lower case, of cells that count as empty.
 _EMPTY = frozenset({"", "nan", "null", "none", "na", "n/a", "-nan", "-", "missing"})
-"""Texts, in lower case, of cells that count as empty."""
+# Separator to its name in messages, in the order in which a line is searched for them.
 _SEPARATORS = {";": "semicolon", "\t": "tab", "|": "bar", ",": "comma", " ": "blanks"}
-"""Separator to its name in messages, in the order in which a line is searched for them."""
+# Number of characters from which on a line is no row of a table; csv refuses cells of 131072.
 _LONGEST_LINE = 100_000
-"""Number of characters from which on a line is no row of a table; csv refuses cells of 131072."""
 CHUNK = 1_000_000
 """Number of characters of a log that are in memory as lines at a time."""
+# Characters with which a comment line begins.
 _COMMENT = ("#", "%")
-"""Characters with which a comment line begins."""
 
 
 @dataclass(frozen=True)
@@ -298,6 +298,7 @@ def _read_row(dialect: Dialect, columns: Sequence[int], line: str) -> list[float
     return row
 
 
+# Quantity, as titles end in it, to attribute of a measurement.
 _ATTRIBUTES = {
     "position": "q",
     "velocity": "qd",
@@ -305,7 +306,6 @@ _ATTRIBUTES = {
     "acceleration": "qdd",
     "time": "joint_time",
 }
-"""Quantity, as titles end in it, to attribute of a measurement."""
 
 
 def write_measurement_csv(

@@ -61,8 +61,8 @@ _COMMANDED = token_set(
     "cmd command commanded commands des desired ref reference target setpoint sp goal planned "
     "plan ff feedforward d action actions"
 )
+# Tokens of commands that do not stand for commanded positions.
 _FEED_FORWARD = token_set("ff feedforward")
-"""Tokens of commands that do not stand for commanded positions."""
 # Tokens that may be in a title without changing its quantity.
 _NEUTRAL = token_set(
     "j jnt joint joints axis ax a m motor motors dof arm robot field state states js jointstate "
@@ -111,13 +111,13 @@ UNITS = {
     "current": by_token({1.0: "a amp amps ampere amperes"}),
 }
 """Quantity to unit, in letters and digits alone ("degs" for deg/s), to its value in SI units."""
+# Tokens of a title that are a unit, or a part of one.
 _UNIT_TOKENS = token_set(
     "s sec secs second seconds ms msec millis us usec µs micros ns nsec nanos rad rads radians deg "
     "degs degree degrees ° dps rpm mm nm mnm ncm knm s2"
 )
-"""Tokens of a title that are a unit, or a part of one."""
+# Text in round, square or curly brackets.
 _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
-"""Text in round, square or curly brackets."""
 
 # A title with any other token does not stand for a quantity.
 _VOCABULARY = {*QUANTITY_OF_TOKEN, *_NEUTRAL, *_COMMANDED}

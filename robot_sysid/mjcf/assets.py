@@ -17,14 +17,14 @@ from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.documents import ModelDocument, Node, reference
 from robot_sysid.records.file_access import refuse_special_file
 
+# Elements of an MJCF that may refer to a file.
 _FILE_TAGS = ("mesh", "hfield", "skin", "flexcomp", "model", "texture")
-"""Elements of an MJCF that may refer to a file."""
+# Attributes of a texture that name the files of a cube's sides.
 _CUBE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
-"""Attributes of a texture that name the files of a cube's sides."""
+# Begin of a mesh's file name that is a URI.
 _SCHEME = re.compile(r"^(package|model|file)://")
-"""Begin of a mesh's file name that is a URI."""
+# Attributes of MuJoCo's <compiler> that determine where assets are found.
 _FOLDER_SETTINGS = ("assetdir", "meshdir", "texturedir", "strippath")
-"""Attributes of MuJoCo's <compiler> that determine where assets are found."""
 
 
 @dataclass(frozen=True)

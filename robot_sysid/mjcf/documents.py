@@ -25,10 +25,10 @@ Node = Any
 """An element of lxml's tree; its tag has no namespace unless it has a prefix."""
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Ends of the names of model files."""
+# A comment: its begin, its text and its end.
 _COMMENT = re.compile(r"(<!--)(.*?)(-->|\Z)", re.DOTALL)
-"""A comment: its begin, its text and its end."""
+# A character that nobody uses, in the place of each dash inside a comment.
 _MASK = "\ue000"
-"""A character that nobody uses, in the place of each dash inside a comment."""
 OWN_COMMENT = "System ID:"
 """Begin of the comments that this program writes."""
 

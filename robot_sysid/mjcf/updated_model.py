@@ -253,8 +253,8 @@ def _write_welded_body(
         link.set("quat", format_numbers(spatial.quaternion(body.rotation)))
 
 
+# MuJoCo's own, where a model states none [m/s^2].
 _DEFAULT_GRAVITY = "0 0 -9.81"
-"""MuJoCo's own, where a model states none [m/s^2]."""
 
 
 def _write_gravity(document: ModelDocument, gravity: Array, rmse: float) -> None:
@@ -321,8 +321,8 @@ def write_joint(document: ModelDocument, change: JointChange) -> None:
     _set_numbers(node, texts)
 
 
+# Namespace of Drake's elements, which state the rotor of an actuator in a URDF.
 _DRAKE = "http://drake.mit.edu"
-"""Namespace of Drake's elements, which state the rotor of an actuator in a URDF."""
 
 
 def _write_rotor(document: ModelDocument, joint: str, rotor: float) -> None:
@@ -426,8 +426,8 @@ def write_actuator(document: ModelDocument, change: ActuatorChange) -> None:
     node.attrib.update(numbers)
 
 
+# Elements that make bodies which are not written out.
 _MULTIPLIERS = ("replicate", "attach", "composite", "flexcomp")
-"""Elements that make bodies which are not written out."""
 
 
 def find_element(document: ModelDocument, element: str, label: str) -> Node:

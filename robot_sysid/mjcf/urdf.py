@@ -26,19 +26,19 @@ from robot_sysid.mjcf.inertial import (
 from robot_sysid.records import Array
 from robot_sysid.records.messages import MeshesLeftOut
 
+# Suffixes of the mesh files that MuJoCo reads.
 _READABLE_MESHES = (".stl", ".obj", ".msh")
-"""Suffixes of the mesh files that MuJoCo reads."""
+# Mass that a moving link without mass gets [kg]: MuJoCo refuses less than 1e-15.
 _MINIMUM_MASS = 1e-6
-"""Mass that a moving link without mass gets [kg]: MuJoCo refuses less than 1e-15."""
+# Moments of inertia that such a link gets [kg m^2].
 _MINIMUM_INERTIA = 1e-9
-"""Moments of inertia that such a link gets [kg m^2]."""
+# Principal moment of inertia below which MuJoCo takes it for none [kg m^2].
 _SMALLEST_MOMENT = 1e-14
-"""Principal moment of inertia below which MuJoCo takes it for none [kg m^2]."""
+# Share of a link's largest moment of inertia by which six digits can make a flat body impossible,
+# and by which moments are raised without a word.
 _ROUNDING = 1e-5
-"""Share of a link's largest moment of inertia by which six digits can make a flat body impossible,
-and by which moments are raised without a word."""
+# Smallest principal moment that a mended inertia gets, as a share of its largest.
 _LEAST_SHARE = 1e-6
-"""Smallest principal moment that a mended inertia gets, as a share of its largest."""
 LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 

@@ -24,22 +24,22 @@ from numpy.typing import NDArray
 
 from robot_sysid.records import Array
 
+# MuJoCo's types of transmission by which an actuator acts on a joint directly.
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-"""MuJoCo's types of transmission by which an actuator acts on a joint directly."""
 AT_TENDON = (int(mujoco.mjtTrn.mjTRN_TENDON),)
 """MuJoCo's type of transmission by which an actuator acts on a tendon."""
+# MuJoCo's type of a joint that a tendon runs over.
 _WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
-"""MuJoCo's type of a joint that a tendon runs over."""
 _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_AFFINE)
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
 _AFFINE_GAIN = int(mujoco.mjtGain.mjGAIN_AFFINE)
+# MuJoCo's type of gain of a PID controller, which releases before 4 do not have.
 _PID_GAIN = getattr(mujoco.mjtGain, "mjGAIN_PID", None)
-"""MuJoCo's type of gain of a PID controller, which releases before 4 do not have."""
 _NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
+# MuJoCo's bit of an actuator one of whose controls is a position.
 _TAKES_POSITION = 1
-"""MuJoCo's bit of an actuator one of whose controls is a position."""
+# Control, length and speed in place of infinite ones.
 _ENDLESS = 1e9
-"""Control, length and speed in place of infinite ones."""
 
 
 def control_rows(mj_model: Any, actuator: int) -> NDArray[np.int64]:
@@ -210,8 +210,8 @@ def is_static(mj_model: Any, actuator: int) -> bool:
     return mj_model.actuator_dyntype[actuator] == _NO_DYNAMICS
 
 
+# Numbers of a joint or tendon that a file may state at its actuators, since MuJoCo 3.7.
 _STATED = ("armature", "damping", "dampingpoly")
-"""Numbers of a joint or tendon that a file may state at its actuators, since MuJoCo 3.7."""
 
 
 def with_actuators_in_joints(mj_model: Any) -> Any:

@@ -190,8 +190,8 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
     )
 
 
+# Names of sites and bodies, and their frames.
 _Frames = Sequence[tuple[str, Flange]]
-"""Names of sites and bodies, and their frames."""
 
 
 def _list_names(frames: _Frames) -> str:
@@ -272,10 +272,10 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
     return Flange(text.replace(" ", ""), rotation, translation, robot.body_name)
 
 
+# Positions of each joint at which two bodies are tried for whether they can part.
 _POSITIONS = 7
-"""Positions of each joint at which two bodies are tried for whether they can part."""
+# Joints between two bodies beyond which they are taken to part.
 _MAX_JOINTS_BETWEEN = 3
-"""Joints between two bodies beyond which they are taken to part."""
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:

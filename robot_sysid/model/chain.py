@@ -32,18 +32,18 @@ from robot_sysid.model.actuators import (
 from robot_sysid.records import Array, JointFriction, JointLimits
 from robot_sysid.records.option_fields import PerJoint, joint_values
 
+# Part of the name of a gripper's joint.
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
-"""Part of the name of a gripper's joint."""
+# Part of the name of a gripper's moving body.
 _JAW_BODY = re.compile(r"finger|jaw|claw|knuckle", re.IGNORECASE)
-"""Part of the name of a gripper's moving body."""
+# Part of the name of a joint that may turn a whole gripper.
 _WRIST_JOINT = re.compile(r"wrist|roll|rot|yaw|pitch|tilt|turn|swivel", re.IGNORECASE)
-"""Part of the name of a joint that may turn a whole gripper."""
+# MuJoCo's type of a hinge joint.
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-"""MuJoCo's type of a hinge joint."""
+# MuJoCo's type of a slide joint.
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-"""MuJoCo's type of a slide joint."""
+# Part of the errors on joints of other types.
 _ONLY_THESE = "only hinge and slide joints can be identified"
-"""Part of the errors on joints of other types."""
 RIVAL_SHARE = 0.6
 """A run beside the longest one that has at least this share of its joints may be an arm too: a head
 of two or three joints beside a seven-joint arm is none, an arm of five is."""
@@ -247,8 +247,8 @@ def resolve_joint(mj_model: Any, name: str) -> int:
     return joint
 
 
+# Joints of a mobile base, two directions and a turn; as many must remain for an arm.
 _BASE_JOINTS = 3
-"""Joints of a mobile base, two directions and a turn; as many must remain for an arm."""
 
 
 def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:

@@ -38,6 +38,7 @@ from robot_sysid.records.messages import Progress
 # RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
 FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
 """Exceptions by which MuJoCo refuses a model."""
+# Arrays of an MjModel whose numbers are checked.
 _MUST_BE_FINITE = (
     "body_mass",
     "body_inertia",
@@ -52,7 +53,6 @@ _MUST_BE_FINITE = (
     "dof_armature",
     "dof_frictionloss",
 )
-"""Arrays of an MjModel whose numbers are checked."""
 
 
 @dataclass(frozen=True)
@@ -186,13 +186,13 @@ def _check_values(mj_model: Any, document: ModelDocument) -> None:
             )
 
 
+# Relative difference of traces that six-digit axes leave: turning keeps the trace.
 _SAME_TRACE = 1e-9
-"""Relative difference of traces that six-digit axes leave: turning keeps the trace."""
+# Relative difference from the stated inertia that rounding alone makes.
 _ALREADY_EXACT = 1e-13
-"""Relative difference from the stated inertia that rounding alone makes."""
+# Relative difference from the stated inertia that inaccurate axes do not reach, but a body with
+# equal moments in place of impossible ones.
 _BALANCED = 1e-2
-"""Relative difference from the stated inertia that inaccurate axes do not reach, but a body with
-equal moments in place of impossible ones."""
 
 
 def restore_exact_inertias(
@@ -228,10 +228,10 @@ def restore_exact_inertias(
 
 InMemory = Union["mujoco.MjSpec", "mujoco.MjModel"]
 """A model that a program holds in memory."""
+# Folders of the files that ``file_of`` wrote; they are removed when the process ends.
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
-"""Folders of the files that ``file_of`` wrote; they are removed when the process ends."""
+# Relative difference of numbers that MuJoCo writes: they have six digits.
 _WRITING_ACCURACY = 1e-4
-"""Relative difference of numbers that MuJoCo writes: they have six digits."""
 
 
 def is_in_memory(model: Any) -> bool:

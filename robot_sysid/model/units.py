@@ -21,19 +21,19 @@ from robot_sysid.model.bodies import link_reach
 from robot_sysid.model.stated import LEAST_MASS
 from robot_sysid.records import RobotModel
 
+# m / r^3 of a sphere of the densest metal, 22 600 kg/m^3.
 _LARGEST_COMPACTNESS = 2e5
-"""m / r^3 of a sphere of the densest metal, 22 600 kg/m^3."""
+# Least length that is taken for an arm's: joints may turn about one point [m].
 _SHORTEST = 1.5
-"""Least length that is taken for an arm's: joints may turn about one point [m]."""
+# Longest arm: a crane [m].
 _LONGEST = 30.0
-"""Longest arm: a crane [m]."""
 
+# Least mass of an arm over the cube of its length [kg/m^3]; public arms have 5 to 250.
 _LIGHTEST = 0.1
-"""Least mass of an arm over the cube of its length [kg/m^3]; public arms have 5 to 250."""
+# Largest mass of an arm over the cube of its length [kg/m^3].
 _HEAVIEST = 1000.0
-"""Largest mass of an arm over the cube of its length [kg/m^3]."""
+# Length that shorter arms are given in this ratio [m].
 _LEAST_LENGTH = 0.3
-"""Length that shorter arms are given in this ratio [m]."""
 
 
 def with_mass_scale(robot: RobotModel, factor: float) -> RobotModel:

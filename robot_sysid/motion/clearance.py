@@ -46,9 +46,9 @@ KEPT_SHARE = 0.5
 DEEPEST_TOUCH = 1e-3
 """How deep two bodies may be inside each other at rest to count as touching, as parked arms do [m];
 deeper they collide, and no motion may start there."""
+# Number of positions, evenly spread over a joint's range, at which the distance of the bodies on
+# its two sides is computed.
 _NEIGHBOUR_POSTURES = 361
-"""Number of positions, evenly spread over a joint's range, at which the distance of the bodies on
-its two sides is computed."""
 
 
 @dataclass(frozen=True)

@@ -26,12 +26,12 @@ import numpy as np
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
 
+# Share of the trace of the information about all x_j that is added to its diagonal: x_j can then be
+# eliminated too where a joint stands still and its friction columns are zero.
 _RIDGE = 1e-12
-"""Share of the trace of the information about all x_j that is added to its diagonal: x_j can then
-be eliminated too where a joint stands still and its friction columns are zero."""
+# Information along a direction, over the largest along any, up to which the direction is not
+# identifiable.
 _INVISIBLE = 1e-9
-"""Information along a direction, over the largest along any, up to which the direction is not
-identifiable."""
 JOINT_TERMS = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
 """Unknowns of one joint's equations alone: friction terms, rotor inertia, torque scale."""
 _N_TERMS = len(JOINT_TERMS)
@@ -41,12 +41,12 @@ SMOOTHING_SHARE = 0.03
 It changes no predicted standard deviation by more than 3 %
 (``test_the_grid_is_fine_enough_for_the_band``).
 """
+# Step of finite differences [rad, rad/s and rad/s^2]: torques are exact to 1e-13, so their
+# derivatives to 1e-7.
 _STEP = 1e-6
-"""Step of finite differences [rad, rad/s and rad/s^2]: torques are exact to 1e-13, so their
-derivatives to 1e-7."""
+# Cube of the numbers of a sample up to which all of their steps are taken together: bounds the
+# memory for arms with many joints.
 _MOST_TOGETHER = 30_000
-"""Cube of the numbers of a sample up to which all of their steps are taken together: bounds the
-memory for arms with many joints."""
 
 
 @dataclass(frozen=True)

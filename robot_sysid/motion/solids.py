@@ -20,23 +20,23 @@ from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.motion import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
+# MuJoCo's types of geoms.
 _TYPES = mujoco.mjtGeom
-"""MuJoCo's types of geoms."""
+# Types of geoms that are ground where they do not move.
 _GROUND_TYPES = (int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_HFIELD))
-"""Types of geoms that are ground where they do not move."""
+# Corners (8, 3) of a cube with half sides of one.
 _CORNERS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0
-"""Corners (8, 3) of a cube with half sides of one."""
+# Ends (2, 3) of a capsule's or cylinder's axis with a half length of one.
 _ENDS = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-"""Ends (2, 3) of a capsule's or cylinder's axis with a half length of one."""
+# Number of sides of the polygon about a circle.
 _SIDES = 24
-"""Number of sides of the polygon about a circle."""
 _ANGLES = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+# Corners (P, 2) of the regular polygon about the unit circle that stands for it.
 _RING = np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES))) / np.cos(np.pi / _SIDES)
-"""Corners (P, 2) of the regular polygon about the unit circle that stands for it."""
+# Corners (P, 3) of the polyhedron that stands for a ball: turned polygons.
 _GLOBE = np.vstack(
     [np.column_stack((across * _RING, np.full(_SIDES, up))) for up, across in _RING]
 )
-"""Corners (P, 3) of the polyhedron that stands for a ball: turned polygons."""
 
 
 @dataclass(frozen=True)

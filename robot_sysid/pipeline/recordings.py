@@ -36,8 +36,8 @@ from robot_sysid.signals.resampling import join_measurements, piece_notes, split
 from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import CHUNK, sample_count
 
+# Separates the random numbers of simulated noise from those of the motion, drawn by one seed.
 _NOISE_STREAM = 1
-"""Separates the random numbers of simulated noise from those of the motion, drawn by one seed."""
 
 
 def identify_logs(

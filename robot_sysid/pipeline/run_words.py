@@ -18,8 +18,8 @@ from robot_sysid.results.table import KNOWN, SIGNIFICANT
 SHARP = 20.0
 """Mass of what is bolted on, in standard errors, above which weighing it by difference gains
 little: payloads are weighed to 1 to 5 %."""
+# Keys of the options that hold for every log of the same arm.
 _READING = ("columns", "units", "torque_scale", "torque_constants", "topic")
-"""Keys of the options that hold for every log of the same arm."""
 
 
 def step_after_run(config: Config, result: Result) -> NextStep | None:

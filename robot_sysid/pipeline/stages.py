@@ -231,8 +231,8 @@ def write_results(
     return written
 
 
+# Standard error of a mass that is small enough whatever the mass is [kg].
 _NEGLIGIBLE_MASS_ERROR = 1e-6
-"""Standard error of a mass that is small enough whatever the mass is [kg]."""
 
 
 def run_self_test(

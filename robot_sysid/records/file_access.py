@@ -39,10 +39,10 @@ RUN_NAME = "run.toml"
 """Name of the file with all options of a run, from which it can be repeated."""
 RESULT_NAMES = (PARAMS_NAME, SERVO_NAME, *MODEL_NAMES.values(), CARD_NAME)
 """Names of files that any run may write to its output folder."""
+# Begin of the name of a draft, a hidden file that is renamed when it is complete.
 _DRAFT_PREFIX = ".robot-sysid-"
-"""Begin of the name of a draft, a hidden file that is renamed when it is complete."""
+# First line of a file that Git LFS leaves in the place of a large one.
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
-"""First line of a file that Git LFS leaves in the place of a large one."""
 
 
 def models_in(files: Iterable[Path]) -> list[Path]:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from robot_sysid import __version__
 
+# Folder of the package ``robot_sysid``.
 _PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
-"""Folder of the package ``robot_sysid``."""
 
 
 def install_hint(missing: str, extra: str) -> str:

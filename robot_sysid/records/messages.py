@@ -11,6 +11,7 @@ from typing import Any
 
 PARAMETER_UNITS = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
 """Units of the ten inertial parameters [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz]."""
+# Friction term, speed parameter of one, or joint zero to its unit in a hinge and in a slide.
 _TERM_UNITS: Mapping[str, tuple[str, str]] = {
     **dict.fromkeys(
         (
@@ -31,9 +32,8 @@ _TERM_UNITS: Mapping[str, tuple[str, str]] = {
     **dict.fromkeys(("tilt_1", "tilt_2"), ("rad", "rad")),
     "delay": ("s", "s"),
 }
-"""Friction term, speed parameter of one, or joint zero to its unit in a hinge and in a slide."""
+# Decimals up to which a number is written without exponent.
 _MAX_DECIMALS = 6
-"""Decimals up to which a number is written without exponent."""
 
 
 def number_text(value: float, error: float | None = None) -> str:

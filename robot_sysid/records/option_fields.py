@@ -54,8 +54,8 @@ Check = Callable[[Any], Optional[str]]
 or None where nothing is."""
 Record = TypeVar("Record")
 """Any class of records of options."""
+# Name of a value, unit in brackets and range, all optional, as in "V [rad/s] > 0".
 _VALUE_FORM = re.compile(r"((?![\[>])\S+)? ?(?:\[(.*)\])? ?(?:(>=?) 0)?")
-"""Name of a value, unit in brackets and range, all optional, as in "V [rad/s] > 0"."""
 
 
 @dataclass(frozen=True)
@@ -347,8 +347,8 @@ def check_speed_factor(value: float) -> str | None:
     return None if fits else f"must be above 0 and at most 1 (got {value:g})"
 
 
+# Sign before the 0 in the ``value`` of ``option`` to the check that it asks for.
 _RANGE_CHECKS = {">": check_positive, ">=": check_not_negative}
-"""Sign before the 0 in the ``value`` of ``option`` to the check that it asks for."""
 
 
 def joint_values(values: PerJoint, n_joints: int, flag: str) -> Array:
@@ -487,8 +487,10 @@ def parse_whole_number(text: str) -> int:
         raise InputError(f"{text!r} is not a whole number; write 3 or 0x03") from None
 
 
+# End of the description of a value that may be one number per joint.
 _PER_JOINT = "one per joint"
-"""End of the description of a value that may be one number per joint."""
+# Name of a type in a field's annotation to what parses a text, to the types of its values and to a
+# description of them for messages.
 _TYPES: Mapping[str, tuple[Any, tuple[type, ...], str]] = {
     "PerJoint": (parse_numbers, (Real,), f"a number, or {_PER_JOINT}"),
     "Factors": (
@@ -502,8 +504,6 @@ _TYPES: Mapping[str, tuple[Any, tuple[type, ...], str]] = {
     "Path": (Path, (os.PathLike,), "a path"),
     "bool": (None, (bool,), "True or False"),
 }
-"""Name of a type in a field's annotation to what parses a text, to the types of its values and to a
-description of them for messages."""
 
 
 def value_text(stated: Option) -> str:

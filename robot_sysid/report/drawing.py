@@ -30,8 +30,9 @@ COLOURS = {
 """Name of a colour, a CSS variable of the page, to the colour that stands for it while matplotlib
 draws: text and axes, grid lines, the model before, identified and
 measured values."""
+# Width of every figure [px]: two fit side by side on a screen, one on a phone.
 _WIDTH = 460.0
-"""Width of every figure [px]: two fit side by side on a screen, one on a phone."""
+# matplotlib's settings for all figures.
 _STYLE: Any = {
     "axes.axisbelow": True,
     "axes.edgecolor": COLOURS["ink"],
@@ -59,10 +60,9 @@ _STYLE: Any = {
     "xtick.color": COLOURS["ink"],
     "ytick.color": COLOURS["ink"],
 }
-"""matplotlib's settings for all figures."""
+# What a page has no use for in matplotlib's SVG: names of groups, which figures share, and fonts,
+# which are those of the page.
 _NOT_INLINE = re.compile(r' id="[\w.]+_\d+"|\bfont[\w-]*:[^;"]*;? ?')
-"""What a page has no use for in matplotlib's SVG: names of groups, which figures share, and fonts,
-which are those of the page."""
 
 
 class Figure(NamedTuple):

@@ -11,8 +11,8 @@ from robot_sysid.records import Array, Traces
 from robot_sysid.records.messages import position_unit, torque_unit
 from robot_sysid.report.drawing import COLOURS, Figure, add_legend, new_figure, svg
 
+# Number of dots to which a scatter plot is thinned; more would overlap.
 _MAX_DOTS = 300
-"""Number of dots to which a scatter plot is thinned; more would overlap."""
 
 
 def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:

@@ -41,8 +41,8 @@ from robot_sysid.results.table import (
     shown_columns,
 )
 
+# Errors that a page may raise if somebody has edited the run's params.json by hand.
 _ODD = (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError)
-"""Errors that a page may raise if somebody has edited the run's params.json by hand."""
 REPORT_NAME = "report.html"
 """File name of the page about one run, and of its template."""
 COMPARISON_NAME = "comparison.html"

@@ -15,19 +15,19 @@ from robot_sysid.report.drawing import Figure
 from robot_sysid.report.runs import Run
 from robot_sysid.report.studio import Colour, Studio, png_bytes
 
+# Width and height of a picture [pixels].
 _SIZE = (800, 620)
-"""Width and height of a picture [pixels]."""
+# Version of the parameters to colour (red, green, blue, opacity) of its ellipsoid, 0 to 1.
 _COLOURS: dict[str, Colour] = {
     "before": (0.9, 0.45, 0.05, 0.3),
     "after": (0.05, 0.38, 0.75, 0.5),
 }
-"""Version of the parameters to colour (red, green, blue, opacity) of its ellipsoid, 0 to 1."""
+# Least distance of the camera from the arm, in sizes of the largest body in the picture.
 _ROOM = 6.0
-"""Least distance of the camera from the arm, in sizes of the largest body in the picture."""
+# Least distance of the camera from the whole arm, in distances at which just the arm fits.
 _FARTHER = 1.25
-"""Least distance of the camera from the whole arm, in distances at which just the arm fits."""
+# Distance of the camera from the last link over that from the whole arm.
 _NEARER = 0.3
-"""Distance of the camera from the last link over that from the whole arm."""
 Bodies = Sequence[tuple[int, Mapping[str, Array]]]
 """Pairs (MuJoCo id of a body, version to parameters (10,) in the frame of that body)."""
 

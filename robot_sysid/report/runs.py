@@ -26,8 +26,8 @@ DATA_NAME = "report_data.npz"
 """Name of the file of a run's folder that holds its signals."""
 MAX_INSTANTS = 2000
 """Largest number of instants saved for drawing: more than a figure has pixels across."""
+# Version of the format of report_data.npz; a file of another version is not read.
 _VERSION = 3
-"""Version of the format of report_data.npz; a file of another version is not read."""
 
 
 def save_data(folder: Path, traces: Traces, result: str) -> None:

@@ -28,8 +28,10 @@ NO_RENDERER = (
     "no pictures of the arm: MuJoCo finds neither EGL nor OSMesa here (Debian: apt-get install "
     "libegl1 libosmesa6); MUJOCO_GL chooses one"
 )
+# Opacity of the arm's own surfaces, through which the ellipsoids inside are seen, from 0 to 1.
 _OPACITY = 0.35
-"""Opacity of the arm's own surfaces, through which the ellipsoids inside are seen, from 0 to 1."""
+# Program that opens a graphics context of the library that it is given, and may crash. It loads
+# that part of MuJoCo without the rest, which takes three times as long.
 _PROBE = """
 import importlib, importlib.util, sys, types
 package = types.ModuleType("mujoco")
@@ -39,8 +41,6 @@ context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(64, 64)
 context.make_current()
 context.free()
 """
-"""Program that opens a graphics context of the library that it is given, and may crash. It loads
-that part of MuJoCo without the rest, which takes three times as long."""
 
 
 @lru_cache(maxsize=1)

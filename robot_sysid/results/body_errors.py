@@ -30,8 +30,8 @@ MOMENT_SIGNIFICANCE = 2.5
 Estimates that had to be made physically consistent have too large moments: of 48 payloads in
 simulation, all 11 that count as known at 2.5 are nearer the truth than the ball of aluminium (arms
 of benchmarks/payload_by_difference.py); at 2, some are 183 times too large."""
+# How often each of xx, xy, xz, yy, yz, zz stands in a symmetric matrix.
 _MULTIPLICITY = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
-"""How often each of xx, xy, xz, yy, yz, zz stands in a symmetric matrix."""
 
 
 def load_covariance(body: BodyEstimate) -> Array:

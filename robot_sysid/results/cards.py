@@ -21,24 +21,24 @@ from robot_sysid.records.messages import with_error
 from robot_sysid.results.body_errors import load_errors, principal_moments
 from robot_sysid.results.record import BodyEstimate, Payload
 
+# Folder with a template for the plain form and for each of ``controllers.CHOICES`` but two.
 _TEMPLATES = Path(__file__).with_name("card_templates")
-"""Folder with a template for the plain form and for each of ``controllers.CHOICES`` but two."""
 DIGITS = 9
 """Largest number of significant digits of a number that people type into a controller."""
+# Significant digits of a number whose standard error is not known.
 _UNKNOWN_DIGITS = 3
-"""Significant digits of a number whose standard error is not known."""
+# Decimals of an angle in degrees.
 _ANGLE_DIGITS = 5
-"""Decimals of an angle in degrees."""
+# Decimals of a quaternion: controllers refuse one whose length is not 1.
 _QUATERNION_DIGITS = 6
-"""Decimals of a quaternion: controllers refuse one whose length is not 1."""
+# Share of the largest number of a group below which a number is rounding error: about 1e4 times the
+# relative rounding error of a double.
 _ROUNDING = 1e-12
-"""Share of the largest number of a group below which a number is rounding error: about 1e4 times
-the relative rounding error of a double."""
+# Relative violation of physical consistency that a card tolerates: below the digits that a
+# controller keeps.
 _CONSISTENCY_TOLERANCE = 1e-6
-"""Relative violation of physical consistency that a card tolerates: below the digits that a
-controller keeps."""
+# Share of the smallest principal moment that has to remain after rounding: none becomes zero.
 _MIN_MOMENT_SHARE = 0.5
-"""Share of the smallest principal moment that has to remain after rounding: none becomes zero."""
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
 """Note of a card whose inertia the data does not determine."""
 

@@ -25,10 +25,10 @@ MOMENT = "mass_times_distance"
 NOT_SHOWN = "these torques do not show it"
 """Reason of a number that the recordings do not determine."""
 _UNITS = ("kg", *"mmm", *PARAMETER_UNITS[4:], *PARAMETER_UNITS[1:])
+# Index of the inertial parameter whose share and causes a row has.
 _INDICES = (*range(10), *range(1, 10))
-"""Index of the inertial parameter whose share and causes a row has."""
+# Share of a body's scale below which a number is rounding error: models are written to 1e-9.
 _ROUNDING = 1e-9
-"""Share of a body's scale below which a number is rounding error: models are written to 1e-9."""
 
 
 def without_rounding(values: Array, scale: Array | float) -> Array:

@@ -13,6 +13,7 @@ from robot_sysid.results.quantities import BEYOND, BODY_NAMES
 from robot_sysid.results.record import BOUND, DATA, FILE, MODEL, PAYLOAD
 
 _AXES = ("xx", "xy", "xz", "yy", "yz", "zz")
+# Name of a quantity to its label in a table; further terms are "friction TERM".
 _LABELS = dict(
     zip(
         BODY_NAMES,
@@ -37,15 +38,15 @@ _LABELS = dict(
     tilt_1="tilt of the base, first axis",
     tilt_2="tilt of the base, second axis",
 )
-"""Name of a quantity to its label in a table; further terms are "friction TERM"."""
 CENTRAL = BODY_NAMES[:10]
 """Names of mass, centre of mass and inertia about it."""
 ORIGIN = (BODY_NAMES[0], *BODY_NAMES[10:])
 """Names of mass, first moments and inertia about the origin of the body's frame."""
 HEADINGS = ("", "model", "identified", "±", "in the file", "unit", "change")
 """Headings of a table, in the order of ``cells``."""
+# Cell of a change that is smaller than the standard error.
 _WITHIN = "within ±"
-"""Cell of a change that is smaller than the standard error."""
+# Words in a table to what they mean.
 _LEGEND = {
     "±": "standard error of all causes, the true value is within two of them in 95 of 100 cases",
     _WITHIN: "changed by less, the model's number may be right",
@@ -53,9 +54,8 @@ _LEGEND = {
     "at its bound": "the torques ask for a value that cannot be, such as friction below zero, and "
     "the nearest one that can is taken",
 }
-"""Words in a table to what they mean."""
+# Relative change beyond which the change itself is stated, not a percentage.
 _MAX_RELATIVE_CHANGE = 10.0
-"""Relative change beyond which the change itself is stated, not a percentage."""
 KNOWN = 0.2
 """Relative standard error up to which a mass is known."""
 SIGNIFICANT = 2.0

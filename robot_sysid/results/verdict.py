@@ -18,13 +18,13 @@ from robot_sysid.results.content import Content
 from robot_sysid.results.record import PAYLOAD, Verdict
 from robot_sysid.results.table import KNOWN, rows_of
 
+# Name of a verdict to the sentence on the result's use, where that is not "Usable".
 _USE_TEXTS = {
     Verdict.TORQUES_ONLY.name: "Only for torques of motions like the log's, not for the numbers",
     Verdict.AS_GOOD.name: "Usable, but the model was about as good before",
     Verdict.PARTLY_FROM_MODEL.name: "Usable (not identifiable, model's values kept: {unseen})",
     Verdict.INERTIA_NOT_KNOWN.name: "Usable for mass and centre of mass (the inertia is not known)",
 }
-"""Name of a verdict to the sentence on the result's use, where that is not "Usable"."""
 
 
 def verdict_line(content: Content) -> str:

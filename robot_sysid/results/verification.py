@@ -96,6 +96,7 @@ PATHS = {
     "signature",
 }
 _GAIN_ADVICE = "give the actuator kp and kv of its own"
+# Field that MuJoCo may compute otherwise to what to do.
 _ADVICE = {
     "dof_damping": "a joint's springdamper computes it from the inertia: give that joint "
     "stiffness and damping instead to get a model",
@@ -103,12 +104,11 @@ _ADVICE = {
     "actuator_gainprm": _GAIN_ADVICE,
     "actuator_biasprm": _GAIN_ADVICE,
 }
-"""Field that MuJoCo may compute otherwise to what to do."""
+# What to do about any other field, and about the inertia of a body.
 _SETTINGS_ADVICE = (
     "no model was written; of the compiler settings, settotalmass, boundmass, boundinertia and "
     "fusestatic change inertias: remove them"
 )
-"""What to do about any other field, and about the inertia of a body."""
 _NUMERIC_TYPES = (int, float, bytes, np.ndarray)
 
 
@@ -295,8 +295,8 @@ def _is_same(original: Any, other: Any, changed_rows: Collection[int]) -> bool:
 
 TORQUE_TOLERANCE = 1e-9
 """Largest deviation of a written model's torque, relative to the joint's largest torque."""
+# Share of the arm's largest torque: the least scale that a joint's deviation is relative to.
 _MIN_TORQUE_SHARE = 1e-3
-"""Share of the arm's largest torque: the least scale that a joint's deviation is relative to."""
 
 
 def require_reproduction(

@@ -44,12 +44,12 @@ from robot_sysid.records.messages import with_error
 from robot_sysid.results import verification
 from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Result
 
+# Friction term to the attribute of a joint or tendon that holds it.
 _MJCF_ATTRIBUTES = {
     "armature": "armature",
     "viscous": "damping",
     "coulomb": "frictionloss",
 }
-"""Friction term to the attribute of a joint or tendon that holds it."""
 
 
 def write_model(

@@ -73,14 +73,14 @@ LEAST_DELAY_ERROR = 1e-4
 """Error of the equations' delay beside that of noise [s]: of friction that creeps."""
 PERIOD_SHARE = 0.02
 """Further error of that delay, of sampling, in sampling periods."""
+# Samples over which errors of the equations are correlated: those of friction near standstill and
+# of smoothed accelerations last about as long as a start or a stop.
 _CORRELATED_SAMPLES = 10.0
-"""Samples over which errors of the equations are correlated: those of friction near standstill and
-of smoothed accelerations last about as long as a start or a stop."""
+# The same of the position errors of rollouts, which last until the servo brings them back.
 _CORRELATED_ROLLOUTS = 30.0
-"""The same of the position errors of rollouts, which last until the servo brings them back."""
+# Relative errors of a fast servo's numbers beside those of noise: of the links, which fix the scale
+# and add up to about two single ones, and of friction that a stiff servo hides.
 _LEAST_ERRORS = (2.0 * LINK_ERROR, 2.0 * LINK_ERROR, 2.0, 2.0 * LINK_ERROR)
-"""Relative errors of a fast servo's numbers beside those of noise: of the links, which fix the
-scale and add up to about two single ones, and of friction that a stiff servo hides."""
 
 
 def distances(pieces: Sequence[Measurement], delay: float) -> Array:

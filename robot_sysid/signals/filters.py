@@ -22,14 +22,14 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
 # Kaiser's design formulas (Oppenheim, Schafer, "Discrete-Time Signal Processing", sec. 7.5.3).
+# Attenuation [dB]. The gain is within 1e-4 of one below 0.4 times the cut-off and below 1e-4 above
+# 1.6 times. That is 80 dB; the other 10 make up for the formulas being approximate for short
+# kernels.
 _ATTENUATION = 90.0
-"""Attenuation [dB]. The gain is within 1e-4 of one below 0.4 times the cut-off and below 1e-4 above
-1.6 times. That is 80 dB; the other 10 make up for the formulas being approximate for short kernels.
-"""
+# Width of the transition band over the cut-off.
 _TRANSITION = 1.2
-"""Width of the transition band over the cut-off."""
+# Lowest cut-off [Hz]; no log that is filtered in one piece is long enough for a lower one.
 _LOWEST_CUTOFF = 1e-3
-"""Lowest cut-off [Hz]; no log that is filtered in one piece is long enough for a lower one."""
 HIGHEST_CUTOFF = 0.3
 """Largest cut-off over the sample rate for which the stop band begins below Nyquist."""
 

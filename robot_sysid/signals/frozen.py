@@ -11,10 +11,10 @@ from robot_sysid.records import Array
 
 LEAST_TIME = 0.2
 """Least time for which a channel that failed repeats its value [s]."""
+# Number of steps on each side of a stretch that a jump at its end is compared with.
 _NEAR = 5
-"""Number of steps on each side of a stretch that a jump at its end is compared with."""
+# Least jump at the end of a stretch of frozen positions, over the usual and the nearby steps.
 _JUMP = 3.0
-"""Least jump at the end of a stretch of frozen positions, over the usual and the nearby steps."""
 
 
 def true_runs(mask: NDArray[np.bool_]) -> Iterator[slice]:

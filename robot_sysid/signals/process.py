@@ -41,23 +41,22 @@ LARGEST_SLOW_SHARE = 0.07
 have in a row that is used."""
 DEADBAND_SHARE = 0.005
 """Deadband over a joint's peak speed: below it the joint has hardly left stiction (chosen)."""
+# Least deadband [rad/s]: encoder noise alone can look like this speed.
 _LEAST_DEADBAND = 1e-3
-"""Least deadband [rad/s]: encoder noise alone can look like this speed."""
+# Longest hole in the log, in sampling periods, that a spline bridges, at most one period of the
+# cut-off: noise of the samples around four lost ones is at most three times the usual noise in a
+# row over them, and grows with the square of their number.
 _LONGEST_HOLE_STEPS = 5.5
-"""Longest hole in the log, in sampling periods, that a spline bridges, at most one period of the
-cut-off: noise of the samples around
-four lost ones is at most three times the usual noise in a row over them, and grows with the
-square of their number."""
+# Decimated rows that are computed at once: bounds memory, changes no result.
 _BLOCK = 500
-"""Decimated rows that are computed at once: bounds memory, changes no result."""
 SEPARATION = 6.0
 """Difference of two readings, in standard deviations of their noise, beyond which they do not
 differ by chance. For readings that are rounded to steps this is between one step and two."""
+# Median of the size of a standard normal number.
 _MEDIAN_OF_NORMAL = 0.6745
-"""Median of the size of a standard normal number."""
+# Largest noise of the acceleration, over all frequencies and relative to the motion's, at which
+# positions are differentiated as they are.
 _EXACT = 1e-3
-"""Largest noise of the acceleration, over all frequencies and relative to the motion's, at which
-positions are differentiated as they are."""
 
 
 @dataclass(frozen=True)

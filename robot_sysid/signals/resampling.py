@@ -21,8 +21,8 @@ sample; a late sample comes up to 1.7 periods after an early one (tests/signals/
 """
 FEWEST_SAMPLES = 64
 """Fewest samples of a log that a spectrum is made from (chosen)."""
+# Deviation from an even grid, in sampling periods, that most clocks have (chosen).
 _CLOCK_ERROR = 0.01
-"""Deviation from an even grid, in sampling periods, that most clocks have (chosen)."""
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,9 @@ MOST_TIME = 600.0
 minute holds nearly as much information about the link as an hour (docs/logs.md)."""
 PIECE_TIME = 60.0
 """Length of the pieces of a log that is longer than ``MOST_TIME`` [s]."""
+# Share of a joint's largest range of positions in any piece, up to which the joint counts as not
+# moving in a piece.
 _MOVING_SHARE = 0.1
-"""Share of a joint's largest range of positions in any piece, up to which the joint counts as not
-moving in a piece."""
 
 
 def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:

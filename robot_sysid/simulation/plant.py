@@ -328,8 +328,8 @@ class ArmStepper:
         return np.where(joint_sticks, 0.0, joint_velocity), axes.T @ friction
 
 
+# Implicit share of each stage that makes the two-stage method below of second order, L-stable.
 _STAGE = 1.0 - math.sqrt(0.5)
-"""Implicit share of each stage that makes the two-stage method below of second order, L-stable."""
 
 
 def _velocity_responses(

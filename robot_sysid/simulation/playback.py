@@ -52,10 +52,10 @@ MAX_WINDOWS = 60
 """Number of windows of one horizon that are played, spread evenly over the pieces of the logs."""
 NO_ACTUATOR = -1
 """Value in place of a MuJoCo actuator id for a joint without an actuator that a rollout can use."""
+# MuJoCo's bits for the state from which a rollout starts.
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
-"""MuJoCo's bits for the state from which a rollout starts."""
+# MuJoCo's bits for the inputs of each step: those of actuators, then forces on the joints.
 _INPUTS = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
-"""MuJoCo's bits for the inputs of each step: those of actuators, then forces on the joints."""
 
 
 def interpolate(at: Array | float, time: Array, values: Array) -> Array:

@@ -40,8 +40,8 @@ from robot_sysid.motion import LimitOptions
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
+# Exit codes that a motors command may have, for its help.
 _CODES = (0, 1, 2, 3, 130)
-"""Exit codes that a motors command may have, for its help."""
 
 
 @dataclass(frozen=True)

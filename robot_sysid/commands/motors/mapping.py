@@ -24,21 +24,21 @@ from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 Positions = Mapping[int, float]
 """Position of each motor [rad], by its CAN id."""
+# Turn from which on a motor counts as moved by hand [rad]: half of the 20 degrees asked for.
 _LEAST_TURN = 0.15
-"""Turn from which on a motor counts as moved by hand [rad]: half of the 20 degrees asked for."""
+# Least ratio of the largest turn of a motor to the second largest, which a limp arm may drag along,
+# for the first to count as the one that was moved (a judgement).
 _CLEAR_RATIO = 3.0
-"""Least ratio of the largest turn of a motor to the second largest, which a limp arm may drag
-along, for the first to count as the one that was moved (a judgement)."""
+# Number of times that a person is asked to move the same joint.
 _ATTEMPTS = 3
-"""Number of times that a person is asked to move the same joint."""
+# End of a request to a person.
 _ENTER = "; then press Enter: "
-"""End of a request to a person."""
+# Turn of a joint by which its effect on the tip is judged [rad].
 _PROBE_TURN = 0.3
-"""Turn of a joint by which its effect on the tip is judged [rad]."""
+# Movement of the tip from which on a person sees it [m].
 _VISIBLE_SHIFT = 0.02
-"""Movement of the tip from which on a person sees it [m]."""
+# Names of the negative and the positive direction of each axis of the world.
 _DIRECTIONS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
-"""Names of the negative and the positive direction of each axis of the world."""
 
 
 @dataclass(frozen=True)

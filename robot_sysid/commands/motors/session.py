@@ -30,6 +30,7 @@ from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
 from robot_sysid.results.next_steps import step_after
 
+# Classes whose options ``Session.command`` repeats.
 _RECORDS = (
     BusAddress,
     protocol.BusTiming,
@@ -39,11 +40,10 @@ _RECORDS = (
     RecordingOptions,
     LimitOptions,
 )
-"""Classes whose options ``Session.command`` repeats."""
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
+# Share of its speed with which a motion is played for the first time.
 _FIRST_SPEED = 0.3
-"""Share of its speed with which a motion is played for the first time."""
 
 
 def ask(prompt: str) -> str:

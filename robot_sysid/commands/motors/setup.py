@@ -48,8 +48,8 @@ from robot_sysid.records.option_fields import (
 )
 
 _SILENT = "no motor answers: check power, wiring and bit rate"
+# Time for a motor to write its flash memory [s]; a judgement, longer than that takes.
 _STORE_TIME = 0.05
-"""Time for a motor to write its flash memory [s]; a judgement, longer than that takes."""
 
 
 @dataclass(frozen=True)

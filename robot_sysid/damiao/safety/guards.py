@@ -32,18 +32,18 @@ Mask = NDArray[np.bool_]
 """One truth value for each of n joints."""
 
 # Judgements: a slip of 0.15 rad has to be noticed.
+# Distance from the position expected by velocity that is always plausible [rad].
 _LEAST_JUMP = 0.05
-"""Distance from the position expected by velocity that is always plausible [rad]."""
+# Largest plausible acceleration [rad/s^2]: 7 N m (a DM4310) on a light joint, 0.035 kg m^2.
 _TOP_ACCELERATION = 200.0
-"""Largest plausible acceleration [rad/s^2]: 7 N m (a DM4310) on a light joint, 0.035 kg m^2."""
+# Further accepted error of a position, as a share of the change of position that is expected.
 _SPEED_DOUBT = 0.5
-"""Further accepted error of a position, as a share of the change of position that is expected."""
+# Change of velocity that is always plausible [rad/s]: by a blow or a stop in a cycle of 4 ms.
 _LEAST_SPEED_CHANGE = 1.0
-"""Change of velocity that is always plausible [rad/s]: by a blow or a stop in a cycle of 4 ms."""
+# Largest plausible change of reported minus commanded torque, as a share of the peak torque.
 _TORQUE_DOUBT = 0.3
-"""Largest plausible change of reported minus commanded torque, as a share of the peak torque."""
+# Largest plausible change of temperature [deg C]: windings warm up by a degree in seconds.
 _HEAT_CHANGE = 5.0
-"""Largest plausible change of temperature [deg C]: windings warm up by a degree in seconds."""
 
 
 @dataclass(frozen=True)
@@ -191,16 +191,16 @@ class SampleFilter:
         return jumps, bends, ~(jumps | accelerates | bends | heats)
 
 
+# Time over which velocity is integrated [s]: long against a cycle, short against a swing.
 _WINDOW = 0.2
-"""Time over which velocity is integrated [s]: long against a cycle, short against a swing."""
+# Error of this scale that is accepted: VMAX of two types differ by a tenth or more (45 and 50).
 _VELOCITY_TOLERANCE = 0.03
-"""Error of this scale that is accepted: VMAX of two types differ by a tenth or more (45 and 50)."""
+# Difference of position change and integrated velocity that is accepted in a window [rad].
 _LEAST_SLIP = 0.02
-"""Difference of position change and integrated velocity that is accepted in a window [rad]."""
+# Share of the path's length in a window by which this difference may be larger.
 _SLIP_SHARE = 0.05
-"""Share of the path's length in a window by which this difference may be larger."""
+# Ratio of a cycle's mean velocity to its last one above which slip cannot be judged.
 _COARSE = 1.3
-"""Ratio of a cycle's mean velocity to its last one above which slip cannot be judged."""
 
 
 class ScaleCheck:

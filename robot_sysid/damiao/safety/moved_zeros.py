@@ -44,68 +44,67 @@ from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.usual_errors import LINK
 from robot_sysid.simulator import ArmTorque
 
+# Time over which signals are averaged [s]; a window that takes twice as long is discarded.
 _WINDOW = 0.1
-"""Time over which signals are averaged [s]; a window that takes twice as long is discarded."""
+# Least number of control cycles in a window.
 _LEAST_SAMPLES = 3
-"""Least number of control cycles in a window."""
+# Steps of a window's evaluation in each control cycle: six steps in the fewest cycles.
 _STEPS_PER_CYCLE = 2
-"""Steps of a window's evaluation in each control cycle: six steps in the fewest cycles."""
+# Velocity of the fastest joint [rad/s] below which dry friction hides the load of the arm.
 _MOVING = 0.05
-"""Velocity of the fastest joint [rad/s] below which dry friction hides the load of the arm."""
+# Number of windows with motion, which show how well the model fits, before anything is judged.
 _LEAST_WINDOWS = 15
-"""Number of windows with motion, which show how well the model fits, before anything is judged."""
+# Prior standard deviation of an unknown load at the end [kg] (a judgement).
 _LOAD = 3.0
-"""Prior standard deviation of an unknown load at the end [kg] (a judgement)."""
+# Prior standard deviation of the load's distance from the end [m] (a judgement).
 _LEVER = 0.2
-"""Prior standard deviation of the load's distance from the end [m] (a judgement)."""
+# Prior standard deviation of a moved zero [rad] (a judgement).
 _SHIFT = 0.3
-"""Prior standard deviation of a moved zero [rad] (a judgement)."""
+# Prior standard deviation of a change of torque in a single joint [doubts] (a judgement).
 _TORQUE = 0.5
-"""Prior standard deviation of a change of torque in a single joint [doubts] (a judgement)."""
+# Prior standard deviation of the share of its torque that a motor lacks (a judgement).
 _SHARE = 0.5
-"""Prior standard deviation of the share of its torque that a motor lacks (a judgement)."""
+# Prior standard deviation of a load that is picked up, relative to ``_LOAD`` (a judgement).
 _NEW_LOAD = 1.5
-"""Prior standard deviation of a load that is picked up, relative to ``_LOAD`` (a judgement)."""
+# Prior standard deviation of a force at the end [N] (a judgement).
 _FORCE = 20.0
-"""Prior standard deviation of a force at the end [N] (a judgement)."""
+# Standard deviation of the noise that is assumed at the beginning [doubts].
 _NOISE = 0.15
-"""Standard deviation of the noise that is assumed at the beginning [doubts]."""
+# Weight of this assumption, in windows.
 _NOISE_WINDOWS = 2.0
-"""Weight of this assumption, in windows."""
+# Least standard deviation of the noise [doubts].
 _LEAST_NOISE = 0.03
-"""Least standard deviation of the noise [doubts]."""
+# Factor per window by which the weight of earlier windows in the noise estimate decays.
 _REMEMBER = 0.95
-"""Factor per window by which the weight of earlier windows in the noise estimate decays."""
+# Largest square of a window in the noise estimate, in units of the variance so far.
 _OUTLIER = 30.0
-"""Largest square of a window in the noise estimate, in units of the variance so far."""
+# Standard deviation of the noise that is added for scatter of the torque within a window (by a
+# blow, for instance), relative to the rms scatter.
 _SCATTER = 3.0
-"""Standard deviation of the noise that is added for scatter of the torque within a window (by a
-blow, for instance), relative to the rms scatter."""
+# Variance that x gains in each window, because motors become warm.
 _DRIFT = 1e-6
-"""Variance that x gains in each window, because motors become warm."""
+# Factor of the noise variance: model errors of about this many windows are correlated.
 _ALIKE = 5.0
-"""Factor of the noise variance: model errors of about this many windows are correlated."""
+# Number of last windows in which a change may have begun.
 _ONSETS = 14
-"""Number of last windows in which a change may have begun."""
+# Number of windows after its begin from which a moved zero is judged.
 _LEAST_AGE = 3
-"""Number of windows after its begin from which a moved zero is judged."""
+# Time in which a change grows to its full size [s].
 _GROWTH = 1.0
-"""Time in which a change grows to its full size [s]."""
+# Least log likelihood ratio of a moved zero against no change.
 _MARGIN = 12.0
-"""Least log likelihood ratio of a moved zero against no change."""
+# Least difference of a moved zero's log likelihood ratio from that of any other change.
 _APART = 8.0
-"""Least difference of a moved zero's log likelihood ratio from that of any other change."""
+# Largest ratio of another change's log likelihood ratio to the moved zero's.
+#
+# Where the noise is underestimated, all log likelihood ratios are too large by a factor.
 _OTHERS = 0.55
-"""Largest ratio of another change's log likelihood ratio to the moved zero's.
-
-Where the noise is underestimated, all log likelihood ratios are too large by a factor.
-"""
+# Least shift of a zero that is reported [rad]; people measure zeros with a ruler.
 _LEAST_SHIFT = 0.08
-"""Least shift of a zero that is reported [rad]; people measure zeros with a ruler."""
+# Least torque of a shift that is reported [doubts].
 _LEAST_TORQUE = 0.3
-"""Least torque of a shift that is reported [doubts]."""
+# Step of central differences by position [rad].
 _DIFFERENCE = 0.01
-"""Step of central differences by position [rad]."""
 _SLIPS = (
     "has come about {:.1f} rad off the angle that it reports, as the torques of this motion say: "
     "its gear slips"
