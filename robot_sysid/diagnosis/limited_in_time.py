@@ -192,7 +192,7 @@ def leave_out(
             text = "something touched the arm, or a sensor failed, "
             text += f"from {start:.2f} s to {stop:.2f} s ({names}): left out"
             notes.append(Finding(Level.SAYS, checks[rows.start], text))
-        left_out_count += np.sum(left_out)
+        left_out_count += int(np.sum(left_out))
         if not np.any(left_out):
             kept.append(piece)
         elif not np.all(left_out):

@@ -302,7 +302,7 @@ def mounted(log: LogFit) -> Iterator[Correction]:
         at = after.fit.at(TILT_NAMES)
         gravity = turn_gravity(gravity, after.fit.free[at])
         cosine = np.clip(level @ gravity / size**2, -1.0, 1.0)
-        angle = np.degrees(np.arccos(cosine))
+        angle = float(np.degrees(np.arccos(cosine)))
         if angle < LEAST_TURN:
             return
     error = np.degrees(np.sqrt(np.max(np.diag(after.fit.inverse)[at])))
