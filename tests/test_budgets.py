@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 4546,
     "robot_sysid/commands": 10392,
     "robot_sysid/damiao": 31061,
-    "robot_sysid/diagnosis": 16376,
+    "robot_sysid/diagnosis": 16437,
     "robot_sysid/dynamics": 5203,
     "robot_sysid/estimate": 28265,
     "robot_sysid/logs": 15153,

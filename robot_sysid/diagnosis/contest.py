@@ -364,7 +364,9 @@ def is_better(correction: Correction, winner: Score | None, is_plausible: bool) 
     if not is_plausible:
         return correction.gain > -CLEAR
     least = CLEAR
-    if winner is not None and winner.explanation.term.cause != correction.finding.about:
+    # A unit of all torques is a scale of theirs.
+    check = correction.finding.about.replace("unit", "scale")
+    if winner is not None and winner.explanation.term.cause != check:
         least = max(least, winner.gain - TIE)
     return correction.gain > least
 

@@ -62,6 +62,8 @@ SAME = 1.35
 """Ratio between the largest and smallest torque scale below which they have one common cause."""
 CLOSE = 1.25
 """Largest ratio between a torque scale and the factor of a unit that explains it."""
+FARTHEST = 5.0
+"""Largest factor by which all masses of a model may be off; beyond it torques are no N m."""
 COMMON_RANGE = 4.0
 """Prior standard deviation of the logarithm of a scale that all joints share."""
 OWN_RANGE = 0.4
@@ -362,6 +364,10 @@ def common_finding(
     if mass_unit(robot, factor) != 1.0:
         remedy = f"they are in another unit{unit_text}: divide them"
         return Finding(Level.REFUSES, "torque-unit", text, remedy, (torque_scale,))
+    if not is_close and abs(np.log(factor)) > np.log(FARTHEST):
+        text += ": they may be motor currents"
+        ways = (torque_scale,)
+        return Finding(Level.REFUSES, "torque-unit", text, WEIGHING, ways, "payload")
     remedy = (
         "torques cannot tell what is wrong by that much, the masses or the torques: if the torques "
         f"are N·m, multiply the masses; if the model is right{unit_text}, divide the torques"
