@@ -366,7 +366,7 @@ def is_better(correction: Correction, winner: Score | None, is_plausible: bool) 
     least = CLEAR
     # A unit of all torques is a scale of theirs.
     check = correction.finding.about.replace("unit", "scale")
-    if winner is not None and winner.explanation.term.cause != check:
+    if winner and winner.explanation.term.cause != check:
         least = max(least, winner.gain - TIE)
     return correction.gain > least
 

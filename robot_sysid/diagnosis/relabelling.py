@@ -366,8 +366,9 @@ def common_finding(
         return Finding(Level.REFUSES, "torque-unit", text, remedy, (torque_scale,))
     if not is_close and abs(np.log(factor)) > np.log(FARTHEST):
         text += ": they may be motor currents"
-        ways = (torque_scale,)
-        return Finding(Level.REFUSES, "torque-unit", text, WEIGHING, ways, "payload")
+        return Finding(
+            Level.REFUSES, "torque-unit", text, WEIGHING, (torque_scale,), "payload"
+        )
     remedy = (
         "torques cannot tell what is wrong by that much, the masses or the torques: if the torques "
         f"are N·m, multiply the masses; if the model is right{unit_text}, divide the torques"

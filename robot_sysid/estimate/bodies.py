@@ -42,8 +42,11 @@ HARDLY = 3.0
 expected to decrease this sum by the number of parameters."""
 # Relative error of the solution.
 _TOLERANCE = 1e-8
-# Searches, each relative to what the last one found.
+# Most searches, each relative to what the last one found.
 _ROUNDS = 3
+# Square of a distance, in residuals, within which one search is enough: its error is ``_TOLERANCE``
+# of it, far less than ``HARDLY``.
+_NEAR = 3e4
 # Weight of rows that hold directions without data at the reference bodies, in shares of them.
 _PIN = 1e4
 # Share of the largest eigenvalue to which those of an inconsistent reference body are raised.
@@ -170,8 +173,9 @@ def _solve(rows: Array, problem: LinksProblem, spread: float) -> Array:
     precision[others:] /= spread
     triangle = np.asarray(np.linalg.qr(np.vstack((rows, precision)), mode="r"))
     z = _possible_coordinates(triangle[others:, others:], problem.bodies)
-    shown = triangle[:others, -1] - triangle[:others, others:-1] @ z
-    return np.append(np.linalg.solve(triangle[:others, :others], shown), z)
+    top = triangle[:others]
+    shown = top[:, -1] - top[:, others:-1] @ z
+    return np.append(np.linalg.solve(top[:, :others], shown), z)
 
 
 def _possible_coordinates(
@@ -180,8 +184,8 @@ def _possible_coordinates(
     """Return the coordinates z (10 L,) of least ||A z - b|| with which L bodies are consistent.
 
     They are searched relative to the consistent bodies that are nearest to the solution in which
-    bodies may be impossible, so that numbers of very different sizes do not meet; and twice more
-    relative to what was found, as rounding counts relative to the distance that is searched.
+    bodies may be impossible, so that numbers of very different sizes do not meet; and again
+    relative to what was found where the distance is large, as rounding counts relative to it.
 
     Args:
         equations: [A b] (10 L + 1, 10 L + 1), triangular.
@@ -203,8 +207,10 @@ def _possible_coordinates(
             least.append(inverse @ spatial.pseudo_inertia(theta) @ inverse.T)
         shifted = equations[:, -1] - equations[:, :-1] @ centre
         rows = np.column_stack((equations[:, :-1] @ change, shifted))
-        limits = LEAST_SHARE * np.array(least) + _SEARCHED * np.eye(4)
-        z = centre + change @ _by_cone(rows, limits)
+        found = _by_cone(rows, LEAST_SHARE * np.array(least) + _SEARCHED * np.eye(4))
+        z = centre + change @ found
+        if found.any() and shifted @ shifted < _NEAR:
+            break
     return np.asarray(z)
 
 

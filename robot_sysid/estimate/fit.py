@@ -359,8 +359,7 @@ class Fit:
         if np.any(equations.crossing(values)) or not _are_possible(equations, values):
             normal = equations.normal(self.weights, [block])
             possible = partial(_possible, equations, normal, self.is_hidden)
-            start = self.start, self.is_free
-            values, *_ = _within_bounds(equations, possible, *start)
+            values, *_ = _within_bounds(equations, possible, self.start, self.is_free)
         return values
 
     def of(self, sums: Sums) -> Fit:

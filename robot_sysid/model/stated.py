@@ -66,8 +66,8 @@ def with_references(
         unknown = {*copied[link.body_name]}
         if mass < LEAST_MASS * median:
             unknown |= {MASS, INERTIA}
-        is_small = np.trace(inertia) < LEAST_INERTIA * mass * np.trace(rod[1])
-        if is_small or not spatial.is_consistent(link.theta):
+        least = LEAST_INERTIA * mass * np.trace(rod[1])
+        if np.trace(inertia) < least or not spatial.is_consistent(link.theta):
             unknown.add(INERTIA)
         # Shapes may have their middle at the joint, too.
         is_at_joint = np.linalg.norm(com) < LEAST_DISTANCE * size

@@ -114,8 +114,9 @@ def write_model(
         changed = {body.body_id for body in bodies}
         for body in np.flatnonzero(model.body_mass).tolist():
             if body not in changed:
-                theta = body_theta(model, body)
-                bodies += (BodyChange(body_label(model, body), body, theta),)
+                bodies += (
+                    BodyChange(body_label(model, body), body, body_theta(model, body)),
+                )
     change = ModelChange(bodies, target.rmse, tuple(joints), welded, rotors=rotors)
     if result.file is not None:
         change = replace(change, gravity=result.file.gravity)
