@@ -106,24 +106,23 @@ def _unit_fault(robot: RobotModel) -> str:
             f"{com_distance:.3g} m away from their links' frames: these lengths fit mm, not m; "
             "divide them by 1000"
         )
+    moments = mj_model.body_inertia[bodies]
+    is_stated = np.ptp(moments, axis=1) > 1e-6 * np.max(moments, axis=1)
+    if 2 * np.sum(is_stated) > len(bodies):
+        masses = mj_model.body_mass[bodies[is_stated]]
+        radii = np.sqrt(np.sum(moments[is_stated], axis=1) / (2.0 * masses))
+        radius = np.median(radii)
+        compactness = np.median(masses / radii**3)
+        if radius > max(length, _SHORTEST) or compactness > _LARGEST_COMPACTNESS:
+            return (
+                f"half of its links have more than {np.median(masses):.3g} kg, and half a radius "
+                f"of gyration of more than {radius:.3g} m, which no arm has; state masses in kg "
+                "and moments of inertia in kg m2, as g, kg mm2 and g mm2 are what CAD programs "
+                "write"
+            )
     if mass_unit(robot) != 1.0:
         return (
             f"its links weigh {robot.mass:.3g} kg in all, for their length as much as foam or more "
             "than lead, which no arm has; state masses in kg, not in t or g"
-        )
-    moments = mj_model.body_inertia[bodies]
-    is_stated = np.ptp(moments, axis=1) > 1e-6 * np.max(moments, axis=1)
-    if 2 * np.sum(is_stated) <= len(bodies):
-        return ""
-    bodies = bodies[is_stated]
-    masses = mj_model.body_mass[bodies]
-    radii = np.sqrt(np.sum(moments[is_stated], axis=1) / (2.0 * masses))
-    radius = np.median(radii)
-    compactness = np.median(masses / radii**3)
-    if radius > max(length, _SHORTEST) or compactness > _LARGEST_COMPACTNESS:
-        return (
-            f"half of its links have more than {np.median(masses):.3g} kg, and half a radius of "
-            f"gyration of more than {radius:.3g} m, which no arm has; state masses in kg and "
-            "moments of inertia in kg m2, as g, kg mm2 and g mm2 are what CAD programs write"
         )
     return ""
