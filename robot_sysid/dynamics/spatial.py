@@ -128,9 +128,15 @@ def rotation_of_angles(roll_pitch_yaw: Array) -> Array:
     """Return the rotation R (3, 3) of angles roll, pitch and yaw (3,) [rad] about the fixed axes x,
     y and z, as in a URDF: R = Rz(yaw) Ry(pitch) Rx(roll). ValueError if there are not three.
     """
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_euler("xyz", roll_pitch_yaw).as_matrix()
+    # Written out: SciPy's takes longer to import than a log to identify.
+    (cr, cp, cy), (sr, sp, sy) = np.cos(roll_pitch_yaw), np.sin(roll_pitch_yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def quaternion(rotation: Array) -> Array:

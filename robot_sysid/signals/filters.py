@@ -122,11 +122,9 @@ def derivatives(values: Array, rate: float) -> tuple[Array, Array]:
     w_k = (-1)^(k + 1) C(2 r, r - k) / C(2 r, r) (Fornberg, "Generation of finite difference
     formulas", Math. Comp. 51, 1988); the weight of the middle sample makes their sum zero.
     """
-    from scipy.special import comb
-
     steps = np.arange(-REACH, REACH + 1.0)
-    weights = -((-1.0) ** steps) * comb(2 * REACH, REACH - steps)
-    weights /= comb(2 * REACH, REACH)
+    counts = [math.comb(2 * REACH, k) for k in range(2 * REACH + 1)]
+    weights = -((-1.0) ** steps) * counts / math.comb(2 * REACH, REACH)
     steps[REACH] = np.inf
     first = weights / steps
     second = 2.0 * first / steps

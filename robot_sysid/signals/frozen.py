@@ -19,10 +19,9 @@ _JUMP = 3.0
 
 def true_runs(mask: NDArray[np.bool_]) -> Iterator[slice]:
     """Yield the slices of consecutive true elements of a mask (N,)."""
-    from scipy.ndimage import find_objects, label
-
-    for (run,) in find_objects(label(mask)[0]):
-        yield run
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        yield slice(start, stop)
 
 
 def equal_runs(time: Array, values: Array) -> Iterator[slice]:
