@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from robot_sysid.estimate.identify import Piece, identify_link, low_pass_recordings
+from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.result import link_result
+from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.records import Measurement, RobotModel
-from robot_sysid.records.messages import Progress
 from robot_sysid.results.record import Result
 from robot_sysid.signals.resampling import split_at_gaps
 from tests.support.core_fits import ORIGIN
@@ -22,5 +24,5 @@ def result_of_logs(
     for number, log in enumerate(logs):
         pieces += [Piece(f"log{number}", piece) for piece in split_at_gaps(log)]
     recordings, _ = low_pass_recordings(robot, pieces, options.cutoff)
-    fits = identify_link(robot, recordings, options, Progress())
-    return link_result(*fits, (), ORIGIN)
+    fitted = solved(robot, recordings, Question(options))
+    return link_result(fitted, fit_file(fitted, ()), (), ORIGIN)

@@ -103,12 +103,12 @@ class Finding:
             return log
         columns = {"q": log.q, "qd": log.qd, "tau": log.tau}
         attributes = {"position": ("q", "qd"), "torque": ("tau",)}
-        for quantity in self.correction["quantities"]:
-            for name in attributes[quantity]:
+        for quantity, names in attributes.items():
+            for name in names:
                 values = columns[name]
                 if values is not None:
-                    order = list(self.correction["order"])
-                    columns[name] = values[:, order] * self.correction["factors"]
+                    order, factors = zip(*self.correction[quantity])
+                    columns[name] = values[:, list(order)] * factors
         return Measurement(log.time, columns["q"], columns["qd"], columns["tau"])
 
 

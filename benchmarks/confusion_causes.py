@@ -532,6 +532,28 @@ def causes_of_logs(names: tuple[str, ...], *faults: str) -> dict[str, Cause]:
     return {fault: Cause(spoiler(fault), (names,)) for fault in faults}
 
 
+def weight_alone(scene: Scene) -> Scene:
+    """Return a log of the torque that holds the links at rest, as of an arm guided by hand."""
+    noise = 0.01 * scene.usual_torque * scene.rng.normal(size=scene.log.tau.shape)
+    return replace(scene, log=replace(scene.log, tau=scene.still + noise))
+
+
+def turned_signs(count: int, scene: Scene) -> Scene:
+    """Return a log with the torques of joints turned, of all where ``count`` is zero."""
+    n = scene.robot.n_joints
+    turned = scene.rng.choice(n, count or n, replace=False)
+    return scene.with_torque_times(np.where(np.isin(np.arange(n), turned), -1.0, 1.0))
+
+
+def turned_zeros(scene: Scene) -> Scene:
+    """Return a log with velocities, whose zeros of two joints are off by 90 degrees."""
+    scene = velocities(scene)
+    weight = np.sqrt(np.mean(scene.still**2, axis=0))
+    loaded = np.argsort(-weight)[:2]
+    offset = 0.5 * np.pi * np.isin(np.arange(scene.robot.n_joints), loaded)
+    return replace(scene, log=replace(scene.log, q=scene.log.q + offset))
+
+
 SCALE = ("torque-scale", "torque-unit")
 # Too long a time makes less of the accelerations, as if gravity were more.
 CLOCK = ("clock", "gravity")
@@ -544,7 +566,7 @@ MODEL_CAUSES = {
     ),
     "masses_too_heavy": Cause(partial(wrong_units, 2.9, 2.9), (("model",),), MASSES),
     "masses_in_grams": Cause(
-        partial(wrong_units, 1e3, 1.0), (("model",),), f"{MASSES}|grams|not kg"
+        partial(wrong_units, 1e3, 1.0), (("model",),), f"{MASSES}|masses in kg"
     ),
     "masses_in_tonnes": Cause(
         partial(wrong_units, 1e-3, 1.0), (("model",),), f"{MASSES}|tonnes|masses in kg"
@@ -589,6 +611,13 @@ COMBINED_CAUSES = {
     ),
 }
 """Several things wrong at once, or one after another."""
+DISCRETE_CAUSES = {
+    "weight_alone": Cause(weight_alone, (("computed",),)),
+    "all_signs": Cause(partial(turned_signs, 0), (("sign",),)),
+    "three_signs": Cause(partial(turned_signs, 3), (("sign",),)),
+    "turned_zeros": Cause(turned_zeros, (("zero",),)),
+}
+"""Mistakes of several joints at once."""
 CAUSES: dict[str, Cause] = {
     RIGHT: Cause(leave_right, ()),
     "velocities": Cause(velocities, ()),
@@ -638,5 +667,6 @@ CAUSES: dict[str, Cause] = {
     **causes_of_logs(("model", "other arm"), "other_arm"),
     **MODEL_CAUSES,
     **COMBINED_CAUSES,
+    **DISCRETE_CAUSES,
 }
 """Cause by its name; those without a fault are right."""

@@ -31,10 +31,10 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
 )
 from robot_sysid.estimate.choose import solved
-from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.links import own_errors
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.estimate.terms import DELAY, LINKS
 from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import (

@@ -25,10 +25,13 @@ import numpy as np
 import robot_sysid
 from benchmarks.confusion_causes import Scene, draw_scene, resting_torque
 from benchmarks.real_arms import ARMS
-from robot_sysid.diagnosis.log_checks import check_log
+from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.errors import SysidError
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import MeasurementLog, open_log
+from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import temporary_folder
@@ -197,8 +200,8 @@ KINDS: dict[str, Kind] = {
 
 def check_scene(
     scene: Scene, path: Path, answered: bool
-) -> tuple[MeasurementLog, tuple[float, bool]]:
-    """Return a scene's log as it is used, and the error of the last link's mass and its verdict.
+) -> tuple[Fit, tuple[float, bool]]:
+    """Return the fit of a scene's log, and the error of the last link's mass and its verdict.
 
     The error is in stated ones. SysidError where the log is refused.
 
@@ -209,23 +212,22 @@ def check_scene(
     """
     write_measurement_csv(path, scene.robot.joint_names, [scene.log])
     log = open_log(scene.robot, path, LogOptions())
-    log = check_log(scene.robot, log, (), Progress())
+    judged = judge(scene.robot, [log], Question(EstimationOptions()), Progress())
+    fitted, _ = usable(judged, (), Progress())
     if not answered:
-        return log, (np.nan, False)
+        return fitted, (np.nan, False)
     result = robot_sysid.identify(scene.path, path)
     error = (result.theta[0] - scene.theta[0]) / result.standard_errors["m"]
-    return log, (float(error), result.trustworthy)
+    return fitted, (float(error), result.trustworthy)
 
 
-def beside(scene: Scene, spans: list[Span], log: MeasurementLog) -> float:
+def beside(scene: Scene, spans: list[Span], fitted: Fit) -> float:
     """Return the time that is left out beside a fault [s]; NaN where a part of it is used."""
-    times = []
-    for piece in log.pieces:
-        left_out = piece.left_out
-        times.append(piece.time if left_out is None else piece.time[~left_out])
-    used = np.concatenate(times)
-    step = float(np.median(np.diff(scene.log.time)))
-    missing = float(scene.arm.log.time[-1]) - step * (len(used) - 1)
+    time = np.concatenate([each.motion.time for each in fitted.recordings])
+    is_used = np.concatenate([np.any(each.used, axis=1) for each in fitted.recordings])
+    used = time[is_used]
+    step = float(np.median(np.diff(time)))
+    missing = step * (len(time) - len(used))
     for start, end in spans:
         if np.any((used > start + 2.0 * step) & (used < end - 2.0 * step)):
             return np.nan

@@ -22,13 +22,14 @@ import numpy as np
 from benchmarks.arm_results import result_of_logs
 from benchmarks.real_arms import ARMS
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimate.identify import Piece, identify_payload, low_pass_recordings
+from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.options import EstimationOptions, Priors
-from robot_sysid.estimate.payload import payload_result
+from robot_sysid.estimate.payload import payload_result, written_payload
 from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.restricted_fit import fit_file
+from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support.core_fits import ORIGIN
 from tests.support.imperfect_arm import ImperfectArm, Imperfections
@@ -86,10 +87,16 @@ def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
         pieces.append(replace(recording, order=position))
     recordings, _ = low_pass_recordings(robot, pieces)
     question = Question(estimation, loaded=True, drifts=drifts, **question_options)
-    fits = identify_payload(robot, recordings, question, Progress())
+    weighed = solved(robot, recordings, replace(question, known_mass=None))
+    fitted, file = weighed, None
+    if question.known_mass is None:
+        carried, _ = written_payload(weighed)
+        file = fit_file(weighed, (), carried)
+    else:
+        fitted = solved(robot, recordings, question)
     divided = np.ones(robot.n_joints)
     flange = find_flange(robot, "0,0,0")
-    return payload_result(*fits, flange, ORIGIN, (), divided)
+    return payload_result(fitted, weighed, file, flange, ORIGIN, (), divided)
 
 
 def single_difference(robot, raw):

@@ -25,7 +25,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
+from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory
 from tests.support.params import rows
@@ -148,11 +148,19 @@ def draw_arm(
     duration: float,
     white: bool,
     seed: int,
+    move: Callable[[MotionPlan, np.random.Generator], Motion] | None = None,
+    friction: float = 0.04,
 ) -> RealArm:
-    """Return one arm with one log of it."""
+    """Return one arm with one log of it.
+
+    ``move`` returns the motion; None for that of an excitation. ``friction`` is the usual Coulomb
+    friction over the torque.
+    """
     rng = np.random.default_rng([seed, DEVIATIONS.index(deviation)])
     plan = generate_excitation_trajectory(robot, rng, duration)
     motion = plan.evaluate(np.arange(round(RATE * duration)) / RATE)
+    if move is not None:
+        motion = move(plan, np.random.default_rng([seed, 9]))
     exact = next(iter(simulate_inverse(robot, iter([motion]))))
 
     is_off = deviation != "exact"
@@ -167,13 +175,14 @@ def draw_arm(
     rigid = beyond_links + LinkDynamics(arm).motion(*series).torque(thetas)
 
     peak = np.max(np.abs(rigid), axis=0)
-    fastest = np.max(np.abs(exact.qd), axis=0)
-    nominal = np.maximum(0.04 * peak, 0.004 * np.max(peak))
+    fastest = np.maximum(np.max(np.abs(exact.qd), axis=0), 1e-3)
+    nominal = np.maximum(friction * peak, 0.1 * friction * np.max(peak))
     nominal = nominal * rng.uniform(0.7, 1.4, len(peak))
     visible_share = 0.1 if has_sensors else 1.0
     coulomb = visible_share * nominal
     viscous = coulomb / fastest * rng.uniform(0.5, 1.5, len(peak))
     rms_acceleration = np.sqrt(np.mean(exact.qdd**2, axis=0))
+    rms_acceleration = np.maximum(rms_acceleration, 0.1 * np.max(rms_acceleration))
     rotor = 0.02 * np.max(peak) / rms_acceleration * rng.uniform(0.3, 1.5, len(peak))
     rotor = np.zeros_like(peak) if has_sensors else rotor
     # A rotor sits before the gear: its torque is no load of it.

@@ -10,7 +10,6 @@ import numpy as np
 from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SimulationError
-from robot_sysid.estimate.triangles import InformationAccumulator
 from robot_sysid.records import (
     Array,
     Measurement,
@@ -18,6 +17,7 @@ from robot_sysid.records import (
     RobotModel,
     SquareRootInformation,
 )
+from robot_sysid.solver import InformationAccumulator
 
 
 class ArmTorque:

@@ -50,7 +50,7 @@ LAYERS = (
     ("model",),
     ("mjcf",),
     ("solver",),
-    ("estimate.bodies", "estimate.links", "estimate.triangles"),
+    ("estimate.bodies", "estimate.links"),
     ("estimate.identifiability",),
     ("dynamics",),
     ("regressor",),

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimate.triangles import InformationAccumulator
-from robot_sysid.solver import identify_parameters
+from robot_sysid.solver import InformationAccumulator, identify_parameters
 from tests.support.synthetic_data import (
     arm_equations,
     information_of,

@@ -18,11 +18,10 @@ from validate_regressor import with_link
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
-from robot_sysid.estimate.triangles import InformationAccumulator
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, MotionPlan, RobotModel
 from robot_sysid.simulator import collect_sysid_data, simulate_inverse
-from robot_sysid.solver import identify_parameters
+from robot_sysid.solver import InformationAccumulator, identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 Array = NDArray[np.float64]

@@ -80,8 +80,9 @@ def _check_log(
         SysidError: a finding is not accepted; raised when all is printed.
     """
     from robot_sysid.config import with_scale_prior
-    from robot_sysid.diagnosis.log_checks import check_pieces, require_acceptable
+    from robot_sysid.diagnosis.gate import judge, require_acceptable
     from robot_sysid.estimate.options import EstimationOptions
+    from robot_sysid.estimate.questions import Question
     from robot_sysid.logs.reader import open_log
     from robot_sysid.parser import load_robot_model
 
@@ -92,9 +93,7 @@ def _check_log(
     rate = (count - 1) / log.duration
     console.stage(f"{count} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
     options = with_scale_prior(EstimationOptions(), log_options, robot.joint_names)
-    findings, _ = check_pieces(
-        robot, log.pieces, options, divided=log.torque_scale, progress=console
-    )
+    findings = judge(robot, [log], Question(options), console).findings
     console.stage(*(finding.line() for finding in findings))
     console.result(
         {
@@ -106,7 +105,7 @@ def _check_log(
             "findings": [{**asdict(f), "level": f.level.value} for f in findings],
         }
     )
-    require_acceptable(log, findings, log_options.accept)
+    require_acceptable([log], findings, log_options.accept)
     console.stage("Usable: nothing that stops an identification was found")
     values = {**vars(model_options), **vars(log_options)}
     console.stage(*_next_step(model_options.path, path, values).lines())

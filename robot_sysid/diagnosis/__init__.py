@@ -1,12 +1,9 @@
-"""Checks of a log against the arm's model before an estimate: the record of one finding."""
+"""Checks of logs against the arm's model: the record of one finding."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from robot_sysid.records import Array
 from robot_sysid.records.messages import Remark
 
 
@@ -15,25 +12,13 @@ class ColumnCorrection:
     """Columns that joints have to be given in place of theirs.
 
     Attributes:
-        quantities: whose columns are wrong: "position", "torque" or both.
-        order: (n,) for each joint, the index of the joint that has its columns.
-        factors: (n,) by which each joint's right column has to be multiplied.
+        position: (n,) for each joint, the index of the joint that has its position, and by which
+            that column has to be multiplied.
+        torque: the same of torques.
     """
 
-    quantities: tuple[str, ...]
-    order: tuple[int, ...]
-    factors: tuple[float, ...]
-
-    @classmethod
-    def of_factors(cls, factors: Array, *quantities: str) -> ColumnCorrection:
-        """Return the correction that multiplies each joint's own column by a factor (n,)."""
-        return cls(quantities, tuple(range(len(factors))), tuple(factors.tolist()))
-
-    def apply(self, quantity: str, values: Array) -> Array:
-        """Return recorded values (N, n) of a quantity with the columns put right."""
-        if quantity not in self.quantities:
-            return values
-        return values[:, self.order] * np.array(self.factors)
+    position: tuple[tuple[int, float], ...]
+    torque: tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True)

@@ -1,374 +1,585 @@
-"""What is wrong with a log or its model: explanations and corrections compete by evidence.
+"""What is wrong with a log or its model: a cause is named when it explains.
 
-A log is fitted first. Each explanation is one more term of the same fit, and is scored by the gain
-in log marginal likelihood, both fits with the noise that it leaves; corrections of mistaken columns
-(``relabelling``) by that of the corrected log. The best one is named where it gains ``CLEAR`` nats,
-together with the explanations within ``TIE`` nats of it, because the log cannot distinguish them.
-Then it joins the fit, and the others are scored again.
+The fit of a log is judged as it stands. Where it does not fit, discrete mistakes (``relabelling``)
+are tried first. Then effects (``causes``) are offered to the fit; the likeliest joins it where it
+gains ``CLEAR`` nats, and the others are offered again. A cause is named where
+
+(a) the fit with all that is found leaves no more unexplained than right logs do;
+(b) no column that is independent of it contradicts it;
+(c) its value is ``SURE`` of its own errors, and of a size that exists;
+(d) it changes what was asked, or else it is a note.
+
+Otherwise the log does not fit: how much is unexplained, at which joints, and what is missing there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from operator import attrgetter
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.causes import Explanation, explanations
-from robot_sysid.diagnosis.log_fit import LogFit, compare, dry_friction, log_rows
+from robot_sysid.diagnosis.causes import (
+    INERTIAL,
+    WEIGHT,
+    Explanation,
+    beside,
+    explanations,
+    spread_of,
+    typical_torque,
+)
 from robot_sysid.diagnosis.relabelling import (
+    LARGER,
     SMALLER,
     Correction,
+    clear_factor,
     common_scale,
-    corrections,
-    odd_unit_finding,
+    discrete,
+    odd_unit,
+    own_scales,
+    torque_ratio,
 )
-from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.equations import names_of
+from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import CLEAR
-from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.contacts import LITTLE
+from robot_sysid.estimate.fit import Fit, equations_of, fit, solve
+from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.questions import PER_CENT
-from robot_sysid.estimate.rows import Recording
-from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.messages import Level, percent, with_error
+from robot_sysid.estimate.rows import Rows
+from robot_sysid.estimate.terms import (
+    LAST_LINK,
+    LINKS,
+    PAYLOAD_NAMES,
+    Point,
+    Term,
+    independent,
+)
+from robot_sysid.records import Array
+from robot_sysid.records.messages import Level, percent, torque_unit, with_error
 
 TIE = 6.0
 """Difference in gain within which two explanations count as equally likely [nats]."""
-LEAST_SHARE = 0.015
-"""Share of the torque that an explanation of one joint, or a mere note, has to exceed to be
-reported."""
+SURE = 3.0
+"""Standard errors from which a cause has a value."""
+POSSIBLE = 2.0
+"""Standard errors from which a cause is named beside one that explains as much."""
+LEAST_SHARE = 0.005
+"""Share of the torque that a cause at one joint, or a mere note, has to explain to be reported."""
 LEAST_OF_JOINT = 0.06
 """Share of a joint's own torque that is enough of a hum or a ripple."""
 MATTERS = 1.0
-"""Change of a parameter of the last link, in standard errors, above which the explanation that
-causes it is harmful."""
+"""Change of what was asked, in standard errors, above which the cause of it is harmful."""
 HARMFUL_SHARE = 0.05
-"""Share of the torque above which an explanation is harmful."""
+"""Share of the torque above which a cause that explains it is harmful."""
+HARMFUL_SHAPE = 0.015
+"""The same for torque of a shape at one joint."""
 MOST_NAMES = 3
-"""Largest number of explanations that are named together."""
+"""Largest number of causes that are named together."""
 UNEXPLAINED = 0.05
 """Share of unexplained torque above which no cause is named: logs without faults have 0.03."""
+OTHER_ARM = 0.3
+"""Share of unexplained torque above which the model is taken for that of another arm."""
+HEAVIEST = 0.6
+"""Largest mass of a plausible last link, as a share of the arm's mass."""
+FAR = 4.0
+"""Deviation of the other links from the model that no log reaches with the right model, in standard
+deviations of chi-square beyond its mean."""
 ODD_LINKS = 7.25
 """Factor on the stated uncertainty of links' masses, as the log shows it, above which it is said:
 models of siblings reach 6.1 to 7.7, but one right arm in forty with a link that is 40 % off 8.0.
 No torque tells these apart, but models of other arms leave more than 1 % of it unexplained."""
-OTHER_ARM = 0.3
-"""Share of unexplained torque above which the model is taken for that of another arm."""
+ODD_CENTRES = 5.7
+"""The same for centres of mass: right arms reach 2.2, logs of another arm 5.8 to 6.5."""
 LIKE_GRAVITY = ("force", "gravity", "tilt", "payload-step")
-"""Checks whose explanations may stand for gravity in another direction."""
+"""Checks whose causes may stand for gravity in another direction."""
+SCALES = ("torque-scale", "torque-unit")
+"""Checks of torque scales."""
+SHAPES = ("force", "contact", "crosstalk")
+"""Checks whose causes at one joint are torque of any shape."""
+SLOW = 0.5
+"""Least share of what a cause explains that is not noise."""
 FRICTIONLESS = 0.004
 """Largest error of dry friction, as a share of the torque, with which none can be told."""
 EXACT = 0.001
 """Error of filtering in dry friction, as a share of the joint's torque."""
-MEASURED = "record the measured joint torque"
+OF_LINKS = (
+    "torque-scale",
+    "torque-unit",
+    "model",
+    "tilt",
+    "gravity",
+    "force",
+    "order",
+    "zero",
+)
+"""Checks that an experiment on single joints says nothing of."""
+CAUSE = "explanation"
+"""Cause of the term of an explanation that has joined a fit."""
 RIGHT_MODEL = "check that the model is of this arm, with all that is fixed to its links"
-# Number of explanations whose noise is estimated anew in each round.
-_REFITTED = 6
-# Least gain of an explanation before that, at white noise [nats].
-_WORTH = 8.0
-# Largest number of explanations and corrections that act together.
+MEASURED = "record the measured joint torque"
+# Number of explanations that are weighed in each round.
+_WEIGHED = 8
+# Largest number of causes that act together.
 _MOST_ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class Score:
-    """An explanation in the fit of a log.
+    """An explanation, and what a fit says of it.
 
     Attributes:
         explanation: the fault.
-        gain: in log marginal likelihood [nats], minus the log of ``Explanation.choices``.
-        before: fit that it was added to.
-        log: the log with it.
+        offer: its values, and what it leaves.
+        gain: of the offer, minus the log of ``Explanation.choices``.
+        fitted: the fit that it was offered to.
+        allowed: parameter to its standard error in the fit of the log, as it is printed.
     """
 
     explanation: Explanation
+    offer: Offer
     gain: float
-    before: Fit
-    log: LogFit
+    fitted: Fit
+    allowed: Mapping[str, float]
 
     @property
-    def values(self) -> tuple[Array, Array]:
-        """Values (e,) of the parameters, and their standard errors (e,)."""
-        at = self.log.fit.at(self.explanation.term.names)
-        return self.log.fit.free[at], np.sqrt(np.diag(self.log.fit.inverse)[at])
+    def distance(self) -> float:
+        """The value in its own errors; zero where it is of no size that exists."""
+        offer = self.offer
+        if not self.explanation.is_possible(offer.values, offer.errors):
+            return 0.0
+        if self.explanation.is_norm or "{value}" not in self.explanation.text:
+            return offer.distance
+        value, error = self.explanation.number(offer)
+        return float(abs(value) / error)
+
+    @property
+    def explained(self) -> Array:
+        """Torque (J,) that is left unexplained without it only, root mean square [N m]."""
+        counts = np.maximum(np.sum(self.fitted.sums.counts, axis=0), 1.0)
+        squares = np.maximum(self.offer.successive, 0.0) / counts
+        return np.sqrt(np.maximum(self.fitted.unexplained**2 - squares, 0.0))
+
+    @property
+    def share(self) -> float:
+        """The torque that it explains, as a share of all torque."""
+        typical = np.linalg.norm(typical_torque(self.fitted))
+        return float(np.linalg.norm(self.explained) / typical)
 
     @cached_property
     def torque(self) -> Array:
-        """Standard deviation (J,) of the explanation's torque over time [N m]."""
-        names = self.explanation.term.names
-        return np.std(self.log.rows.torque_of(names, self.values[0]), axis=0)
-
-    @property
-    def torque_share(self) -> float:
-        """The explanation's torque as a share of all torque."""
-        typical = self.log.rows.typical_torque
-        return float(np.linalg.norm(self.torque) / np.linalg.norm(typical))
+        """Standard deviation (J,) of its own torque [N m]."""
+        effect = self.offer.effect
+        spread = np.zeros(len(self.fitted.sums.joints))
+        for joint in range(len(spread)):
+            if effect.joint in (None, joint):
+                spread[joint] = spread_of(self.fitted, effect, joint, self.offer.values)
+        return spread
 
     @property
     def is_gross(self) -> bool:
         """Whether the first value is as large as is harmful in any case."""
-        return abs(self.values[0][0]) >= self.explanation.harmful_from
+        return abs(self.offer.values[0]) >= self.explanation.harmful_from
+
+    @property
+    def is_shape(self) -> bool:
+        """Whether it is torque of a shape at one joint, which may stand for other terms."""
+        explanation = self.explanation
+        return explanation.check in SHAPES and explanation.effect.joint is not None
 
     @property
     def is_reportable(self) -> bool:
-        """Whether the explanation is large enough for a finding."""
-        explanation = self.explanation
-        is_of_log = explanation.joint is None and explanation.level is not Level.SAYS
-        shares = self.torque / self.log.rows.typical_torque
-        is_wave = explanation.is_norm and bool(np.max(shares) > LEAST_OF_JOINT)
-        is_large = self.torque_share > LEAST_SHARE or is_wave
-        return is_of_log or is_large or self.is_gross
+        """Whether it explains enough for a finding."""
+        if self.level is not Level.SAYS:
+            return True
+        typical = typical_torque(self.fitted)
+        torque = self.explained if self.is_shape else self.torque
+        share = np.linalg.norm(torque) / np.linalg.norm(typical)
+        is_wave = self.is_shape and np.max(torque / typical) > LEAST_OF_JOINT
+        is_of_log = self.explanation.effect.joint is None
+        is_of_log &= self.explanation.level is not Level.SAYS
+        return bool(is_of_log or is_wave or share > LEAST_SHARE)
+
+    @property
+    def matters(self) -> bool:
+        """Whether what was asked changes with it by more than ``MATTERS`` standard errors."""
+        fitted = self.fitted
+        asked = PAYLOAD_NAMES if fitted.question.loaded else PARAMETER_NAMES
+        errors = np.array([self.allowed[name] for name in asked])
+        change = np.abs(self.offer.change[fitted.at(asked)])
+        return bool(np.any(change > MATTERS * errors))
 
     @property
     def level(self) -> Level:
-        """The explanation's level where an estimate that ignores it would be wrong, else SAYS.
-
-        It would be if a parameter of the last link changes by more than ``MATTERS`` standard
-        errors, or more than ``HARMFUL_SHARE`` of the torque is explained.
-        """
-        explanation = self.explanation
-        if explanation.level is Level.REFUSES:
-            return Level.REFUSES
-        last = self.before.at(spatial.PARAMETER_NAMES)
-        moved = self.log.fit.free[self.log.fit.at(spatial.PARAMETER_NAMES)]
-        change = np.abs(moved - self.before.free[last])
-        errors = np.sqrt(np.diag(self.before.inverse)[last])
-        is_harmful = (
-            self.is_gross
-            or np.any(change > MATTERS * errors)
-            or self.torque_share > HARMFUL_SHARE
-        )
-        return explanation.level if is_harmful else Level.SAYS
+        """The explanation's level where an estimate that ignores it would be wrong, else SAYS."""
+        if self.is_shape:
+            is_harmful = self.share > HARMFUL_SHAPE
+        else:
+            is_harmful = self.is_gross or self.matters or self.share > HARMFUL_SHARE
+        return self.explanation.level if is_harmful else Level.SAYS
 
 
-class Contest:
-    """The fit of a log, with the methods that score explanations.
-
-    Args:
-        log: the fit of a log.
-        advance: is called after each explanation that is tried.
-        found: explanations that act in it.
+@dataclass(frozen=True)
+class Evidence:
+    """What is known of a log beside its rows.
 
     Attributes:
-        log: the fit with the explanations that are found, its rows with the columns of all.
-        offered: the explanations.
+        divided: (n,) torque scales by which the torques were divided already.
+        time_share: by which time is too long, by recorded velocities; None where there are none.
+        torque: root mean square of each joint's.
     """
 
-    def __init__(
-        self,
-        log: LogFit,
-        advance: Callable[[], object],
-        found: Sequence[Explanation] = (),
-    ) -> None:
-        self.log = log
-        self._advance = advance
-        self.offered: list[Explanation] = []
-        self.offer([*found, *explanations(log.fit)])
+    divided: Array
+    time_share: float | None = None
 
-    def offer(self, more: Sequence[Explanation]) -> None:
-        """Offer more explanations, and give the rows their columns."""
-        self.offered += more
-        fitted = self.log.fit
-        terms = [explanation.term for explanation in self.offered]
-        rows = log_rows(fitted.arm, fitted.recordings, fitted.point, terms)
-        self.log = replace(self.log, rows=rows)
-
-    def score(self, explanation: Explanation) -> Score:
-        """Return the score of an explanation; both fits have the noise that it leaves."""
-        self._advance()
-        log = self.log
-        term = explanation.term
-        terms = [*log.fit.equations.terms, term]
-        wider = log.rows.fit(terms, log.fit, np.ones(len(log.fit.noise)))
-        after = replace(log, fit=wider, found=(*log.found, term))
-        gain, after = compare(log, after)
-        return Score(explanation, gain - np.log(explanation.choices), log.fit, after)
-
-    def ranked(self) -> list[Score]:
-        """Return the scores of the best explanations that are possible, the largest gain first.
-
-        Of those of one check and joint that differ in a setting, the best one counts. A fault makes
-        noise slow, and hides in it: explanations are compared as if it were white.
-        """
-        current = self.log.fit
-        ones = np.ones(len(current.noise))
-        white = self.log.rows.fit(current.equations.terms, current, ones)
-        best: dict[object, tuple[float, Explanation]] = {}
-        for explanation in self.offered:
-            if explanation.term.names[0] not in white.names:
-                gain = white.gain(explanation.term) - np.log(explanation.choices)
-                family = (*explanation.subject, len(explanation.term.names))
-                if gain > best.get(family, (_WORTH,))[0]:
-                    best[family] = gain, explanation
-        scores = []
-        for _, explanation in sorted(best.values(), key=lambda pair: -pair[0]):
-            score = self.score(explanation)
-            # Of all joints together, less torque has to be left over than without it.
-            before, after = (
-                np.sum(each.sums.squared_residuals(each.full))
-                for each in (current, score.log.fit)
-            )
-            if explanation.is_sure(*score.values) and after < before:
-                scores.append(score)
-            if len(scores) == _REFITTED:
-                break
-        scores.sort(key=attrgetter("gain"), reverse=True)
-        if scores and scores[0].gain > CLEAR:
-            scores[0] = self.refine(scores[0])
-        return scores
-
-    def wrong_time(self, share: float) -> Iterator[Finding]:
-        """Yield the finding that time is too long by a share, by recorded velocities.
-
-        Nothing is yielded where the share is zero, or torques rather say that time is right.
-        """
-        clock = next(e for e in self.offered if e.term.cause == "clock")
-        value = self.score(clock).values[0][0]
-        if abs(value - share) < abs(value):
-            text, remedy = clock.describe(np.array([share]), np.zeros(1))
-            text += ", and so do the recorded velocities"
-            yield Finding(Level.REFUSES, "clock", text, remedy)
-
-    def refine(self, score: Score) -> Score:
-        """Return the best score that ``Explanation.nearby`` leads to, step by step."""
-        while nearby := score.explanation.nearby():
-            self.offer(nearby)
-            better = max(map(self.score, nearby), key=attrgetter("gain"))
-            if better.gain < score.gain:
-                break
-            score = better
-        return score
+    def contradicts(self, score: Score) -> bool:
+        """Return whether a column that is independent of an explanation contradicts it."""
+        return score.explanation.check == "clock" and self.time_share == 0.0
 
 
 def findings(
-    robot: RobotModel,
-    recordings: Sequence[Recording],
-    options: EstimationOptions,
-    divided: Array,
-    share: float,
-    advance: Callable[[], object],
+    fitted: Fit, evidence: Evidence, advance: Callable[[], object]
 ) -> list[Finding]:
     """Return what is wrong with a log or its model; nothing where the log fits its model.
 
     Args:
-        robot: the arm with its model.
-        recordings: the log's pieces.
-        options: prior uncertainties of the estimate.
-        divided: (n,) torque scales by which the torques were divided already.
-        share: by which time is too long if recorded velocities are right; 0 where they say nothing.
-        advance: is called after each explanation and correction that is tried.
+        fitted: the fit of the log, with the columns of ``causes.beside``.
+        evidence: what is known beside its rows.
+        advance: is called after each round.
     """
-    first = LogFit.of(robot, recordings, options)
-    if is_computed(first):
+    if is_computed(fitted):
         text = "the torque follows rigid-body dynamics and has no friction: it was computed, or "
         text += "commanded, not measured"
         return [Finding(Level.DOUBTS, "computed", text, MEASURED)]
-    odd_unit = odd_unit_finding(first)
-    contest = Contest(first, advance)
-    if wrong_time := [*contest.wrong_time(share)]:
-        return wrong_time
-    rounds: list[list[Score]] = []
-    corrected: list[Finding] = []
-    while len(rounds) + len(corrected) < _MOST_ROUNDS:
-        log = contest.log
-        ranked = contest.ranked()
-        winner = ranked[0] if ranked and ranked[0].gain > CLEAR else None
-        best = log if winner is None else winner.log
-        tried: list[Correction] = []
-        # Where the log fits with what was found, corrections were tried before.
-        if not rounds or log.misfit > UNEXPLAINED or not log.is_plausible:
-            is_turned = bool(winner and winner.explanation.term.cause in LIKE_GRAVITY)
-            tried = corrections(log, best, divided, is_turned, advance)
-        is_exchanged = bool(tried) and tried[0].finding.about in ("order", "tilt")
-        # An exchange of joints also gives one of them torque that is far too large for it.
-        if odd_unit and not corrected and not is_exchanged:
-            return [odd_unit]
-        if tried and is_better(tried[0], winner, best.is_plausible):
-            corrected.append(tried[0].finding)
-            found = [scores[0].explanation for scores in rounds]
-            contest = Contest(tried[0].log, advance, found)
-        elif winner is None:
-            break
-        else:
-            ties = [score for score in ranked if score.gain > winner.gain - TIE]
-            # Of equally likely ones, one with a single value joins the fit.
-            ties.sort(key=lambda score: len(score.values[0]) > 1)
-            rounds.append(ties)
-            contest.log = replace(ties[0].log, rows=contest.log.rows)
-    # No single cause takes that much of the weight.
-    if not corrected and np.median(first.torque_ratio[first.loaded]) < SMALLER:
+    if evidence.time_share and (wrong := [*wrong_time(fitted, evidence.time_share)]):
+        return wrong
+    is_experiment = is_of_single_joints(fitted)
+    contest = Contest(fitted, evidence)
+    contest.run(advance)
+    may_be_turned = any(r[0].explanation.check in LIKE_GRAVITY for r in contest.rounds)
+    is_fitting = fits(fitted) and not may_be_turned
+    if not is_experiment and not is_fitting:
+        best = correction(fitted, evidence, advance)
+        if best is not None:
+            corrected = Contest(best.fit, evidence, best)
+            corrected.run(advance)
+            is_better = corrected.gain > contest.gain or is_foreign(fitted)
+            if (corrected.explains, is_better) > (contest.explains, False):
+                contest = corrected
+    is_relabelled = any(each.about in ("sign", "order") for each in contest.corrected)
+    if not (is_experiment or is_relabelled or is_fitting):
+        found = [*odd_unit(fitted, dry_friction(fitted)[0])]
+        if found:
+            return found
+    if not contest.explains:
+        # Friction that drives a joint is a turned sign whatever the model.
+        is_shown = is_relabelled and drives(fitted) and not drives(contest.first)
+        return contest.corrected if is_shown else [misfit(fitted, contest.least)]
+    if not contest.corrected and is_external(fitted):
         text = "the torque has little of the links' weight: it may be external torque, left after "
         text += "a controller's model, or motor current"
         remedy = f"{MEASURED}, or give --torque-constants for a current"
         return [Finding(Level.REFUSES, "gravity", text, remedy)]
-    named = [*corrected, *name_causes(rounds[:MOST_NAMES])]
-    if all(finding.level is Level.SAYS for finding in named):
-        named += wrong_models(first, contest.log, divided)
+    named = [*contest.corrected, *name_causes(contest.rounds[:MOST_NAMES])]
+    if is_experiment:
+        named = [each for each in named if each.about not in OF_LINKS]
+    elif all(finding.level is Level.SAYS for finding in named):
+        named += wrong_models(contest.first, contest.current, evidence)
     return named
 
 
-def wrong_models(first: LogFit, last: LogFit, divided: Array) -> list[Finding]:
-    """Return what is wrong as a whole, where no cause is named that forbids an estimate.
+def is_of_single_joints(fitted: Fit) -> bool:
+    """Return whether joints are driven one at a time, as people measure their friction.
+
+    Such an experiment hardly shows links, nor what is wrong with their torques as a whole.
+    """
+    used = [recording.used[:, fitted.arm.indices] for recording in fitted.recordings]
+    counts = np.sum(np.concatenate(used), axis=1)
+    return bool(np.mean(counts[counts > 0]) < 1.5) if np.any(counts) else False
+
+
+def left_over(fitted: Fit) -> float:
+    """Return the share of all torque that a fit leaves unexplained."""
+    typical = float(np.linalg.norm(typical_torque(fitted)))
+    return float(np.linalg.norm(fitted.unexplained)) / max(typical, 1e-300)
+
+
+def fits(fitted: Fit) -> bool:
+    """Return whether a log fits its model so well that its columns are right."""
+    touched = any(recording.touched for recording in fitted.recordings)
+    return bool(
+        left_over(fitted) < LITTLE
+        and not is_foreign(fitted)
+        and is_plausible(fitted)
+        and not drives(fitted)
+        and not is_turned(fitted)
+        and not touched
+    )
+
+
+def drives(fitted: Fit) -> bool:
+    """Return whether friction drives a joint: a turned sign, whatever the model."""
+    dry, error = dry_friction(fitted)
+    return bool(np.any(dry < -SURE * error))
+
+
+def is_turned(fitted: Fit) -> bool:
+    """Return whether the torque of a joint clearly has a negative scale."""
+    white = Offers(fitted)
+    for each in explanations(fitted):
+        is_scale = each.check == "torque-scale" and each.effect.shares is None
+        if is_scale and not each.log:
+            offer = white.offer(each.effect)
+            if offer.values[0] + SURE * offer.errors[0] < -1.0 and offer.gain > CLEAR:
+                return True
+    return False
+
+
+def correction(
+    fitted: Fit, evidence: Evidence, advance: Callable[[], object]
+) -> Correction | None:
+    """Return the best correction of a log that does not fit; None where none puts it right."""
+    tried = [*discrete(fitted, beside, fits, advance)]
+    tried += [*common_scale(fitted, evidence.divided, beside)]
+    tried += [*own_scales(fitted, evidence.divided, beside)]
+    advance()
+    before = left_over(fitted)
+    # Links fit torques in another unit, if they may be off by as much.
+    least = -np.inf if is_foreign(fitted) else CLEAR
+    right = [
+        each
+        for each in tried
+        if is_plausible(each.fit)
+        and not is_odd(each.fit)
+        and each.gain > least
+        and (
+            left_over(each.fit) < max(0.7 * before, LITTLE)
+            or (drives(fitted) and not drives(each.fit))
+        )
+    ]
+    return max(right, key=lambda each: each.gain, default=None)
+
+
+def is_foreign(fitted: Fit) -> bool:
+    """Return whether torques are so small or large that no links, nor a tool, make them."""
+    ratio, is_loaded = torque_ratio(fitted)
+    typical = np.median(ratio[is_loaded]) if np.any(is_loaded) else 1.0
+    return not SMALLER < typical < LARGER
+
+
+class Contest:
+    """A fit, and the explanations that join it one after the other.
 
     Args:
-        first: the fit of the log.
-        last: that with all that is named.
-        divided: (n,) torque scales by which the torques were divided already.
+        fitted: the fit of a log, with the columns of ``causes.beside``.
+        evidence: what is known beside its rows.
+        correction: that was made of the log; None for none.
+
+    Attributes:
+        first: the fit without explanations.
+        current: that with all that have joined it.
+        corrected: what the correction says.
+        rounds: those that won, each with those that tie with it.
+        least: what a single cause leaves unexplained, as a share of all torque.
+        gain: of all that was found, in log likelihood [nats].
     """
-    for correction in common_scale(last, divided):
-        if correction.log.misfit < max(UNEXPLAINED, last.misfit):
-            return [correction.finding]
-    robot = last.fit.arm.robot
-    if last.misfit > UNEXPLAINED:
-        worst = np.argsort(-last.misfit_by_joint * last.rows.typical_torque)[:3]
-        shares = [
-            f"{last.fit.arm.joints[k]} {percent(float(last.misfit_by_joint[k]))}"
-            for k in worst.tolist()
-        ]
-        text = (
-            f"{percent(last.misfit)} of the torque is explained by none of the faults that are "
-            f"looked for (of its own torque, {', '.join(shares)})"
+
+    def __init__(
+        self, fitted: Fit, evidence: Evidence, correction: Correction | None = None
+    ) -> None:
+        self.first = self.current = fitted
+        self.corrected: list[Finding] = []
+        self.rounds: list[list[Score]] = []
+        self.least = left_over(fitted)
+        self.gain = 0.0
+        if correction is not None:
+            self.corrected += correction.findings
+            self.gain = correction.gain
+        self._evidence = evidence
+        self._effects: list[Effect] = []
+
+    @property
+    def explains(self) -> bool:
+        """Whether no more is left unexplained than right logs leave."""
+        return left_over(self.current) < UNEXPLAINED
+
+    def run(self, advance: Callable[[], object]) -> None:
+        """Let explanations join the fit as long as they gain clearly."""
+        allowed = dict(zip(self.first.names, self.first.errors))
+        while len(self.rounds) < _MOST_ROUNDS:
+            advance()
+            scores = self.ranked(allowed)
+            if any(each.about in SCALES for each in self.corrected):
+                # Joints whose scales no torque shows keep their share of the others'.
+                scores = [s for s in scores if s.explanation.check not in SCALES]
+            if not scores or scores[0].gain < CLEAR:
+                break
+            if self._takes_scales(scores[0]):
+                continue
+            ties = [score for score in scores if score.gain > scores[0].gain - TIE]
+            # Of equally likely ones, a sure one with a single value joins the fit.
+            ties.sort(key=lambda s: (s.distance < SURE, len(s.offer.values) > 1))
+            if ties[0].distance < SURE:
+                break
+            self.join(ties[0])
+            self.rounds.append(ties)
+            self.gain += ties[0].gain
+            if len(self.rounds) == 1:
+                self.least = min(self.least, left_over(self.current))
+
+    def _takes_scales(self, score: Score) -> bool:
+        """Return whether more than one joint has a torque scale of its own, and correct them."""
+        if score.explanation.check not in SCALES or self.corrected or self.rounds:
+            return False
+        for each in own_scales(self.first, self._evidence.divided, beside):
+            if each.gain > score.gain + TIE and is_plausible(each.fit):
+                self.first = self.current = each.fit
+                self.corrected += each.findings
+                self.gain = each.gain
+        return bool(self.corrected)
+
+    def ranked(self, allowed: Mapping[str, float]) -> list[Score]:
+        """Return the likeliest explanations that are possible, the largest gain first.
+
+        ``allowed`` are the standard errors of the parameters, by name.
+
+        Of those of one check and joint that differ in a setting, the best one counts. A fault
+        makes noise slow, and hides in it: explanations are compared as if it were white, and
+        the likeliest weighed with the noise that they leave.
+        """
+        fitted = self.current
+        white = Offers(fitted)
+        best: dict[object, tuple[float, Explanation]] = {}
+        for explanation in explanations(fitted):
+            offer = white.offer(explanation.effect)
+            gain = offer.gain - np.log(explanation.choices)
+            family = (*explanation.subject, len(offer.values))
+            if gain > best.get(family, (0.5 * CLEAR,))[0]:
+                best[family] = gain, explanation
+        scores = []
+        rounding = EXACT**2 * np.sum(fitted.sums.squared_torque)
+        is_loaded = fitted.question.loaded
+        likeliest = sorted(best.values(), key=lambda pair: -pair[0])
+        for _, explanation in likeliest[:_WEIGHED]:
+            offer = white.offer(explanation.effect)
+            total, slow = white.slow_gain(offer)
+            # Links that a joint's own shape relieves are no evidence for it. Nor is what all
+            # logs share evidence for what differs between empty and loaded ones.
+            score = Score(explanation, offer, offer.gain, fitted, allowed)
+            relief = 0.0 if score.is_shape or is_loaded else 0.5 * offer.relief
+            # Of all joints together, no more torque may be left over than without it.
+            is_less = np.sum(offer.squares) < np.sum(white.squares) + rounding
+            if is_less and slow + relief > max(SLOW * (total + relief), CLEAR):
+                score = self.weighed(score, white)
+                if score.distance > POSSIBLE and not self._evidence.contradicts(score):
+                    scores.append(score)
+        return sorted(scores, key=lambda score: -score.gain)
+
+    def weighed(self, score: Score, offers: Offers) -> Score:
+        """Return a score with the noise that its explanation leaves.
+
+        The instant at which a load changes is found first, to a row.
+        """
+        explanation = score.explanation
+        if explanation.check == "payload-step" and score.gain > 2.0 * CLEAR:
+            return self._located(score)
+        offer = offers.weigh(explanation.effect)
+        gain = offer.gain - np.log(explanation.choices)
+        gain -= 0.5 * offer.relief * self.current.question.loaded
+        return replace(score, offer=offer, gain=float(gain))
+
+    def join(self, score: Score) -> None:
+        """Add an explanation to the fit."""
+        self.current = score.fitted
+        self._effects.append(score.explanation.effect)
+        self.current = self._rebuilt(self.current, [score.explanation.effect])
+
+    def _located(self, score: Score) -> Score:
+        """Return the score of a change of load at the instant that fits best."""
+        fitted = self.current
+        instant, log = instant_of(fitted, score)
+        last = fitted.arm.terms[LAST_LINK]
+        names = tuple(f"{name} from {instant:.4f} s" for name in last.names)
+
+        def columns(rows: Rows, point: Point) -> Array:
+            """Return the torque (m, J, 10) of the last link's parameters after the instant."""
+            key = "after", instant
+            after = rows.low_passed(key, lambda m: (m.time >= instant).astype(float))
+            is_own = rows.recording.name == log
+            return last.columns(rows, point) * (after * is_own)[:, None, None]
+
+        arm = fitted.arm.beside([Term("", names, columns)])
+        sums = arm.sums(fitted.recordings, fitted.point)
+        terms = [t for t in fitted.equations.terms if t.cause != CAUSE]
+        wider = replace(fitted, arm=arm, equations=equations_of(arm, sums, terms, {}))
+        wider = self._rebuilt(wider, self._effects)
+        explanation = score.explanation
+        explanation = replace(
+            explanation,
+            effect=Effect(names, explanation.effect.factor),
+            text=explanation.text.replace("{instant}", f"{instant:.3g} s"),
         )
-        check = "model" if last.misfit > OTHER_ARM else "unexplained"
-        remedy = f"{RIGHT_MODEL}, and that it carried the same load all the time, with no contact"
-        return [Finding(Level.DOUBTS, check, text, remedy)]
-    if not last.is_plausible:
-        text = (
-            f"to fit this log, the terminal link would have {with_error(*last.last_mass, 'kg')} on "
-            f"an arm of {robot.mass:.3g} kg, or other links would be far from the model's"
+        offer = Offers(wider).weigh(explanation.effect)
+        gain = offer.gain - np.log(len(sums.logs))
+        return Score(explanation, offer, float(gain), wider, score.allowed)
+
+    def _rebuilt(self, fitted: Fit, effects: Sequence[Effect]) -> Fit:
+        """Return a fit that effects have joined."""
+        sums = fitted.sums
+        terms = [*fitted.equations.terms]
+        for effect in effects:
+            size = effect.factor.shape[1]
+            names = tuple(f"cause {len(sums.names)} {k}" for k in range(size))
+            at = sums.at(effect.names)
+            sums = sums.with_columns(
+                names, at, effect.factor, effect.joint, effect.shares
+            )
+            terms.append(Term(CAUSE, names, in_sums_alone, independent(np.ones(size))))
+        return fit(
+            fitted.arm,
+            fitted.recordings,
+            fitted.point,
+            sums,
+            terms,
+            fitted.question,
+            noise=fitted.noise,
+            correlation=fitted.correlation,
+            possible=False,
         )
-        remedy = f"{RIGHT_MODEL}, and its base mounted as the model says"
-        return [Finding(Level.DOUBTS, "model", text, remedy)]
-    spread = first.fit.question.link_scales.mass
-    if spread > ODD_LINKS:
-        link_prior = first.options.priors.link
-        text = (
-            f"the links differ from the model by {percent(spread * PER_CENT * link_prior)}"
-            " of their masses: it may be the model of a sibling of this arm; the standard errors "
-            "of links before the last may be too small"
-        )
-        level = Level.DOUBTS if last.misfit > PER_CENT else Level.SAYS
-        return [Finding(level, "model", text, RIGHT_MODEL)]
-    return []
 
 
-def is_better(correction: Correction, winner: Score | None, is_plausible: bool) -> bool:
-    """Return whether a correction explains the log better than the best explanation does.
+def in_sums_alone(rows: Rows, point: Point) -> Array:
+    """Raise an error: columns of a cause that has joined a fit stand in its sums alone."""
+    raise NotImplementedError
 
-    An explanation of the correction's own check describes the same fault and is no rival. Where
-    links are not plausible without the correction, it need not be likelier.
+
+def instant_of(fitted: Fit, score: Score) -> tuple[float, str]:
+    """Return (instant at which a load changed, log): that which explains the residuals best.
+
+    Residuals without the load count before it, those with it from then on.
     """
-    if not is_plausible:
-        return correction.gain > -CLEAR
-    least = CLEAR
-    # A unit of all torques is a scale of theirs.
-    check = correction.finding.about.replace("unit", "scale")
-    if winner and winner.explanation.term.cause != check:
-        least = max(least, winner.gain - TIE)
-    return correction.gain > least
+    shares = score.offer.effect.shares
+    assert shares is not None
+    log = fitted.sums.logs[int(np.argmax(shares))]
+    values = dict(zip(fitted.names, fitted.free + score.offer.change))
+    held = {**fitted.by_name, **values}
+    last = fitted.arm.terms[LAST_LINK]
+    times = []
+    gains = []
+    for recording in fitted.recordings:
+        if recording.name == log:
+            for rows in recording.chunks(36 * fitted.arm.robot.n_joints):
+                without = fitted.arm.measured(rows) - fitted.arm.torque(
+                    rows, fitted.point, held
+                )
+                load = last.columns(rows, fitted.point) @ score.offer.values
+                better = without**2 - (without - load) ** 2
+                gains.append(np.nansum(better / fitted.noise**2, axis=1))
+                times.append(rows.motion.time)
+    after = np.cumsum(np.concatenate(gains)[::-1])[::-1]
+    return float(np.concatenate(times)[np.argmax(after)]), log
 
 
 def name_causes(rounds: Sequence[Sequence[Score]]) -> list[Finding]:
@@ -378,32 +589,196 @@ def name_causes(rounds: Sequence[Sequence[Score]]) -> list[Finding]:
     of each check. The finding has the check of the winner, and the most severe level of all.
     """
     named: list[Finding] = []
-    known: set[tuple[str, int | None]] = set()
-    for ranked in rounds:
+    known: set[object] = set()
+    for scores in rounds:
         best: dict[str, Score] = {}
-        for score in ranked:
+        for score in scores:
             if score.is_reportable and score.explanation.subject not in known:
-                best.setdefault(score.explanation.term.cause, score)
-        winner = ranked[0].explanation
-        if best.get(winner.term.cause) is not ranked[0]:
+                best.setdefault(score.explanation.check, score)
+        winner = scores[0].explanation
+        if best.get(winner.check) is not scores[0]:
             continue
-        known |= {score.explanation.subject for score in ranked}
-        descriptions = [s.explanation.describe(*s.values) for s in best.values()]
+        known |= {score.explanation.subject for score in scores}
+        descriptions = [
+            score.explanation.describe(score.offer) for score in best.values()
+        ]
         texts, remedies = map(dict.fromkeys, zip(*descriptions))
         level = min((score.level for score in best.values()), key=[*Level].index)
         remedy = ", or ".join(filter(None, remedies))
-        named.append(Finding(level, winner.term.cause, "; or ".join(texts), remedy))
+        named.append(Finding(level, winner.check, "; or ".join(texts), remedy))
     return named
 
 
-def is_computed(log: LogFit) -> bool:
+def wrong_time(fitted: Fit, share: float) -> Iterator[Finding]:
+    """Yield the finding that time is too long by a share, by recorded velocities.
+
+    Nothing is yielded where torques rather say that time is right.
+    """
+    (clock,) = (
+        each
+        for each in explanations(fitted)
+        if each.check == "clock" and each.effect.shares is None
+    )
+    value = 0.5 * Offers(fitted).weigh(clock.effect).values[0]
+    if abs(value - share) > abs(value):
+        return
+    way = "long" if share > 0.0 else "short"
+    text = f"time in the log is {percent(abs(share))} too {way}, by the recorded velocities"
+    remedy = "record the controller's own time stamps, or scale these with a line in "
+    remedy += f"--columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
+    yield Finding(Level.REFUSES, "clock", text, remedy)
+
+
+def wrong_models(fitted: Fit, current: Fit, evidence: Evidence) -> Iterator[Finding]:
+    """Yield what is wrong as a whole, where no cause is named that forbids an estimate.
+
+    Args:
+        fitted: the fit of the log.
+        current: that with all that is named.
+        evidence: what is known beside its rows.
+    """
+    # A cause that was found may explain it.
+    is_off = clear_factor(current) is not None
+    for each in common_scale(fitted, evidence.divided, beside) if is_off else ():
+        if left_over(each.fit) < UNEXPLAINED:
+            yield from each.findings
+            return
+    robot = fitted.arm.robot
+    if not is_plausible(current):
+        text = (
+            f"to fit this log, the terminal link would have {with_error(*last_mass(current), 'kg')}"
+            f" on an arm of {robot.mass:.3g} kg, or other links would be far from the model's"
+        )
+        remedy = f"{RIGHT_MODEL}, and its base mounted as the model says"
+        # What an empty log has wrong as well does not matter to a payload.
+        level = Level.SAYS if fitted.question.loaded else Level.DOUBTS
+        yield Finding(level, "model", text, remedy)
+        return
+    if is_odd(fitted):
+        scales = fitted.question.link_scales
+        share = PER_CENT * fitted.question.options.priors.link
+        text = (
+            f"the links differ from the model by {percent(scales.mass * share)} of their masses, "
+            f"and by {percent(scales.centre_of_mass * share)} of their size in their centres of "
+            "mass: it may be the model of a sibling of this arm; the standard errors "
+            "of links before the last may be too small"
+        )
+        level = Level.DOUBTS if left_over(current) > PER_CENT else Level.SAYS
+        yield Finding(level, "model", text, RIGHT_MODEL)
+
+
+def is_odd(fitted: Fit) -> bool:
+    """Return whether links differ from the model as those of another arm do."""
+    scales = fitted.question.link_scales
+    return scales.mass > ODD_LINKS or scales.centre_of_mass > ODD_CENTRES
+
+
+def misfit(fitted: Fit, least: float) -> Finding:
+    """Return the finding that a log does not fit its model, and what is missing at which joints.
+
+    Args:
+        fitted: the fit of the log.
+        least: what the nearest single cause leaves unexplained, as a share of all torque.
+    """
+    typical = typical_torque(fitted)
+    worst = np.argsort(-fitted.unexplained)[:3].tolist()
+    share = left_over(fitted)
+    joints = [fitted.arm.joints[k] for k in worst]
+    shares = [percent(float(fitted.unexplained[k] / typical[k])) for k in worst]
+    listed = ", ".join(
+        f"{name} ({part} of its own)" for name, part in zip(joints, shares)
+    )
+    text = f"the torques do not fit this model: {percent(share)} unexplained, mostly at {listed}"
+    if least < share:
+        text += f"; the nearest single cause leaves {percent(least)}"
+    for k in worst:
+        text += f"; {missing(fitted, k)}"
+    check = "model" if share > OTHER_ARM else "unexplained"
+    remedy = f"{RIGHT_MODEL}, and that it carried the same load all the time, with no contact"
+    return Finding(Level.DOUBTS, check, text, remedy)
+
+
+def missing(fitted: Fit, joint: int) -> str:
+    """Return what a joint's torque has of the model's weight and inertia, by a regression."""
+    sums = fitted.sums
+    name = fitted.arm.joints[joint]
+    friction = [f"{term}[{name}]" for term in ("coulomb", "viscous", "offset")]
+    columns = sums.columns[joint].tolist()
+    wanted = [n for n in (WEIGHT, INERTIAL, *friction) if n in sums.names]
+    shown = [n for n in wanted if sums.names.index(n) in columns]
+    at = [columns.index(sums.names.index(n)) for n in shown]
+    total = sums.totals[joint]
+    values, *_ = np.linalg.lstsq(total[np.ix_(at, at)], total[at, -1], rcond=1e-12)
+    found = dict(zip(shown, values.tolist()))
+    parts = [
+        f"{percent(found[n])} of the model's {word}"
+        for n, word in ((WEIGHT, "weight"), (INERTIAL, "inertia"))
+        if n in found
+    ]
+    unit = torque_unit(name in fitted.arm.robot.slides)
+    if friction[0] in found:
+        parts.append(f"friction of {found[friction[0]]:.2g} {unit}")
+    return f"{name} has {', '.join(parts)}"
+
+
+def is_external(fitted: Fit) -> bool:
+    """Return whether the torque has little of the links' weight at all joints."""
+    ratio, is_loaded = torque_ratio(fitted)
+    return bool(np.median(ratio[is_loaded]) < SMALLER) if np.any(is_loaded) else False
+
+
+def dry_friction(fitted: Fit) -> tuple[Array, Array]:
+    """Return Coulomb friction (J,) without its bound and its standard error [N m].
+
+    That of a joint that stands still is zero, its error infinite.
+    """
+    joints = fitted.arm.joints
+    dry = np.zeros(len(joints))
+    error = dry + np.inf
+    equations = fitted.equations
+    values, inverse = solve(equations.normal(fitted.weights), equations.reference)
+    for joint, name in enumerate(names_of("coulomb", joints)):
+        if name in fitted.names:
+            at = fitted.names.index(name)
+            dry[joint] = values[at]
+            error[joint] = np.sqrt(max(inverse[at, at], 0.0))
+    return dry, error
+
+
+def is_computed(fitted: Fit) -> bool:
     """Return whether the torque was computed from a model: no joint has friction.
 
     It has to be so well known that friction of a real arm would show.
     """
-    torque = log.rows.typical_torque
-    dry, error = dry_friction(log.fit)
-    known = np.linalg.norm(error[log.loaded]) / np.linalg.norm(torque[log.loaded])
+    torque = typical_torque(fitted)
+    dry, error = dry_friction(fitted)
+    _, is_loaded = torque_ratio(fitted)
+    known = np.linalg.norm(error[is_loaded]) / np.linalg.norm(torque[is_loaded])
     distance = np.sum((dry / np.hypot(error, EXACT * torque)) ** 2)
     limit = len(dry) + 3.0 * np.sqrt(2.0 * len(dry))
     return bool(known < FRICTIONLESS and distance < limit)
+
+
+def last_mass(fitted: Fit) -> tuple[float, float]:
+    """Return the last link's mass and its standard error [kg]."""
+    at = fitted.names.index("m")
+    return fitted.free[at], float(fitted.errors[at])
+
+
+def is_plausible(fitted: Fit) -> bool:
+    """Return whether the last link's mass is that of a link, and the others are near the model's.
+
+    The mass has to lie, within ``SURE`` standard errors, between zero and the larger of two limits:
+    ``HEAVIEST`` of the arm's mass, and the model's mass plus 30 % of the arm's.
+    """
+    robot = fitted.arm.robot
+    largest = max(HEAVIEST * robot.mass, robot.prior.mass + 0.3 * robot.mass)
+    mass, error = last_mass(fitted)
+    is_possible = -SURE * error < mass < largest + SURE * error
+    for term, span in zip(fitted.equations.terms, fitted.equations.spans):
+        if term.cause == LINKS and term.prior is not None:
+            values = np.append(fitted.free[span], -1.0)
+            count = len(term.names)
+            largest = count + FAR * np.sqrt(2.0 * count)
+            is_possible &= np.sum((term.prior.rows @ values) ** 2) < largest
+    return bool(is_possible)

@@ -1,12 +1,8 @@
-"""Faults that last a moment: what touched the arm, or a sensor that failed for a while.
+"""Sensors that failed for a while: their stretches of a log are left out, and the rest is used.
 
-Their stretches of a log are left out, and the rest is used. A sensor that fails shows itself: a
-channel repeats one value while the arm moves (``signals.frozen``). All else shows as torque that
-the arm's equations leave over at one time and at no other: residuals of a robust fit, which gives
-no weight to rows with large ones, are of ordinary size but for these stretches. Where something is
-wrong all the time, residuals are ordinarily large, and nothing is left out.
-
-Throughout, K is the number of rows per joint, n that of joints.
+A sensor that fails shows itself: a channel repeats one value while the arm moves
+(``signals.frozen``). What touched the arm shows as torque that a fit leaves over
+(``estimate.contacts``). Throughout, n is the number of joints.
 """
 
 from __future__ import annotations
@@ -20,39 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding
-from robot_sysid.diagnosis.log_fit import LogRows, log_rows
-from robot_sysid.estimate.fit import equations_of, solve
-from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.estimate.questions import Question, arm_question, friction_columns
-from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import ArmTerms
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.estimate.contacts import MOST_SHARE, MOST_STRETCHES
+from robot_sysid.records import Array, Measurement
 from robot_sysid.records.messages import Level, count_text
 from robot_sysid.signals.frozen import equal_runs, frozen_positions, true_runs
 from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import slice_samples
 
-FAR = 20.0
-"""Mean residual over ``_SMOOTH``, in ordinary sizes of the joint's, of a stretch that is left out:
-right logs of real arms reach 18."""
-ORDINARY = 4.0
-"""Mean residual at which a stretch that is left out ends."""
-MOST_STRETCHES = 5
-"""Number of stretches above which a fault comes back, and is not limited in time."""
-MOST_SHARE = 0.5
-"""Share of a log above which a fault is not limited in time."""
-# Time over which residuals are averaged [s].
-_SMOOTH = 0.3
-# Residual above which a row has no weight in the fit, in ordinary sizes.
-_OUTLYING = 6.0
-# Least ordinary size of a residual, as a share of the joint's typical torque.
-_LEAST_SIZE = 0.005
-# Dry friction that sizes the priors of friction, as a share of a joint's torque.
-_DRY = 0.1
-# Number of fits, each with the weights of the one before.
-_ROUNDS = 6
-# Number of rows that count as one observation against the prior: residuals are correlated.
-_CORRELATED = 5.0
 MANY_VALUES = 100
 """Number of different values below which a channel has coarse steps, which repeat by chance."""
 # Least mean speed of an arm that moves [rad/s].
@@ -92,74 +62,6 @@ def held_torques(piece: Measurement, tau: Array) -> Iterator[tuple[str, slice]]:
             yield "saturated" if tau[rows.start] in ends else "held", rows
 
 
-def unusual_torque(
-    robot: RobotModel, recordings: Sequence[Recording], options: EstimationOptions
-) -> Iterator[Stretch]:
-    """Yield the stretches in which torque is left over that is ordinary at no other time.
-
-    Args:
-        robot: the arm with its model.
-        recordings: low-passed signals of the log's pieces.
-        options: prior uncertainties of the estimate.
-    """
-    from scipy.ndimage import uniform_filter1d
-
-    arm = ArmTerms(robot, friction=friction_columns(options))
-    log = log_rows(arm, recordings, arm.start())
-    residual = robust_residual(log, options)
-    signals = recordings[0].signals
-    width = max(1, round(_SMOOTH * signals.rate / signals.low_pass.step))
-    # Time that the low-pass mixes with what happens in a stretch, and that it loses at both ends.
-    margin = 0.5 / signals.cutoff
-    lost = 2.0 * signals.low_pass.half_width / signals.rate
-    first = 0
-    for recording in recordings:
-        time = recording.motion.time
-        window = slice(first, first + len(time))
-        first = window.stop
-        totals = uniform_filter1d(residual[window], width, axis=0, mode="constant")
-        share = uniform_filter1d(log.used[window].astype(float), width, axis=0)
-        # Where fewer than a third of the rows are used, the others count as zero.
-        size = np.abs(totals) / np.maximum(share, 1.0 / 3.0)
-        for rows in true_runs(np.max(size, axis=1) > ORDINARY):
-            joints = np.max(size[rows], axis=0) > FAR
-            if np.any(joints):
-                start = time[rows.start] - (margin if rows.start else lost)
-                stop = time[rows.stop - 1]
-                stop += margin if rows.stop < len(size) else lost
-                yield Stretch("contact", start, stop, joints)
-
-
-def robust_residual(log: LogRows, options: EstimationOptions) -> Array:
-    """Return residuals (K, n) of a robust fit, in ordinary sizes of each joint's; zero if not used.
-
-    The ordinary size is the standard deviation of a normal distribution with the same median.
-    """
-    typical = log.typical_torque
-    torque = log.sums.rms_torque
-    question = Question(options, dry=tuple((_DRY * torque).tolist()))
-    terms = arm_question(log.arm, question, torque)
-    equations = equations_of(log.arm, log.sums, terms, {})
-    own = log.columns[:, :, equations.index]
-    known = log.columns @ equations.full(np.zeros_like(equations.reference))
-    rows = np.concatenate((own, (log.right_sides - known)[:, :, None]), axis=2)
-    size = 0.05 * typical
-    weights = log.used.astype(float)
-    for _ in range(_ROUNDS):
-        share = weights / (_CORRELATED * size**2)
-        products = np.einsum("kjp,kj,kjq->pq", rows, share, rows, optimize=True)
-        values, _ = solve(products + equations.prior, equations.reference)
-        left = (rows[:, :, -1] - own @ values) * log.used
-        for joint, residual in enumerate(left.T):
-            used = np.abs(residual[log.used[:, joint]])
-            median = np.median(used) if len(used) else 0.0
-            size[joint] = max(1.4826 * median, _LEAST_SIZE * typical[joint])
-        distance = np.abs(left / size)
-        weights = log.used / np.maximum(1.0, 0.5 * distance)
-        weights[distance > _OUTLYING] = 0.0
-    return left / size
-
-
 def leave_out(
     joint_names: Sequence[str],
     pieces: Sequence[Measurement],
@@ -180,7 +82,7 @@ def leave_out(
     left_out_count = 0
     for piece in pieces:
         wrong = np.zeros(piece.q.shape, dtype=bool)
-        checks = np.full(len(piece), "contact", dtype=object)
+        checks = np.full(len(piece), "held", dtype=object)
         for check, start, stop, joints in stretches:
             within = (piece.time >= start) & (piece.time <= stop)
             wrong[within] |= joints
@@ -189,7 +91,7 @@ def leave_out(
         for rows in true_runs(left_out):
             start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
             names = ", ".join(compress(joint_names, np.any(wrong[rows], axis=0)))
-            text = "something touched the arm, or a sensor failed, "
+            text = "a sensor failed "
             text += f"from {start:.2f} s to {stop:.2f} s ({names}): left out"
             notes.append(Finding(Level.SAYS, checks[rows.start], text))
         left_out_count += int(np.sum(left_out))

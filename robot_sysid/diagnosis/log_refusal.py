@@ -19,16 +19,21 @@ from robot_sysid.logs.reader import MeasurementLog
 _PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
 
 
-def refuse_for(log: MeasurementLog, finding: Finding) -> InputError:
-    """Return the error that refuses a log for a finding; ColumnsError where columns are wrong."""
-    text = f"{log.path}: {finding.sentence}"
+def refuse_for(logs: Sequence[MeasurementLog], finding: Finding) -> InputError:
+    """Return the error that refuses logs for a finding; ColumnsError where columns are wrong.
+
+    Columns are those of the first log: logs of one run have one columns file.
+    """
+    log = logs[0]
+    names = ", ".join(str(each.path) for each in logs)
+    text = f"{names}: {finding.sentence}"
     options = finding.options
     if finding.about == "angle-unit" and log.columns.angle_declared:
         options = ()  # A unit in a title outranks the option.
     if finding.correction is not None and (finding.command or not options):
         lines = _corrected_lines(log, finding.correction)
         if lines:
-            reason = f"{log.path}: {finding.text}"
+            reason = f"{names}: {finding.text}"
             draft = _add_lines(log.options.columns, lines, reason)
             name = _free_name(log.path, draft)
             error = ColumnsError(text, draft, name)
@@ -56,13 +61,13 @@ def _corrected_lines(
     columns = log.columns
     if columns.commanded or columns.joint_time:
         return {}
-    groups = {name: getattr(columns, name) for name in correction.quantities}
-    if "position" in groups and columns.velocity:
-        groups["velocity"] = columns.velocity
+    right = {"position": correction.position, "torque": correction.torque}
+    if columns.velocity:
+        right["velocity"] = correction.position
     lines = {}
-    for quantity, group in groups.items():
-        joints = zip(log.joint_names, correction.order, correction.factors)
-        for joint, (name, source, factor) in enumerate(joints):
+    for quantity, sources in right.items():
+        group = getattr(columns, quantity)
+        for joint, (name, (source, factor)) in enumerate(zip(log.joint_names, sources)):
             if source != joint or factor != 1.0:
                 value = _column_text(columns.titles, group[source], factor)
                 lines[f"{quantity}.{name}"] = value

@@ -1,73 +1,61 @@
-"""Mistaken columns of a log: signs, exchanged joints, degrees, units of torque, another mounting.
+"""Discrete mistakes of a log: signs, exchanged joints, turned zeros, degrees, another mounting.
 
-Each mistake can be listed, but for torque scales, one factor per joint, and the direction of
-gravity. A mistake is corrected and the log is fitted again; the gain in log marginal likelihood
-competes with those of explanations (``contest``). Which mistakes are worth a fit is decided by how
-well the torque of the model's links, and friction, follow the corrected columns.
+Each mistake is one step. Logs with steps undone are fitted to the model's links and friction on a
+part of the same rows; the step that fits best is taken, and others are tried beside it, so that
+signs of several joints are found one after the other. The log that results is solved whole.
 
-Throughout, K is the number of rows of all recordings, n that of joints. A torque scale is the ratio
-of recorded to true torque.
+Friction that drives a joint is a turned sign, of its position or of its torque, whatever the model.
+
+Throughout, K is the number of rows, n that of joints. A torque scale is the ratio of recorded to
+true torque.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations, compress, product
+from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import ColumnCorrection, Finding
-from robot_sysid.diagnosis.log_fit import LogFit, compare, log_rows, root_mean_square
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
-    LinkDynamics,
     gravity_vector,
     turn_gravity,
     with_gravity,
 )
-from robot_sysid.estimate.choose import CLEAR, common_factor
+from robot_sysid.estimate.choose import CLEAR, common_factor, solved
+from robot_sysid.estimate.fit import Fit, equations_of, fit, solve
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.questions import arm_question
 from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, ArmTerms, Term
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Level, torque_unit, with_error
 
-LITTLE = 0.02
-"""Share of unexplained torque that a correction may always leave."""
-GROSS = 0.05
-"""Share of unexplained torque above which scales and mountings are tried."""
 ODD = 1.3
-"""Ratio of measured torque to the model's, or its inverse, above which torque scales are tried."""
+"""Factor on all masses, or its inverse, above which it is refused."""
 SURE = 2.0
 """Standard errors that count as sure."""
-REFUSED = 1.6
-"""Torque scale, or its inverse, above which a log is refused."""
-WARNED = 1.3
-"""Torque scale, or its inverse, above which a log gets a warning."""
 SMALLER = 1.0 / 3.0
 """Torque scale below which all joints' torques are in another unit, whatever the links: arms whose
 links are off by 20 %, one of them by 40 %, measure at least 0.53 of the weight."""
 LARGER = 5.0
 """Torque scale above which they are: the heaviest tool that an arm may carry, which its model
 lacks, makes at least one joint's weight no larger than 3.4 times."""
-WIDE = 70.0
-"""Prior standard deviation of a scale's relative change in one round [%]."""
-KNOWN = 0.4
-"""Relative standard error from which a joint's scale is not identified."""
+REFUSED = 1.6
+"""Torque scale of one joint, or its inverse, above which a log is refused."""
 SAME = 1.35
 """Ratio between the largest and smallest torque scale below which they have one common cause."""
 CLOSE = 1.25
 """Largest ratio between a torque scale and the factor of a unit that explains it."""
 FARTHEST = 5.0
 """Largest factor by which all masses of a model may be off; beyond it torques are no N m."""
-COMMON_RANGE = 4.0
-"""Prior standard deviation of the logarithm of a scale that all joints share."""
-OWN_RANGE = 0.4
-"""Prior standard deviation of the logarithm of a joint's scale over the common one."""
 UNITS = {
     1e3: "mN·m",
     100.0: "N·cm",
@@ -82,232 +70,418 @@ WEIGHING = (
     "1 kg (of another mass, state it), record a motion called weight, and compare"
 )
 """What to do where torques are motor currents; the command that compares follows the message."""
-UNCHANGED = ColumnCorrection((), (), ())
-"""The correction of columns that are right."""
-_ROUNDS = 4
-FINALISTS = 2
-"""Number of mistakes that are corrected in a fit: those that the model's links follow best."""
+COLUMNS = "put the columns right with --columns FILE"
+LOADED = 0.1
+"""Least model torque of a joint that links load, over that of the most loaded one."""
 COMPARED = 250
-"""Number of instants at which they are compared."""
-LEAST_MISFIT = 0.01
-"""Least difference between torque and the model's links that counts, as a share of the torque."""
-LEAST_TURN = 5.0
-"""Angle between gravity and the model's above which a base is mounted otherwise [degrees]."""
+"""Number of rows on which steps are compared."""
+WIDE = 70.0
+"""Prior standard deviation of a scale's relative change in one round [%]."""
+KNOWN = 0.4
+"""Relative standard error from which a joint's scale is not identified."""
+OWN_RANGE = 0.4
+"""Prior standard deviation of the logarithm of a joint's scale over the common one."""
+ODD_UNIT = 10.0
+"""Ratio of one joint's torque to the model's, and of its dry friction, over those of the other
+joints, above which the joint has a unit of its own."""
 WIDE_TILT = 15.0
 """Prior standard deviation of a base's tilt where it is mounted otherwise [degrees]."""
-_TURNS = 2
-ODD_UNIT = 20.0
-"""Ratio of one joint's torque to the model's, over that of the other joints, above which the joint
-has a unit of its own."""
+LEAST_TURN = 5.0
+"""Angle between gravity and the model's above which a base is mounted otherwise [degrees]."""
+# Largest number of steps that act together.
+_MOST_STEPS = 8
+# Rounds in which scales are found.
+_ROUNDS = 4
 # Model torque below which friction makes most of a joint's torque, over the strongest joint's.
 _LEAST_LOAD = 0.03
+# Least residual that counts, as a share of the torque of all joints.
+_LEAST = 0.01
+
+
+@dataclass(frozen=True)
+class Relabelling:
+    """How a log has to be read otherwise: right columns are recorded ones of other joints, times
+    factors, plus angles.
+
+    Attributes:
+        order: "position" and "torque" to (n,) whose column each joint has.
+        factors: the same to (n,).
+        zeros: (n,) added to positions [rad].
+        gravity: (3,) [m/s^2]; None for the model's.
+    """
+
+    order: dict[str, NDArray[np.int64]]
+    factors: dict[str, Array]
+    zeros: Array
+    gravity: Array | None = None
+
+    @classmethod
+    def none(cls, n: int) -> Relabelling:
+        """Return the reading of a log as it is."""
+        both = ("position", "torque")
+        return cls(
+            {name: np.arange(n) for name in both},
+            {name: np.ones(n) for name in both},
+            np.zeros(n),
+        )
+
+    def then(self, step: Relabelling) -> Relabelling:
+        """Return this reading with another one after it."""
+        order = {name: self.order[name][at] for name, at in step.order.items()}
+        factors = {
+            name: self.factors[name][at] * step.factors[name]
+            for name, at in step.order.items()
+        }
+        at = step.order["position"]
+        zeros = self.zeros[at] * step.factors["position"] + step.zeros
+        gravity = self.gravity if step.gravity is None else step.gravity
+        return Relabelling(order, factors, zeros, gravity)
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return a recording read so, of which as many rows are used."""
+        signals = recording.signals
+        q, qd, qdd = (
+            signals_of[:, self.order["position"]] * self.factors["position"]
+            for signals_of in (signals.q, signals.qd, signals.qdd)
+        )
+        tau = signals.tau[:, self.order["torque"]] * self.factors["torque"]
+        # The direction of friction is that of the speed.
+        signs = np.sign(self.factors["position"])
+        dry = recording.low_passed("coulomb", lambda motion: np.sign(motion.qd))
+        right = replace(
+            recording,
+            signals=replace(signals, q=q + self.zeros, qd=qd, qdd=qdd, tau=tau),
+            touched=(),
+            _kept={"coulomb": dry[:, self.order["position"]] * signs},
+        )
+        # A joint's rows are those in which it moves.
+        right.__dict__["used"] = recording.used[:, self.order["position"]]
+        return right
+
+    @property
+    def columns(self) -> ColumnCorrection | None:
+        """The correction of a log's columns; None where columns alone do not put it right."""
+        if np.any(self.zeros) or self.gravity is not None:
+            return None
+        position, torque = (
+            tuple(zip(self.order[name].tolist(), self.factors[name].tolist()))
+            for name in ("position", "torque")
+        )
+        return ColumnCorrection(position, torque)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One mistake: the check that names it, in words, and how the log is read without it."""
+
+    check: str
+    text: str
+    reading: Relabelling
+    remedy: str = COLUMNS
+    options: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
 class Correction:
-    """A corrected mistake, its gain in log marginal likelihood [nats], and the corrected log."""
+    """What is wrong, the gain of putting it right in log likelihood [nats], and the fit then."""
 
-    finding: Finding
+    findings: tuple[Finding, ...]
     gain: float
-    log: LogFit
+    fit: Fit
 
 
-def corrected(
-    recordings: Sequence[Recording], columns: ColumnCorrection
-) -> list[Recording]:
-    """Return recordings with their columns put right, in which the same rows are used."""
-    right = []
-    for recording in recordings:
-        signals = recording.signals
-        signals = replace(
-            signals,
-            q=columns.apply("position", signals.q),
-            qd=columns.apply("position", signals.qd),
-            qdd=columns.apply("position", signals.qdd),
-            tau=columns.apply("torque", signals.tau),
-        )
-        right.append(Recording(recording.name, signals))
-        right[-1].__dict__["used"] = recording.used
-    return right
-
-
-def mistakes(robot: RobotModel, moving: NDArray[np.int64]) -> Iterator[Finding]:
-    """Yield every mistake in signs, order and units of angles that is tried, with its correction.
+def steps(robot: RobotModel, moving: Sequence[int]) -> Iterator[Step]:
+    """Yield every mistake that is tried.
 
     ``moving`` are the numbers of the joints that move: columns of a joint that stands still say
     nothing of whose they are.
     """
     names = robot.joint_names
     n = len(names)
-    of_factors = ColumnCorrection.of_factors
+    none = Relabelling.none(n)
 
-    def mistake(
-        check: str,
-        text: str,
-        columns: ColumnCorrection,
-        remedy: str = "put the columns right with --columns FILE",
-    ) -> Finding:
-        """Return the finding on columns that a correction puts right."""
-        return Finding(Level.REFUSES, check, text, remedy, correction=columns)
+    def read(quantities: Sequence[str], **changes: Any) -> Relabelling:
+        """Return the reading in which some quantities have another order or factors."""
+        parts: dict[str, Any] = {
+            name: {**getattr(none, name), **dict.fromkeys(quantities, value)}
+            for name, value in changes.items()
+        }
+        return replace(none, **parts)
 
+    every = np.eye(n)
     for quantities in (("torque",), ("position",), ("position", "torque")):
         subject = " and ".join(quantities)
         verb = "has" if len(quantities) == 1 else "have"
         scope = "" if len(quantities) == 2 else f" in the {subject}s"
-        signs = dict(zip((f"joint {name}" for name in names), 1.0 - 2.0 * np.eye(n)))
-        if n > 1 and quantities == ("torque",):
-            signs["every joint"] = -np.ones(n)
-        for owner, factors in signs.items():
-            text = f"the {subject} of {owner} {verb} the opposite sign of the model's"
-            yield mistake("sign", text, of_factors(factors, *quantities))
-        orders = {}
+        for joint in moving:
+            text = f"the {subject} of joint {names[joint]} {verb} the opposite sign of the model's"
+            yield Step("sign", text, read(quantities, factors=1.0 - 2.0 * every[joint]))
+        if n > 1 and quantities != ("position", "torque"):
+            text = (
+                f"the {subject} of every joint {verb} the opposite sign of the model's"
+            )
+            yield Step("sign", text, read(quantities, factors=-np.ones(n)))
         for first, second in combinations(moving, 2):
-            order = list(range(n))
-            order[first], order[second] = second, first
-            orders[f"joints {names[first]} and {names[second]} are exchanged"] = order
+            order = np.arange(n)
+            order[[first, second]] = second, first
+            text = f"joints {names[first]} and {names[second]} are exchanged{scope}"
+            yield Step("order", text, read(quantities, order=order))
         if n > 2 and len(moving) == n:
-            orders["the order of the joints is reversed"] = list(range(n)[::-1])
-        for text, order in orders.items():
-            columns = ColumnCorrection(quantities, tuple(order), (1.0,) * n)
-            yield mistake("order", f"{text}{scope}", columns)
+            text = f"the order of the joints is reversed{scope}"
+            yield Step("order", text, read(quantities, order=np.arange(n)[::-1]))
     radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
-    columns = of_factors(radians, "position")
-    text = "positions look like degrees"
-    degrees = mistake("angle-unit", text, columns, "pass --units deg")
-    yield replace(degrees, options=(("--units", "deg"),))
-    yield mistake(
+    yield Step(
+        "angle-unit",
+        "positions look like degrees",
+        read(("position",), factors=radians),
+        "pass --units deg",
+        (("--units", "deg"),),
+    )
+    yield Step(
         "angle-unit",
         "positions look like radians that were taken for degrees",
-        of_factors(1.0 / radians, "position"),
+        read(("position",), factors=1.0 / radians),
         "say rad where degrees are said: in --units, the file of --columns, a column's title or "
         "the recorder",
     )
+    for joint in moving:
+        if not robot.is_slide[joint]:
+            for degrees in (90.0, -90.0, 180.0):
+                text = (
+                    f"the position of joint {names[joint]} reads {abs(degrees):.0f} degrees too "
+                    f"{'little' if degrees > 0.0 else 'much'}"
+                )
+                zeros = np.radians(degrees) * every[joint]
+                yield Step(
+                    "zero", text, replace(none, zeros=zeros), "correct the joint's zero"
+                )
 
 
-def corrections(
-    log: LogFit,
-    best: LogFit,
-    divided: Array,
-    is_of_gravity: bool,
-    advance: Callable[[], object],
-) -> list[Correction]:
-    """Return the plausible corrections of mistakes, the largest gain first.
-
-    A correction is plausible if its links are, and it leaves clearly less unexplained than the log,
-    or little. Scales and mountings are tried where the fit with the best explanation leaves gross
-    misfit or implausible links; scales also where torques are off by ``ODD``.
-
-    Args:
-        log: the fit of the log.
-        best: the fit with the best explanation.
-        divided: (n,) torque scales by which the torques were divided already.
-        is_of_gravity: whether gravity in another direction may explain the log.
-        advance: is called after each correction.
-    """
-    tried = [wrong_columns(log)]
-    is_far = best.misfit > GROSS or not best.is_plausible
-    ratio = np.median(log.torque_ratio[log.loaded])
-    if is_far or abs(np.log(ratio)) > np.log(ODD):
-        tried += [common_scale(log, divided), wrong_scales(log, divided)]
-    if is_of_gravity or (is_far and log.fit.arm.has_gravity):
-        tried.append(mounted(log))
-    plausible = []
-    for each in chain(*tried):
-        advance()
-        if each.log.is_plausible and each.log.misfit < max(0.7 * log.misfit, LITTLE):
-            plausible.append(each)
-    return sorted(plausible, key=lambda correction: -correction.gain)
-
-
-def wrong_columns(log: LogFit) -> Iterator[Correction]:
-    """Yield the corrections of mistakes that the arm follows better than the log as it is."""
-    robot = log.fit.arm.robot
-    counts = np.sum(log.rows.sums.counts, axis=0)
-    tried = [*mistakes(robot, log.fit.arm.indices[counts > 0])]
-    level = gravity_vector(robot)
-    columns = [each.correction or UNCHANGED for each in tried]
-    as_is = agreement(log, UNCHANGED, level)
-    scores = [agreement(log, each, level) for each in columns]
-    for number in np.argsort(scores)[::-1][:FINALISTS].tolist():
-        if scores[number] > as_is + CLEAR:
-            right = corrected(log.fit.recordings, columns[number])
-            after = LogFit.of(robot, right, log.options, log.found)
-            gain, after = compare(log, after)
-            yield Correction(tried[number], gain - np.log(len(tried)), after)
-
-
-def agreement(log: LogFit, correction: ColumnCorrection, gravity: Array) -> float:
-    """Return how well torques follow the model's links, with corrected columns and gravity.
-
-    It is a log likelihood: each joint's torque is a factor times that of the links but the last, a
-    last link of any parameters, Coulomb and viscous friction, a rotor and an offset; the factor,
-    friction and rotor are not negative.
-
-    Args:
-        log: the fit of the log.
-        correction: of the columns.
-        gravity: (3,) [m/s^2].
-    """
-    from scipy.optimize import nnls
-
-    arm = log.fit.arm
-    robot = arm.robot
-    names = [name for term in log.found for name in term.names]
-    explained = log.rows.torque_of(names, log.fit.free[log.fit.at(names)])
-    every = max(1, len(explained) // COMPARED)
-    torque = np.zeros((len(explained), robot.n_joints))
-    torque[:, arm.indices] = log.rows.right_sides - explained
-    torque = torque[::every]
-    least = LEAST_MISFIT * np.sqrt(np.mean(torque**2))
-    motions = [recording.motion for recording in log.fit.recordings]
-    q, qd, qdd = (
-        correction.apply(
-            "position", np.concatenate([vars(motion)[name] for motion in motions])
-        )[::every]
-        for name in ("q", "qd", "qdd")
-    )
-    torque = correction.apply("torque", torque)
-    links = LinkDynamics(robot, gravity).motion(q, qd, qdd)
-    others = robot.thetas
-    others[-1] = 0.0
-    signed = np.stack((links.torque(others), np.sign(qd), qd, qdd, torque), axis=-1)
-    last_link = links.columns([robot.n_joints - 1])
-    score = 0.0
-    for joint in arm.indices:
-        free = np.column_stack((last_link[:, joint], np.ones(len(torque))))
-        basis = np.linalg.qr(free + 1e-9)[0]
-        columns = signed[:, joint] - basis @ (basis.T @ signed[:, joint])
-        size = root_mean_square(columns[:, :-1]) + 1e-12
-        left = nnls(columns[:, :-1] / size, columns[:, -1])[1] / np.sqrt(len(torque))
-        score -= len(torque) * np.log(max(left, least))
-    return score
-
-
-def mounted(log: LogFit) -> Iterator[Correction]:
-    """Yield the correction of a model whose base is mounted otherwise, if that is likely.
-
-    From the likeliest of 26 directions, gravity is turned until the fit, which allows it a wide
-    tilt, agrees with it.
-    """
-    robot = log.fit.arm.robot
+def mountings(robot: RobotModel) -> Iterator[Step]:
+    """Yield the 26 directions of gravity along axes and diagonals."""
     level = gravity_vector(robot)
     size = np.linalg.norm(level)
-    axes = np.array([axis for axis in product((-1.0, 0.0, 1.0), repeat=3) if any(axis)])
-    directions = size * axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    gravities = (level, *directions)
-    gravity = max(gravities, key=lambda gravity: agreement(log, UNCHANGED, gravity))
-    priors = replace(log.options.priors, gravity=WIDE_TILT)
-    wide = replace(log.options, priors=priors)
-    for _ in range(_TURNS):
-        turned = with_gravity(robot, gravity)
-        after = LogFit.of(turned, log.fit.recordings, wide, log.found)
-        at = after.fit.at(TILT_NAMES)
-        gravity = turn_gravity(gravity, after.fit.free[at])
-        cosine = np.clip(level @ gravity / size**2, -1.0, 1.0)
-        angle = float(np.degrees(np.arccos(cosine)))
-        if angle < LEAST_TURN:
-            return
-    error = np.degrees(np.sqrt(np.max(np.diag(after.fit.inverse)[at])))
+    none = Relabelling.none(robot.n_joints)
+    if size > 0.0:
+        for axis in product((-1.0, 0.0, 1.0), repeat=3):
+            if any(axis):
+                gravity = size * np.array(axis) / np.linalg.norm(axis)
+                yield Step("tilt", "", replace(none, gravity=gravity))
+
+
+class Search:
+    """Compares readings of a log on a part of its rows.
+
+    Args:
+        fitted: the fit of the log.
+    """
+
+    def __init__(self, fitted: Fit) -> None:
+        self.fitted = fitted
+        robot = fitted.arm.robot
+        self.arm = ArmTerms(
+            robot,
+            fitted.question.options.torques,
+            fitted.arm.motors,
+            ("coulomb", "viscous", "offset", "armature"),
+            fitted.question.loaded,
+        )
+        kept = {
+            key: term
+            for key, term in self.arm.terms.items()
+            if term.cause in (LAST_LINK, LINKS, FRICTION, "payload", "couplings")
+        }
+        self.arm.terms = kept
+        self.arm.names = tuple(n for term in kept.values() for n in term.names)
+        every = max(1, sum(map(len, fitted.recordings)) // COMPARED)
+        question = replace(fitted.question, dry=None)
+        known = set(self.arm.names)
+        self.terms = [
+            term
+            for term in arm_question(fitted.arm, question, fitted.sums.rms_torque)
+            if known.issuperset(term.names)
+        ]
+        self.recordings = []
+        for recording in fitted.recordings:
+            fewer = replace(recording, every=every, _kept={})
+            fewer.__dict__["used"] = recording.used[::every]
+            self.recordings.append(fewer)
+
+    def score(self, reading: Relabelling) -> float:
+        """Return the log likelihood of a reading, but for a constant."""
+        arm = self.arm
+        level = gravity_vector(arm.robot)
+        gravity = level if reading.gravity is None else reading.gravity
+        point = replace(arm.start(), gravity=gravity)
+        sums = arm.sums([reading.apply(each) for each in self.recordings], point)
+        torque = sums.rms_torque
+        equations = equations_of(arm, sums, self.terms, {})
+        least = _LEAST * np.sqrt(np.mean(torque**2))
+        counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
+        noise = np.maximum(0.05 * torque, least)
+        for _ in range(2):
+            normal = equations.normal(1.0 / noise)
+            values, _ = solve(normal, equations.reference)
+            crosses = equations.crossing(values)
+            if np.any(crosses):
+                start = np.where(crosses, equations.inside(values), equations.reference)
+                values, _ = solve(normal, start, ~crosses)
+            squares = equations.own.squared_residuals(values)
+            noise = np.maximum(np.sqrt(squares / counts), least)
+        change = np.append(values, -1.0)
+        return -float(counts @ np.log(noise) + 0.5 * change @ equations.prior @ change)
+
+    def best(self, tried: Sequence[Step], advance: Callable[[], object]) -> list[Step]:
+        """Return the steps that fit best together, one after the other; [] for none."""
+        reading = Relabelling.none(self.arm.robot.n_joints)
+        current = self.score(reading)
+        found: list[Step] = []
+        while len(found) < _MOST_STEPS:
+            scores = []
+            for step in tried:
+                scores.append(self.score(reading.then(step.reading)))
+            advance()
+            # Of equally likely ones, the first.
+            best = int(np.argmax(np.array(scores) > max(scores) - 1.0))
+            if scores[best] < current + CLEAR:
+                break
+            current = scores[best]
+            found.append(tried[best])
+            reading = reading.then(tried[best].reading)
+        return found
+
+
+# ---- corrections
+
+
+def torque_ratio(fitted: Fit) -> tuple[Array, NDArray[np.bool_]]:
+    """Return (ratio (J,) of measured torque to the model's, loaded (J,)).
+
+    The model's is that of its links' masses and first moments, as inertias may be placeholders, and
+    of its inertias where there is no gravity. Loaded are joints whose links make more than
+    ``LOADED`` of the torque of the most loaded hinge: the force of a slide is in another unit, and
+    exceeds the torques of an arm that it carries.
+    """
+    arm = fitted.arm
+    names = [
+        n
+        for key in (LAST_LINK, LINKS)
+        if key in arm.terms
+        for n in arm.terms[key].names
+    ]
+    values = np.array([arm.model[name] for name in names])
+    at = fitted.sums.at(names)
+    heavy = np.array([name[0] in "mh" for name in names]) if arm.has_gravity else 1.0
+    counts = np.maximum(np.sum(fitted.sums.counts, axis=0), 1.0)
+    squares = []
+    for joint in range(len(counts)):
+        _, products = fitted.sums.products(at, joint)
+        squares.append((values * heavy) @ products @ (values * heavy))
+    model = np.sqrt(np.maximum(squares, 0.0) / counts)
+    hinges = model[~arm.robot.is_slide[arm.indices]]
+    is_loaded = model > LOADED * np.max(hinges, initial=0.0)
+    return fitted.sums.rms_torque / np.maximum(model, 1e-12), is_loaded
+
+
+def likelier(before: Fit, after: Fit, factors: Array | float = 1.0) -> float:
+    """Return by how much the second of two fits of one log, read otherwise, is likelier [nats].
+
+    Both have the noise of their own residuals and the memory of the second's. ``factors`` (J,) are
+    those by which its torques were multiplied.
+    """
+    correlation = np.minimum(after.correlation, before.correlation)
+    counts = np.minimum(*(np.sum(each.sums.counts, axis=0) for each in (before, after)))
+    least = 1e-3 * np.sqrt(np.mean(before.sums.rms_torque**2))
+    noise = [np.maximum(before.noise, least)]
+    noise.append(np.maximum(after.noise / np.abs(factors), least))
+    gain = (counts / correlation) @ np.log(noise[0] / noise[1])
+    pulls = []
+    for each in (before, after):
+        change = np.append(each.free, -1.0)
+        pulls.append(change @ each.equations.prior @ change)
+    return float(gain) + 0.5 * (pulls[0] - pulls[1])
+
+
+def discrete(
+    fitted: Fit,
+    beside: Callable[[Fit], Sequence[Term]],
+    fits: Callable[[Fit], bool],
+    advance: Callable[[], object],
+) -> Iterator[Correction]:
+    """Yield the correction of the mistakes that fit best together, if there are any.
+
+    They are the first ones with which the whole log fits.
+
+    Args:
+        fitted: the fit of the log.
+        beside: terms beside those of the fit.
+        fits: says whether a log fits its model.
+        advance: is called after each step.
+    """
+    robot = fitted.arm.robot
+    counts = np.sum(fitted.sums.counts, axis=0)
+    moving = fitted.arm.indices[counts > 0].tolist()
+    tried = [*steps(robot, moving), *mountings(robot)]
+    found = Search(fitted).best(tried, advance)
+    reading = Relabelling.none(robot.n_joints)
+    after = None
+    findings: list[Finding] = []
+    for number, step in enumerate(found, 1):
+        reading = reading.then(step.reading)
+        recordings = [reading.apply(recording) for recording in fitted.recordings]
+        findings = [*of_columns(found[:number], reading)]
+        if reading.gravity is None:
+            after = solved(robot, recordings, fitted.question, beside=beside)
+        else:
+            after, finding = mounted(fitted, recordings, reading.gravity, beside)
+            findings.append(finding)
+        if fits(after):
+            break
+    if after is not None:
+        yield Correction(tuple(findings), likelier(fitted, after), after)
+
+
+def of_columns(found: Sequence[Step], reading: Relabelling) -> Iterator[Finding]:
+    """Yield the findings on columns, which one reading puts right, and on zeros."""
+    wrong = [step for step in found if step.check not in ("tilt", "zero")]
+    if wrong:
+        text = "; ".join(dict.fromkeys(step.text for step in wrong))
+        first = wrong[0]
+        columns = replace(reading, zeros=0.0 * reading.zeros, gravity=None).columns
+        options = first.options if len(wrong) == 1 else ()
+        yield Finding(
+            Level.REFUSES, first.check, text, first.remedy, options, "", columns
+        )
+    for step in found:
+        if step.check == "zero":
+            yield Finding(Level.REFUSES, "zero", step.text, step.remedy)
+
+
+def mounted(
+    fitted: Fit,
+    recordings: Sequence[Recording],
+    gravity: Array,
+    beside: Callable[[Fit], Sequence[Term]],
+) -> tuple[Fit, Finding]:
+    """Return the fit of an arm whose base is mounted otherwise, and the finding.
+
+    From one direction on, gravity (3,) is turned until the fit, which allows it a wide tilt, agrees
+    with it.
+    """
+    robot = fitted.arm.robot
+    level = gravity_vector(robot)
+    options = fitted.question.options
+    wide = replace(options, priors=replace(options.priors, gravity=WIDE_TILT))
+    question = replace(fitted.question, options=wide)
+    for _ in range(2):
+        after = solved(
+            with_gravity(robot, gravity), recordings, question, beside=beside
+        )
+        at = after.at(TILT_NAMES)
+        gravity = turn_gravity(gravity, after.free[at])
+    cosine = np.clip(level @ gravity / (level @ level), -1.0, 1.0)
+    angle = float(np.degrees(np.arccos(cosine)))
+    error = np.degrees(np.sqrt(np.max(np.diag(after.inverse)[at])))
     numbers = " ".join(f"{value:.2f}" for value in gravity + 0.0)
     text = f"gravity acts {with_error(angle, error, 'degrees')} from the model's: the base is "
     text += "mounted otherwise, on a wall or a ceiling"
@@ -315,35 +489,56 @@ def mounted(log: LogFit) -> Iterator[Correction]:
         f'turn it in the model (MJCF: gravity="{numbers}" of <option>, or euler of the base\'s '
         "body; URDF: rpy of the first joint's origin)"
     )
-    finding = Finding(Level.REFUSES, "tilt", text, remedy)
-    gain, after = compare(log, after)
-    yield Correction(finding, gain, replace(after, options=log.options))
+    return after, Finding(Level.REFUSES, "tilt", text, remedy)
 
 
 # ---- torque scales
 
 
-def common_scale(log: LogFit, divided: Array) -> Iterator[Correction]:
+def common_scale(
+    fitted: Fit, divided: Array, beside: Callable[[Fit], Sequence[Term]]
+) -> Iterator[Correction]:
     """Yield the correction of all masses by one factor, if they are clearly ``ODD`` times off.
 
-    Torques do not tell it from torques that are all scaled. Arguments are as in ``corrections``.
+    Torques do not tell it from torques that are all scaled.
+
+    Args:
+        fitted: the fit of the log.
+        divided: (n,) torque scales by which the torques were divided already.
+        beside: terms beside those of the fit.
     """
-    robot = log.fit.arm.robot
+    robot = fitted.arm.robot
     factor = 1.0
-    after = log
+    after = fitted
     for _ in range(_ROUNDS):
-        estimate, error = common_factor(after.fit)
-        factor *= estimate
-        relative = error / estimate
-        if abs(np.log(factor)) < max(np.log(ODD), SURE * relative):
+        found = clear_factor(after, factor)
+        if found is None:
             return
+        estimate, relative = found
+        factor *= estimate
         scaled = with_mass_scale(robot, factor)
-        after = LogFit.of(scaled, log.fit.recordings, log.options, log.found)
+        after = solved(scaled, fitted.recordings, fitted.question, beside=beside)
         if abs(np.log(estimate)) < np.log(ODD):
             break
-    gain, after = compare(log, after)
-    gain -= np.log(COMMON_RANGE / relative)
-    yield Correction(common_finding(robot, factor, relative, divided), gain, after)
+    finding = common_finding(robot, factor, relative, divided)
+    yield Correction((finding,), likelier(fitted, after), after)
+
+
+def clear_factor(fitted: Fit, before: float = 1.0) -> tuple[float, float] | None:
+    """Return (factor on all masses, its relative error); None if it is not clearly ``ODD``.
+
+    ``before`` is that by which the model's masses were multiplied already.
+    """
+    estimate, error = common_factor(fitted)
+    relative = error / estimate
+    size = abs(np.log(before * estimate))
+    if size < max(np.log(ODD), SURE * relative):
+        return None
+    # What single blocks show may be something else.
+    blocks = fitted.sums.blocks
+    alone = [np.log(common_factor(fitted, [block])[0]) for block in blocks]
+    relative = max(relative, float(np.sqrt((len(blocks) - 1.0) * np.var(alone))))
+    return None if size < SURE * relative else (estimate, relative)
 
 
 def common_finding(
@@ -379,115 +574,106 @@ def common_finding(
     )
 
 
-def wrong_scales(log: LogFit, divided: Array) -> Iterator[Correction]:
+def own_scales(
+    fitted: Fit, divided: Array, beside: Callable[[Fit], Sequence[Term]]
+) -> Iterator[Correction]:
     """Yield the correction of torque scales of one per joint.
 
     Found by Gauss-Newton from the ratios of root mean square torques: torques are divided by the
     scales, and the fit of what results allows them wide errors. None where some loaded joint's
-    torque does not follow its links, or all have one scale (``common_scale``).
+    torque does not follow its links, or all have one scale (``common_scale``). Arguments are as in
+    ``common_scale``.
     """
-    arm = log.fit.arm
-    scale = log.torque_ratio
-    scale[~log.loaded] = np.median(scale[log.loaded])
-    if not SMALLER < np.median(scale) < LARGER:
-        scale *= signs_of(log)
-    wide = replace(log.options, priors=replace(log.options.priors, scale=WIDE))
+    arm = fitted.arm
+    options = fitted.question.options
+    scale, is_loaded = torque_ratio(fitted)
+    scale[~is_loaded] = np.median(scale[is_loaded])
+    wide = replace(options, priors=replace(options.priors, scale=WIDE))
     # Links that explain the scales as they are would leave none to find.
-    question = replace(log.fit.question, options=wide, link_scales=AS_STATED)
-    point = arm.start()
+    question = replace(fitted.question, options=wide, link_scales=AS_STATED)
+    sums = arm.sums(fitted.recordings, arm.start())
     for _ in range(_ROUNDS):
-        division = ColumnCorrection.of_factors(1.0 / scale, "torque")
-        undone = corrected(log.fit.recordings, division)
-        rows = log_rows(arm, undone, point, log.found)
-        torque = rows.sums.rms_torque
-        terms = [*arm_question(arm, question, torque), *log.found]
-        ones = np.ones(len(scale))
-        fitted = rows.fit(terms, replace(log.fit, noise=0.05 * torque), ones)
-        at = fitted.at(names_of("scale", arm.joints))
-        change = np.clip(1.0 + fitted.free[at], 0.2, 5.0)
+        divided_sums = sums.with_torque_times(1.0 / scale)
+        torque = divided_sums.rms_torque
+        terms = arm_question(arm, question, torque)
+        after = fit(
+            arm,
+            fitted.recordings,
+            arm.start(),
+            divided_sums,
+            terms,
+            question,
+            noise=0.05 * torque,
+            possible=False,
+        )
+        at = after.at(names_of("scale", arm.joints))
+        change = np.clip(1.0 + after.free[at], 0.2, 5.0)
         scale = scale * change
-        point = fitted.next_point()
-    covariance = fitted.inverse[np.ix_(at, at)] / np.outer(change, change)
-    is_sure = np.sqrt(np.diag(covariance)) < KNOWN
+    relative = np.sqrt(np.diag(after.inverse)[at]) / change
+    is_sure = relative < KNOWN
     # The torque of the last joint is that of the last link alone, which is not known.
-    is_sure[-1] &= log.loaded[-1]
-    if not np.all(is_sure[log.loaded]):
+    is_sure[-1] &= is_loaded[-1]
+    if not np.all(is_sure[is_loaded]):
         return
-    sure = np.flatnonzero(is_sure)
-    covariance = covariance[np.ix_(sure, sure)]
-    precision = np.linalg.inv(covariance)
-    own = np.log(np.abs(scale[sure]))
-    scale[~is_sure] = np.exp(np.sum(precision @ own) / np.sum(precision))
-    if np.ptp(own) < np.log(SAME) and np.all(scale > 0.0):
+    own = np.log(scale[is_sure])
+    scale[~is_sure] = np.exp(np.average(own, weights=relative[is_sure] ** -2.0))
+    if np.ptp(own) < np.log(SAME):
         return
+    reading = Relabelling.none(arm.robot.n_joints)
+    factors = reading.factors["torque"].copy()
+    factors[arm.indices] = 1.0 / scale
+    reading = replace(reading, factors={**reading.factors, "torque": factors})
+    recordings = [reading.apply(recording) for recording in fitted.recordings]
+    after = solved(arm.robot, recordings, fitted.question, beside=beside)
     # Loss for scales that fit the data instead of being one: the prior's volume over that left.
-    prior_covariance = COMMON_RANGE**2 + OWN_RANGE**2 * np.eye(len(own))
-    penalty = np.linalg.slogdet(prior_covariance)[1] - np.linalg.slogdet(covariance)[1]
-    penalty = 0.5 * (penalty + own @ np.linalg.solve(prior_covariance, own))
-    division = ColumnCorrection.of_factors(1.0 / scale, "torque")
-    undone = corrected(log.fit.recordings, division)
-    after = LogFit.of(arm.robot, undone, log.options, log.found)
-    gain, after = compare(log, after, np.log(np.abs(scale)))
-    finding = scale_finding(log, scale, sure, divided)
-    yield Correction(finding, gain - penalty, after)
-
-
-def signs_of(log: LogFit) -> Array:
-    """Return the sign (n,) with which torques follow their links: -1 where they clearly oppose.
-
-    The last link may be any other one than the model's.
-    """
-    model = log.links_torque - np.mean(log.links_torque, axis=0)
-    torque = log.rows.right_sides
-    size = np.linalg.norm(model, axis=0) * np.linalg.norm(torque, axis=0)
-    is_turned = log.loaded & (np.sum(model * torque, axis=0) < -0.5 * size)
-    is_turned[-1] = False
-    return np.where(is_turned, -1.0, 1.0)
-
-
-def odd_unit_finding(log: LogFit) -> Finding | None:
-    """Return the finding that one joint's torque has another unit than that of the other joints."""
-    least = _LEAST_LOAD * np.max(log.model_torque)
-    ratio = log.torque_ratio * log.model_torque / np.maximum(log.model_torque, least)
-    if len(ratio) < 3:
-        return None
-    joint = np.argmax(ratio)
-    typical = np.median(log.torque_ratio[log.loaded])
-    factor = ratio[joint] / np.median(np.delete(ratio, joint))
-    # A torque without gravity has a share of the model's at joints that carry weight.
-    if factor < ODD_UNIT or typical < 0.6:
-        return None
-    name = log.fit.arm.joints[joint]
-    unit = torque_unit(name in log.fit.arm.robot.slides)
-    text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in m{unit}"
-    remedy = f"put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
-    return Finding(Level.REFUSES, "torque-scale", text, remedy)
+    penalty = np.sum(np.log(OWN_RANGE / relative[is_sure]))
+    finding = scale_finding(fitted, scale, np.flatnonzero(is_sure), divided)
+    gain = likelier(fitted, after, 1.0 / scale) - penalty
+    yield Correction((finding,), float(gain), after)
 
 
 def scale_finding(
-    log: LogFit, scale: Array, sure: NDArray[np.int64], divided: Array
+    fitted: Fit, scale: Array, sure: NDArray[np.int64], divided: Array
 ) -> Finding:
     """Return the finding on torque scales (n,), of which those with indices ``sure`` are found."""
-    names = log.fit.arm.robot.joint_names
-    known = np.abs(scale[sure])
+    names = fitted.arm.joints
+    known = scale[sure]
     typical = np.median(known)
     listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
     text = f"torque reads {typical:.3g} times what the model takes ({listed}): "
     off = np.max(np.abs(np.log(known)))
-    level = Level.DOUBTS if off > np.log(WARNED) else Level.SAYS
-    level = Level.REFUSES if off > np.log(REFUSED) else level
+    level = Level.REFUSES if off > np.log(REFUSED) else Level.DOUBTS
     # No links, and no tool that an arm may carry, make all torques that small or large.
     is_foreign = np.all(known < SMALLER) or np.all(known > LARGER)
     check = "torque-unit" if is_foreign else "torque-scale"
-    correction = None
-    if np.any(scale < 0.0):
-        correction = ColumnCorrection.of_factors(np.sign(scale), "torque")
-        opposite = ", ".join(compress(names, scale < 0.0))
-        text += f"of {opposite} with the opposite sign; "
-    start = [f"{value:.4g}" for value in np.abs(scale) * divided]
+    start = [f"{value:.4g}" for value in scale * divided]
     options = ("--torque-scale", ",".join(start))
     text += (
         "a factor of its own for every joint, as motor currents or per cent of rated "
     )
     text += "torque have, or all masses of the model are wrong"
-    return Finding(level, check, text, WEIGHING, (options,), "payload", correction)
+    return Finding(level, check, text, WEIGHING, (options,), "payload")
+
+
+def odd_unit(fitted: Fit, dry: Array) -> Iterator[Finding]:
+    """Yield the finding that one joint's torque has another unit than that of the other joints.
+
+    Dry friction (J,) counts beside the torque: links hardly load some joints, but no joint has so
+    much more friction than the others.
+    """
+    ratio, is_loaded = torque_ratio(fitted)
+    if len(ratio) < 3:
+        return
+    model = fitted.sums.rms_torque / np.maximum(ratio, 1e-12)
+    least = _LEAST_LOAD * np.max(model)
+    ratio = ratio * model / np.maximum(model, least)
+    joint = int(np.argmax(ratio))
+    factor = ratio[joint] / max(np.median(np.delete(ratio, joint)), 1e-9)
+    friction = dry / np.median(np.maximum(np.delete(dry, joint), 1e-9))
+    if factor > ODD_UNIT and friction[joint] > ODD_UNIT:
+        name = fitted.arm.joints[joint]
+        unit = torque_unit(name in fitted.arm.robot.slides)
+        text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in "
+        text += f"m{unit}"
+        remedy = f"put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
+        yield Finding(Level.REFUSES, "torque-scale", text, remedy)

@@ -65,6 +65,9 @@ _COLUMNS, _ROWS = np.tril_indices(4)
 _BASIS = np.zeros((10, 4, 4))
 _BASIS[range(10), _ROWS, _COLUMNS] = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(0.5))
 _BASIS[range(10), _COLUMNS, _ROWS] = _BASIS[range(10), _ROWS, _COLUMNS]
+# Matrix (10, 16) that takes the entries of a pseudo-inertia to theta.
+_ENTRIES = np.eye(16).reshape(16, 4, 4)
+_THETAS = np.column_stack([spatial.theta_from_pseudo_inertia(e) for e in _ENTRIES])
 
 
 @dataclass(frozen=True)
@@ -94,9 +97,28 @@ class LinksProblem:
         return tuple(bodies)
 
 
+@dataclass(frozen=True)
+class Possible:
+    """A solution with possible bodies.
+
+    Attributes:
+        values: (p,) the solution x.
+        is_held: whether directions that the equations do not show are held at the reference bodies.
+        spread: that one of ``SPREADS`` that bodies have.
+    """
+
+    values: Array
+    is_held: bool
+    spread: float
+
+
 def consistent_least_squares(
-    matrix: Array, right_side: Array, problem: LinksProblem, has_hidden: bool = True
-) -> Array:
+    matrix: Array,
+    right_side: Array,
+    problem: LinksProblem,
+    has_hidden: bool = True,
+    like: Possible | None = None,
+) -> Possible:
     """Return x (p,) of nearly the least ||A x - b|| with which all bodies are consistent.
 
     The squared residuals are at most ``HARDLY`` above the least. Within this limit, directions that
@@ -108,6 +130,8 @@ def consistent_least_squares(
         right_side: b (M,).
         problem: which of the parameters are links, and their reference bodies.
         has_hidden: whether A may not show some direction.
+        like: solution of equations that are nearly the same, from which the search begins, and
+            which says what is held; None for none.
 
     Raises:
         SysidError: the equations are no numbers.
@@ -135,36 +159,46 @@ def consistent_least_squares(
         """Return the sum of squared residuals."""
         return np.sum((triangle @ np.append(y, -1.0)) ** 2)
 
-    best = _solve(triangle, problem, SPREADS[-1])
-    limit = cost(best) + HARDLY
     # With all hidden directions held, then with none of them.
-    choices = [np.zeros((0, size + 1))]
+    choices = {False: np.zeros((0, size + 1))}
     if has_hidden:
         # Rows that measure the hidden part of x, in orthonormal combinations of y.
         space = visible_space(matrix)
         hidden = unit[:, order].T @ (space.null.T / space.scale).T
         hidden = _PIN * np.linalg.qr(hidden)[0].T
-        choices.insert(0, np.column_stack((hidden, np.zeros(len(hidden)))))
-    for held, spread in product(choices, SPREADS):
-        y = _solve(np.vstack((triangle, held)), problem, spread)
-        if cost(y) <= limit:
-            best = y
+        choices = {True: np.column_stack((hidden, np.zeros(len(hidden)))), **choices}
+    tried = [*product(choices, SPREADS)]
+    start = None
+    if like is not None:
+        start = np.concatenate([like.values[link] for link in problem.links])
+        tried = [(like.is_held and has_hidden, like.spread)]
+    best = (False, SPREADS[-1])
+    y = _solve(triangle, problem, SPREADS[-1]) if like is None else np.zeros(size)
+    limit = cost(y) + HARDLY if like is None else np.inf
+    for is_held, spread in tried:
+        rows = np.vstack((triangle, choices[is_held]))
+        other = _solve(rows, problem, spread, start)
+        if cost(other) <= limit:
+            y, best = other, (is_held, spread)
             break
-    values = reference + unit[:, order] @ best
+    values = reference + unit[:, order] @ y
     for link in problem.links:
         theta = values[link]
         if not spatial.is_consistent(theta):
             values[link] = spatial.nearest_consistent_body(theta, theta, _ROUNDING)
-    return values
+    return Possible(values, *best)
 
 
-def _solve(rows: Array, problem: LinksProblem, spread: float) -> Array:
+def _solve(
+    rows: Array, problem: LinksProblem, spread: float, start: Array | None = None
+) -> Array:
     """Return the coordinates y (p,) of least squared residuals with which bodies are consistent.
 
     Args:
         rows: equations [A b] (M, p + 1) in these coordinates, links last.
         problem: the links.
         spread: standard deviation of bodies from their reference bodies, as a share of them.
+        start: (10 L,) bodies to begin with; None for those nearest to the free solution.
     """
     size = rows.shape[1] - 1
     others = size - N_INERTIAL * len(problem.links)
@@ -172,14 +206,14 @@ def _solve(rows: Array, problem: LinksProblem, spread: float) -> Array:
     precision[:others] /= _UNSEEN
     precision[others:] /= spread
     triangle = np.asarray(np.linalg.qr(np.vstack((rows, precision)), mode="r"))
-    z = _possible_coordinates(triangle[others:, others:], problem.bodies)
+    z = _possible_coordinates(triangle[others:, others:], problem.bodies, start)
     top = triangle[:others]
     shown = top[:, -1] - top[:, others:-1] @ z
     return np.append(np.linalg.solve(top[:, :others], shown), z)
 
 
 def _possible_coordinates(
-    equations: Array, bodies: Sequence[tuple[Array, Array]]
+    equations: Array, bodies: Sequence[tuple[Array, Array]], start: Array | None = None
 ) -> Array:
     """Return the coordinates z (10 L,) of least ||A z - b|| with which L bodies are consistent.
 
@@ -190,14 +224,19 @@ def _possible_coordinates(
     Args:
         equations: [A b] (10 L + 1, 10 L + 1), triangular.
         bodies: per link (theta, U), as of ``LinksProblem``.
+        start: (10 L,) consistent bodies to begin with; None for those nearest to the solution.
     """
-    z = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
+    if start is None:
+        z = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
+    else:
+        offs = zip(start.reshape(-1, N_INERTIAL), bodies)
+        z = np.concatenate([np.linalg.solve(u, x - theta) for x, (theta, u) in offs])
     for _ in range(_ROUNDS):
         centre = np.zeros_like(z)
         change = np.zeros((len(z), len(z)))
         least = []
-        for start, (theta, units) in zip(range(0, len(z), N_INERTIAL), bodies):
-            span = slice(start, start + N_INERTIAL)
+        for first, (theta, units) in zip(range(0, len(z), N_INERTIAL), bodies):
+            span = slice(first, first + N_INERTIAL)
             near = spatial.nearest_consistent_body(
                 theta + units @ z[span], theta, _ROUND
             )
@@ -262,5 +301,4 @@ def _by_cone(equations: Array, least: Array) -> Array:
 def _units(theta: Array) -> Array:
     """Return the change (10, 10) of a consistent body theta (10,) by each of its coordinates."""
     root = np.linalg.cholesky(spatial.pseudo_inertia(theta))
-    units = map(spatial.theta_from_pseudo_inertia, root @ _BASIS @ root.T)
-    return np.column_stack(list(units))
+    return _THETAS @ (root @ _BASIS @ root.T).reshape(-1, 16).T

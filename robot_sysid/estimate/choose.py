@@ -6,13 +6,14 @@ a short log, a coupled motor.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling
+from robot_sysid.estimate.contacts import without_contacts
 from robot_sysid.estimate.fit import Fit, correlation_times, fit
 from robot_sysid.estimate.links import (
     LinkEvidence,
@@ -22,6 +23,7 @@ from robot_sysid.estimate.links import (
     reference_links,
     stated_kinds,
 )
+from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import (
     LEAST_DRY,
     PER_CENT,
@@ -58,10 +60,16 @@ def solved(
     recordings: Sequence[Recording],
     question: Question,
     progress: Progress = _SILENT,
+    beside: Callable[[Fit], Sequence[Term]] | None = None,
 ) -> Fit:
     """Return the fit of a question with all that the data decides about it.
 
-    ``progress`` is advanced after every pass over the rows and every fit.
+    Args:
+        robot: the arm with its model.
+        recordings: the recordings.
+        question: what is asked of them.
+        progress: is advanced after every pass over the rows and every fit.
+        beside: returns terms whose columns stand beside those of the question; None for none.
 
     Raises:
         InputError: no joint moves fast enough for its equations to be used.
@@ -107,12 +115,14 @@ def solved(
     current = fitted()
     for step in range(1, n_steps, 2):
         advance(step)
+        if step == 1:
+            current = without_contacts(current)
+            recordings, sums = current.recordings, current.sums
         question = replace(question, dry=dry_friction(current))
         noise = current.noise
-        residuals = current.residuals()
-        correlation = correlation_times(residuals)
+        correlation = correlation_times(current.residuals)
         if step == 1:
-            recordings = without_turns(current, residuals)
+            recordings = without_turns(current)
         current = fitted()
         if offered:
             motors = choose_motors(current, offered, question)
@@ -121,6 +131,8 @@ def solved(
             offered = ()
         advance(step + 1)
         point = current.next_point()
+        if beside is not None and step + 1 == n_steps - 1:
+            arm = arm.beside(beside(current))
         sums = arm.sums(recordings, point)
         current = fitted()
     evidence = link_evidence(current)
@@ -132,16 +144,16 @@ def solved(
     return current
 
 
-def without_turns(fitted: Fit, residuals: Array) -> list[Recording]:
+def without_turns(fitted: Fit) -> list[Recording]:
     """Return recordings without the rows in which a joint stands as it turns round.
 
-    These are recordings and joints whose residuals, of all recordings (K, J), are clearly larger at
-    turns than elsewhere. A joint that does not stand keeps them, as they tell most of friction.
+    These are recordings and joints whose residuals are clearly larger at turns than elsewhere. A
+    joint that does not stand keeps them, as they tell most of friction.
     """
     recordings = []
     start = 0
     for recording in fitted.recordings:
-        own = residuals[start : start + len(recording)]
+        own = fitted.residuals[start : start + len(recording)]
         start += len(recording)
         standing = []
         for row, joint in enumerate(fitted.arm.indices.tolist()):
@@ -179,37 +191,27 @@ def choose_motors(
     it leaves, as the fit without it is.
     """
     present = [motor for motor in fitted.arm.motors if motor.name in question.motors]
+    others = list(offered)
     current = fitted
-
-    def white_gain(motor: Coupling) -> float:
-        """Return the gain by one more motor, the noise as it is."""
-        return current.gain(_motor_term(current, motor))
-
     while True:
-        best, gain = None, CLEAR
-        names = [motor.name for motor in present]
-        others = [motor for motor in offered if motor.name not in names]
-        terms = current.equations.terms
-        for motor in sorted(others, key=white_gain)[-2:]:
-            term = _motor_term(current, motor)
-            wider = current.refit([*terms, term])
-            correlation = correlation_times(wider.residuals())
-            correlation = np.minimum(correlation, current.correlation)
-            wider = replace(wider, correlation=correlation).refit([*terms, term])
+        offers = Offers(current)
+        terms = [_motor_term(current, motor) for motor in others]
+        effects = [Effect.of(term) for term in terms]
+        gains = [offers.offer(effect).gain for effect in effects]
+        best = None
+        for number in np.argsort(gains)[-2:].tolist():
+            offer = offers.weigh(effects[number])
             # Evidence knows no bounds: negative friction or rotors, which no motor has, add to it.
-            at = wider.at(term.names)
-            errors = np.sqrt(np.diag(wider.inverse)[at])
-            if not np.any(wider.free[at] > CLEARLY_THERE * errors):
-                continue
-            before = replace(current, correlation=correlation).refit(terms)
-            motor_gain = wider.log_evidence - before.log_evidence
-            if motor_gain > gain:
-                gain = motor_gain
-                best = motor, wider
+            is_there = np.any(offer.values > CLEARLY_THERE * offer.errors)
+            if is_there and offer.gain > max(CLEAR, best[1].gain if best else 0.0):
+                best = number, offer
         if best is None:
             return tuple(present)
-        present.append(best[0])
-        current = best[1]
+        number, offer = best
+        present.append(others.pop(number))
+        correlation = offers.correlation(offer.squares, offer.successive)
+        current = replace(current, correlation=correlation)
+        current = current.refit([*current.equations.terms, terms[number]])
 
 
 def _motor_term(fitted: Fit, motor: Coupling) -> Term:
@@ -258,11 +260,13 @@ def link_evidence(fitted: Fit) -> LinkEvidence | None:
     )
 
 
-def links_information(fitted: Fit) -> tuple[Array, Array] | None:
+def links_information(
+    fitted: Fit, left_out: Sequence[int] = ()
+) -> tuple[Array, Array] | None:
     """Return what data and all other priors say of the links before the last, L of them.
 
     It is (curvature (10 L, 10 L), gradient (10 L,) at zero), all other parameters eliminated: the
-    Schur complement. None where the links are not estimated.
+    Schur complement. None where the links are not estimated. Some blocks may be left out.
     """
     equations = fitted.equations
     pairs = zip(equations.terms, equations.spans)
@@ -271,7 +275,7 @@ def links_information(fitted: Fit) -> tuple[Array, Array] | None:
         return None
     ((term, span),) = links
     assert term.prior is not None
-    normal = equations.normal(fitted.weights)
+    normal = equations.normal(fitted.weights, left_out)
     *indices, last = np.arange(len(normal))
     at = np.append(indices[span], last)
     others = np.setdiff1d(indices, at)
@@ -285,7 +289,7 @@ def links_information(fitted: Fit) -> tuple[Array, Array] | None:
     return 0.5 * (left + left.T)[:-1, :-1], left[:-1, -1]
 
 
-def common_factor(fitted: Fit) -> tuple[float, float]:
+def common_factor(fitted: Fit, left_out: Sequence[int] = ()) -> tuple[float, float]:
     """Return the factor on all masses of the model with which it fits the torques, and its error.
 
     With the links k theta + k D z before the last, z ~ N(0, 1) what links are usually off by, and
@@ -294,9 +298,9 @@ def common_factor(fitted: Fit) -> tuple[float, float]:
         k = theta' g / theta' M theta,   M = L - L (L + C^-1)^-1 L,   g = b - L (L + C^-1)^-1 b,
 
     with C = k^2 D D', so that it is found by iteration. It is (1, infinite) where the links are not
-    estimated, or no positive factor fits.
+    estimated, or no positive factor fits. Some blocks may be left out.
     """
-    information = links_information(fitted)
+    information = links_information(fitted, left_out)
     if information is None:
         return 1.0, np.inf
     curvature, gradient = information

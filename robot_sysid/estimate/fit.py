@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.equations import link_names, split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL
-from robot_sysid.estimate.bodies import LinksProblem, consistent_least_squares
+from robot_sysid.estimate.bodies import LinksProblem, Possible, consistent_least_squares
 from robot_sysid.estimate.questions import Question, scale_spread
 from robot_sysid.estimate.rows import Recording, Sums
 from robot_sysid.estimate.terms import (
@@ -182,6 +182,7 @@ class Fit:
         start: (k,) values of parameters that are held at a bound, of the others the reference.
         is_free: (k,) which parameters are not held at a bound.
         question: that was asked.
+        bodies: the search for possible bodies; None where the free estimate has them.
     """
 
     arm: ArmTerms
@@ -197,6 +198,7 @@ class Fit:
     start: Array
     is_free: NDArray[np.bool_]
     question: Question
+    bodies: Possible | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -217,11 +219,6 @@ class Fit:
     def weights(self) -> Array:
         """Weights (J,) of each joint's rows [1/(N m)]."""
         return 1.0 / (self.noise * np.sqrt(self.correlation))
-
-    @cached_property
-    def normal(self) -> Array:
-        """Normal matrix (p + 1, p + 1) of all rows, without priors."""
-        return self.sums.normal(self.weights)
 
     @cached_property
     def full(self) -> Array:
@@ -358,15 +355,19 @@ class Fit:
         values = self.alone[block]
         if np.any(equations.crossing(values)) or not _are_possible(equations, values):
             normal = equations.normal(self.weights, [block])
-            possible = partial(_possible, equations, normal, self.is_hidden)
-            values, *_ = _within_bounds(equations, possible, self.start, self.is_free)
+            possible = partial(
+                _possible, equations, normal, self.is_hidden, self.bodies
+            )
+            values, *_ = _within_bounds(
+                equations, lambda *at: possible(*at).values, self.start, self.is_free
+            )
         return values
 
     def of(self, sums: Sums) -> Fit:
         """Return this estimate with the sums of other recordings, to judge it on them."""
-        return replace(
-            self, equations=Equations(sums, self.equations.terms, self.equations.held)
-        )
+        held = dict(zip(self.sums.names, self.equations.held.tolist()))
+        values = np.array([held[name] for name in sums.names])
+        return replace(self, equations=Equations(sums, self.equations.terms, values))
 
     @cached_property
     def noise_per_joint(self) -> dict[str, float]:
@@ -400,32 +401,20 @@ class Fit:
         log_inverse = np.linalg.slogdet(inverse)[1]
         return 0.5 * (log_inverse - misfit) - size - self.equations.log_prior
 
-    def gain(self, term: Term) -> float:
-        """Return the gain in the log marginal likelihood by one more term, the noise as it is."""
-        assert term.prior is not None
-        return self.offered(term.names, term.prior.factor)[0]
+    @cached_property
+    def unexplained(self) -> Array:
+        """Torque (J,) that neither model nor noise explains, root mean square [N m].
 
-    def offered(
-        self, names: Sequence[str], factor: Array, blocks: Sequence[int] | None = None
-    ) -> tuple[float, Array]:
-        """Return (gain by further parameters, their values (m,)), those of the fit refitted.
-
-        Args:
-            names: (m,) of the further parameters, which may be the fit's own once more.
-            factor: (m, m) of their prior.
-            blocks: those in which they act; None for all.
+        It is the part of the residuals that is alike in successive rows: those of white noise
+        behind the low-pass hardly are.
         """
-        at = self.sums.at(names)
-        normal = self.normal
-        if blocks is not None:
-            normal = self.sums.normal(self.weights, blocks)
-        gradient = normal[at, -1] - normal[at, :-1] @ self.equations.full(self.free)
-        crossed = normal[np.ix_(at, self.equations.index)]
-        unseen = normal[np.ix_(at, at)] - crossed @ self.inverse @ crossed.T
-        inner = np.eye(len(at)) + factor.T @ unseen @ factor
-        moved = np.linalg.solve(inner, factor.T @ gradient)
-        gain = 0.5 * (factor.T @ gradient) @ moved - 0.5 * np.linalg.slogdet(inner)[1]
-        return float(gain), factor @ moved
+        return slow_part(self.sums.successive(self.full), self.sums)
+
+    @property
+    def unexplained_share(self) -> float:
+        """``unexplained`` of all joints, as a share of all torque."""
+        torque = float(np.linalg.norm(self.sums.rms_torque))
+        return float(np.linalg.norm(self.unexplained)) / max(torque, 1e-300)
 
     def refit(self, terms: Sequence[Term], possible: bool = False) -> Fit:
         """Return the fit of other terms to the question, from this noise on."""
@@ -465,8 +454,9 @@ class Fit:
         friction = {name: values[name] for name in values if "[" in name}
         return Point(thetas, links, payload, self.point.gravity, friction)
 
+    @cached_property
     def residuals(self) -> Array:
-        """Return the residual torque (K of all recordings, J) [N m]; NaN where not used."""
+        """Residual torque (K of all recordings, J) [N m]; NaN where a row is not used."""
         arm = self.arm
         residuals = []
         for recording in self.recordings:
@@ -474,6 +464,12 @@ class Fit:
                 predicted = arm.torque(rows, self.point, self.by_name)
                 residuals.append(arm.measured(rows) - predicted)
         return np.concatenate(residuals)
+
+
+def slow_part(successive: Array, sums: Sums) -> Array:
+    """Return the root mean square (J,) of torque from sums of products of successive rows (J,)."""
+    counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
+    return np.sqrt(np.maximum(successive, 0.0) / counts)
 
 
 def _hidden(inverse: Array, normal: Array) -> NDArray[np.bool_]:
@@ -530,8 +526,16 @@ def fit(
         np.ones(len(inverse), dtype=bool),
     )
     values = free
+    bodies = None
     if possible and not _are_possible(equations, free):
-        of_bodies = partial(_possible, equations, normal, _hidden(inverse, normal))
+        is_hidden = _hidden(inverse, normal)
+
+        def of_bodies(start: Array, is_free: NDArray[np.bool_]) -> Array:
+            """Return the solution with possible bodies, and keep the search."""
+            nonlocal bodies
+            bodies = _possible(equations, normal, is_hidden, bodies, start, is_free)
+            return bodies.values
+
         values, start, is_free = _within_bounds(equations, of_bodies, start, is_free)
     alone = []
     for block in sums.blocks if possible else ():
@@ -551,6 +555,7 @@ def fit(
         start,
         is_free,
         question,
+        bodies,
     )
 
 
@@ -678,10 +683,14 @@ def _possible(
     equations: Equations,
     normal: Array,
     is_hidden: NDArray[np.bool_],
+    like: Possible | None,
     start: Array,
     is_free: NDArray[np.bool_],
-) -> Array:
-    """Return the best values (k,) with which all bodies are possible."""
+) -> Possible:
+    """Return the best values (k,) with which all bodies are possible.
+
+    ``like`` is such a search for nearly the same equations; None for none.
+    """
     at = np.flatnonzero(is_free)
     matrix = normal[np.ix_(at, at)]
     fixed = np.flatnonzero(~is_free)
@@ -700,12 +709,16 @@ def _possible(
         links.append(link)
         prior[link] = equations.reference[body] - least
         contained[link] = least
-    values = start.copy()
+    if like is not None:
+        like = replace(like, values=like.values[at] - contained)
     problem = LinksProblem(tuple(links), prior)
-    values[at] = contained + consistent_least_squares(
-        rows, target - rows @ contained, problem, has_hidden=bool(np.any(is_hidden))
+    has_hidden = bool(np.any(is_hidden))
+    found = consistent_least_squares(
+        rows, target - rows @ contained, problem, has_hidden, like
     )
-    return values
+    values = start.copy()
+    values[at] = contained + found.values
+    return replace(found, values=values)
 
 
 def correlation_times(residuals: Array) -> Array:

@@ -15,6 +15,7 @@ from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.restricted_fit import RestrictedFit
 from robot_sysid.estimate.result import (
     body_estimate,
@@ -217,13 +218,15 @@ def contradiction(fitted: Fit, flange: Flange) -> str:
     kinds = _kinds(fitted)
     mass = abs(fitted.by_name[PAYLOAD_NAMES[0]])
     phrases = []
+    offers = Offers(fitted, fitted.weights)
     for name, is_loaded in kinds.items():
         same = [other for other in kinds if kinds[other] == is_loaded and other != name]
         if not same:
             continue
         factor = np.diag(spatial.parameter_scale(max(mass, 0.1), 0.1))
-        blocks = [k for k, log in enumerate(fitted.sums.logs) if log == name]
-        gain, theta = fitted.offered(PARAMETER_NAMES, factor, blocks)
+        shares = np.equal(fitted.sums.logs, name).astype(float)
+        offer = offers.offer(Effect(PARAMETER_NAMES, factor, shares=shares))
+        gain, theta = offer.gain, offer.values
         expected = fitted.free[fitted.at(PAYLOAD_NAMES)] * is_loaded
         total = expected + theta
         moved = 0.0

@@ -19,6 +19,7 @@ from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Fit, fit
 from robot_sysid.estimate.held_out import error_in, validation
+from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import (
     FILE_FRICTION,
     FILE_GRAVITY,
@@ -108,7 +109,8 @@ def fit_file(
         prior = independent(np.full(2, np.radians(GRAVITY_IN_FILE)))
         tilt = replace(arm.terms[TILT], prior=prior)
         # Gravity is turned only where the torques clearly show it.
-        if fitted.gain(tilt) > CLEAR:
+        offers = Offers(fitted, fitted.weights)
+        if offers.offer(Effect.of(tilt)).gain > CLEAR:
             terms.append(tilt)
             fitted = _solved(estimate, terms, held)
             angles = np.array([fitted.by_name[name] for name in TILT_NAMES])

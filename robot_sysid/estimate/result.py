@@ -32,6 +32,7 @@ from robot_sysid.estimate.terms import (
     Term,
 )
 from robot_sysid.estimate.trust import (
+    COARSE,
     HARMLESS,
     UNEXPLAINED,
     UNUSUAL,
@@ -120,7 +121,7 @@ def link_result(
     acceleration_error = max((s.acceleration_error for s in signals), default=0.0)
     common = common_result(fitted, origin, LINK)
     *other_links, last_link = common.links.values()
-    refusals = [*find_misfits(fitted, tests, acceleration_error)]
+    refusals = [*find_misfits(fitted, tests)]
     refusals += implausible_link(robot, last_link)
     refusals += implausible_joints(robot, common.quantities, fitted.torque)
     written, file_rows, file_notes = model_file(fitted, file)
@@ -142,6 +143,11 @@ def link_result(
     remarks += () if missed else wrong_links(other_links, remedy)
     bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
     sentences = [*robot.notes, *notes]
+    if acceleration_error > COARSE:
+        sentences.append(
+            "the positions are too coarse or too seldom to have accelerations (expected error "
+            f"{percent(acceleration_error)}): rotors and inertias come out too small"
+        )
     if len(bodies) > 1:
         sentences.append(
             f"the numbers of {last_link.name} are those of {' + '.join(bodies)} together"

@@ -21,6 +21,7 @@ parameters (``PARAMETER_NAMES``).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -292,6 +293,21 @@ class ArmTerms:
             yield Term(TILT, TILT_NAMES, self._tilt, in_file=True)
         yield Term(DELAY, ("delay",), self._delay)
 
+    def beside(self, terms: Sequence[Term]) -> ArmTerms:
+        """Return the terms of the arm with further ones, whose columns stand beside theirs."""
+        return self._with([*self.terms.values(), *terms])
+
+    def _with(self, terms: Sequence[Term]) -> ArmTerms:
+        """Return the arm with other terms."""
+        other = copy(self)
+        other.terms = {term_key(term): term for term in terms}
+        other.names = tuple(name for term in terms for name in term.names)
+        return other
+
+    def alone(self) -> ArmTerms:
+        """Return the terms of the arm without those that stand beside them, which have no cause."""
+        return self._with([term for term in self.terms.values() if term.cause])
+
     def sums(self, recordings: Sequence[Recording], point: Point) -> Sums:
         """Return the sums of all rows, linearised around a point."""
         make = partial(self.equations, point=point)
@@ -435,4 +451,5 @@ class ArmTerms:
 def term_key(term: Term) -> str:
     """Return the key of a term among all: its cause, or the name of a friction term or motor."""
     kind, owner = split_name(term.names[0])
-    return {FRICTION: kind, MOTORS: owner}.get(term.cause, term.cause)
+    keys = {FRICTION: kind, MOTORS: owner, "": term.names[0]}
+    return keys.get(term.cause, term.cause)

@@ -48,7 +48,7 @@ MOVED_UNSEEN = 2.0
 """Largest factor, up or down, between the model's mass and a mass that the data does not identify
 but that follows from consistent bodies."""
 COARSE = 0.2
-"""Expected relative error of the acceleration above which a log is refused."""
+"""Expected relative error of the acceleration above which it is said."""
 LEAST_WRONG = 0.1
 """Relative error of a link's first moment above which the link is named as wrong."""
 WORST = 0.5
@@ -70,9 +70,7 @@ of the torque at most."""
 _SURE = 2.0
 
 
-def find_misfits(
-    fitted: Fit, tests: Sequence[Validation], acceleration_error: float
-) -> Iterator[Remark]:
+def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
     """Yield reasons why the torques do not follow from the motion within their noise.
 
     A joint without data has no noise, a joint without torque no ratio of noise to torque; both are
@@ -81,14 +79,8 @@ def find_misfits(
     Args:
         fitted: the fit with its noise.
         tests: held-out errors and errors on other logs; only informative ones count.
-        acceleration_error: expected relative error of the acceleration; 0 where unknown.
     """
     noise = fitted.noise_per_joint
-    if acceleration_error > COARSE:
-        yield Verdict.UNEXPLAINED.remark(
-            "the positions are too coarse or too seldom to have accelerations: expected error "
-            f"{percent(acceleration_error)}"
-        )
     for test in tests:
         if not test.is_informative or (test.relative_error or 0.0) <= HARMLESS:
             continue
@@ -119,25 +111,13 @@ def find_misfits(
 
 
 def unexplained_share(fitted: Fit) -> tuple[float, str]:
-    """Return the share of all torque that neither model nor noise explains, and a sentence on it.
-
-    Residuals that are independent from row to row are noise.
-    """
-    torque = fitted.torque
-    # Joint to root mean square of the residuals that are correlated in time [N m].
-    slow = {
-        joint: noise * np.sqrt(1.0 - fitted.independent_share[joint])
-        for joint, noise in fitted.noise_per_joint.items()
-        if torque[joint]
-    }
-    share = 0.0
-    if slow:
-        share = float(
-            np.linalg.norm([*slow.values()]) / np.linalg.norm([*torque.values()])
-        )
-    largest = sorted(slow, key=lambda joint: -slow[joint])[:3]
+    """Return the share of torque that neither model nor noise explains, and a sentence on it."""
+    torque = np.maximum(fitted.sums.rms_torque, 1e-300)
+    share = fitted.unexplained_share
+    largest = np.argsort(-fitted.unexplained)[:3].tolist()
     phrases = [
-        f"{percent(slow[joint] / torque[joint])} of {joint}" for joint in largest
+        f"{percent(float(fitted.unexplained[k] / torque[k]))} of {fitted.arm.joints[k]}"
+        for k in largest
     ]
     return share, (
         f"{percent(share)} of the torque is explained by neither the model nor noise "

@@ -17,7 +17,6 @@ from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.estimate.choose import motors_of
 from robot_sysid.estimate.fit import Fit, expected
 from robot_sysid.estimate.identifiability import describe
-from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import (
@@ -26,7 +25,7 @@ from robot_sysid.estimate.questions import (
     arm_question,
     friction_columns,
 )
-from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.rows import Piece, Recording, low_pass_recordings
 from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, AimOptions
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge

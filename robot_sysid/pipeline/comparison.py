@@ -13,19 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.config import IdentifyConfig, with_scale_prior
-from robot_sysid.diagnosis.log_checks import check_log
+from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.errors import InputError
-from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.identify import Piece, low_pass_recordings
-from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.logs.reader import open_log, refuse_repeated_logs
 from robot_sysid.pipeline.stages import load_arm
-from robot_sysid.records import RobotModel
 from robot_sysid.records.file_access import RUN_NAME, read_toml
 from robot_sysid.records.messages import PARAMETER_UNITS, Progress, with_error
 from robot_sysid.records.option_fields import immutable_value
@@ -70,7 +65,8 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
     if robot.sha256 != runs[0].content["model"]["sha256"]:
         raise InputError(f"{first.path} has changed since the runs")
     logs = []
-    pieces = []
+    orders: list[float] = []
+    accepted: set[str] = set()
     estimates = []
     for config, order in zip(configs, (-1.0, 1.0)):
         estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
@@ -78,33 +74,18 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
         for path in config.log.measurements:
             progress.stage(f"Reading {path}...")
             log = open_log(robot, path, config.log)
-            # The run has accepted it: what is left out of it counts, not what is said of it.
-            log = check_log(robot, log, config.log.accept, Progress(), estimation)
             logs.append(log)
-            for samples in log.pieces:
-                samples = replace(samples, qd=None)
-                pieces.append(Piece(str(log.path), samples, order > 0.0, order))
+            orders.append(order)
+            accepted |= {*config.log.accept}
     refuse_repeated_logs(logs)
     progress.stage("Fitting both runs at once...")
     estimation = replace(estimates[0], torques="chain", no_friction=False)
-    recordings, _ = low_pass_recordings(robot, pieces, estimation.cutoff)
-    return list(changes(of_two_runs(robot, recordings, estimation)))
-
-
-def of_two_runs(
-    robot: RobotModel, recordings: Sequence[Recording], options: EstimationOptions
-) -> Fit:
-    """Return one fit of two runs: what came on is the payload, friction and scales drift.
-
-    Args:
-        robot: the arm with its model.
-        recordings: those of the first run, not loaded and at order -1; those of the second, loaded
-            and at order 1.
-        options: priors and friction terms.
-    """
-    fitted = solved(robot, recordings, Question(options, loaded=True, drifts=True))
+    question = Question(estimation, loaded=True, drifts=True)
+    is_loaded = [order > 0.0 for order in orders]
+    judged = judge(robot, logs, question, progress, is_loaded, orders)
+    fitted, _ = usable(judged, accepted, progress)
     # What came off is no possible body.
-    return replace(fitted, values=fitted.free)
+    return list(changes(replace(fitted, values=fitted.free)))
 
 
 def changes(fitted: Fit) -> Iterator[Quantity]:

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.config import PayloadConfig
-from robot_sysid.diagnosis.log_checks import check_log
-from robot_sysid.estimate import identify
-from robot_sysid.estimate.identify import Piece, low_pass_recordings, shared_notes
-from robot_sysid.estimate.payload import payload_result
+from robot_sysid.diagnosis.gate import judge, usable
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.payload import payload_result, written_payload
 from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.result import traces_of
-from robot_sysid.estimate.rows import Recording
 from robot_sysid.logs.reader import (
     MeasurementLog,
     open_log,
@@ -26,7 +25,7 @@ from robot_sysid.logs.reader import (
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.motion import LOADED
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
 from robot_sysid.results.record import Result
 
@@ -59,7 +58,11 @@ def identify_payload(
     drifts = positions is not None and is_drift_identifiable(is_loaded, positions)
     # Where the order is not known, a drift may have come with the payload.
     order = np.where(is_loaded, 1.0, -1.0) if positions is None else positions
-    datasets, notes = _datasets(robot, logs, is_loaded, order, config.estimation.cutoff)
+    question = Question(config.estimation, loaded=True, drifts=drifts)
+    progress.stage(Detail("Estimating arm, friction and payload together..."))
+    judged = judge(robot, logs, question, progress, is_loaded.tolist(), order.tolist())
+    weighed, of_logs = usable(judged, config.log.accept, progress)
+    notes = [*of_logs]
     if not drifts:
         reason = "in this order it looks like a payload"
         if positions is None and len(logs) != 2:
@@ -71,12 +74,14 @@ def identify_payload(
             f"{reason}; record in the order empty, loaded, loaded, empty (--order ABBA)"
         )
     progress.note(*notes)
-    question = Question(
-        config.estimation, loaded=True, drifts=drifts, known_mass=options.known_mass
-    )
-    fitted, weighed, file = identify.identify_payload(
-        robot, datasets, question, progress, config.estimation.keep
-    )
+    fitted, file = weighed, None
+    if options.known_mass is not None:
+        known = replace(question, known_mass=options.known_mass)
+        fitted = solved(robot, weighed.recordings, known, progress)
+    elif config.estimation.torques == "chain":
+        progress.stage(Detail("Fitting the model file..."))
+        carried, _ = written_payload(weighed)
+        file = fit_file(weighed, config.estimation.keep, carried)
     # Scales are those of the log before its torques were divided by known ones.
     divided = np.ones(robot.n_joints)
     if config.log.torque_scale is not None:
@@ -89,35 +94,10 @@ def identify_payload(
     return replace(result, checkpoints=checkpoints, traces=traces)
 
 
-def _datasets(
-    robot: RobotModel,
-    logs: Sequence[MeasurementLog],
-    is_loaded: NDArray[np.bool_],
-    positions: Array,
-    cutoff: float | None,
-) -> tuple[list[Recording], list[str]]:
-    """Return logs as low-passed signals, and notes on them.
-
-    Args:
-        robot: the arm.
-        logs: k logs; each piece between long holes becomes a data set.
-        is_loaded: (k,) whether a log was recorded with the payload.
-        positions: (k,) of ``order_positions``.
-        cutoff: of the low-pass [Hz]; None for the lowest that any log requires.
-    """
-    pieces = []
-    for log, loaded, position in zip(logs, is_loaded.tolist(), positions.tolist()):
-        for samples in log.pieces:
-            pieces.append(Piece(str(log.path), samples, loaded, position))
-    datasets, filter_notes = low_pass_recordings(robot, pieces, cutoff)
-    notes = shared_notes({str(log.path): log.notes for log in logs})
-    return datasets, [*notes, *filter_notes]
-
-
 def _read_logs(
     config: PayloadConfig, robot: RobotModel, progress: Progress
 ) -> list[MeasurementLog]:
-    """Return all logs, empty ones first; each is read and checked.
+    """Return all logs, empty ones first.
 
     Args:
         config: names the logs, and how they are read and judged.
@@ -125,19 +105,14 @@ def _read_logs(
         progress: receives a stage per log, and the findings.
 
     Raises:
-        InputError: a log cannot be read or is refused.
+        InputError: a log cannot be read.
     """
     payload = config.payload
     logs = []
     for side, paths in (("empty", payload.empty), ("loaded", payload.loaded)):
         for path in paths:
             progress.stage(f"Reading {side} log {path}...")
-            log = open_log(robot, path, config.log, progress)
-            options = config.estimation
-            log = check_log(
-                robot, log, config.log.accept, progress, options, links_known=False
-            )
-            logs.append(log)
+            logs.append(open_log(robot, path, config.log, progress))
     refuse_repeated_logs(logs)
     return logs
 

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from robot_sysid.config import IdentifyConfig, SelfTestConfig
-from robot_sysid.diagnosis.log_checks import check_log
+from robot_sysid.diagnosis.gate import judge, usable
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import predicted
-from robot_sysid.estimate.identify import (
-    Piece,
-    identify_link,
-    low_pass_recordings,
-    shared_notes,
-)
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_ROTORS
-from robot_sysid.estimate.restricted_fit import errors_on
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.restricted_fit import errors_on, fit_file
 from robot_sysid.estimate.result import link_result, traces_of
+from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.logs.reader import (
     MeasurementLog,
     open_log,
@@ -29,7 +27,7 @@ from robot_sysid.logs.reader import (
 )
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import DataOrigin, MotionPlan, RobotModel
-from robot_sysid.records.messages import Progress
+from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.results.record import Result
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.signals.resampling import join_measurements, piece_notes, split_at_gaps
@@ -62,25 +60,20 @@ def identify_logs(
         path = options.validation_measurements
         read.append(open_log(robot, path, options, progress))
     refuse_repeated_logs(read)
-    checked = []
-    for log in read:
-        log = check_log(robot, log, options.accept, progress, config.estimation)
-        checked.append(log)
+    question = Question(config.estimation)
     n_logs = len(options.measurements)
-    logs = checked[:n_logs]
-    tests = checked[n_logs:]
+    logs, tests = read[:n_logs], read[n_logs:]
+    progress.stage("Solving for parameters...")
+    judged = judge(robot, logs, question, progress)
+    fitted, notes = usable(judged, options.accept, progress)
+    progress.note(*notes)
     for test in tests:
+        of_test = judge(robot, [test], question, Progress())
+        _, test_notes = usable(of_test, options.accept, progress)
         # A note keeps its type: a Detail stays one.
-        progress.note(*(type(note)(f"validation log: {note}") for note in test.notes))
+        progress.note(*(type(note)(f"validation log: {note}") for note in test_notes))
     origin = origin_of(logs)
-    notes = shared_notes({str(log.path): log.notes for log in logs})
-    pieces = []
-    for log in logs:
-        for samples in log.pieces:
-            pieces.append(Piece(str(log.path), replace(samples, qd=None)))
-    # This frees the recorded velocities before signals are made.
-    del read, logs, checked, log, samples
-    return _identify_pieces(config, robot, pieces, origin, notes, progress, tests)
+    return _result(config, fitted, origin, notes, progress, tests)
 
 
 def identify_plant(
@@ -117,51 +110,47 @@ def identify_plant(
     origin = DataOrigin(f"simulated plant {name}", plan.duration, rate, seed)
     stretches = split_at_gaps(run)
     pieces = [Piece(name, samples) for samples in stretches]
-    notes = (*plant.notes, *piece_notes(run, stretches))
-    return _identify_pieces(config, robot, pieces, origin, notes, progress)
+    options = config.estimation
+    recordings, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
+    notes = (*plant.notes, *piece_notes(run, stretches), *filter_notes)
+    progress.note(*notes)
+    progress.stage("Solving for parameters...")
+    fitted = solved(robot, recordings, Question(options), progress)
+    return _result(config, fitted, origin, notes, progress)
 
 
-def _identify_pieces(
+def _result(
     config: IdentifyConfig | SelfTestConfig,
-    robot: RobotModel,
-    pieces: list[Piece],
+    fitted: Fit,
     origin: DataOrigin,
-    notes: Iterable[str],
+    notes: Sequence[str],
     progress: Progress,
     tests: Sequence[MeasurementLog] = (),
 ) -> Result:
-    """Low-pass recordings and identify an arm from them.
+    """Return the result of a fit: the model file, its errors, and what is drawn.
 
     Args:
-        config: says how the recordings are filtered and fitted.
-        robot: the arm as in the model.
-        pieces: the recordings; the list is emptied, so that the raw samples need no memory any
-            more when the estimate begins.
-        origin: where the recordings come from.
-        notes: what reading them had to say, one sentence each.
-        progress: receives stages and notes.
+        config: says what of the model file stays.
+        fitted: the fit of all terms.
+        origin: where its recordings come from.
+        notes: what reading and judging them had to say, one sentence each.
+        progress: receives stages.
         tests: logs that only test the result; they get the cut-off of the others.
     """
     options = config.estimation
-    recordings, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
-    pieces.clear()
-    signals = recordings[0].signals
-    test_recordings = {}
-    for log in tests:
-        name = str(log.path)
-        test_pieces = [Piece(name, samples) for samples in log.pieces]
-        test_recordings[name], _ = low_pass_recordings(
-            robot, test_pieces, signals.cutoff
-        )
-    notes = (*notes, *filter_notes)
-    progress.note(*notes)
+    robot = fitted.arm.robot
+    signals = fitted.recordings[0].signals
     keep = options.keep
     if options.no_friction:
         keep += (FILE_FRICTION, FILE_ROTORS)
-    fitted, file = identify_link(robot, recordings, options, progress, keep)
+    progress.stage(Detail("Fitting the model file..."))
+    file = fit_file(fitted, keep)
     errors = []
     of_file = []
-    for name, others in test_recordings.items():
+    for log in tests:
+        name = str(log.path)
+        pieces = [Piece(name, samples) for samples in log.pieces]
+        others, _ = low_pass_recordings(robot, pieces, signals.cutoff)
         errors.append(predicted(fitted, others, name))
         of_file.append(errors_on(file, others, name))
     result = link_result(fitted, file, errors, origin, notes, of_file)

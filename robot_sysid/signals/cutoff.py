@@ -36,6 +36,9 @@ _MOTION_SHARE = 0.99
 # Largest cut-off over the highest frequency at which the arm moves (docs/measurements.md,
 # tests/signals/test_cutoff.py).
 _LARGEST_CUTOFF_RATIO = 15.0
+# Share of the highest cut-off whose error is small at which other data are predicted best
+# (docs/measurements.md): torques hold more that is not motion the higher the frequency.
+_BEST_SHARE = 0.6
 # A frequency holds motion where its power is more than this multiple of the noise, which noise
 # alone hardly ever reaches.
 _MOTION_TO_NOISE = 6.0
@@ -90,18 +93,19 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
     fastest = frequency[np.searchsorted(speed, _MOTION_SHARE * speed[-1])]
     bound = max(candidates[0], _LARGEST_CUTOFF_RATIO * fastest)
     candidates = candidates[candidates <= bound]
-    # The expected squared error of the acceleration, over its mean square.
-    errors = np.empty(len(candidates))
-    for k, candidate in enumerate(candidates):
-        kernel = design_low_pass(candidate, rate).kernel
+
+    def error(cutoff: float) -> float:
+        """Return the expected squared error of the acceleration, over its mean square."""
+        kernel = design_low_pass(cutoff, rate).kernel
         gain = np.abs(np.fft.rfft(kernel, length))[1:]
-        errors[k] = (1.0 - gain) ** 2 @ motion + gain**2 @ noise
+        return float((1.0 - gain) ** 2 @ motion + gain**2 @ noise)
+
+    errors = np.array([error(candidate) for candidate in candidates])
     largest_error = max(_HARMLESS_ERROR, _ERROR_TOLERANCE * errors.min())
     index = np.flatnonzero(errors <= largest_error)[-1]
+    cutoff = float(max(_BEST_SHARE * candidates[index], candidates[0]))
     noise_share = np.sqrt(np.sum(noise))
-    return CutoffChoice(
-        float(candidates[index]), float(np.sqrt(errors[index])), noise_share
-    )
+    return CutoffChoice(cutoff, float(np.sqrt(error(cutoff))), noise_share)
 
 
 def _acceleration_spectra(

@@ -30,6 +30,7 @@ from robot_sysid.records import Array, Measurement, Motion
 from robot_sysid.records.messages import Detail, percent, position_unit
 from robot_sysid.signals.cutoff import CutoffChoice, choose_cutoff
 from robot_sysid.signals.filters import REACH, LowPass, derivatives, design_low_pass
+from robot_sysid.signals.frozen import equal_runs
 from robot_sysid.signals.resampling import (
     SHORTEST_PIECE,
     UniformSignals,
@@ -47,6 +48,8 @@ _LEAST_DEADBAND = 1e-3
 # cut-off: noise of the samples around four lost ones is at most three times the usual noise in a
 # row over them, and grows with the square of their number.
 _LONGEST_HOLE_STEPS = 5.5
+# Speed that a joint loses at once where it stops abruptly, over its largest.
+_ABRUPT = 0.1
 # Decimated rows that are computed at once: bounds memory, changes no result.
 _BLOCK = 500
 SEPARATION = 6.0
@@ -209,6 +212,11 @@ def process(
     qd, qdd = derivatives(q, uniform.rate)
     longest_hole = min(_LONGEST_HOLE_STEPS / uniform.rate, 1.0 / choice.cutoff)
     hole_share = position_filter.weight_shares(uniform.gap > longest_hole)
+    # A blow reaches the rows within a quarter of a period of the cut-off.
+    reach = np.ones(2 * round(0.25 * uniform.rate / choice.cutoff) + 1)
+    stops = abrupt_stops(uniform.time, uniform.q)
+    stops = np.convolve(stops, reach, "same")[: len(stops)] > 0.0
+    stop_share = position_filter.weight_shares(stops)
     deadband = DEADBAND_SHARE * np.max(np.abs(qd), axis=0)
     signals = ProcessedSignals(
         time=uniform.time[inner],
@@ -216,7 +224,7 @@ def process(
         qd=qd,
         qdd=qdd,
         tau=uniform.tau[inner],
-        bridged=hole_share[REACH:-REACH] > LARGEST_SLOW_SHARE,
+        bridged=(hole_share + stop_share)[REACH:-REACH] > LARGEST_SLOW_SHARE,
         turning=turning_samples(uniform.q[inner], q[REACH:-REACH], qd),
         deadband=np.maximum(deadband, _LEAST_DEADBAND),
         low_pass=low_pass,
@@ -293,6 +301,29 @@ def turning_samples(readings: Array, q: Array, qd: Array) -> NDArray[np.bool_]:
             last = np.min(away[away >= turn], initial=stop)
             is_turning[first:last, joint] = True
     return is_turning
+
+
+def abrupt_stops(time: Array, readings: Array) -> NDArray[np.bool_]:
+    """Return at which samples (N,) a joint stops or starts at once, as at the end of its range.
+
+    Its acceleration there is that of a blow, which no motor makes. From one sample to the next its
+    speed is lost, to stand still for a while.
+
+    Args:
+        time: (N,) [s].
+        readings: (N, n) positions as they were read [rad].
+    """
+    is_stop = np.zeros(len(readings), dtype=bool)
+    for reading in readings.T:
+        steps = np.abs(np.diff(reading))
+        least = _ABRUPT * np.max(steps)
+        for run in equal_runs(time, reading):
+            # A slow joint of a coarse encoder has steps of one count between such of none.
+            before = steps[max(run.start - 3, 0) : run.start]
+            after = steps[run.stop - 1 : run.stop + 2]
+            is_stop[run.start] |= len(before) > 0 and np.min(before) > least
+            is_stop[run.stop - 1] |= len(after) > 0 and np.min(after) > least
+    return is_stop
 
 
 def check_losses(recordings: Sequence[ProcessedSignals]) -> None:

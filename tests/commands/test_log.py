@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.diagnosis import log_checks
+from robot_sysid.diagnosis import gate
 from robot_sysid.dynamics.spatial import theta_from_com
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Measurement
@@ -102,40 +102,40 @@ def test_a_turned_sign_is_put_right_with_the_command_that_is_named(folder, comma
 
 
 def test_a_file_of_scales_says_how_sure_they_are(folder, command, truth, monkeypatch):
-    """As in ``identify``, whose check of the same log has this prior."""
+    """As in ``identify``, which judges the same log with this prior."""
     scales = dict.fromkeys(truth.robot.joint_names, (1.0, 0.005))
     write_torque_scale(folder / "scale.json", scales)
     priors = []
 
-    def no_findings(robot, pieces, options=None, **_):
-        priors.append(options.priors.scale)
-        return (), pieces
+    def no_findings(robot, logs, question, progress):
+        priors.append(question.options.priors.scale)
+        return gate.Judged(tuple(logs), (), (), None)
 
-    monkeypatch.setattr(log_checks, "check_pieces", no_findings)
+    monkeypatch.setattr(gate, "judge", no_findings)
     command.run("log log.csv arm.xml --torque-scale scale.json")
     command.run("log log.csv arm.xml --torque-scale 1")
     assert priors == [pytest.approx((0.5, 0.5, 0.5, 0.5)), None]
 
 
 def test_a_warning_stops_unless_it_is_accepted(command, monkeypatch):
-    check = log_checks.check_pieces
-    findings = []
+    judge = gate.judge
+    judged = []
 
-    def check_once(*arguments, **options):
-        """Return the findings of the first run: all runs here are on the same log."""
-        findings[:] = findings or check(*arguments, **options)
-        return findings
+    def judge_once(*arguments):
+        """Return what the first run finds: all runs here are on the same log."""
+        judged[:] = judged or [judge(*arguments)]
+        return judged[0]
 
-    monkeypatch.setattr(log_checks, "check_pieces", check_once)
+    monkeypatch.setattr(gate, "judge", judge_once)
     printed = command.run("log late.csv arm.xml --json", code=1)
     answer = json.loads(printed.out)
-    assert {finding["level"] for finding in answer["findings"]} == {"doubts"}
+    levels = {finding["about"]: finding["level"] for finding in answer["findings"]}
+    assert levels.pop("held") == "doubts" and {*levels.values()} <= {"says"}
     assert answer["samples"] == 3000
     message = command.refused("log late.csv arm.xml", code=1)
     assert "8 times in all, too much" in message and "--accept held" in message
-    accepted = ("--accept held --accept unexplained",)
-    printed = command.run("log late.csv arm.xml", *accepted)
-    assert "doubts: something touched the arm, or a sensor failed" in printed.out
+    printed = command.run("log late.csv arm.xml --accept held")
+    assert "doubts: a sensor failed from 0.80 s to 1.20 s (joint1)" in printed.out
 
 
 def test_titles_cannot_steer_the_terminal(command):

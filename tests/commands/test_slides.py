@@ -9,14 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from robot_sysid.diagnosis.causes import explanations
-from robot_sysid.diagnosis.log_checks import slow_findings
+from robot_sysid.diagnosis.causes import beside, explanations
+from robot_sysid.diagnosis.gate import slow_findings
 from robot_sysid.estimate.trust import implausible_joints
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.record import Quantity
 from tests.support import arms
-from tests.support.core_fits import fit_logs
+from tests.support.core_fits import filter_logs, fit_recordings
 from tests.support.measured_logs import log_of, plan_of
 
 FRICTION = 'frictionloss=".3" damping=".2" armature=".05"'
@@ -78,11 +78,13 @@ def test_no_command_gives_a_slide_the_units_of_a_hinge(command, robot, tmp_path)
 
 def test_explanations_of_a_slide_are_in_its_units(robot):
     log = log_of(robot, plan_of(robot), noise_torque=0.02)
-    for explanation in explanations(fit_logs(robot, log)):
-        is_of_slide = explanation.joint == 0
-        assert not (is_of_slide and OF_HINGES.search(explanation.unit))
-        if explanation.joint and explanation.term.cause in ("zero", "ripple"):
-            assert OF_HINGES.search(explanation.unit)
+    fitted = fit_recordings(robot, filter_logs(robot, log), beside=beside)
+    for explanation in explanations(fitted):
+        has_unit_of_hinge = OF_HINGES.search(explanation.unit)
+        assert not (has_unit_of_hinge and "joint lift" in explanation.text)
+        is_of_hinge = re.search("joint (bend|roll)", explanation.text)
+        if is_of_hinge and explanation.check == "zero":
+            assert has_unit_of_hinge
 
 
 def test_findings_and_doubts_about_a_slide_have_its_units(robot):

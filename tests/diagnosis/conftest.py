@@ -2,13 +2,51 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+from robot_sysid.diagnosis.gate import judge
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.reader import MeasurementLog
+from robot_sysid.records.messages import Progress
+from robot_sysid.signals.process import LogPiece
 from tests.support import arms
 from tests.support.wrong_logs import truth_of
 
 FOUR_AXES = (arms.Z, arms.Y, arms.Y, arms.X)
 JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
+
+
+def read_log(robot, samples, name="log.csv", divided=1.0):
+    """Return samples as a log that was read, its torques divided by a scale."""
+    return MeasurementLog(
+        path=Path(name),
+        columns=None,
+        samples=samples,
+        pieces=(LogPiece.of(samples),),
+        notes=(),
+        torque_scale=np.full(robot.n_joints, divided),
+        joint_names=robot.joint_names,
+        options=LogOptions(),
+    )
+
+
+def judged(robot, *samples, divided=1.0, progress=None, **options):
+    """Return logs of an arm that were judged together."""
+    logs = [
+        read_log(robot, each, f"log{k}.csv", divided) for k, each in enumerate(samples)
+    ]
+    question = Question(EstimationOptions(**options))
+    return judge(robot, logs, question, progress or Progress())
+
+
+def findings_of(robot, *samples, **options):
+    """Return what is wrong with logs of an arm."""
+    return judged(robot, *samples, **options).findings
 
 
 @pytest.fixture(scope="session")

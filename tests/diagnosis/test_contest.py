@@ -2,79 +2,90 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from robot_sysid.diagnosis.contest import CLEAR, Contest, findings
-from robot_sysid.diagnosis.log_checks import low_pass
-from robot_sysid.diagnosis.log_fit import LogFit, log_rows
+from robot_sysid.diagnosis.causes import beside, explanations
+from robot_sysid.diagnosis.contest import CLEAR, is_plausible, left_over
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.rows import Piece, low_pass_recordings
+from robot_sysid.records.messages import Level
+from tests.diagnosis.conftest import findings_of
 
-OPTIONS = EstimationOptions()
+QUESTION = Question(EstimationOptions())
 
 
 @pytest.fixture(scope="module")
-def contest(truth):
-    """Return the contest of explanations of a right log."""
-    log = LogFit.of(truth.robot, low_pass([truth.log], None), OPTIONS)
-    return Contest(log, list)
+def right(truth):
+    """Return the fit of a right log, with the columns of all causes."""
+    recordings, _ = low_pass_recordings(truth.robot, [Piece("log", truth.log)])
+    return solved(truth.robot, recordings, QUESTION, beside=beside)
 
 
-def test_a_right_log_fits_shows_the_link_and_has_no_explanation(truth, contest):
-    assert contest.log.misfit < 0.02 and contest.log.is_plausible
-    mass, error = contest.log.last_mass
+def test_a_right_log_fits_shows_the_link_and_has_no_explanation(truth, right):
+    assert left_over(right) < 0.02 and is_plausible(right)
+    mass = right.by_name["m"]
+    error = right.errors[right.at(["m"])][0]
     assert abs(mass - truth.theta[0]) < 3.0 * error
-    recordings = contest.log.fit.recordings
-    assert findings(truth.robot, recordings, OPTIONS, np.ones(5), 0.0, list) == []
+    assert findings_of(truth.robot, truth.log) == ()
 
 
-def test_each_explanation_is_found_with_the_value_that_is_put_in(contest):
+def test_each_explanation_is_found_with_the_value_that_is_put_in(right):
     """Where nothing is put in, none is found."""
-    right = contest.log.fit
-    (recording,) = right.recordings
-    rows = contest.log.rows
+    unspoilt = Offers(right)
+    sums = right.sums
     shown = 0
-    for explanation in contest.offered:
-        term = explanation.term
-        value = term.prior.factor @ np.ones(len(term.names))
-        spoilt = replace(recording)
-        added = rows.torque_of(term.names, value)
-        spoilt.__dict__["torque"] = recording.torque + added
-        wrong = log_rows(right.arm, [spoilt], right.point, [term])
-        spoilt_contest = copy(contest)
-        spoilt_contest.log = replace(contest.log, rows=wrong)
-        score = spoilt_contest.score(explanation)
-        unspoilt = contest.score(explanation)
-        found, _ = score.values
-        at = score.log.fit.at(term.names)
-        covariance = score.log.fit.inverse[np.ix_(at, at)]
-        error = found - value - unspoilt.values[0]
-        distance = error @ np.linalg.solve(covariance, error)
-        assert distance < chi2.ppf(0.999, len(at)), term.names
-        shown += score.gain > CLEAR
-        assert unspoilt.gain < CLEAR
-    assert shown > 0.4 * len(contest.offered)
+    offered = explanations(right)
+    for explanation in offered:
+        effect = explanation.effect
+        at = sums.at(effect.names)
+        value = effect.factor @ np.ones(effect.factor.shape[1])
+        # The torque of the columns, where they act, is one more column: the measured one's.
+        wider = sums.with_columns(
+            ("put in",), at, value[:, None], effect.joint, effect.shares
+        )
+        grams, lagged = (
+            tuple(add_to_torque(gram) for gram in kind)
+            for kind in (wider.grams, wider.lagged)
+        )
+        wrong = replace(sums, grams=grams, lagged=lagged)
+        offer = Offers(right.of(wrong), unspoilt.weights).offer(effect)
+        before = unspoilt.offer(effect)
+        error = offer.values - value - before.values
+        # What the prior of the explanation pulls back is within its own spread.
+        covariance = offer.covariance + 1e-12 * np.diag(np.diag(effect.factor) ** 2)
+        distance = error @ np.linalg.pinv(covariance, hermitian=True) @ error
+        assert distance < chi2.ppf(0.999, len(at)), effect.names
+        shown += offer.gain > CLEAR
+        assert before.gain < CLEAR, effect.names
+    assert shown > 0.4 * len(offered)
+
+
+def add_to_torque(gram):
+    """Return products (B, k + 1, k + 1) whose torque has the column before it added."""
+    turn = np.delete(np.eye(gram.shape[1]), -2, axis=1)
+    turn[-2, -1] = 1.0
+    return turn.T @ gram @ turn
 
 
 def test_deviations_that_the_prior_allows_are_not_named(truth):
     """Torque scales that the user declares uncertain are unknowns of the fit."""
     log = replace(truth.log, tau=truth.log.tau * [1.0, 1.3, 0.8, 1.2, 1.0])
-    recordings = low_pass([log], None)
-    declared = EstimationOptions(priors=Priors(scale=40.0))
-    for options, is_named in ((OPTIONS, True), (declared, False)):
-        found = findings(truth.robot, recordings, options, np.ones(5), 0.0, list)
-        assert bool(found) is is_named
+    for priors, is_named in ((Priors(), True), (Priors(scale=40.0), False)):
+        found = findings_of(truth.robot, log, priors=priors)
+        assert any(f.level is not Level.SAYS for f in found) is is_named
 
 
-def test_torque_that_nothing_explains_is_said(truth):
-    noise = 5.0 * np.random.default_rng(0).normal(size=truth.log.tau.shape)
-    recordings = low_pass([replace(truth.log, tau=noise)], None)
-    names = {
-        f.about
-        for f in findings(truth.robot, recordings, OPTIONS, np.ones(5), 0.0, list)
-    }
-    assert names & {"model", "unexplained"}
+def test_torque_that_nothing_explains_is_said_with_what_is_missing(truth):
+    noise = np.random.default_rng(0).normal(size=truth.log.tau.shape)
+    noise = np.cumsum(noise, axis=0)
+    (finding,) = findings_of(truth.robot, replace(truth.log, tau=noise))
+    assert finding.about in ("model", "unexplained")
+    assert "the torques do not fit this model" in finding.text
+    assert "of the model's weight" in finding.text and finding.options == ()

@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 
 import robot_sysid
 from robot_sysid.diagnosis.limited_in_time import Stretch, failed_sensors, leave_out
-from robot_sysid.diagnosis.log_checks import check_pieces
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records.messages import Level
-from robot_sysid.signals.process import process
-from tests.diagnosis.conftest import FOUR_AXES, JOINT
+from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, judged
 from tests.support import arms
 from tests.support.log_files import JOINTS, motion
 
@@ -82,16 +80,20 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_that_lasts_a_moment_is_left_out_and_said(four_joints, fault):
     log = FAULTS[fault](four_joints.log)
-    findings, (piece,) = check_pieces(four_joints.robot, [log])
+    answer = judged(four_joints.robot, log)
+    findings = answer.findings
     assert findings and all(finding.level is Level.SAYS for finding in findings), (
         findings
     )
     assert all("left out" in finding.text for finding in findings)
-    used = used_times([piece])
+    (recording,) = answer.fit.recordings
+    time = recording.motion.time
+    used = time[np.any(recording.used, axis=1)]
     assert not np.any((used > BEGIN + 0.02) & (used < END - 0.02))
-    step = float(np.median(np.diff(log.time)))
-    assert step * (len(log) - len(used)) - (END - BEGIN) <= BESIDE
-    assert 0.5 < np.mean(process(piece).is_complete()) < 1.0
+    step = float(np.median(np.diff(time)))
+    assert step * (len(time) - len(used)) - (END - BEGIN) <= BESIDE
+    mass, error = answer.fit.by_name["m"], answer.fit.errors[answer.fit.at(["m"])][0]
+    assert abs(mass - four_joints.theta[0]) < 3.0 * error
 
 
 @pytest.mark.parametrize(
@@ -104,7 +106,7 @@ def test_a_fault_that_comes_back_or_lasts_stops_the_identification(four_joints, 
     for span in spans:
         tau[rows_between(four_joints.log, *span), 1] = 0.0
     log = replace(four_joints.log, tau=tau)
-    findings, _ = check_pieces(four_joints.robot, [log])
+    findings = findings_of(four_joints.robot, log)
     assert any(f.about == "held" and f.level is Level.DOUBTS for f in findings)
 
 
@@ -112,14 +114,15 @@ def test_pushes_that_come_back_stop_the_identification(four_joints):
     log = four_joints.log
     waves = np.maximum(np.sin(2.0 * np.pi * log.time), 0.0) * (np.sin(log.time) > 0.0)
     tau = log.tau + np.outer(waves, 0.5 * np.std(log.tau, axis=0))
-    findings, _ = check_pieces(four_joints.robot, [replace(log, tau=tau)])
+    findings = findings_of(four_joints.robot, replace(log, tau=tau))
     assert any(finding.level is not Level.SAYS for finding in findings)
 
 
 def test_nothing_of_a_right_log_is_left_out(four_joints, truth):
     for right in (four_joints, truth):
-        findings, (piece,) = check_pieces(right.robot, [right.log])
-        assert findings == () and piece.left_out is None
+        answer = judged(right.robot, right.log)
+        (recording,) = answer.fit.recordings
+        assert answer.findings == () and recording.touched == ()
 
 
 SPANS = st.lists(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,11 +13,9 @@ from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.real_arms import ARMS, DEVIATIONS, draw_arm
 from robot_sysid.diagnosis import Finding
+from robot_sysid.diagnosis.gate import TRYING, require_acceptable
 from robot_sysid.diagnosis.log_checks import (
-    check_log,
-    check_pieces,
     clock_findings,
-    require_acceptable,
     saturation_findings,
     time_share,
     velocity_notes,
@@ -26,16 +23,13 @@ from robot_sysid.diagnosis.log_checks import (
 )
 from robot_sysid.dynamics.inverse_dynamics import with_gravity
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.logs import CHECKS, LogOptions
-from robot_sysid.logs.reader import MeasurementLog
+from robot_sysid.logs import CHECKS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from robot_sysid.records.messages import Level, Progress
-from robot_sysid.signals.process import LogPiece
+from robot_sysid.records.messages import Level
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from tests.diagnosis.conftest import FOUR_AXES, JOINT
+from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, judged
 from tests.support import arms
 from tests.support.log_files import JOINTS, arm_of, motion, read_measurements
 from tests.support.places import DATA as real_logs
@@ -134,24 +128,10 @@ def test_a_sensor_at_its_end_is_found(joint, share):
 # ---- against the model
 
 
-def log_of(truth):
-    """Return a log that was read, of an arm whose truth is known."""
-    pieces = (LogPiece.of(truth.log),)
-    names = truth.robot.joint_names
-    return MeasurementLog(
-        Path("log.csv"), None, truth.log, pieces, (), None, names, LogOptions()
-    )
-
-
 def test_a_log_that_cannot_be_checked_is_named(four_joints):
-    log = log_of(four_joints)
-    with pytest.raises(
-        InputError,
-        match=r"^log\.csv: the log's 12 s are too short for a cut-off of 0.001 Hz",
-    ):
-        check_log(
-            four_joints.robot, log, (), Progress(), EstimationOptions(cutoff=1e-3)
-        )
+    text = r"^log0\.csv: the log's 12 s are too short for a cut-off of 0.001 Hz"
+    with pytest.raises(InputError, match=text):
+        judged(four_joints.robot, four_joints.log, cutoff=1e-3)
 
 
 # ---- signs and mounting
@@ -161,15 +141,17 @@ def test_a_log_that_cannot_be_checked_is_named(four_joints):
 def test_an_arm_that_hangs_or_is_mounted_on_a_wall_is_named(four_joints, gravity):
     robot = four_joints.robot
     mounted = truth_of(with_gravity(robot, np.array(gravity)), seed=3)
-    ((finding,), _) = check_pieces(robot, [mounted.log])
+    (finding,) = findings_of(robot, mounted.log)
     assert finding.level is Level.REFUSES and "on a wall or a ceiling" in finding.text
 
 
 def test_turned_torques_of_all_joints_are_named_and_the_search_is_shown(truth):
     turned = replace(truth.log, tau=-truth.log.tau)
     shown = []
-    progress = SimpleNamespace(advance=lambda *state: shown.append(state[1]))
-    ((finding,), _) = check_pieces(truth.robot, [turned], progress=progress)
+    progress = SimpleNamespace(
+        advance=lambda label, *state: label == TRYING and shown.append(state[0])
+    )
+    (finding,) = findings_of(truth.robot, turned, progress=progress)
     assert finding.text.startswith("the torque of every joint has the opposite sign")
     assert shown == sorted(shown) and len(shown) > 4 and shown[-1] == 1.0
 
@@ -179,7 +161,7 @@ def test_a_turned_position_of_a_vertical_joint_is_no_turned_torque(four_joints):
     signs = np.array([-1.0, 1.0, 1.0, 1.0])
     log = four_joints.log
     turned = replace(log, q=log.q * signs, qd=log.qd * signs)
-    ((finding,), _) = check_pieces(four_joints.robot, [turned])
+    (finding,) = findings_of(four_joints.robot, turned)
     assert finding.text.startswith("the position of joint joint0 has the opposite sign")
 
 
@@ -188,7 +170,7 @@ def test_friction_that_drives_a_joint_shows_a_turned_sign(four_joints):
     tau = four_joints.log.tau.copy()
     tau[:, -1] -= 10.0 * four_joints.friction[:, -1]
     log = replace(four_joints.log, tau=tau)
-    (finding, *_), _ = check_pieces(four_joints.robot, [log])
+    (finding, *_) = findings_of(four_joints.robot, log)
     assert finding.about == "sign" and "joint joint3 has the opposite" in finding.text
 
 
@@ -198,10 +180,10 @@ def test_a_joint_that_stands_still_is_no_fault_and_hides_none(four_joints, joint
     moves = np.arange(4) != joint
     plan = four_joints.plan.scale_amplitudes(moves.astype(float))
     log = truth_of(robot, seed=4, played=plan).log
-    findings, _ = check_pieces(robot, [log])
+    findings = findings_of(robot, log)
     assert not findings
     wrong = replace(log, tau=1000.0 * log.tau)
-    findings, _ = check_pieces(robot, [wrong])
+    findings = findings_of(robot, wrong)
     assert findings
 
 
@@ -221,7 +203,7 @@ def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     log = Measurement(
         motion.time, np.round(motion.q, 5), None, ArmTorque(robot)(motion) + noise
     )
-    assert check_pieces(robot, [log])[0] == ()
+    assert findings_of(robot, log) == ()
 
 
 @pytest.mark.slow
@@ -244,7 +226,7 @@ def test_correct_logs_of_public_arms_draw_no_alarm(
 ):
     robot = load_robot_model(public_models / ARMS[arm_name])
     log = draw_arm(robot, deviations, False, duration, seed % 2 == 0, seed).log
-    assert check_pieces(robot, [log])[0] == ()
+    assert findings_of(robot, log) == ()
 
 
 @pytest.mark.slow
@@ -262,7 +244,7 @@ def test_correct_logs_of_public_arms_draw_no_alarm(
 def test_logs_of_real_arms_draw_no_alarm(model, log):
     robot = load_robot_model(real_logs / model)
     pieces = read_measurements(real_logs / log, robot.joint_names).pieces
-    levels = {finding.level for finding in check_pieces(robot, pieces)[0]}
+    levels = {finding.level for finding in findings_of(robot, *pieces)}
     assert levels <= {Level.SAYS}
 
 
@@ -284,7 +266,8 @@ FINDINGS = st.lists(
 def test_refusals_and_doubts_that_nobody_accepts_stop(findings, accepted):
     refused = any(f.level is Level.REFUSES for f in findings)
     doubts = {f.about for f in findings if f.level is Level.DOUBTS} - accepted
-    log = SimpleNamespace(path="log.csv", columns=SimpleNamespace(angle_declared=False))
+    columns = SimpleNamespace(angle_declared=False)
+    log = [SimpleNamespace(path="log.csv", columns=columns)]
     if not refused and not doubts:
         require_acceptable(log, findings, accepted)
         return

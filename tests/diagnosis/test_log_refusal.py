@@ -10,7 +10,7 @@ import pytest
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.log_refusal import refuse_for
-from robot_sysid.diagnosis.relabelling import mistakes
+from robot_sysid.diagnosis.relabelling import steps
 from robot_sysid.errors import ColumnsError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import read_columns_file, recognise_columns
@@ -28,7 +28,7 @@ FILE = (
     "# mine\ntime = #1\nposition = #2, #3, #4\nvelocity = #5, #6, #7\n"
     "torque = #8, #9, #10\ntorque.joint1 = 0.5 * #9\n"
 )
-CORRECTIONS = [mistake.correction for mistake in mistakes(ROBOT, range(3))]
+CORRECTIONS = [s.reading.columns for s in steps(ROBOT, range(3)) if s.check != "zero"]
 
 
 def columns_of(titles, path):
@@ -53,7 +53,7 @@ def refusal(titles, correction, folder, text="", payload=(), **attributes):
     finding = Finding(
         Level.REFUSES, "order", "it is wrong", "", payload, "payload", correction
     )
-    return refuse_for(log, finding)
+    return refuse_for([log], finding)
 
 
 def signals(columns, quantity):
@@ -77,9 +77,9 @@ def test_the_file_corrects_what_was_read(
     after = columns_of(titles, Path(error.name))
     for quantity in QUANTITIES:
         source = "position" if quantity == "velocity" else quantity
-        expected = np.array([signals(before, quantity)])
-        expected = correction.apply(source, expected)
-        np.testing.assert_allclose([signals(after, quantity)], expected)
+        order, factors = zip(*getattr(correction, source))
+        expected = np.array(signals(before, quantity))[list(order)] * factors
+        np.testing.assert_allclose(signals(after, quantity), expected)
 
 
 def test_a_file_of_another_text_is_not_suggested(tmp_path, monkeypatch):
@@ -113,5 +113,5 @@ def test_an_option_is_suggested_that_no_title_contradicts(is_declared):
     )
     option = ("--units", "deg")
     finding = Finding(Level.REFUSES, "angle-unit", "degrees", options=(option,))
-    error = refuse_for(log, finding)
+    error = refuse_for([log], finding)
     assert error.options == (() if is_declared else (option,))

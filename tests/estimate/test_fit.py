@@ -21,6 +21,7 @@ from robot_sysid.estimate import fit as fit_module
 from robot_sysid.estimate.choose import neighbours
 from robot_sysid.estimate.fit import correlation_times, fit
 from robot_sysid.estimate.links import link_factor
+from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import LARGEST_LOSS, Question, arm_question
 from robot_sysid.estimate.terms import (
@@ -254,7 +255,7 @@ def test_what_is_put_in_is_found_with_its_value_and_nothing_else_is(key, seed):
         terms = arm_question(arm, QUESTION, sums.rms_torque)
         arguments = arm, logs, point, sums
         base = fit(*arguments, terms, QUESTION, possible=False)
-        gain = base.gain(term)
+        gain = Offers(base, base.weights).offer(Effect.of(term)).gain
         assert gain > 100.0 if factor else gain < 0.0
         wider = fit(*arguments, [*terms, term], QUESTION, noise=base.noise)
         at = wider.at(term.names)

@@ -14,8 +14,8 @@ from numpy.testing import assert_array_equal
 
 from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
 from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
-from robot_sysid.estimate.triangles import InformationAccumulator
 from robot_sysid.records import Measurement
+from robot_sysid.solver import InformationAccumulator
 from tests.support import arms
 from tests.support.synthetic_data import (
     arm_equations,

@@ -9,12 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimate.identify import identify_payload
-from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.estimate.payload import contradiction, payload_result
-from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.payload import contradiction, payload_result, written_payload
+from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.records import Flange
-from robot_sysid.records.messages import Progress, with_error
+from robot_sysid.records.messages import with_error
 from robot_sysid.results.record import Verdict
 from tests.support.core_fits import ORIGIN, fit_recordings
 from tests.support.payload_logs import PAYLOAD, TrueArm, add_torque, four_joint_arm
@@ -23,11 +21,17 @@ ROBOT = four_joint_arm()
 FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 
-def result_of(recordings, kept=(), **question):
+def result_of(recordings, kept=(), known_mass=None):
     """Return (result of recordings with a payload, the fit of its file)."""
-    question = Question(EstimationOptions(), loaded=True, **question)
-    fits = identify_payload(ROBOT, recordings, question, Progress(), kept)
-    return payload_result(*fits, FLANGE, ORIGIN, (), np.ones(4)), fits[-1]
+    fitted = weighed = fit_recordings(ROBOT, recordings, loaded=True)
+    file = None
+    if known_mass is None:
+        file = fit_file(weighed, kept, written_payload(weighed)[0])
+    else:
+        logs = weighed.recordings
+        fitted = fit_recordings(ROBOT, logs, loaded=True, known_mass=known_mass)
+    fits = fitted, weighed, file
+    return payload_result(*fits, FLANGE, ORIGIN, (), np.ones(4)), file
 
 
 @pytest.fixture(scope="module")

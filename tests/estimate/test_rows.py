@@ -47,6 +47,17 @@ def dense_rows(recordings, joint):
     return np.concatenate(found)
 
 
+def successive_products(recordings, joint):
+    """Return the products of successive rows [A b] of a joint that lie in one block."""
+    numbers, _ = block_numbers(recordings)
+    used = [recording.used[:, joint] for recording in recordings]
+    blocks = np.concatenate([own[rows] for own, rows in zip(numbers, used)])
+    rows = dense_rows(recordings, joint)
+    is_next = blocks[1:] == blocks[:-1]
+    products = rows[:-1][is_next].T @ rows[1:][is_next]
+    return 0.5 * (products + products.T)
+
+
 def normal_of(sums, blocks=None):
     """Return the normal matrix with all weights equal."""
     return sums.normal(np.ones(4), blocks)
@@ -55,7 +66,9 @@ def normal_of(sums, blocks=None):
 @settings(max_examples=3)
 @given(SEEDS)
 def test_sums_are_those_of_all_rows_in_use(seed):
-    """Weighted by joint, also of residuals; a torque that is not used may be anything."""
+    """Weighted by joint, of residuals, and of successive rows; a torque that is not used may be
+    anything.
+    """
     recordings = logs_of(seed)
     for recording in recordings:
         recording.torque[~recording.used] = np.nan
@@ -69,6 +82,11 @@ def test_sums_are_those_of_all_rows_in_use(seed):
         expected = expected + weights[joint] ** 2 * rows.T @ rows
         squares.append(np.sum((rows @ np.append(-values, 1.0)) ** 2))
         assert np.sum(sums.counts[:, joint]) == len(rows)
+        lagged = successive_products(recordings, joint)
+        at = np.append(sums.columns[joint], -1)
+        size = np.max(np.abs(lagged))
+        found = sums.lagged_totals[joint]
+        assert_allclose(found, lagged[np.ix_(at, at)], atol=1e-12 * size)
     scale = np.max(np.abs(expected))
     assert_allclose(sums.normal(weights), expected, atol=1e-12 * scale)
     assert_allclose(sums.squared_residuals(values), squares, rtol=1e-9)
@@ -88,6 +106,8 @@ def test_neither_chunks_nor_the_order_of_recordings_change_the_sums(seed, size):
     scale = np.max(np.abs(normal))
     for sums in (chunked, ARM.sums(recordings[::-1], POINT)):
         assert_allclose(normal_of(sums), normal, atol=1e-12 * scale)
+        for found, lagged in zip(sums.lagged_totals, expected.lagged_totals):
+            assert_allclose(found, lagged, atol=1e-12 * np.max(np.abs(lagged)))
     assert_array_equal(chunked.counts, expected.counts)
 
 
@@ -120,27 +140,17 @@ def test_sums_of_some_blocks_are_the_rest_without_the_others():
     assert_allclose(normal_of(sums, blocks=some), rest, atol=1e-12 * np.max(normal))
 
 
-def without(recording, spans):
-    """Return a recording whose rows within spans of time [s] are not used."""
-    used = recording.used.copy()
-    for start, end in spans:
-        time = recording.motion.time
-        used[(time >= start) & (time <= end)] = False
-    smaller = replace(recording)
-    smaller.__dict__["used"] = used
-    return smaller
-
-
 def test_rows_that_are_cut_out_do_not_count_and_those_of_others_stay():
     recording, other = logs_of(2)
     before = recording.used.copy()
-    cut = without(recording, [(0.1, 0.2), (0.5, 9.0)])
     time = recording.motion.time
     inside = ((time >= 0.1) & (time <= 0.2)) | (time >= 0.5)
+    cut = recording.only(~inside)
     assert_array_equal(cut.used, before & ~inside[:, None])
+    assert_array_equal(recording.only(~before).used, False & before)
     assert_array_equal(recording.used, before)
     cut.torque[inside] = 1e9
     sums = ARM.sums([cut, other], POINT)
     assert np.all(normal_of(sums)[-1, -1] < 1e9)
     with pytest.raises(InputError, match="velocity deadband for long enough"):
-        ARM.sums([without(recording, [(0.0, 9.0)])], POINT)
+        ARM.sums([recording.only(time < 0.0)], POINT)

@@ -158,9 +158,9 @@ def test_a_file_is_compared_with_the_model_before(model, file, verdict):
     assert trust.judge_file(model, file).about == verdict.name
 
 
-def judge_fit(fitted, *tests, acceleration=0.0):
+def judge_fit(fitted, *tests):
     """Return (verdict, reasons) of a fit and of its errors in other rows."""
-    return first(trust.find_misfits(fitted, tests, acceleration))
+    return first(trust.find_misfits(fitted, tests))
 
 
 @pytest.mark.parametrize(
@@ -178,11 +178,6 @@ def test_held_out_errors_may_be_three_times_the_noise(
     assert is_ok or "of parts are predicted 3.5 times worse" in reasons[0]
     unknown = replace(test, is_informative=False)
     assert judge_fit(noisy_fit, unknown) == (OK, ())
-
-
-def test_positions_without_accelerations_are_refused(noisy_fit):
-    verdict, (reason,) = judge_fit(noisy_fit, acceleration=0.49)
-    assert verdict is Verdict.UNEXPLAINED and "49 %" in reason
 
 
 @pytest.mark.parametrize("is_noise", [False, True])

@@ -12,9 +12,9 @@ from numpy.random import default_rng
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import solved
-from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.estimate.terms import LINKS, SCALES
 from robot_sysid.motion import AimOptions
 from robot_sysid.motion.expected_errors import predict, prior_knowledge

@@ -10,19 +10,13 @@ import pytest
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import InputError
-from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import comparison
-from robot_sysid.pipeline.comparison import (
-    ALL_JOINTS,
-    changes,
-    compare_runs,
-    of_two_runs,
-    sentences,
-)
+from robot_sysid.pipeline.comparison import ALL_JOINTS, changes, compare_runs, sentences
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import write_torque_scale
+from tests.support.core_fits import fit_recordings
 from tests.support.measured_logs import XML, log_of
 from tests.support.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 
@@ -44,7 +38,8 @@ def rows_of(seed, body=NOTHING, friction=0.0, swapped=False):
         is_later = is_second != swapped
         log = replace(log, is_loaded=is_later, order=1.0 if is_later else -1.0)
         recordings.append(add_noise(log, 0.05, [seed, is_second]))
-    return list(changes(of_two_runs(ROBOT, recordings, EstimationOptions())))
+    fitted = fit_recordings(ROBOT, recordings, loaded=True, drifts=True)
+    return list(changes(replace(fitted, values=fitted.free)))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -111,37 +106,44 @@ def test_where_there_is_no_common_fit_it_is_said(second, reason, tmp_path):
 
 
 class Checked(Exception):
-    """Ends a comparison at the check of the first log."""
+    """Ends a comparison where its logs are judged."""
 
 
 def runs_with(folder, robot, *options):
-    """Return a run per text of options, of one model and log."""
+    """Return a run per text of options, each with a log of its own, of one model."""
     content = {"logs": ["log"], "payload": None, "model": {"sha256": robot.sha256}}
     runs = []
     for number, text in enumerate(options):
         (folder / str(number)).mkdir(exist_ok=True)
-        words = f'path = "{robot.path}"\nmeasurements = ["{folder}/log.csv"]\n{text}\n'
+        words = f'path = "{robot.path}"\nmeasurements = ["{folder}/log{number}.csv"]\n{text}\n'
         (folder / str(number) / "run.toml").write_text(words)
         runs.append(SimpleNamespace(folder=folder / str(number), content=content))
     return runs
 
 
-def test_logs_are_checked_against_the_runs_own_arm_with_its_options(
+def test_logs_are_judged_against_the_runs_own_arm_with_its_options(
     arm_file, tmp_path, monkeypatch
 ):
     robot = load_robot_model(arm_file(XML))
-    write_measurement_csv(tmp_path / "log.csv", robot.joint_names, [log_of(robot)])
+    for number in range(2):
+        log = log_of(robot, seed=number, noise_torque=0.1)
+        write_measurement_csv(tmp_path / f"log{number}.csv", robot.joint_names, [log])
     write_torque_scale(
         tmp_path / "scale.json", dict.fromkeys(robot.joint_names, (2.0, 0.01))
     )
 
-    def check(arm, log, accepted, progress, options):
+    def check(arm, logs, question, progress, is_loaded, order):
         assert arm.mass == pytest.approx(1.5 * robot.mass)
-        assert options.priors.scale == pytest.approx((0.5, 0.5, 0.5))
-        assert np.all(log.torque_scale == 2.0) and accepted == ("zero",)
+        assert question.options.priors.scale == pytest.approx((0.5, 0.5, 0.5))
+        assert is_loaded == [False, True] and order == [-1.0, 1.0]
+        return [log.torque_scale for log in logs]
+
+    def end(scales, accepted, progress):
+        assert np.all(np.equal(scales, 2.0)) and accepted == {"zero"}
         raise Checked
 
-    monkeypatch.setattr(comparison, "check_log", check)
+    monkeypatch.setattr(comparison, "judge", check)
+    monkeypatch.setattr(comparison, "usable", end)
     options = (
         'mass_scale = 1.5\naccept = ["zero"]\n'
         f'torque_scale = "{tmp_path / "scale.json"}"'

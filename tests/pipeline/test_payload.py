@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from robot_sysid.config import PayloadConfig
+from robot_sysid.diagnosis.gate import judge
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import payload, stages
-from robot_sysid.pipeline.payload import (
-    _datasets,
-    is_drift_identifiable,
-    order_positions,
-)
+from robot_sysid.pipeline.payload import is_drift_identifiable, order_positions
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
-from tests.support.measured_logs import CUTOFF, XML, log_of, true_arm
+from tests.support.measured_logs import XML, log_of
 
 
 def recording(start: float) -> SimpleNamespace:
@@ -54,40 +56,51 @@ def test_a_drift_needs_recordings_of_a_kind_at_several_times(order, is_identifia
     assert is_drift_identifiable(is_loaded, positions) == is_identifiable
 
 
+@pytest.fixture
+def robot(arm_file):
+    return load_robot_model(arm_file(XML))
+
+
+@pytest.fixture
+def paths(robot, tmp_path):
+    """An empty log in two parts with a long hole between them, and a complete loaded one."""
+    paths = tmp_path / "cut.csv", tmp_path / "complete.csv"
+    log = log_of(robot, noise_torque=0.1)
+    later = replace(log, time=log.time + 60.0)
+    for path, parts in zip(paths, ([log, later], [log_of(robot, seed=2)])):
+        write_measurement_csv(path, robot.joint_names, parts)
+    return paths
+
+
 class Checked(Exception):
-    """Ends a run at the check of its first log."""
+    """Ends a run where its logs are judged."""
 
 
-def test_logs_are_checked_with_the_options_of_the_run(arm_file, tmp_path, monkeypatch):
-    robot = load_robot_model(arm_file(XML))
-    path = tmp_path / "log.csv"
-    write_measurement_csv(path, robot.joint_names, [log_of(robot)])
+def test_logs_are_judged_together_with_the_options_of_the_run(
+    robot, paths, monkeypatch
+):
+    empty, loaded = paths
+    priors = {"zero": 7.0}
     config = PayloadConfig.of(
-        tmp_path / "arm.xml",
-        empty=(path,),
-        loaded=(path,),
-        priors={"zero": 7.0},
-        mass_scale=1.5,
+        robot.path, empty=(empty,), loaded=(loaded,), priors=priors, mass_scale=1.5
     )
 
-    def check(arm, log, accepted, progress, options=None, links_known=True):
-        assert arm.mass == pytest.approx(1.5 * robot.mass) and not links_known
-        assert options == config.estimation
+    def check(arm, logs, question, progress, is_loaded, order):
+        assert arm.mass == pytest.approx(1.5 * robot.mass)
+        assert question.options == config.estimation and question.loaded
+        assert [log.path for log in logs] == [*paths]
+        assert is_loaded == [False, True] and order == [-1.0, 1.0]
         raise Checked
 
-    monkeypatch.setattr(payload, "check_log", check)
+    monkeypatch.setattr(payload, "judge", check)
     with pytest.raises(Checked):
         stages.run(config, Progress())
 
 
-def test_parts_of_a_log_with_a_long_hole_are_one_log():
-    arm = true_arm()
-    log = log_of(arm, noise_torque=0.1)
-    logs = [
-        SimpleNamespace(path="cut", notes=(), pieces=(log, log)),
-        SimpleNamespace(path="complete", notes=(), pieces=(log,)),
-    ]
-    order = np.array([-1.0, 1.0])
-    datasets, _ = _datasets(arm, logs, order > 0.0, order, CUTOFF)
-    names = [dataset.name for dataset in datasets]
-    assert names == ["cut", "cut", "complete"]
+def test_parts_of_a_log_with_a_long_hole_are_one_log(robot, paths):
+    logs = [open_log(robot, path, LogOptions()) for path in paths]
+    question = Question(EstimationOptions(), loaded=True)
+    judged = judge(robot, logs, question, Progress(), [False, True], [-1.0, 1.0])
+    cut, complete = map(str, paths)
+    found = [(log.name, log.is_loaded, log.order) for log in judged.fit.recordings]
+    assert found == [(cut, False, -1.0)] * 2 + [(complete, True, 1.0)]

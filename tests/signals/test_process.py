@@ -15,6 +15,7 @@ from robot_sysid.records import Measurement
 from robot_sysid.signals.process import (
     LARGEST_SLOW_SHARE,
     SEPARATION,
+    abrupt_stops,
     check_losses,
     process,
     turning_samples,
@@ -190,3 +191,20 @@ def test_samples_near_a_turn_may_be_at_rest(outward, standing):
     assert np.any(turning[:, 0])
     # A joint that never turns round is never unsure.
     assert not np.any(turning[:, 1])
+
+
+@pytest.mark.parametrize("resolution", [1e-5, 1e-4])
+def test_only_rows_beside_an_abrupt_stop_are_masked(resolution):
+    """One joint runs into the end of its range; another comes to rest there as a motor stops it."""
+    time = seconds(12.0, RATE)
+    way = np.clip(time - 4.0, 0.0, 3.0)
+    shapes = time**2, way, np.cos(np.pi / 3.0 * way)
+    q = np.round(np.column_stack(shapes) / resolution) * resolution
+    assert_close(time[abrupt_stops(time, q)], [4.0, 7.0], atol=1.5 / RATE)
+    for joints, ends in (([0, 1], [4.0, 7.0]), ([0, 2], [])):
+        own = q[:, joints]
+        signals = process(Measurement(time, own, None, own), cutoff=8.0)
+        rows = signals.decimated_motion().time
+        off = np.min(np.abs(np.subtract.outer(rows, ends)), axis=1, initial=np.inf)
+        is_lost = ~signals.is_complete()
+        assert np.all(off[is_lost] < 2.5 / 8.0) and np.all(is_lost[off < 0.5 / 8.0])

@@ -7,9 +7,9 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.estimate.choose import solved
-from robot_sysid.estimate.identify import Piece, low_pass_recordings
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.records import DataOrigin
 from tests.support.measured_logs import CUTOFF
 
@@ -22,11 +22,10 @@ NOISE_ONLY = {"priors": NO_PRIORS}
 ORIGIN = DataOrigin("log a log", 10.0, 200.0)
 
 
-def fit_recordings(robot, recordings, options=None, **question):
+def fit_recordings(robot, recordings, options=None, beside=None, **question):
     """Return the fit of recordings; ``question`` are the further fields of ``Question``."""
-    return solved(
-        robot, recordings, Question(options or EstimationOptions(), **question)
-    )
+    question = Question(options or EstimationOptions(), **question)
+    return solved(robot, recordings, question, beside=beside)
 
 
 def filter_logs(robot, *logs, cutoff=CUTOFF):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimate.triangles import InformationAccumulator
+from robot_sysid.solver import InformationAccumulator
 
 Z = np.array([0.0, 0.0, 1.0])
 ORIGIN = np.zeros(3)

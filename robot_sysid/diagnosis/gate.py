@@ -1,0 +1,292 @@
+"""One gate for all commands: logs are checked, low-passed, fitted once, and the fit is judged.
+
+What one command refuses, all refuse, with the same sentence. A fault that does not change what was
+asked is a note: an error that an empty and a loaded log share cancels in their difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import compress
+
+import numpy as np
+
+from robot_sysid.diagnosis import Finding
+from robot_sysid.diagnosis.causes import beside
+from robot_sysid.diagnosis.contest import Evidence, findings
+from robot_sysid.diagnosis.log_checks import (
+    check_recording,
+    time_share,
+    velocity_notes,
+    velocity_ratios,
+)
+from robot_sysid.diagnosis.log_refusal import refuse_for
+from robot_sysid.errors import InputError, SysidError
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.contacts import MOST_STRETCHES
+from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.options import Priors
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.rows import (
+    Piece,
+    Recording,
+    low_pass_recordings,
+    shared_notes,
+)
+from robot_sysid.logs.reader import MeasurementLog
+from robot_sysid.records import RobotModel
+from robot_sysid.records.messages import Level, Progress, count_text, position_unit
+from robot_sysid.records.usual_errors import SCALE
+from robot_sysid.signals.process import LogPiece
+from robot_sysid.signals.resampling import duration, sampling_period
+
+ROWS = 40
+"""Least number of independent samples per joint, for ten parameters and the joint's friction."""
+SLOWEST_RATE = 10.0
+"""Sampling rate below which a motion cannot be differentiated [Hz]."""
+SLOWEST = 0.05
+"""Speed that at least one joint has to reach [rad/s]."""
+TRYING = "Trying explanations"
+"""Label of the progress of the contest of explanations."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Logs that were judged together.
+
+    Attributes:
+        logs: without what failed sensors spoil.
+        findings: what is wrong with them, the most severe first.
+        notes: on the low-pass.
+        fit: of the question, with all that the data decides; None where a recording by itself is
+            refused.
+    """
+
+    logs: tuple[MeasurementLog, ...]
+    findings: tuple[Finding, ...]
+    notes: tuple[str, ...]
+    fit: Fit | None
+
+
+def judge(
+    robot: RobotModel,
+    logs: Sequence[MeasurementLog],
+    question: Question,
+    progress: Progress,
+    is_loaded: Sequence[bool] = (),
+    order: Sequence[float] = (),
+) -> Judged:
+    """Return logs with the fit of a question to all of them, and what is wrong with them.
+
+    Args:
+        robot: the arm with its model.
+        logs: that were read.
+        question: what is asked of them.
+        progress: is advanced while they are looked at.
+        is_loaded: of each log, whether the arm carries the payload; () for none.
+        order: of each log, its position in the order of recording; () where it is not known.
+
+    Raises:
+        InputError: a log is too short to be looked at.
+    """
+    found: list[Finding] = []
+    checked = []
+    shares = set()
+    velocities: list[Finding] = []
+    for log in logs:
+        own, kept = check_recording(robot, log.pieces)
+        found += own
+        if any(piece.qd is not None for piece in kept):
+            ratios = velocity_ratios(kept)
+            shares.add(time_share(ratios))
+            velocities += velocity_notes(ratios, robot.joint_names)
+        # Recorded velocities are not used any more.
+        bare = tuple(LogPiece.of(replace(piece, qd=None)) for piece in kept)
+        checked.append(replace(log, pieces=bare))
+    if any(finding.level is Level.REFUSES for finding in found):
+        return Judged(tuple(checked), in_order(found), (), None)
+    sides = is_loaded or [False] * len(logs)
+    places = order or [0.0] * len(logs)
+    pieces = [
+        Piece(str(log.path), samples, loaded, place)
+        for log, loaded, place in zip(checked, sides, places)
+        for samples in log.pieces
+    ]
+    options = question.options
+    recordings, notes = low_pass_recordings(robot, pieces, options.cutoff)
+    too_little = [*enough_findings(pieces, recordings)]
+    if too_little:
+        return Judged(tuple(checked), in_order([*found, *too_little]), notes, None)
+    fitted = solved(robot, recordings, question, progress, beside)
+    usual = replace(
+        options, friction_model=None, no_friction=False, priors=wide(options.priors)
+    )
+    judged = fitted
+    if usual != options:
+        judged = solved(
+            robot, recordings, replace(question, options=usual), beside=beside
+        )
+    share = max(shares, key=abs, default=None)
+    evidence = Evidence(np.array(logs[0].torque_scale), share)
+    n_tried = 0
+
+    def advance() -> None:
+        """Show that one more round is done."""
+        nonlocal n_tried
+        n_tried += 1
+        progress.advance(TRYING, n_tried / (n_tried + 3.0), 1.0, "")
+
+    progress.advance(TRYING, 0.0, 1.0, "")
+    wrong = findings(judged, evidence, advance)
+    progress.advance(TRYING, 1.0, 1.0, "")
+    wrong = wrong or [*slow_findings(robot, recordings)]
+    doubtful = ("sign", "order", "zero", "model", "unexplained", "held", "saturated")
+    if not any(finding.about in doubtful for finding in [*found, *wrong]):
+        found += contacts(fitted, bool(wrong))
+    if not any(finding.about == "clock" for finding in wrong):
+        found += velocities
+    # What was asked of the log alone is not kept with its answer.
+    answer = replace(fitted, arm=fitted.arm.alone())
+    return Judged(tuple(checked), in_order([*found, *wrong]), notes, answer)
+
+
+def wide(priors: Priors) -> Priors:
+    """Return priors that are no narrower than the default ones: a log is judged by these."""
+    usual = vars(Priors())
+    names = ("link", "zero", "gravity", "delay", "friction")
+    wider = {name: max(vars(priors)[name], usual[name]) for name in names}
+    scale = priors.scale
+    if scale is not None:
+        scale = tuple(np.maximum(np.ravel(scale), SCALE).tolist())
+    if all(vars(priors)[name] == wider[name] for name in names) and np.all(
+        np.ravel(scale or 0.0) == np.ravel(priors.scale or 0.0)
+    ):
+        return priors
+    return replace(priors, scale=scale, **wider)
+
+
+def contacts(fitted: Fit, is_else_wrong: bool) -> Iterator[Finding]:
+    """Yield what touched the arm for a moment, and is left out.
+
+    Where it comes back, it is a doubt, unless something else is wrong.
+    """
+    notes = []
+    for recording in fitted.recordings:
+        for start, stop, joints in recording.touched:
+            names = ", ".join(compress(fitted.arm.joints, joints))
+            text = f"something touched the arm from {start:.2f} s to {stop:.2f} s ({names})"
+            notes.append(text)
+    if len(notes) > MOST_STRETCHES:
+        if not is_else_wrong:
+            text = f"{notes[0]}; {count_text(len(notes), 'time')} in all, too much to leave out"
+            yield Finding(Level.DOUBTS, "contact", text, "record again without it")
+        return
+    for text in notes:
+        yield Finding(Level.SAYS, "contact", f"{text}: left out")
+
+
+def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return findings by their level, the most severe first, each once."""
+    return tuple(sorted(dict.fromkeys(found), key=lambda f: [*Level].index(f.level)))
+
+
+def slow_findings(
+    robot: RobotModel, recordings: Sequence[Recording]
+) -> Iterator[Finding]:
+    """Yield a finding where no speed reaches ``SLOWEST``, too slow for friction."""
+    speeds = np.concatenate([each.motion.qd for each in recordings])
+    fastest = np.max(np.abs(speeds), axis=0)
+    joint = np.argmax(fastest)
+    if fastest[joint] < SLOWEST:
+        unit = position_unit(robot.is_slide[joint])
+        text = f"no joint moves faster than {fastest[joint]:.2g} {unit}/s"
+        yield Finding(Level.REFUSES, "too-little", text, "record a faster motion")
+
+
+def enough_findings(
+    pieces: Sequence[Piece], recordings: Sequence[Recording]
+) -> Iterator[Finding]:
+    """Yield findings where the sampling rate, or the number of independent samples, is too low.
+
+    A low-pass of f [Hz], as of the recordings, leaves 2 f independent samples per second.
+    """
+    signals = recordings[0].signals
+    samples = [piece.samples for piece in pieces]
+    span = duration(samples)
+    rows = 2.0 * signals.cutoff * span
+    rate = 1.0 / sampling_period(samples[0].time)
+    if rate < SLOWEST_RATE:
+        text = f"{rate:.3g} samples per second are too few"
+        yield Finding(Level.REFUSES, "too-little", text, "record at 100 or more")
+    if rows < ROWS:
+        text = (
+            f"{span:.3g} s behind a low-pass of {signals.cutoff:.3g} Hz hold about {rows:.0f} "
+            f"independent samples per joint, and {ROWS} are needed"
+        )
+        yield Finding(Level.REFUSES, "too-little", text, "record longer")
+
+
+def usable(
+    judged: Judged, accepted: Collection[str], progress: Progress
+) -> tuple[Fit, tuple[str, ...]]:
+    """Return the fit of logs and the notes on them; raise an error where a finding forbids its use.
+
+    The findings that do not forbid it become notes. The error has the refusals or, if there are
+    none, the doubts that are not accepted; the other notes are then reported.
+
+    Args:
+        judged: the logs.
+        accepted: names of checks whose doubts are accepted.
+        progress: receives the notes of logs that are not used.
+
+    Raises:
+        InputError: a finding refuses the logs.
+        SysidError: there is a doubt that is not accepted.
+    """
+    notes = [*shared_notes({str(log.path): log.notes for log in judged.logs})]
+    for finding in judged.findings:
+        is_accepted = finding.level is Level.DOUBTS and finding.about in accepted
+        if finding.level is Level.SAYS or is_accepted:
+            notes.append(f"{finding.sentence} [{finding.about}]")
+    try:
+        require_acceptable(judged.logs, judged.findings, accepted)
+    except SysidError:
+        progress.note(*notes)
+        raise
+    assert judged.fit is not None
+    return judged.fit, (*notes, *judged.notes)
+
+
+def require_acceptable(
+    logs: Sequence[MeasurementLog],
+    found: Sequence[Finding],
+    accepted: Collection[str] = (),
+) -> None:
+    """Raise an error where a finding refuses logs or is a doubt that is not accepted.
+
+    Args:
+        logs: that were read.
+        found: the findings of all checks.
+        accepted: names of checks whose doubts are accepted.
+
+    Raises:
+        ColumnsError: a finding refuses a log, and other columns put it right.
+        InputError: a finding refuses the logs.
+        SysidError: there is a doubt that is not accepted.
+    """
+    refused = [finding for finding in found if finding.level is Level.REFUSES]
+    # A remedy is none where something else is wrong as well.
+    if len(refused) == 1:
+        raise refuse_for(logs, refused[0])
+    names = ", ".join(str(log.path) for log in logs)
+    if refused:
+        raise InputError(f"{names}: {'; '.join(f.sentence for f in refused)}")
+    doubts = [f for f in found if f.level is Level.DOUBTS and f.about not in accepted]
+    if doubts:
+        texts = "; ".join(finding.sentence for finding in doubts)
+        # Each name once, in the order of the findings.
+        checks = dict.fromkeys(finding.about for finding in doubts)
+        accepting = " ".join(f"--accept {name}" for name in checks)
+        advice = f"nothing was written (to go on all the same: {accepting})"
+        raise SysidError(f"{names}: {texts}; {advice}")

@@ -1,0 +1,186 @@
+"""Torque that is left over at one time and at no other: what touched the arm for a moment.
+
+Its rows are left out of the fit. Residuals of a fit without the rows of large ones are of ordinary
+size but for these; where something is wrong all the time, residuals are ordinarily large, and
+nothing is left out. Throughout, K is the number of rows of all recordings, J that of joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_sysid.estimate.fit import Fit, fit
+from robot_sysid.estimate.rows import Mask, Recording, Stretch
+from robot_sysid.records import Array
+from robot_sysid.signals.frozen import true_runs
+
+FAR = 20.0
+"""Mean residual over ``_SMOOTH``, in ordinary sizes of the joint's, of a stretch that is left out:
+right logs of real arms reach 18."""
+ORDINARY = 4.0
+"""Mean residual at which a stretch that is left out ends."""
+LITTLE = 0.02
+"""Share of unexplained torque that logs of real arms without faults reach."""
+MOST_STRETCHES = 5
+"""Number of stretches above which a fault comes back, and is not limited in time."""
+MOST_SHARE = 0.3
+"""Share of the rows above which a fault is not limited in time."""
+# Time over which residuals are averaged [s].
+_SMOOTH = 0.3
+# Residual above which a row has no weight in the fit, in ordinary sizes.
+_OUTLYING = 6.0
+# Least ordinary size of a residual, as a share of the joint's torque.
+_LEAST_SIZE = 0.005
+# Number of fits, each without the outlying rows of the one before.
+_ROUNDS = 6
+
+
+def without_contacts(fitted: Fit) -> Fit:
+    """Return a fit without the rows of stretches in which torque is left over, if there are any.
+
+    Each recording says which stretches were found in it (``touched``), also where they are too many
+    or too long to be left out.
+    """
+    residuals = fitted.residuals
+    if fitted.unexplained_share > LITTLE:
+        # A long push makes all residuals large.
+        residuals = replace(fitted, values=without_worst_blocks(fitted)).residuals
+    outlying = None
+    for _ in range(_ROUNDS):
+        sizes = ordinary_sizes(fitted, residuals)
+        if np.max(mean_sizes(fitted, sizes), initial=0.0) < 0.5 * FAR:
+            return fitted
+        is_far = np.any(np.abs(sizes) > _OUTLYING, axis=1)
+        if outlying is not None and np.array_equal(is_far, outlying):
+            break
+        outlying = is_far
+        current = _refit(fitted, [~rows for rows in _split(fitted, is_far)])
+        # All rows are judged, those that are not fitted included.
+        residuals = replace(current, recordings=fitted.recordings).residuals
+    recordings = []
+    means = mean_sizes(fitted, sizes)
+    for recording, own in zip(fitted.recordings, _split(fitted, means)):
+        recordings.append(replace(recording, touched=(*_stretches(recording, own),)))
+    marked = replace(fitted, recordings=tuple(recordings))
+    kept = [~touched_rows(recording) for recording in recordings]
+    count = sum(len(recording.touched) for recording in recordings)
+    is_much = np.mean(np.concatenate(kept)) < 1.0 - MOST_SHARE
+    if count == 0 or count > MOST_STRETCHES or is_much:
+        return marked
+    return _refit(marked, kept)
+
+
+def without_worst_blocks(fitted: Fit) -> Array:
+    """Return the estimate (k,) without the blocks whose rows contradict all others most.
+
+    One after the other is left out, as long as the squared residuals of the others fall by half.
+    """
+    own = fitted.equations.own
+    blocks = [*fitted.sums.blocks]
+    values = fitted.values
+    left_out: list[int] = []
+
+    def size(values: Array, left: Sequence[int]) -> float:
+        """Return the sum over joints of the logarithm of what blocks leave."""
+        squares = sum(own.squared_residuals(values, b) for b in blocks if b not in left)
+        return float(np.sum(np.log(squares + 1e-300)))
+
+    current = size(values, left_out)
+    while len(left_out) < MOST_SHARE * len(blocks):
+        tried = {}
+        for block in blocks:
+            if block not in left_out:
+                left = [*left_out, block]
+                estimate, _ = fitted.without(left)
+                tried[block] = size(estimate, left), estimate
+        block = min(tried, key=lambda b: tried[b][0])
+        if tried[block][0] > current - np.log(2.0):
+            break
+        current, values = tried[block]
+        left_out.append(block)
+    return values
+
+
+def ordinary_sizes(fitted: Fit, residuals: Array) -> Array:
+    """Return residuals (K, J) in ordinary sizes of each joint's; zero where a row is not used.
+
+    The ordinary size is the standard deviation of a normal distribution with the same median.
+    """
+    torque = fitted.sums.rms_torque
+    least = _LEAST_SIZE * np.maximum(torque, 0.02 * np.max(torque))
+    scaled = np.zeros_like(residuals)
+    for joint, residual in enumerate(residuals.T):
+        is_used = np.isfinite(residual)
+        median = np.median(np.abs(residual[is_used])) if np.any(is_used) else 0.0
+        size = max(1.4826 * median, least[joint], 1e-300)
+        scaled[:, joint] = np.where(is_used, residual, 0.0) / size
+    return scaled
+
+
+def mean_sizes(fitted: Fit, sizes: Array) -> Array:
+    """Return the size (K, J) of means over ``_SMOOTH`` of sizes (K, J) of residuals.
+
+    Where fewer than a third of the rows are used, the others count as zero.
+    """
+    means = []
+    for recording, own in zip(fitted.recordings, _split(fitted, sizes)):
+        signals = recording.signals
+        width = max(1, round(_SMOOTH * signals.rate / signals.low_pass.step))
+        window = np.ones(min(width, len(own))) / width
+        used = recording.used[:, fitted.arm.indices].astype(float)
+        totals, shares = (
+            np.stack([np.convolve(column, window, "same") for column in each.T], axis=1)
+            for each in (own, used)
+        )
+        means.append(np.abs(totals) / np.maximum(shares, 1.0 / 3.0))
+    return np.concatenate(means)
+
+
+def touched_rows(recording: Recording) -> Mask:
+    """Return which rows (K,) of a recording lie in the stretches that were found in it."""
+    time = recording.motion.time
+    is_touched = np.zeros(len(time), dtype=bool)
+    for stretch in recording.touched:
+        is_touched |= (time >= stretch.start) & (time <= stretch.stop)
+    return is_touched
+
+
+def _stretches(recording: Recording, means: Array) -> Iterator[Stretch]:
+    """Yield the stretches of a recording whose mean residuals (K, J) are far from ordinary."""
+    time = recording.motion.time
+    # Time that the low-pass mixes with what happens in a stretch.
+    margin = 0.5 / recording.signals.cutoff
+    for rows in true_runs(np.max(means, axis=1) > ORDINARY):
+        joints = np.max(means[rows], axis=0) > FAR
+        if np.any(joints):
+            start, stop = time[[rows.start, rows.stop - 1]].tolist()
+            yield Stretch(start - margin, stop + margin, joints)
+
+
+def _split(fitted: Fit, rows: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return rows (K, ...) of all recordings as those of each."""
+    ends = np.cumsum([len(recording) for recording in fitted.recordings])
+    return np.split(rows, ends[:-1])
+
+
+def _refit(fitted: Fit, kept: Sequence[Mask]) -> Fit:
+    """Return the fit of the same question to some rows (K,) of each recording."""
+    recordings = [
+        recording.only(rows) for recording, rows in zip(fitted.recordings, kept)
+    ]
+    return fit(
+        fitted.arm,
+        recordings,
+        fitted.point,
+        fitted.arm.sums(recordings, fitted.point),
+        fitted.equations.terms,
+        fitted.question,
+        noise=fitted.noise,
+        correlation=fitted.correlation,
+        possible=False,
+    )

@@ -1,0 +1,254 @@
+"""What a fit says of further columns: their gain, their values, and what they leave unexplained.
+
+Columns stand beside those of the question in the same sums. They act in all rows, or at one joint,
+and in all blocks or in each block times a number of its own: so one column of the last link's mass
+also serves a load that is picked up on the way, and one of torque scales their drift.
+
+With data and priors M of a fit, columns E with prior N(0, F F') and residuals r of the fit,
+
+    v = F (1 + F' U F)^-1 F' E'W r,    U = E'W E - E'W A M^-1 A'W E.
+
+Their gain is that in the log marginal likelihood (MacKay, "Bayesian interpolation", Neural
+Computation 4(3), 1992), with the noise as it is, or each fit with its own noise and both with the
+memory of the residuals that the columns leave: what is missing makes residuals large and slow, and
+would hide in them.
+
+Shapes: J joints, B blocks, k parameters of the fit, m further columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from robot_sysid.estimate.fit import Fit, solve
+from robot_sysid.estimate.terms import Term
+from robot_sysid.records import Array
+
+# Times that the noise is taken from what the columns leave.
+_ROUNDS = 3
+# Least noise of a joint, as a share of the root mean square torque of all.
+_LEAST_NOISE = 1e-4
+# Least squared residuals, as a share of those without the columns.
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Columns that may be missing from a fit, and where they act.
+
+    Attributes:
+        names: (m,) of columns of the fit's sums, which may be the fit's own once more.
+        factor: (m, r) F of their prior.
+        joint: index of the joint at which they act; None for all.
+        shares: (B,) by which they are multiplied in each block; None for one.
+    """
+
+    names: tuple[str, ...]
+    factor: Array
+    joint: int | None = None
+    shares: Array | None = None
+
+    @classmethod
+    def of(cls, term: Term) -> Effect:
+        """Return the effect of a term with a prior, everywhere."""
+        assert term.prior is not None
+        return cls(term.names, term.prior.factor)
+
+
+@dataclass(frozen=True)
+class Offer:
+    """What a fit says of an effect.
+
+    Attributes:
+        effect: the columns.
+        gain: in log marginal likelihood [nats].
+        values: (m,) of their parameters.
+        covariance: (m, m) of the values.
+        distance: of the values from zero, in their errors.
+        change: (k,) of the fit's own parameters.
+        relief: by which the squared deviations from priors become smaller.
+    """
+
+    effect: Effect
+    gain: float
+    values: Array
+    covariance: Array
+    distance: float
+    change: Array
+    relief: float
+    _moves: Array
+    _offers: Offers
+
+    @property
+    def errors(self) -> Array:
+        """Standard errors (m,) of the values."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @cached_property
+    def _after(self) -> tuple[Array, Array]:
+        """What the columns change in squared residuals (J,), and their leverage (J,)."""
+        return self._offers.after(self, self._moves, False)
+
+    @cached_property
+    def squares(self) -> Array:
+        """Squared residuals (J,) with the columns [N^2 m^2]."""
+        before = self._offers.squares
+        return np.maximum(before + self._after[0], _ROUNDING * before)
+
+    @cached_property
+    def successive(self) -> Array:
+        """Sums of products of successive residuals (J,), with the columns [N^2 m^2]."""
+        change, _ = self._offers.after(self, self._moves, True)
+        return self._offers.successive + change
+
+    @property
+    def leverage(self) -> Array:
+        """Number of the columns (J,) that each joint's rows determine."""
+        return self._offers.weights**2 * self._after[1]
+
+
+class Offers:
+    """A fit to which effects are offered.
+
+    Args:
+        fitted: the fit.
+        weights: (J,) of each joint's rows [1/(N m)]; those of white noise of its size by default.
+    """
+
+    def __init__(self, fitted: Fit, weights: Array | None = None) -> None:
+        self.fitted = fitted
+        self.sums = fitted.sums
+        self.weights = 1.0 / fitted.noise if weights is None else weights
+        equations = fitted.equations
+        self._normal = equations.normal(self.weights)
+        # Bounds do not count: evidence of a negative friction would hide in other columns.
+        free, self.inverse = solve(self._normal, equations.reference)
+        self._own = np.append(free, -1.0)
+        self._full = np.append(equations.full(free), -1.0)
+        self.squares = self.sums.squared_residuals(self._full[:-1])
+        self.successive = self.sums.successive(self._full[:-1])
+        self._counts = np.maximum(np.sum(self.sums.counts, axis=0), 1.0)
+        self.squares = np.maximum(self.squares, 1e-300)
+        slow = np.clip(self.successive / self.squares, 1e-3, 1.0)
+        # Rows for which what is slow in the residuals lasts.
+        self._memory = (fitted.correlation - 1.0) / slow
+        self._least = _LEAST_NOISE * np.sqrt(np.mean(self.sums.rms_torque**2))
+
+    def offer(self, effect: Effect) -> Offer:
+        """Return what the fit says of an effect, with the weights as they are."""
+        sums = self.sums
+        index = self.fitted.equations.index
+        at = sums.at(effect.names)
+        joints = range(len(sums.joints)) if effect.joint is None else (effect.joint,)
+        rows = np.zeros((len(at), len(self._full)))
+        own = np.zeros((len(at), len(at)))
+        for joint in joints:
+            weight = self.weights[joint] ** 2
+            of_joint, own_of_joint = sums.products(at, joint, effect.shares)
+            rows += weight * of_joint
+            own += weight * own_of_joint
+        # How all parameters move per unit of the further ones.
+        moves = np.zeros((len(self._full), len(at)))
+        moves[index] = -self.inverse @ rows[:, index].T
+        factor = effect.factor
+        inner = factor.T @ (own + rows @ moves) @ factor + np.eye(factor.shape[1])
+        covariance = factor @ np.linalg.inv(inner) @ factor.T
+        gradient = -rows @ self._full
+        values = covariance @ gradient
+        explained = float(gradient @ values)
+        change = moves[index] @ values
+        step = np.append(change, 0.0)
+        prior = self.fitted.equations.prior
+        return Offer(
+            effect,
+            0.5 * (explained - float(np.linalg.slogdet(inner)[1])),
+            values,
+            covariance,
+            float(np.sqrt(max(explained, 0.0))),
+            change,
+            float(-step @ prior @ (2.0 * self._own + step)),
+            moves,
+            self,
+        )
+
+    def after(self, offer: Offer, moves: Array, lagged: bool) -> tuple[Array, Array]:
+        """Return what an offer changes in each joint's sums of squares (J,), and determines (J,).
+
+        Args:
+            offer: its values and their covariance.
+            moves: (p + 1, m) of all parameters per unit of the further ones.
+            lagged: whether sums are those of products of successive rows.
+        """
+        sums = self.sums
+        effect, values = offer.effect, offer.values
+        at = sums.at(effect.names)
+        change = np.zeros(len(sums.joints))
+        explained = np.zeros(len(sums.joints))
+        totals = sums.lagged_totals if lagged else sums.totals
+        for joint, (columns, total) in enumerate(zip(sums.columns, totals)):
+            shown = np.append(columns, -1)
+            moved = total @ moves[shown]
+            slope = self._full[shown] @ moved
+            bend = moves[shown].T @ moved
+            if effect.joint in (None, joint):
+                rows, own = sums.products(at, joint, effect.shares, lagged)
+                crossed = rows @ moves
+                slope = slope + rows @ self._full
+                bend = bend + crossed + crossed.T + own
+            change[joint] = 2.0 * slope @ values + values @ bend @ values
+            explained[joint] = np.vdot(offer.covariance, bend)
+        return change, explained
+
+    def slow_gain(self, offer: Offer) -> tuple[float, float]:
+        """Return (what an offer explains of the residuals [nats], the part that is not noise).
+
+        Noise of positions is in all columns: one that is a smoother copy of another lowers it.
+        """
+        weights = 0.5 * self.weights**2
+        total = weights @ (self.squares - offer.squares)
+        return float(total), float(weights @ (self.successive - offer.successive))
+
+    def correlation(self, squares: Array, successive: Array) -> Array:
+        """Return the rows (J,) that count as one where residuals have these sums (J,).
+
+        What is slow is taken to last as long as in the fit's own residuals.
+        """
+        slow = np.clip(successive / np.maximum(squares, 1e-300), 0.0, 1.0)
+        return np.clip(1.0 + self._memory * slow, 1.0, self.fitted.correlation)
+
+    def weigh(self, effect: Effect) -> Offer:
+        """Return what the fit says of an effect, each fit with its own noise."""
+        before = after = self
+        for _ in range(_ROUNDS):
+            offer = after.offer(effect)
+            correlation = self.correlation(offer.squares, offer.successive)
+            leverage = after.leverage + offer.leverage
+            after = self._reweighted(offer.squares, leverage, correlation)
+            before = self._reweighted(before.squares, before.leverage, correlation)
+        independent = self._counts / correlation
+        offer = after.offer(effect)
+        sizes = independent @ np.log(after.weights / before.weights)
+        gain = offer.gain + after.evidence - before.evidence + float(sizes)
+        return replace(offer, gain=gain)
+
+    def _reweighted(
+        self, squares: Array, leverage: Array, correlation: Array
+    ) -> Offers:
+        """Return the fit with weights by what residuals, parameters and memory (J,) leave."""
+        freedom = np.maximum(self._counts - leverage, 1.0)
+        noise = np.maximum(np.sqrt(squares / freedom), self._least)
+        return Offers(self.fitted, 1.0 / (noise * np.sqrt(correlation)))
+
+    @cached_property
+    def leverage(self) -> Array:
+        """Number of parameters (J,) that each joint's rows determine."""
+        return self.weights**2 * self.fitted.equations.own.spread(self.inverse)
+
+    @property
+    def evidence(self) -> float:
+        """Log marginal likelihood of the fit, but for the size of the noise."""
+        misfit = self._own @ self._normal @ self._own
+        return 0.5 * float(np.linalg.slogdet(self.inverse)[1] - misfit)
