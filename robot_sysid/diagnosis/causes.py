@@ -33,10 +33,6 @@ from robot_sysid.estimate.terms import ArmTerms, Point, Term
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
 
-GROSS_ZERO = 0.05
-"""Error of a joint's zero position from which it is harmful in any case [rad]."""
-GROSS_DELAY = 0.03
-"""Delay of one joint's torque from which it is harmful in any case [s]."""
 LONGEST_DELAY = 0.15
 """Longest delay that changes torques in proportion [s]."""
 LONGEST_TIME = 0.4
@@ -73,7 +69,6 @@ class Explanation:
         is_norm: whether the number is the Euclidean norm of the first three values, not the first.
         choices: number of similar explanations that are tried, of which only the best one counts.
         is_possible: whether values with their standard errors are of a size that exists.
-        harmful_from: size of the first value from which it is harmful in any case.
         log: name of the only log in which it acts; "" for all.
     """
 
@@ -88,7 +83,6 @@ class Explanation:
     is_norm: bool = False
     choices: int = 1
     is_possible: Callable[[Array, Array], bool] = lambda values, errors: True
-    harmful_from: float = np.inf
     log: str = ""
 
     @property
@@ -279,7 +273,6 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
             f"the position of {owner} reads {{value}} too {{much|little}}",
             "correct the joint's zero",
             unit=position_unit(is_slide),
-            harmful_from=GROSS_ZERO,
         )
         yield Explanation(
             "delay",
@@ -289,7 +282,6 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
             factor=1e3,
             unit="ms",
             is_possible=lambda v, e: abs(v[0]) < LONGEST_DELAY,
-            harmful_from=GROSS_DELAY,
         )
     if len(joints) > 1:
         yield Explanation(
@@ -345,7 +337,6 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         factor=50.0,
         unit="%",
         is_possible=lambda v, e: abs(v[0]) < 2.0 * LONGEST_TIME,
-        harmful_from=0.0,
     )
 
 
@@ -379,7 +370,6 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
         "record the controller's own time stamps",
         factor=100.0,
         unit="%",
-        harmful_from=0.0,
     )
     dry = names_of("coulomb", arm.joints)
     if "coulomb" in arm.terms:

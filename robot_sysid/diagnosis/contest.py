@@ -95,6 +95,8 @@ ODD_CENTRES = 5.7
 """The same for centres of mass: right arms reach 2.2, logs of another arm 5.8 to 6.5."""
 LIKE_GRAVITY = ("force", "gravity", "tilt", "payload-step")
 """Checks whose causes may stand for gravity in another direction."""
+RELABELLED = ("sign", "order", "angle-unit", "zero", "tilt")
+"""Checks of discrete mistakes."""
 SCALES = ("torque-scale", "torque-unit")
 """Checks of torque scales."""
 SHAPES = ("force", "contact", "crosstalk")
@@ -179,11 +181,6 @@ class Score:
         return spread
 
     @property
-    def is_gross(self) -> bool:
-        """Whether the first value is as large as is harmful in any case."""
-        return abs(self.offer.values[0]) >= self.explanation.harmful_from
-
-    @property
     def is_shape(self) -> bool:
         """Whether it is torque of a shape at one joint, which may stand for other terms."""
         explanation = self.explanation
@@ -217,7 +214,7 @@ class Score:
         if self.is_shape:
             is_harmful = self.share > HARMFUL_SHAPE
         else:
-            is_harmful = self.is_gross or self.matters or self.share > HARMFUL_SHARE
+            is_harmful = self.matters or self.share > HARMFUL_SHARE
         return self.explanation.level if is_harmful else Level.SAYS
 
 
@@ -241,8 +238,10 @@ class Evidence:
 
 def findings(
     fitted: Fit, evidence: Evidence, advance: Callable[[], object]
-) -> list[Finding]:
-    """Return what is wrong with a log or its model; nothing where the log fits its model.
+) -> tuple[list[Finding], Fit]:
+    """Return what is wrong with a log or its model, and the fit of the log that is right then.
+
+    Nothing is wrong where the log fits its model.
 
     Args:
         fitted: the fit of the log, with the columns of ``causes.beside``.
@@ -252,9 +251,9 @@ def findings(
     if is_computed(fitted):
         text = "the torque follows rigid-body dynamics and has no friction: it was computed, or "
         text += "commanded, not measured"
-        return [Finding(Level.DOUBTS, "computed", text, MEASURED)]
+        return [Finding(Level.DOUBTS, "computed", text, MEASURED)], fitted
     if evidence.time_share and (wrong := [*wrong_time(fitted, evidence.time_share)]):
-        return wrong
+        return wrong, fitted
     is_experiment = is_of_single_joints(fitted)
     contest = Contest(fitted, evidence)
     contest.run(advance)
@@ -268,26 +267,27 @@ def findings(
             is_better = corrected.gain > contest.gain or is_foreign(fitted)
             if (corrected.explains, is_better) > (contest.explains, False):
                 contest = corrected
-    is_relabelled = any(each.about in ("sign", "order") for each in contest.corrected)
+    is_relabelled = any(each.about in RELABELLED for each in contest.corrected)
     if not (is_experiment or is_relabelled or is_fitting):
         found = [*odd_unit(fitted, dry_friction(fitted)[0])]
         if found:
-            return found
+            return found, fitted
     if not contest.explains:
         # Friction that drives a joint is a turned sign whatever the model.
         is_shown = is_relabelled and drives(fitted) and not drives(contest.first)
-        return contest.corrected if is_shown else [misfit(fitted, contest.least)]
+        found = contest.corrected if is_shown else [misfit(fitted, contest.least)]
+        return found, contest.first
     if not contest.corrected and is_external(fitted):
         text = "the torque has little of the links' weight: it may be external torque, left after "
         text += "a controller's model, or motor current"
         remedy = f"{MEASURED}, or give --torque-constants for a current"
-        return [Finding(Level.REFUSES, "gravity", text, remedy)]
+        return [Finding(Level.REFUSES, "gravity", text, remedy)], fitted
     named = [*contest.corrected, *name_causes(contest.rounds[:MOST_NAMES])]
     if is_experiment:
         named = [each for each in named if each.about not in OF_LINKS]
     elif all(finding.level is Level.SAYS for finding in named):
         named += wrong_models(contest.first, contest.current, evidence)
-    return named
+    return named, contest.first
 
 
 def is_of_single_joints(fitted: Fit) -> bool:

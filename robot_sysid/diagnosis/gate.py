@@ -138,12 +138,12 @@ def judge(
         progress.advance(TRYING, n_tried / (n_tried + 3.0), 1.0, "")
 
     progress.advance(TRYING, 0.0, 1.0, "")
-    wrong = findings(judged, evidence, advance)
+    wrong, right = findings(judged, evidence, advance)
     progress.advance(TRYING, 1.0, 1.0, "")
     wrong = wrong or [*slow_findings(robot, recordings)]
-    doubtful = ("sign", "order", "zero", "model", "unexplained", "held", "saturated")
+    doubtful = ("model", "unexplained", "held", "saturated")
     if not any(finding.about in doubtful for finding in [*found, *wrong]):
-        found += contacts(fitted, bool(wrong))
+        found += contacts(right, bool(wrong))
     if not any(finding.about == "clock" for finding in wrong):
         found += velocities
     # What was asked of the log alone is not kept with its answer.

@@ -433,11 +433,11 @@ def discrete(
         if reading.gravity is None:
             after = solved(robot, recordings, fitted.question, beside=beside)
         else:
-            after, finding = mounted(fitted, recordings, reading.gravity, beside)
-            findings.append(finding)
+            after, turned = mounted(fitted, recordings, reading.gravity, beside)
+            findings += turned
         if fits(after):
             break
-    if after is not None:
+    if after is not None and findings:
         yield Correction(tuple(findings), likelier(fitted, after), after)
 
 
@@ -462,8 +462,8 @@ def mounted(
     recordings: Sequence[Recording],
     gravity: Array,
     beside: Callable[[Fit], Sequence[Term]],
-) -> tuple[Fit, Finding]:
-    """Return the fit of an arm whose base is mounted otherwise, and the finding.
+) -> tuple[Fit, list[Finding]]:
+    """Return the fit of an arm whose base is mounted otherwise, and the finding, if it is.
 
     From one direction on, gravity (3,) is turned until the fit, which allows it a wide tilt, agrees
     with it.
@@ -489,7 +489,8 @@ def mounted(
         f'turn it in the model (MJCF: gravity="{numbers}" of <option>, or euler of the base\'s '
         "body; URDF: rpy of the first joint's origin)"
     )
-    return after, Finding(Level.REFUSES, "tilt", text, remedy)
+    finding = Finding(Level.REFUSES, "tilt", text, remedy)
+    return after, [finding] if angle > LEAST_TURN else []
 
 
 # ---- torque scales

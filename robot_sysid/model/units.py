@@ -62,8 +62,10 @@ def mass_unit(robot: RobotModel, factor: float = 1.0) -> float:
     It is 1 for an arm that there may be. No arm is as light for its length as foam, nor as heavy as
     lead: masses in tonnes are 1000 times too small, masses in grams 1000 times too large.
     """
-    tip = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
-    density = factor * robot.mass / max(_reach(robot) + tip, _LEAST_LENGTH) ** 3
+    length = _reach(robot)
+    # Without shapes, it follows from inertias, which may be placeholders.
+    tip = min(link_reach(robot.mj_model, robot.reference_qpos, robot.body_id), length)
+    density = factor * robot.mass / max(length + tip, _LEAST_LENGTH) ** 3
     if _LIGHTEST <= density <= _HEAVIEST:
         return 1.0
     return 1e3 if density < _LIGHTEST else 1e-3

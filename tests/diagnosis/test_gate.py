@@ -1,0 +1,88 @@
+"""One gate: mistakes of several joints, experiments that are no mistakes, logs judged together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.diagnosis.gate import judge, usable
+from robot_sysid.errors import InputError
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.questions import Question
+from robot_sysid.records import Measurement
+from robot_sysid.records.messages import Level, Progress
+from robot_sysid.simulator import ArmTorque
+from tests.diagnosis.conftest import findings_of, read_log
+from tests.support.wrong_logs import truth_of
+
+
+@pytest.mark.parametrize("turned", [(0, 2), (1, 2), (0, 1, 3)])
+def test_turned_signs_of_several_joints_are_named_together(four_joints, turned):
+    signs = np.where(np.isin(range(4), turned), -1.0, 1.0)
+    log = replace(four_joints.log, tau=signs * four_joints.log.tau)
+    (finding,) = findings_of(four_joints.robot, log)
+    assert finding.about == "sign"
+    assert tuple(factor for _, factor in finding.correction.torque) == tuple(signs)
+
+
+def test_a_torque_of_weight_alone_is_no_fault_of_the_clock(four_joints):
+    """Such as of an arm that is guided by hand, or of a controller's model of gravity."""
+    noise = np.random.default_rng(0).normal(0.0, 0.02, four_joints.still.shape)
+    log = replace(four_joints.log, tau=four_joints.still + noise)
+    found = findings_of(four_joints.robot, log)
+    assert {f.about for f in found} == {"computed"} and not found[0].options
+    assert "time" not in found[0].sentence
+
+
+def swings(robot, seed):
+    """Return a right log in which one joint after the other swings twice."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(4000) / 200.0
+    q, qd, qdd = np.zeros((3, len(time), robot.n_joints))
+    for joint in range(robot.n_joints):
+        own = (time >= 5.0 * joint) & (time < 5.0 * (joint + 1))
+        phase = 0.8 * np.pi * (time[own] - 5.0 * joint)
+        size = rng.uniform(0.5, 0.9)
+        q[own, joint] = size * (1.0 - np.cos(phase))
+        qd[own, joint] = 0.8 * np.pi * size * np.sin(phase)
+        qdd[own, joint] = (0.8 * np.pi) ** 2 * size * np.cos(phase)
+    tau = ArmTorque(robot)(Measurement(time, q, qd, q, qdd))
+    noise = 0.02 * rng.normal(size=q.shape)
+    return Measurement(time, np.round(q, 4), None, tau + noise)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_joints_that_are_driven_one_at_a_time_are_an_experiment(four_joints, seed):
+    found = findings_of(four_joints.robot, swings(four_joints.robot, seed))
+    assert all(finding.level is Level.SAYS for finding in found), found
+
+
+def test_logs_that_each_show_some_joints_are_judged_together(four_joints):
+    """What one log does not show, another one does."""
+    logs = []
+    for moving in ((0, 1), (2, 3), (0, 3)):
+        moves = np.isin(np.arange(4), moving).astype(float)
+        plan = four_joints.plan.scale_amplitudes(moves)
+        logs.append(truth_of(four_joints.robot, seed=4, played=plan).log)
+    assert findings_of(four_joints.robot, *logs) == ()
+    wrong = [replace(log, tau=log.tau * [1.0, -1.0, 1.0, 1.0]) for log in logs]
+    (finding,) = findings_of(four_joints.robot, *wrong)
+    assert finding.about == "sign" and "joint joint1 has" in finding.text
+
+
+@pytest.mark.parametrize("factor", [0.4, 1.7, 2.5])
+def test_a_payload_is_refused_for_what_its_logs_are_refused_for(four_joints, factor):
+    """Torques that are all scaled do not cancel in the difference of the logs."""
+    robot = four_joints.robot
+    loaded = truth_of(robot, seed=4, load=0.5).log
+    logs = []
+    for name, log in (("empty.csv", four_joints.log), ("loaded.csv", loaded)):
+        logs.append(read_log(robot, replace(log, tau=factor * log.tau), name))
+    link = Question(EstimationOptions())
+    payload = replace(link, loaded=True)
+    for asked, read, sides in ((payload, logs, [False, True]), (link, logs[:1], ())):
+        judged = judge(robot, read, asked, Progress(), sides)
+        with pytest.raises(InputError, match="times those of the model's masses"):
+            usable(judged, ("torque-scale",), Progress())
