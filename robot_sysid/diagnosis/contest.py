@@ -181,6 +181,13 @@ class Score:
         return spread
 
     @property
+    def is_like_gravity(self) -> bool:
+        """Whether it may stand for gravity in another direction."""
+        explanation = self.explanation
+        is_of_arm = explanation.effect.joint is None and self.level is not Level.SAYS
+        return is_of_arm and explanation.check in LIKE_GRAVITY
+
+    @property
     def is_shape(self) -> bool:
         """Whether it is torque of a shape at one joint, which may stand for other terms."""
         explanation = self.explanation
@@ -257,7 +264,7 @@ def findings(
     is_experiment = is_of_single_joints(fitted)
     contest = Contest(fitted, evidence)
     contest.run(advance)
-    may_be_turned = any(r[0].explanation.check in LIKE_GRAVITY for r in contest.rounds)
+    may_be_turned = any(ties[0].is_like_gravity for ties in contest.rounds)
     is_fitting = fits(fitted) and not may_be_turned
     if not is_experiment and not is_fitting:
         best = correction(fitted, evidence, advance)
@@ -355,7 +362,8 @@ def correction(
         and not is_odd(each.fit)
         and each.gain > least
         and (
-            left_over(each.fit) < max(0.7 * before, LITTLE)
+            left_over(each.fit) < 0.7 * before
+            or left_over(each.fit) < LITTLE < before
             or (drives(fitted) and not drives(each.fit))
         )
     ]
@@ -753,10 +761,11 @@ def is_computed(fitted: Fit) -> bool:
     torque = typical_torque(fitted)
     dry, error = dry_friction(fitted)
     _, is_loaded = torque_ratio(fitted)
-    known = np.linalg.norm(error[is_loaded]) / np.linalg.norm(torque[is_loaded])
+    size = float(np.linalg.norm(torque[is_loaded]))
+    known = np.linalg.norm(error[is_loaded]) / max(size, 1e-300)
     distance = np.sum((dry / np.hypot(error, EXACT * torque)) ** 2)
     limit = len(dry) + 3.0 * np.sqrt(2.0 * len(dry))
-    return bool(known < FRICTIONLESS and distance < limit)
+    return bool(size > 0.0 and known < FRICTIONLESS and distance < limit)
 
 
 def last_mass(fitted: Fit) -> tuple[float, float]:
