@@ -68,6 +68,8 @@ POSSIBLE = 2.0
 """Standard errors from which a cause is named beside one that explains as much."""
 LEAST_SHARE = 0.005
 """Share of the torque that a cause at one joint, or a mere note, has to explain to be reported."""
+NOTED = 3.0
+"""Gain, in ``CLEAR``, of a cause that is noted however small it is."""
 LEAST_OF_JOINT = 0.06
 """Share of a joint's own torque that is enough of a hum or a ripple."""
 MATTERS = 1.0
@@ -204,7 +206,8 @@ class Score:
         is_wave = self.is_shape and np.max(torque / typical) > LEAST_OF_JOINT
         is_of_log = self.explanation.effect.joint is None
         is_of_log &= self.explanation.level is not Level.SAYS
-        return bool(is_of_log or is_wave or share > LEAST_SHARE)
+        is_clear = self.gain > NOTED * CLEAR
+        return bool(is_of_log or is_wave or is_clear or share > LEAST_SHARE)
 
     @property
     def matters(self) -> bool:
