@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 4546,
     "robot_sysid/commands": 10397,
     "robot_sysid/damiao": 31061,
-    "robot_sysid/diagnosis": 17712,
+    "robot_sysid/diagnosis": 17721,
     "robot_sysid/dynamics": 5284,
     "robot_sysid/estimate": 31964,
     "robot_sysid/logs": 15149,

@@ -356,20 +356,16 @@ def correction(
     tried += [*own_scales(fitted, evidence.divided, beside)]
     advance()
     before = left_over(fitted)
-    # Links fit torques in another unit, if they may be off by as much.
-    least = -np.inf if is_foreign(fitted) else CLEAR
-    right = [
-        each
-        for each in tried
-        if is_plausible(each.fit)
-        and not is_odd(each.fit)
-        and each.gain > least
-        and (
-            left_over(each.fit) < 0.7 * before
-            or left_over(each.fit) < LITTLE < before
-            or (drives(fitted) and not drives(each.fit))
-        )
-    ]
+    is_unit = is_foreign(fitted)
+    right = []
+    for each in tried:
+        after = left_over(each.fit)
+        is_less = after < 0.7 * before or after < LITTLE < before
+        is_turned_back = drives(fitted) and not drives(each.fit)
+        # Links fit torques in another unit, if they may be off by as much.
+        is_right = is_unit or (each.gain > CLEAR and (is_less or is_turned_back))
+        if is_right and is_plausible(each.fit) and not is_odd(each.fit):
+            right.append(each)
     return max(right, key=lambda each: each.gain, default=None)
 
 
