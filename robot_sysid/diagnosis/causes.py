@@ -113,7 +113,7 @@ class Explanation:
 
     def in_log(self, fitted: Fit, log: str) -> Explanation:
         """Return the explanation for one log of several."""
-        mask = np.equal(fitted.sums.logs, log).astype(float)
+        mask = (np.array(fitted.sums.logs) == log).astype(float)
         shares = mask if self.effect.shares is None else mask * self.effect.shares
         return replace(self, effect=replace(self.effect, shares=shares), log=log)
 
@@ -347,7 +347,7 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
     blocks = np.arange(len(sums.logs))
     along = np.zeros(len(blocks))
     for log in dict.fromkeys(sums.logs):
-        own = np.flatnonzero(np.equal(sums.logs, log))
+        own = np.flatnonzero(np.array(sums.logs) == log)
         along[own] = (2.0 * np.arange(len(own)) + 1.0) / len(own) - 1.0
     owners: dict[str, int | None] = {f"joint {n}": k for k, n in enumerate(arm.joints)}
     scales = names_of("scale", arm.joints)
@@ -403,7 +403,7 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
 def _after(logs: Sequence[str], first: int) -> Array:
     """Return 1 for the blocks (B,) of a log from one of them on, 0 for all others."""
     blocks = np.arange(len(logs))
-    return np.equal(logs, logs[first]) * (blocks >= first).astype(float)
+    return (np.array(logs) == logs[first]) * (blocks >= first).astype(float)
 
 
 def forces(fitted: Fit) -> Iterator[Explanation]:

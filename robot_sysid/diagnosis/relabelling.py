@@ -88,6 +88,8 @@ WIDE_TILT = 15.0
 """Prior standard deviation of a base's tilt where it is mounted otherwise [degrees]."""
 LEAST_TURN = 5.0
 """Angle between gravity and the model's above which a base is mounted otherwise [degrees]."""
+# Number of first steps that are followed.
+_FOLLOWED = 3
 # Largest number of steps that act together.
 _MOST_STEPS = 8
 # Rounds in which scales are found.
@@ -332,23 +334,51 @@ class Search:
         return -float(counts @ np.log(noise) + 0.5 * change @ equations.prior @ change)
 
     def best(self, tried: Sequence[Step], advance: Callable[[], object]) -> list[Step]:
-        """Return the steps that fit best together, one after the other; [] for none."""
-        reading = Relabelling.none(self.arm.robot.n_joints)
-        current = self.score(reading)
-        found: list[Step] = []
+        """Return the steps that fit best together, one after the other; [] for none.
+
+        The likeliest first steps are followed, as one that is wrong may fit as well alone.
+        """
+        none = Relabelling.none(self.arm.robot.n_joints)
+        least = self.score(none) + CLEAR
+        firsts = self._ranked(tried, none)[:_FOLLOWED]
+        ways = [
+            self._followed(tried, number, score, advance)
+            for score, number in firsts
+            if score > least
+        ]
+        likeliest = max((score for score, _ in ways), default=0.0)
+        return next((found for score, found in ways if score > likeliest - 1.0), [])
+
+    def _followed(
+        self,
+        tried: Sequence[Step],
+        first: int,
+        score: float,
+        advance: Callable[[], object],
+    ) -> tuple[float, list[Step]]:
+        """Return (log likelihood, the steps that fit best together from a first one on)."""
+        found = [tried[first]]
+        reading = tried[first].reading
         while len(found) < _MOST_STEPS:
-            scores = []
-            for step in tried:
-                scores.append(self.score(reading.then(step.reading)))
             advance()
-            # Of equally likely ones, the first.
-            best = int(np.argmax(np.array(scores) > max(scores) - 1.0))
-            if scores[best] < current + CLEAR:
+            better, number = self._ranked(tried, reading)[0]
+            if better < score + CLEAR:
                 break
-            current = scores[best]
-            found.append(tried[best])
-            reading = reading.then(tried[best].reading)
-        return found
+            score = better
+            found.append(tried[number])
+            reading = reading.then(tried[number].reading)
+        return score, found
+
+    def _ranked(
+        self, tried: Sequence[Step], reading: Relabelling
+    ) -> list[tuple[float, int]]:
+        """Return (log likelihood, number) of steps after a reading, the likeliest first."""
+        scores = [self.score(reading.then(step.reading)) for step in tried]
+        # Equally likely ones keep their order.
+        order = sorted(
+            range(len(tried)), key=lambda k: (max(scores) - scores[k]) // 1.0
+        )
+        return [(scores[k], k) for k in order]
 
 
 # ---- corrections
