@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -27,7 +26,6 @@ from robot_sysid.diagnosis.causes import (
     Explanation,
     beside,
     explanations,
-    spread_of,
     typical_torque,
 )
 from robot_sysid.diagnosis.relabelling import (
@@ -40,6 +38,7 @@ from robot_sysid.diagnosis.relabelling import (
     odd_unit,
     own_scales,
     torque_ratio,
+    typical_ratio,
 )
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
@@ -70,8 +69,6 @@ LEAST_SHARE = 0.005
 """Share of the torque that a cause at one joint, or a mere note, has to explain to be reported."""
 NOTED = 3.0
 """Gain, in ``CLEAR``, of a cause that is noted however small it is."""
-LEAST_OF_JOINT = 0.06
-"""Share of a joint's own torque that is enough of a hum or a ripple."""
 MATTERS = 1.0
 """Change of what was asked, in standard errors, above which the cause of it is harmful."""
 HARMFUL_SHARE = 0.05
@@ -172,16 +169,6 @@ class Score:
         typical = np.linalg.norm(typical_torque(self.fitted))
         return float(np.linalg.norm(self.explained) / typical)
 
-    @cached_property
-    def torque(self) -> Array:
-        """Standard deviation (J,) of its own torque [N m]."""
-        effect = self.offer.effect
-        spread = np.zeros(len(self.fitted.sums.joints))
-        for joint in range(len(spread)):
-            if effect.joint in (None, joint):
-                spread[joint] = spread_of(self.fitted, effect, joint, self.offer.values)
-        return spread
-
     @property
     def is_like_gravity(self) -> bool:
         """Whether it may stand for gravity in another direction."""
@@ -198,16 +185,11 @@ class Score:
     @property
     def is_reportable(self) -> bool:
         """Whether it explains enough for a finding."""
-        if self.level is not Level.SAYS:
-            return True
-        typical = typical_torque(self.fitted)
-        torque = self.explained if self.is_shape else self.torque
-        share = np.linalg.norm(torque) / np.linalg.norm(typical)
-        is_wave = self.is_shape and np.max(torque / typical) > LEAST_OF_JOINT
         is_of_log = self.explanation.effect.joint is None
         is_of_log &= self.explanation.level is not Level.SAYS
         is_clear = self.gain > NOTED * CLEAR
-        return bool(is_of_log or is_wave or is_clear or share > LEAST_SHARE)
+        is_harmful = self.level is not Level.SAYS
+        return is_harmful or is_of_log or is_clear or self.share > LEAST_SHARE
 
     @property
     def matters(self) -> bool:
@@ -287,7 +269,7 @@ def findings(
         is_shown = is_relabelled and drives(fitted) and not drives(contest.first)
         found = contest.corrected if is_shown else [misfit(fitted, contest.least)]
         return found, contest.first
-    if not contest.corrected and is_external(fitted):
+    if not contest.corrected and typical_ratio(fitted) < SMALLER:
         text = "the torque has little of the links' weight: it may be external torque, left after "
         text += "a controller's model, or motor current"
         remedy = f"{MEASURED}, or give --torque-constants for a current"
@@ -371,9 +353,7 @@ def correction(
 
 def is_foreign(fitted: Fit) -> bool:
     """Return whether torques are so small or large that no links, nor a tool, make them."""
-    ratio, is_loaded = torque_ratio(fitted)
-    typical = np.median(ratio[is_loaded]) if np.any(is_loaded) else 1.0
-    return not SMALLER < typical < LARGER
+    return not SMALLER < typical_ratio(fitted) < LARGER
 
 
 class Contest:
@@ -570,23 +550,16 @@ def instant_of(fitted: Fit, score: Score) -> tuple[float, str]:
     shares = score.offer.effect.shares
     assert shares is not None
     log = fitted.sums.logs[int(np.argmax(shares))]
-    values = dict(zip(fitted.names, fitted.free + score.offer.change))
-    held = {**fitted.by_name, **values}
-    last = fitted.arm.terms[LAST_LINK]
-    times = []
-    gains = []
-    for recording in fitted.recordings:
-        if recording.name == log:
-            for rows in recording.chunks(36 * fitted.arm.robot.n_joints):
-                without = fitted.arm.measured(rows) - fitted.arm.torque(
-                    rows, fitted.point, held
-                )
-                load = last.columns(rows, fitted.point) @ score.offer.values
-                better = without**2 - (without - load) ** 2
-                gains.append(np.nansum(better / fitted.noise**2, axis=1))
-                times.append(rows.motion.time)
-    after = np.cumsum(np.concatenate(gains)[::-1])[::-1]
-    return float(np.concatenate(times)[np.argmax(after)]), log
+    recordings = tuple(each for each in fitted.recordings if each.name == log)
+    values = fitted.free + score.offer.change
+    loaded = values.copy()
+    loaded[fitted.at(PARAMETER_NAMES)] += score.offer.values
+    of_log = replace(fitted, recordings=recordings)
+    before, after = (replace(of_log, values=v).residuals for v in (values, loaded))
+    better = np.nansum((before**2 - after**2) / fitted.noise**2, axis=1)
+    gains = np.cumsum(better[::-1])[::-1]
+    time = np.concatenate([recording.motion.time for recording in recordings])
+    return float(time[np.argmax(gains)]), log
 
 
 def name_causes(rounds: Sequence[Sequence[Score]]) -> list[Finding]:
@@ -726,12 +699,6 @@ def missing(fitted: Fit, joint: int) -> str:
     if friction[0] in found:
         parts.append(f"friction of {found[friction[0]]:.2g} {unit}")
     return f"{name} has {', '.join(parts)}"
-
-
-def is_external(fitted: Fit) -> bool:
-    """Return whether the torque has little of the links' weight at all joints."""
-    ratio, is_loaded = torque_ratio(fitted)
-    return bool(np.median(ratio[is_loaded]) < SMALLER) if np.any(is_loaded) else False
 
 
 def dry_friction(fitted: Fit) -> tuple[Array, Array]:

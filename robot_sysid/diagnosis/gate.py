@@ -147,7 +147,8 @@ def judge(
     if not any(finding.about == "clock" for finding in wrong):
         found += velocities
     # What was asked of the log alone is not kept with its answer.
-    answer = replace(fitted, arm=fitted.arm.alone())
+    terms = [term for term in fitted.arm.terms.values() if term.cause]
+    answer = replace(fitted, arm=fitted.arm.of(terms))
     return Judged(tuple(checked), in_order([*found, *wrong]), notes, answer)
 
 

@@ -29,11 +29,11 @@ from robot_sysid.dynamics.inverse_dynamics import (
     with_gravity,
 )
 from robot_sysid.estimate.choose import CLEAR, common_factor, solved
-from robot_sysid.estimate.fit import Fit, equations_of, fit, solve
+from robot_sysid.estimate.fit import Equations, Fit, equations_of, fit, solve
 from robot_sysid.estimate.links import AS_STATED
-from robot_sysid.estimate.questions import arm_question
+from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import FRICTION, LAST_LINK, LINKS, ArmTerms, Term
+from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, Term
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Level, torque_unit, with_error
@@ -246,17 +246,10 @@ def steps(robot: RobotModel, moving: Sequence[int]) -> Iterator[Step]:
         "say rad where degrees are said: in --units, the file of --columns, a column's title or "
         "the recorder",
     )
-    for joint in moving:
+    for joint, degrees in product(moving, (90.0, -90.0, 180.0)):
         if not robot.is_slide[joint]:
-            for degrees in (90.0, -90.0, 180.0):
-                text = (
-                    f"the position of joint {names[joint]} reads {abs(degrees):.0f} degrees too "
-                    f"{'little' if degrees > 0.0 else 'much'}"
-                )
-                zeros = np.radians(degrees) * every[joint]
-                yield Step(
-                    "zero", text, replace(none, zeros=zeros), "correct the joint's zero"
-                )
+            zeros = np.radians(degrees) * every[joint]
+            yield Step("zero", "", replace(none, zeros=zeros))
 
 
 def mountings(robot: RobotModel) -> Iterator[Step]:
@@ -271,6 +264,13 @@ def mountings(robot: RobotModel) -> Iterator[Step]:
                 yield Step("tilt", "", replace(none, gravity=gravity))
 
 
+def with_priors(question: Question, **priors: Any) -> Question:
+    """Return a question with other priors."""
+    options = question.options
+    changed = replace(options, priors=replace(options.priors, **priors))
+    return replace(question, options=changed)
+
+
 class Search:
     """Compares readings of a log on a part of its rows.
 
@@ -279,30 +279,12 @@ class Search:
     """
 
     def __init__(self, fitted: Fit) -> None:
-        self.fitted = fitted
-        robot = fitted.arm.robot
-        self.arm = ArmTerms(
-            robot,
-            fitted.question.options.torques,
-            fitted.arm.motors,
-            ("coulomb", "viscous", "offset", "armature"),
-            fitted.question.loaded,
-        )
-        kept = {
-            key: term
-            for key, term in self.arm.terms.items()
-            if term.cause in (LAST_LINK, LINKS, FRICTION, "payload", "couplings")
-        }
-        self.arm.terms = kept
-        self.arm.names = tuple(n for term in kept.values() for n in term.names)
+        question = with_priors(fitted.question, friction=0.0)
+        needed = {LAST_LINK, LINKS, PAYLOAD, *question.friction, *question.motors}
+        terms = fitted.arm.terms
+        self.arm = fitted.arm.of([terms[key] for key in terms if key in needed])
+        self.terms = arm_question(self.arm, question, fitted.sums.rms_torque)
         every = max(1, sum(map(len, fitted.recordings)) // COMPARED)
-        question = replace(fitted.question, dry=None)
-        known = set(self.arm.names)
-        self.terms = [
-            term
-            for term in arm_question(fitted.arm, question, fitted.sums.rms_torque)
-            if known.issuperset(term.names)
-        ]
         self.recordings = []
         for recording in fitted.recordings:
             fewer = replace(recording, every=every, _kept={})
@@ -312,15 +294,16 @@ class Search:
     def score(self, reading: Relabelling) -> float:
         """Return the log likelihood of a reading, but for a constant."""
         arm = self.arm
-        level = gravity_vector(arm.robot)
-        gravity = level if reading.gravity is None else reading.gravity
-        point = replace(arm.start(), gravity=gravity)
+        point = arm.start()
+        if reading.gravity is not None:
+            point = replace(point, gravity=reading.gravity)
         sums = arm.sums([reading.apply(each) for each in self.recordings], point)
         torque = sums.rms_torque
         equations = equations_of(arm, sums, self.terms, {})
         least = _LEAST * np.sqrt(np.mean(torque**2))
         counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
         noise = np.maximum(0.05 * torque, least)
+        # Noise that is found to the end follows a joint that other joints' errors were left to.
         for _ in range(2):
             normal = equations.normal(1.0 / noise)
             values, _ = solve(normal, equations.reference)
@@ -330,8 +313,7 @@ class Search:
                 values, _ = solve(normal, start, ~crosses)
             squares = equations.own.squared_residuals(values)
             noise = np.maximum(np.sqrt(squares / counts), least)
-        change = np.append(values, -1.0)
-        return -float(counts @ np.log(noise) + 0.5 * change @ equations.prior @ change)
+        return likelihood(equations, values, counts, noise)
 
     def best(self, tried: Sequence[Step], advance: Callable[[], object]) -> list[Step]:
         """Return the steps that fit best together, one after the other; [] for none.
@@ -339,12 +321,13 @@ class Search:
         The likeliest first steps are followed, as one that is wrong may fit as well alone.
         """
         none = Relabelling.none(self.arm.robot.n_joints)
-        least = self.score(none) + CLEAR
+        before = self.score(none)
         firsts = self._ranked(tried, none)[:_FOLLOWED]
+        least = max(CLEAR, 0.5 * (firsts[0][0] - before))
         ways = [
             self._followed(tried, number, score, advance)
             for score, number in firsts
-            if score > least
+            if score > before + least
         ]
         likeliest = max((score for score, _ in ways), default=0.0)
         return next((found for score, found in ways if score > likeliest - 1.0), [])
@@ -393,24 +376,39 @@ def torque_ratio(fitted: Fit) -> tuple[Array, NDArray[np.bool_]]:
     exceeds the torques of an arm that it carries.
     """
     arm = fitted.arm
-    names = [
-        n
-        for key in (LAST_LINK, LINKS)
-        if key in arm.terms
-        for n in arm.terms[key].names
-    ]
-    values = np.array([arm.model[name] for name in names])
-    at = fitted.sums.at(names)
-    heavy = np.array([name[0] in "mh" for name in names]) if arm.has_gravity else 1.0
+    terms = [arm.terms[key] for key in (LAST_LINK, LINKS) if key in arm.terms]
+    model = np.zeros(len(fitted.sums.names))
+    for name in (name for term in terms for name in term.names):
+        if name[0] in "mh" or not arm.has_gravity:
+            model[fitted.sums.names.index(name)] = arm.model[name]
     counts = np.maximum(np.sum(fitted.sums.counts, axis=0), 1.0)
-    squares = []
-    for joint in range(len(counts)):
-        _, products = fitted.sums.products(at, joint)
-        squares.append((values * heavy) @ products @ (values * heavy))
-    model = np.sqrt(np.maximum(squares, 0.0) / counts)
-    hinges = model[~arm.robot.is_slide[arm.indices]]
-    is_loaded = model > LOADED * np.max(hinges, initial=0.0)
-    return fitted.sums.rms_torque / np.maximum(model, 1e-12), is_loaded
+    squares = np.maximum(fitted.sums.spread(np.outer(model, model)), 0.0)
+    torque = np.sqrt(squares / counts)
+    hinges = torque[~arm.robot.is_slide[arm.indices]]
+    is_loaded = torque > LOADED * np.max(hinges, initial=0.0)
+    return fitted.sums.rms_torque / np.maximum(torque, 1e-12), is_loaded
+
+
+def typical_ratio(fitted: Fit) -> float:
+    """Return the median ratio of measured torque to the model's at joints that links load."""
+    ratio, is_loaded = torque_ratio(fitted)
+    return float(np.median(ratio[is_loaded])) if np.any(is_loaded) else 1.0
+
+
+def likelihood(
+    equations: Equations, values: Array, independent: Array, noise: Array
+) -> float:
+    """Return the log likelihood of values and of their priors, but for a constant.
+
+    Args:
+        equations: of the values.
+        values: (k,) that solve them.
+        independent: (J,) number of independent rows.
+        noise: (J,) of the residuals [N m].
+    """
+    change = np.append(values, -1.0)
+    pull = change @ equations.prior @ change
+    return -float(independent @ np.log(noise) + 0.5 * pull)
 
 
 def likelier(before: Fit, after: Fit, factors: Array | float = 1.0) -> float:
@@ -419,17 +417,16 @@ def likelier(before: Fit, after: Fit, factors: Array | float = 1.0) -> float:
     Both have the noise of their own residuals and the memory of the second's. ``factors`` (J,) are
     those by which its torques were multiplied.
     """
-    correlation = np.minimum(after.correlation, before.correlation)
-    counts = np.minimum(*(np.sum(each.sums.counts, axis=0) for each in (before, after)))
+    both = (before, after)
+    counts = np.minimum(*(np.sum(each.sums.counts, axis=0) for each in both))
+    independent = counts / np.minimum(before.correlation, after.correlation)
     least = 1e-3 * np.sqrt(np.mean(before.sums.rms_torque**2))
-    noise = [np.maximum(before.noise, least)]
-    noise.append(np.maximum(after.noise / np.abs(factors), least))
-    gain = (counts / correlation) @ np.log(noise[0] / noise[1])
-    pulls = []
-    for each in (before, after):
-        change = np.append(each.free, -1.0)
-        pulls.append(change @ each.equations.prior @ change)
-    return float(gain) + 0.5 * (pulls[0] - pulls[1])
+    noises = (before.noise, after.noise / np.abs(factors))
+    earlier, later = (
+        likelihood(each.equations, each.free, independent, np.maximum(noise, least))
+        for each, noise in zip(both, noises)
+    )
+    return later - earlier
 
 
 def discrete(
@@ -459,7 +456,7 @@ def discrete(
     for number, step in enumerate(found, 1):
         reading = reading.then(step.reading)
         recordings = [reading.apply(recording) for recording in fitted.recordings]
-        findings = [*of_columns(found[:number], reading)]
+        findings = [*of_columns(robot, found[:number], reading)]
         if reading.gravity is None:
             after = solved(robot, recordings, fitted.question, beside=beside)
         else:
@@ -471,9 +468,11 @@ def discrete(
         yield Correction(tuple(findings), likelier(fitted, after), after)
 
 
-def of_columns(found: Sequence[Step], reading: Relabelling) -> Iterator[Finding]:
+def of_columns(
+    robot: RobotModel, found: Sequence[Step], reading: Relabelling
+) -> Iterator[Finding]:
     """Yield the findings on columns, which one reading puts right, and on zeros."""
-    wrong = [step for step in found if step.check not in ("tilt", "zero")]
+    wrong = [step for step in found if step.text]
     if wrong:
         text = "; ".join(dict.fromkeys(step.text for step in wrong))
         first = wrong[0]
@@ -482,9 +481,13 @@ def of_columns(found: Sequence[Step], reading: Relabelling) -> Iterator[Finding]
         yield Finding(
             Level.REFUSES, first.check, text, first.remedy, options, "", columns
         )
-    for step in found:
-        if step.check == "zero":
-            yield Finding(Level.REFUSES, "zero", step.text, step.remedy)
+    turned = np.rint(np.degrees(reading.zeros)) % 360.0
+    for name, degrees in zip(robot.joint_names, turned):
+        if degrees:
+            way = "little" if degrees <= 180.0 else "much"
+            size = min(degrees, 360.0 - degrees)
+            text = f"the position of joint {name} reads {size:.0f} degrees too {way}"
+            yield Finding(Level.REFUSES, "zero", text, "correct the joint's zero")
 
 
 def mounted(
@@ -500,9 +503,7 @@ def mounted(
     """
     robot = fitted.arm.robot
     level = gravity_vector(robot)
-    options = fitted.question.options
-    wide = replace(options, priors=replace(options.priors, gravity=WIDE_TILT))
-    question = replace(fitted.question, options=wide)
+    question = with_priors(fitted.question, gravity=WIDE_TILT)
     for _ in range(2):
         after = solved(
             with_gravity(robot, gravity), recordings, question, beside=beside
@@ -616,12 +617,10 @@ def own_scales(
     ``common_scale``.
     """
     arm = fitted.arm
-    options = fitted.question.options
     scale, is_loaded = torque_ratio(fitted)
     scale[~is_loaded] = np.median(scale[is_loaded])
-    wide = replace(options, priors=replace(options.priors, scale=WIDE))
     # Links that explain the scales as they are would leave none to find.
-    question = replace(fitted.question, options=wide, link_scales=AS_STATED)
+    question = with_priors(replace(fitted.question, link_scales=AS_STATED), scale=WIDE)
     sums = arm.sums(fitted.recordings, arm.start())
     for _ in range(_ROUNDS):
         divided_sums = sums.with_torque_times(1.0 / scale)

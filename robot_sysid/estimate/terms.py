@@ -20,7 +20,7 @@ parameters (``PARAMETER_NAMES``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -293,20 +293,16 @@ class ArmTerms:
             yield Term(TILT, TILT_NAMES, self._tilt, in_file=True)
         yield Term(DELAY, ("delay",), self._delay)
 
-    def beside(self, terms: Sequence[Term]) -> ArmTerms:
-        """Return the terms of the arm with further ones, whose columns stand beside theirs."""
-        return self._with([*self.terms.values(), *terms])
-
-    def _with(self, terms: Sequence[Term]) -> ArmTerms:
+    def of(self, terms: Iterable[Term]) -> ArmTerms:
         """Return the arm with other terms."""
         other = copy(self)
         other.terms = {term_key(term): term for term in terms}
-        other.names = tuple(name for term in terms for name in term.names)
+        other.names = tuple(n for term in other.terms.values() for n in term.names)
         return other
 
-    def alone(self) -> ArmTerms:
-        """Return the terms of the arm without those that stand beside them, which have no cause."""
-        return self._with([term for term in self.terms.values() if term.cause])
+    def beside(self, terms: Iterable[Term]) -> ArmTerms:
+        """Return the terms of the arm with further ones, whose columns stand beside theirs."""
+        return self.of([*self.terms.values(), *terms])
 
     def sums(self, recordings: Sequence[Recording], point: Point) -> Sums:
         """Return the sums of all rows, linearised around a point."""
