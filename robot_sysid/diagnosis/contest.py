@@ -166,8 +166,8 @@ class Score:
     @property
     def share(self) -> float:
         """The torque that it explains, as a share of all torque."""
-        typical = np.linalg.norm(typical_torque(self.fitted))
-        return float(np.linalg.norm(self.explained) / typical)
+        torque = np.linalg.norm(self.fitted.sums.rms_torque)
+        return float(np.linalg.norm(self.explained) / torque)
 
     @property
     def is_like_gravity(self) -> bool:
@@ -292,17 +292,11 @@ def is_of_single_joints(fitted: Fit) -> bool:
     return bool(np.mean(counts[counts > 0]) < 1.5) if np.any(counts) else False
 
 
-def left_over(fitted: Fit) -> float:
-    """Return the share of all torque that a fit leaves unexplained."""
-    typical = float(np.linalg.norm(typical_torque(fitted)))
-    return float(np.linalg.norm(fitted.unexplained)) / max(typical, 1e-300)
-
-
 def fits(fitted: Fit) -> bool:
     """Return whether a log fits its model so well that its columns are right."""
     touched = any(recording.touched for recording in fitted.recordings)
     return bool(
-        left_over(fitted) < LITTLE
+        fitted.unexplained_share < LITTLE
         and not is_foreign(fitted)
         and is_plausible(fitted)
         and not drives(fitted)
@@ -333,21 +327,24 @@ def correction(
     fitted: Fit, evidence: Evidence, advance: Callable[[], object]
 ) -> Correction | None:
     """Return the best correction of a log that does not fit; None where none puts it right."""
-    tried = [*discrete(fitted, beside, fits, advance)]
-    tried += [*common_scale(fitted, evidence.divided, beside)]
-    tried += [*own_scales(fitted, evidence.divided, beside)]
-    advance()
-    before = left_over(fitted)
+    before = fitted.unexplained_share
     is_unit = is_foreign(fitted)
-    right = []
-    for each in tried:
-        after = left_over(each.fit)
+
+    def is_right(tried: Correction) -> bool:
+        """Return whether a correction leaves clearly less, in an arm that may exist."""
+        after = tried.fit.unexplained_share
         is_less = after < 0.7 * before or after < LITTLE < before
-        is_turned_back = drives(fitted) and not drives(each.fit)
+        is_turned_back = drives(fitted) and not drives(tried.fit)
         # Links fit torques in another unit, if they may be off by as much.
-        is_right = is_unit or (each.gain > CLEAR and (is_less or is_turned_back))
-        if is_right and is_plausible(each.fit) and not is_odd(each.fit):
-            right.append(each)
+        is_clear = is_unit or (tried.gain > CLEAR and (is_less or is_turned_back))
+        return is_clear and is_plausible(tried.fit) and not is_odd(tried.fit)
+
+    scales = [*common_scale(fitted, evidence.divided, beside)]
+    scales += [*own_scales(fitted, evidence.divided, beside)]
+    right = [*filter(is_right, scales)]
+    # No sign and no exchange makes torques that much smaller or larger.
+    if not (is_unit and right):
+        right += filter(is_right, discrete(fitted, beside, fits, advance))
     return max(right, key=lambda each: each.gain, default=None)
 
 
@@ -379,7 +376,7 @@ class Contest:
         self.first = self.current = fitted
         self.corrected: list[Finding] = []
         self.rounds: list[list[Score]] = []
-        self.least = left_over(fitted)
+        self.least = fitted.unexplained_share
         self.gain = 0.0
         if correction is not None:
             self.corrected += correction.findings
@@ -390,7 +387,7 @@ class Contest:
     @property
     def explains(self) -> bool:
         """Whether no more is left unexplained than right logs leave."""
-        return left_over(self.current) < UNEXPLAINED
+        return self.current.unexplained_share < UNEXPLAINED
 
     def run(self, advance: Callable[[], object]) -> None:
         """Let explanations join the fit as long as they gain clearly."""
@@ -414,7 +411,7 @@ class Contest:
             self.rounds.append(ties)
             self.gain += ties[0].gain
             if len(self.rounds) == 1:
-                self.least = min(self.least, left_over(self.current))
+                self.least = min(self.least, self.current.unexplained_share)
 
     def _takes_scales(self, score: Score) -> bool:
         """Return whether more than one joint has a torque scale of its own, and correct them."""
@@ -620,7 +617,7 @@ def wrong_models(fitted: Fit, current: Fit, evidence: Evidence) -> Iterator[Find
     # A cause that was found may explain it.
     is_off = clear_factor(current) is not None
     for each in common_scale(fitted, evidence.divided, beside) if is_off else ():
-        if left_over(each.fit) < UNEXPLAINED:
+        if each.fit.unexplained_share < UNEXPLAINED:
             yield from each.findings
             return
     robot = fitted.arm.robot
@@ -643,7 +640,7 @@ def wrong_models(fitted: Fit, current: Fit, evidence: Evidence) -> Iterator[Find
             "mass: it may be the model of a sibling of this arm; the standard errors "
             "of links before the last may be too small"
         )
-        level = Level.DOUBTS if left_over(current) > PER_CENT else Level.SAYS
+        level = Level.DOUBTS if current.unexplained_share > PER_CENT else Level.SAYS
         yield Finding(level, "model", text, RIGHT_MODEL)
 
 
@@ -662,7 +659,7 @@ def misfit(fitted: Fit, least: float) -> Finding:
     """
     typical = typical_torque(fitted)
     worst = np.argsort(-fitted.unexplained)[:3].tolist()
-    share = left_over(fitted)
+    share = fitted.unexplained_share
     joints = [fitted.arm.joints[k] for k in worst]
     shares = [percent(float(fitted.unexplained[k] / typical[k])) for k in worst]
     listed = ", ".join(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
+from typing import Any
 
 import numpy as np
 
@@ -154,17 +155,13 @@ def judge(
 
 def wide(priors: Priors) -> Priors:
     """Return priors that are no narrower than the default ones: a log is judged by these."""
-    usual = vars(Priors())
-    names = ("link", "zero", "gravity", "delay", "friction")
-    wider = {name: max(vars(priors)[name], usual[name]) for name in names}
-    scale = priors.scale
-    if scale is not None:
-        scale = tuple(np.maximum(np.ravel(scale), SCALE).tolist())
-    if all(vars(priors)[name] == wider[name] for name in names) and np.all(
-        np.ravel(scale or 0.0) == np.ravel(priors.scale or 0.0)
-    ):
-        return priors
-    return replace(priors, scale=scale, **wider)
+    usual = Priors()
+    wider: dict[str, Any] = {}
+    for name in ("link", "zero", "gravity", "delay", "friction"):
+        wider[name] = max(getattr(priors, name), getattr(usual, name))
+    if priors.scale is not None:
+        wider["scale"] = tuple(np.maximum(np.ravel(priors.scale), SCALE).tolist())
+    return replace(priors, **wider)
 
 
 def contacts(fitted: Fit, is_else_wrong: bool) -> Iterator[Finding]:

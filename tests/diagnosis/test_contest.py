@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from robot_sysid.diagnosis.causes import beside, explanations
-from robot_sysid.diagnosis.contest import CLEAR, is_plausible, left_over
+from robot_sysid.diagnosis.contest import CLEAR, is_plausible
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -29,7 +29,7 @@ def right(truth):
 
 
 def test_a_right_log_fits_shows_the_link_and_has_no_explanation(truth, right):
-    assert left_over(right) < 0.02 and is_plausible(right)
+    assert right.unexplained_share < 0.02 and is_plausible(right)
     mass = right.by_name["m"]
     error = right.errors[right.at(["m"])][0]
     assert abs(mass - truth.theta[0]) < 3.0 * error
