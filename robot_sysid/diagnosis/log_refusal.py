@@ -68,7 +68,8 @@ def _corrected_lines(
     for quantity, sources in right.items():
         group = getattr(columns, quantity)
         for joint, (name, (source, factor)) in enumerate(zip(log.joint_names, sources)):
-            if source != joint or factor != 1.0:
+            # A joint without torque has no column.
+            if group[source].factor and (source != joint or factor != 1.0):
                 value = _column_text(columns.titles, group[source], factor)
                 lines[f"{quantity}.{name}"] = value
     return lines

@@ -379,7 +379,10 @@ def model_file(
     for row in _file_terms(fitted, file):
         joints.setdefault(row.of, {})[row.name] = row.value
         rows.append(row)
-    unseen = [joint for joint in robot.joint_names if joint not in joints]
+    # Of joints without torque, the log says it.
+    torques = np.concatenate([recording.torque for recording in fitted.recordings])
+    powered = itertools.compress(robot.joint_names, np.any(torques, axis=0))
+    unseen = [joint for joint in powered if joint not in joints]
     if unseen and FILE_FRICTION not in file.unchanged:
         notes.append(
             f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "

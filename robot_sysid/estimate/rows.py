@@ -87,8 +87,9 @@ class Recording:
 
     @cached_property
     def used(self) -> Mask:
-        """Which rows (K, n) may be used: those in which friction has a direction."""
-        return self.signals.usable()[:: self.every]
+        """Which rows (K, n) may be used: of joints with torque, where friction has a direction."""
+        has_torque = np.any(self.signals.tau, axis=0)
+        return self.signals.usable()[:: self.every] & has_torque
 
     @cached_property
     def at_turns(self) -> Mask:

@@ -94,7 +94,7 @@ def check_log(
             require_radians(rows, robot)
         require_no_jumps(rows, robot)
         notes += rest_notes(rows, robot)
-        require_torque(rows, robot)
+        notes += torque_notes(rows, robot)
         require_one_clock(rows)
     return tuple(notes)
 
@@ -217,17 +217,26 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
         yield f"joints that do not move in this log: {', '.join(unmoved)}"
 
 
-def require_torque(rows: LogRows, robot: RobotModel) -> None:
-    """Raise InputError for torques that are constant over the log.
+def torque_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
+    """Yield a note on joints without torque; refuse torques that are constant over the log.
 
     Logs of commanded positions are not checked: these may be constant.
     """
     if rows.samples.command is not None:
         return
-    is_constant = np.ptp(rows.samples.tau, axis=0) == 0.0
-    names = [*compress(robot.joint_names, is_constant)]
+    tau = rows.samples.tau
+    is_constant = np.ptp(tau, axis=0) == 0.0
+    is_zero = ~np.any(tau, axis=0) & ~np.all(is_constant)
+    unpowered = ", ".join(compress(robot.joint_names, is_zero))
+    if unpowered:
+        yield (
+            "joints without torque in this log, whose equations are left out and whose friction "
+            f"is the model's: {unpowered}"
+        )
+    names = [*compress(robot.joint_names, is_constant & ~is_zero)]
     if names:
         raise InputError(
             f"the torque of joint {' and '.join(names)} is the same in every row; record it, or "
-            "name the right column with --columns FILE"
+            "name the right column with --columns FILE, or state there that it has none: "
+            f"torque.{names[0]} = none"
         )

@@ -13,6 +13,7 @@ The file of ``--columns`` declares columns that titles do not determine, as ``ke
     torque.joint1 = M1
     torque.joint2 = -M2            a minus flips the sign
     torque.joint3 = 0.95 * I3      a number scales
+    torque.joint4 = none           the joint has no motor, or no sensor
     velocity = none                keep a quantity out
 
 Keys: time, position, velocity, acceleration (accepted but not used), torque, joint_time (a time
@@ -318,6 +319,11 @@ class _ColumnFinder:
         torque = found[self.driven]
         if not position or not torque:
             raise InputError(f"position and {self.driven} cannot be left out")
+        # A joint without torque has a column of numbers times zero.
+        torque = tuple(
+            column if column.factor else replace(column, index=position[0].index)
+            for column in torque
+        )
         has_unit = all(self.titles[column.index].unit for column in position)
         return ColumnMap(
             time=self._find_time(),
@@ -340,12 +346,14 @@ class _ColumnFinder:
         ``candidates``: indices of the columns that could be it, for each joint; or none.
         """
         declared = self._declared(quantity)
-        if set(declared.values()) == {"none"}:
+        if [*declared.values()] == ["none"] * self.robot.n_joints:
             return ()
         columns = []
         for joint, name in enumerate(self.robot.joint_names):
             indices = candidates[joint] if candidates else ()
-            if name in declared:
+            if quantity == self.driven and declared.get(name) == "none":
+                columns.append(Column(0, "none", 0.0))
+            elif name in declared:
                 found = self._look_up(declared[name])
                 columns.append(self._column(quantity, joint, *found))
             elif len(indices) > 1:
@@ -462,6 +470,9 @@ def _quote(columns: Sequence[Column]) -> str:
     """Return titles in quotes, with their factors."""
     texts = []
     for column in columns:
+        if not column.factor:
+            texts.append("none")
+            continue
         scale = "" if column.factor == 1.0 else f" x {column.factor:.6g}"
         texts.append(f"'{column.title}'{scale}")
     return ", ".join(texts)

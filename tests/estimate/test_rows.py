@@ -36,6 +36,16 @@ def logs_of(seed, counts=(30, 20), name="log"):
     return recordings
 
 
+def test_a_joint_without_torque_has_no_equations():
+    arm = TrueArm(ROBOT, 0)
+    recording = arm.recording(wide_motion([0], 4, 1.0), False)
+    signals = recording.signals
+    no_motor = signals.tau * [1.0, 0.0, 1.0, 1.0]
+    silent = replace(recording, signals=replace(signals, tau=no_motor))
+    assert np.any(recording.used, axis=0).tolist() == [True] * 4
+    assert np.any(silent.used, axis=0).tolist() == [True, False, True, True]
+
+
 def dense_rows(recordings, joint):
     """Return the rows [A b] (K, p + 1) of a joint that are used."""
     found = []

@@ -158,6 +158,10 @@ NOTES: dict[str, tuple[Callable, list[str]]] = {
         changing(np.s_[:, 2], lambda q: 0.0 * q),
         ["do not move in this log: elbow"],
     ),
+    "no motor": (
+        changing(np.s_[:, 5], lambda tau: 0.0 * tau),
+        ["joints without torque in this log", "friction is the model's: elbow"],
+    ),
 }
 
 

@@ -269,6 +269,13 @@ def test_a_columns_file_counts_columns_and_keeps_quantities_out(tmp_path):
     assert columns.velocity == () and columns.time is None and columns.rate == 100.0
 
 
+def test_a_joint_without_motor_has_a_torque_of_zero(tmp_path):
+    text = "position = A, B, C\ntorque.joint0 = X\ntorque.joint1 = none\ntorque.joint2 = Z\n"
+    columns = recognise("t,X,Y,Z,A,B,C", choices=read_choices(tmp_path, text))
+    assert factors(columns.torque) == [1.0, 0.0, 1.0]
+    assert "torque from 'X', none, 'Z'" in columns.describe()[0]
+
+
 @pytest.mark.parametrize(
     ("text", "fragments"),
     [
