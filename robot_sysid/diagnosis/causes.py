@@ -455,10 +455,10 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
     for joint, name in enumerate(arm.joints):
         # A spring at the joint, and one that pulls from a point beside it.
         for shape, largest in ((SPRING[:1], np.inf), (SPRING[1:], 2.0 * torque[joint])):
-            size = 0.5 * torque[joint] / spread_of(fitted, effect(shape, 1.0), joint)
             yield Explanation(
                 "force",
-                effect(shape, size, joint),
+                # The prior is the joint's own torque within a radian, or a metre.
+                effect(shape, torque[joint], joint),
                 f"at joint {name} a torque follows the position, as of a spring, a balancer or a "
                 "hose",
                 "take it away, or add it to the model",
@@ -493,22 +493,3 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
 def is_within(largest: float, values: Array, errors: Array) -> bool:
     """Return whether no value is larger than one that exists."""
     return bool(np.max(np.abs(values)) < largest)
-
-
-def spread_of(
-    fitted: Fit, effect: Effect, joint: int, values: Array | None = None
-) -> Array:
-    """Return the standard deviation of an effect's columns (m,) in a joint's rows.
-
-    With values (m,), it is that of the torque that they make [N m].
-    """
-    sums = fitted.sums
-    count = max(float(np.sum(sums.counts[:, joint])), 1.0)
-    rows, squares = sums.products(sums.at(effect.names), joint, effect.shares)
-    offset = f"offset[{sums.joints[joint]}]"
-    means = np.zeros(len(rows))
-    if offset in sums.names:
-        means = rows[:, sums.names.index(offset)] / count
-    variances = squares / count - np.outer(means, means)
-    own = np.diag(variances) if values is None else values @ variances @ values
-    return np.sqrt(np.maximum(own, 1e-12))

@@ -102,62 +102,55 @@ _LEAST = 0.01
 
 @dataclass(frozen=True)
 class Relabelling:
-    """How a log has to be read otherwise: right columns are recorded ones of other joints, times
-    factors, plus angles.
+    """How a log has to be read otherwise: right columns are matrices, with one number per row and
+    column, times recorded ones, plus angles.
 
     Attributes:
-        order: "position" and "torque" to (n,) whose column each joint has.
-        factors: the same to (n,).
+        position: (n, n) of positions.
+        torque: (n, n) of torques.
         zeros: (n,) added to positions [rad].
         gravity: (3,) [m/s^2]; None for the model's.
     """
 
-    order: dict[str, NDArray[np.int64]]
-    factors: dict[str, Array]
+    position: Array
+    torque: Array
     zeros: Array
     gravity: Array | None = None
 
     @classmethod
     def none(cls, n: int) -> Relabelling:
         """Return the reading of a log as it is."""
-        both = ("position", "torque")
-        return cls(
-            {name: np.arange(n) for name in both},
-            {name: np.ones(n) for name in both},
-            np.zeros(n),
-        )
+        return cls(np.eye(n), np.eye(n), np.zeros(n))
 
     def then(self, step: Relabelling) -> Relabelling:
         """Return this reading with another one after it."""
-        order = {name: self.order[name][at] for name, at in step.order.items()}
-        factors = {
-            name: self.factors[name][at] * step.factors[name]
-            for name, at in step.order.items()
-        }
-        at = step.order["position"]
-        zeros = self.zeros[at] * step.factors["position"] + step.zeros
-        gravity = self.gravity if step.gravity is None else step.gravity
-        return Relabelling(order, factors, zeros, gravity)
+        return Relabelling(
+            step.position @ self.position,
+            step.torque @ self.torque,
+            step.position @ self.zeros + step.zeros,
+            self.gravity if step.gravity is None else step.gravity,
+        )
 
     def apply(self, recording: Recording) -> Recording:
         """Return a recording read so, of which as many rows are used."""
         signals = recording.signals
-        q, qd, qdd = (
-            signals_of[:, self.order["position"]] * self.factors["position"]
-            for signals_of in (signals.q, signals.qd, signals.qdd)
-        )
-        tau = signals.tau[:, self.order["torque"]] * self.factors["torque"]
-        # The direction of friction is that of the speed.
-        signs = np.sign(self.factors["position"])
+        position = self.position.T
         dry = recording.low_passed("coulomb", lambda motion: np.sign(motion.qd))
         right = replace(
             recording,
-            signals=replace(signals, q=q + self.zeros, qd=qd, qdd=qdd, tau=tau),
+            signals=replace(
+                signals,
+                q=signals.q @ position + self.zeros,
+                qd=signals.qd @ position,
+                qdd=signals.qdd @ position,
+                tau=signals.tau @ self.torque.T,
+            ),
             touched=(),
-            _kept={"coulomb": dry[:, self.order["position"]] * signs},
+            # The direction of friction is that of the speed.
+            _kept={"coulomb": dry @ np.sign(position)},
         )
         # A joint's rows are those in which it moves.
-        right.__dict__["used"] = recording.used[:, self.order["position"]]
+        right.__dict__["used"] = recording.used @ (position != 0.0)
         return right
 
     @property
@@ -165,11 +158,11 @@ class Relabelling:
         """The correction of a log's columns; None where columns alone do not put it right."""
         if np.any(self.zeros) or self.gravity is not None:
             return None
-        position, torque = (
-            tuple(zip(self.order[name].tolist(), self.factors[name].tolist()))
-            for name in ("position", "torque")
-        )
-        return ColumnCorrection(position, torque)
+        sources = []
+        for matrix in (self.position, self.torque):
+            at = np.nonzero(matrix)
+            sources.append(tuple(zip(at[1].tolist(), matrix[at].tolist())))
+        return ColumnCorrection(*sources)
 
 
 @dataclass(frozen=True)
@@ -202,13 +195,9 @@ def steps(robot: RobotModel, moving: Sequence[int]) -> Iterator[Step]:
     n = len(names)
     none = Relabelling.none(n)
 
-    def read(quantities: Sequence[str], **changes: Any) -> Relabelling:
-        """Return the reading in which some quantities have another order or factors."""
-        parts: dict[str, Any] = {
-            name: {**getattr(none, name), **dict.fromkeys(quantities, value)}
-            for name, value in changes.items()
-        }
-        return replace(none, **parts)
+    def read(quantities: Sequence[str], matrix: Array) -> Relabelling:
+        """Return the reading in which the columns of some quantities are others."""
+        return replace(none, **dict.fromkeys(quantities, matrix))
 
     every = np.eye(n)
     for quantities in (("torque",), ("position",), ("position", "torque")):
@@ -216,33 +205,34 @@ def steps(robot: RobotModel, moving: Sequence[int]) -> Iterator[Step]:
         verb = "has" if len(quantities) == 1 else "have"
         scope = "" if len(quantities) == 2 else f" in the {subject}s"
         for joint in moving:
+            turned = np.diag(1.0 - 2.0 * every[joint])
             text = f"the {subject} of joint {names[joint]} {verb} the opposite sign of the model's"
-            yield Step("sign", text, read(quantities, factors=1.0 - 2.0 * every[joint]))
+            yield Step("sign", text, read(quantities, turned))
         if n > 1 and quantities != ("position", "torque"):
             text = (
                 f"the {subject} of every joint {verb} the opposite sign of the model's"
             )
-            yield Step("sign", text, read(quantities, factors=-np.ones(n)))
+            yield Step("sign", text, read(quantities, -every))
         for first, second in combinations(moving, 2):
-            order = np.arange(n)
-            order[[first, second]] = second, first
+            exchanged = every.copy()
+            exchanged[[first, second]] = every[[second, first]]
             text = f"joints {names[first]} and {names[second]} are exchanged{scope}"
-            yield Step("order", text, read(quantities, order=order))
+            yield Step("order", text, read(quantities, exchanged))
         if n > 2 and len(moving) == n:
             text = f"the order of the joints is reversed{scope}"
-            yield Step("order", text, read(quantities, order=np.arange(n)[::-1]))
+            yield Step("order", text, read(quantities, every[::-1]))
     radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     yield Step(
         "angle-unit",
         "positions look like degrees",
-        read(("position",), factors=radians),
+        read(("position",), np.diag(radians)),
         "pass --units deg",
         (("--units", "deg"),),
     )
     yield Step(
         "angle-unit",
         "positions look like radians that were taken for degrees",
-        read(("position",), factors=1.0 / radians),
+        read(("position",), np.diag(1.0 / radians)),
         "say rad where degrees are said: in --units, the file of --columns, a column's title or "
         "the recorder",
     )
@@ -649,10 +639,9 @@ def own_scales(
     scale[~is_sure] = np.exp(np.average(own, weights=relative[is_sure] ** -2.0))
     if np.ptp(own) < np.log(SAME):
         return
-    reading = Relabelling.none(arm.robot.n_joints)
-    factors = reading.factors["torque"].copy()
+    factors = np.ones(arm.robot.n_joints)
     factors[arm.indices] = 1.0 / scale
-    reading = replace(reading, factors={**reading.factors, "torque": factors})
+    reading = replace(Relabelling.none(len(factors)), torque=np.diag(factors))
     recordings = [reading.apply(recording) for recording in fitted.recordings]
     after = solved(arm.robot, recordings, fitted.question, beside=beside)
     # Loss for scales that fit the data instead of being one: the prior's volume over that left.
