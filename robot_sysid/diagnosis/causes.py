@@ -323,7 +323,7 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
         "record the measured joint torque of an arm that its motors move",
         factor=-100.0,
         unit="%",
-        is_possible=lambda v, e: abs(v[0] + 1.0) < max(0.2, 3.0 * e[0]) and e[0] < 0.3,
+        is_possible=lambda v, e: abs(v[0] + 1.0) < max(0.2, 3.0 * e[0]) and e[0] < 0.1,
     )
     # Time stamps that are too long by a small share s make accelerations and squared speeds too
     # small by 2 s, so they change inertial torque alone.

@@ -154,7 +154,7 @@ class Score:
         if self.explanation.is_norm or "{value}" not in self.explanation.text:
             return offer.distance
         value, error = self.explanation.number(offer)
-        return float(abs(value) / error)
+        return float(abs(value) / max(error, 1e-300))
 
     @property
     def explained(self) -> Array:
@@ -275,6 +275,10 @@ def findings(
         remedy = f"{MEASURED}, or give --torque-constants for a current"
         return [Finding(Level.REFUSES, "gravity", text, remedy)], fitted
     named = [*contest.corrected, *name_causes(contest.rounds[:MOST_NAMES])]
+    foreign = [each for each in named if each.about in ("computed", "torque-unit")]
+    if foreign:
+        # What is no torque of this arm, or in no known unit, shows nothing else.
+        return foreign, contest.first
     if is_experiment:
         named = [each for each in named if each.about not in OF_LINKS]
     elif all(finding.level is Level.SAYS for finding in named):
@@ -467,7 +471,7 @@ class Contest:
         The instant at which a load changes is found first, to a row.
         """
         explanation = score.explanation
-        if explanation.check == "payload-step" and score.gain > 2.0 * CLEAR:
+        if explanation.check == "payload-step":
             return self._located(score)
         offer = offers.weigh(explanation.effect)
         gain = offer.gain - np.log(explanation.choices)

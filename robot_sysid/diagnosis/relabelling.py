@@ -312,11 +312,14 @@ class Search:
         """
         none = Relabelling.none(self.arm.robot.n_joints)
         before = self.score(none)
-        firsts = self._ranked(tried, none)[:_FOLLOWED]
+        zeros = [step.reading for step in tried if step.check == "zero"]
+        # With another zero wrong as well, a right one alone may fit worse than none.
+        pairs = [Step("zero", "", one.then(two)) for one, two in combinations(zeros, 2)]
+        firsts = self._ranked([*tried, *pairs], none)[:_FOLLOWED]
         least = max(CLEAR, 0.5 * (firsts[0][0] - before))
         ways = [
-            self._followed(tried, number, score, advance)
-            for score, number in firsts
+            self._followed(tried, step, score, advance)
+            for score, step in firsts
             if score > before + least
         ]
         likeliest = max((score for score, _ in ways), default=0.0)
@@ -325,33 +328,31 @@ class Search:
     def _followed(
         self,
         tried: Sequence[Step],
-        first: int,
+        first: Step,
         score: float,
         advance: Callable[[], object],
     ) -> tuple[float, list[Step]]:
         """Return (log likelihood, the steps that fit best together from a first one on)."""
-        found = [tried[first]]
-        reading = tried[first].reading
+        found = [first]
+        reading = first.reading
         while len(found) < _MOST_STEPS:
             advance()
-            better, number = self._ranked(tried, reading)[0]
+            better, step = self._ranked(tried, reading)[0]
             if better < score + CLEAR:
                 break
             score = better
-            found.append(tried[number])
-            reading = reading.then(tried[number].reading)
+            found.append(step)
+            reading = reading.then(step.reading)
         return score, found
 
     def _ranked(
         self, tried: Sequence[Step], reading: Relabelling
-    ) -> list[tuple[float, int]]:
-        """Return (log likelihood, number) of steps after a reading, the likeliest first."""
+    ) -> list[tuple[float, Step]]:
+        """Return (log likelihood, step) of steps after a reading, the likeliest first."""
         scores = [self.score(reading.then(step.reading)) for step in tried]
         # Equally likely ones keep their order.
-        order = sorted(
-            range(len(tried)), key=lambda k: (max(scores) - scores[k]) // 1.0
-        )
-        return [(scores[k], k) for k in order]
+        order = np.argsort((max(scores) - np.array(scores)) // 1.0, kind="stable")
+        return [(scores[k], tried[k]) for k in order.tolist()]
 
 
 # ---- corrections

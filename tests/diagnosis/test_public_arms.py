@@ -1,0 +1,86 @@
+"""Mistakes of logs of public arms, and right logs of theirs: what is said, and what is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_sysid.parser import load_robot_model
+from robot_sysid.records.messages import Level
+from tests.diagnosis.conftest import findings_of
+from tests.diagnosis.test_gate import swings
+from tests.support.places import MODELS
+from tests.support.wrong_logs import truth_of
+
+ARMS = {
+    "ur5e": MODELS / "universal_robots_ur5e/ur5e.xml",
+    "panda": MODELS / "franka_panda/panda_nohand.xml",
+}
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not MODELS.exists(), reason="needs the public models"),
+]
+
+
+@pytest.fixture(scope="module", params=ARMS)
+def truth(request):
+    """Return a right log of a public arm, whose links are off by 10 %."""
+    return truth_of(load_robot_model(ARMS[request.param]), 5, wrong_links=0.1)
+
+
+def with_torque(truth, tau):
+    """Return the log with other torques (N, n), and a little noise."""
+    size = 0.005 * np.sqrt(np.mean(tau**2, axis=0))
+    noise = np.random.default_rng(1).normal(0.0, size, tau.shape)
+    return replace(truth.log, tau=tau + noise)
+
+
+def turned(truth, joints):
+    """Return the log with the torques of some joints turned."""
+    signs = np.where(np.isin(range(truth.robot.n_joints), joints), -1.0, 1.0)
+    return replace(truth.log, tau=signs * truth.log.tau)
+
+
+def with_zeros(truth):
+    """Return the log with the zeros of two loaded joints off by 90 degrees."""
+    loaded = np.argsort(-np.mean(truth.still**2, axis=0))[:2]
+    offset = 0.5 * np.pi * np.isin(range(truth.robot.n_joints), loaded)
+    return replace(truth.log, q=truth.log.q + offset)
+
+
+WRONG = {
+    "weight alone": (lambda truth: with_torque(truth, truth.still), {"computed"}),
+    "all signs": (lambda truth: turned(truth, range(truth.robot.n_joints)), {"sign"}),
+    "three signs": (lambda truth: turned(truth, [1, 2, 4]), {"sign"}),
+    "two zeros": (with_zeros, {"zero"}),
+    "drive side": (
+        lambda truth: with_torque(truth, truth.log.tau / 101.0),
+        {"torque-unit", "torque-scale"},
+    ),
+    "drive side with a balancer": (
+        lambda truth: with_torque(truth, (truth.log.tau - 0.3 * truth.still) / 101.0),
+        {"torque-unit"},
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_a_mistake_of_many_joints_has_one_name(truth, fault):
+    spoil, names = WRONG[fault]
+    found = findings_of(truth.robot, spoil(truth))
+    named = {finding.about for finding in found if finding.level is not Level.SAYS}
+    assert named and named <= names, found
+    assert "time =" not in "".join(finding.sentence for finding in found)
+
+
+def test_right_logs_are_accused_of_nothing(truth):
+    rms = np.sqrt(np.mean(truth.log.tau**2, axis=0))
+    dry = np.maximum(0.05 * rms, 0.002 * np.max(rms))
+    friction = replace(truth.robot.friction, coulomb=dry)
+    robot = replace(truth.robot, friction=friction)
+    for log in (truth.log, swings(robot, 0), swings(robot, 1)):
+        found = findings_of(truth.robot, log)
+        assert all(finding.level is Level.SAYS for finding in found), found
