@@ -457,8 +457,8 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
         for shape, largest in ((SPRING[:1], np.inf), (SPRING[1:], 2.0 * torque[joint])):
             yield Explanation(
                 "force",
-                # The prior is the joint's own torque within a radian, or a metre.
-                effect(shape, torque[joint], joint),
+                # The prior is the joint's own torque within a tenth of a radian, or of a metre.
+                effect(shape, 10.0 * torque[joint], joint),
                 f"at joint {name} a torque follows the position, as of a spring, a balancer or a "
                 "hose",
                 "take it away, or add it to the model",
