@@ -35,9 +35,9 @@ from robot_sysid.diagnosis.relabelling import (
     clear_factor,
     common_scale,
     discrete,
+    model_torque,
     odd_unit,
     own_scales,
-    torque_ratio,
     typical_ratio,
 )
 from robot_sysid.dynamics.equations import names_of
@@ -81,6 +81,8 @@ UNEXPLAINED = 0.05
 """Share of unexplained torque above which no cause is named: logs without faults have 0.03."""
 OTHER_ARM = 0.3
 """Share of unexplained torque above which the model is taken for that of another arm."""
+NO_WEIGHT = 0.1
+"""Share of the model's weight below which a torque is external, or less a controller's model."""
 HEAVIEST = 0.6
 """Largest mass of a plausible last link, as a share of the arm's mass."""
 FAR = 4.0
@@ -264,16 +266,16 @@ def findings(
         found = [*odd_unit(fitted, dry_friction(fitted)[0])]
         if found:
             return found, fitted
+    if lacks_weight(fitted) and not (contest.explains and contest.corrected):
+        text = "the torque has little of the links' weight: it may be external torque, left after "
+        text += "a controller's model, or motor current"
+        remedy = f"{MEASURED}, or give --torque-constants for a current"
+        return [Finding(Level.REFUSES, "gravity", text, remedy)], fitted
     if not contest.explains:
         # Friction that drives a joint is a turned sign whatever the model.
         is_shown = is_relabelled and drives(fitted) and not drives(contest.first)
         found = contest.corrected if is_shown else [misfit(fitted, contest.least)]
         return found, contest.first
-    if not contest.corrected and typical_ratio(fitted) < SMALLER:
-        text = "the torque has little of the links' weight: it may be external torque, left after "
-        text += "a controller's model, or motor current"
-        remedy = f"{MEASURED}, or give --torque-constants for a current"
-        return [Finding(Level.REFUSES, "gravity", text, remedy)], fitted
     named = [*contest.corrected, *name_causes(contest.rounds[:MOST_NAMES])]
     foreign = [each for each in named if each.about in ("computed", "torque-unit")]
     if foreign:
@@ -681,25 +683,40 @@ def misfit(fitted: Fit, least: float) -> Finding:
 
 def missing(fitted: Fit, joint: int) -> str:
     """Return what a joint's torque has of the model's weight and inertia, by a regression."""
-    sums = fitted.sums
     name = fitted.arm.joints[joint]
-    friction = [f"{term}[{name}]" for term in ("coulomb", "viscous", "offset")]
-    columns = sums.columns[joint].tolist()
-    wanted = [n for n in (WEIGHT, INERTIAL, *friction) if n in sums.names]
-    shown = [n for n in wanted if sums.names.index(n) in columns]
-    at = [columns.index(sums.names.index(n)) for n in shown]
-    total = sums.totals[joint]
-    values, *_ = np.linalg.lstsq(total[np.ix_(at, at)], total[at, -1], rcond=1e-12)
-    found = dict(zip(shown, values.tolist()))
+    found = regression(fitted, joint)
     parts = [
         f"{percent(found[n])} of the model's {word}"
         for n, word in ((WEIGHT, "weight"), (INERTIAL, "inertia"))
         if n in found
     ]
     unit = torque_unit(name in fitted.arm.robot.slides)
-    if friction[0] in found:
-        parts.append(f"friction of {found[friction[0]]:.2g} {unit}")
+    coulomb = f"coulomb[{name}]"
+    if coulomb in found:
+        parts.append(f"friction of {found[coulomb]:.2g} {unit}")
     return f"{name} has {', '.join(parts)}"
+
+
+def regression(fitted: Fit, joint: int) -> dict[str, float]:
+    """Return what a joint's torque has of the model's weight, its inertia, friction and offset."""
+    sums = fitted.sums
+    own = (f"{term}[{sums.joints[joint]}]" for term in ("coulomb", "viscous", "offset"))
+    columns = sums.columns[joint].tolist()
+    wanted = [n for n in (WEIGHT, INERTIAL, *own) if n in sums.names]
+    shown = [n for n in wanted if sums.names.index(n) in columns]
+    at = [columns.index(sums.names.index(n)) for n in shown]
+    total = sums.totals[joint]
+    values, *_ = np.linalg.lstsq(total[np.ix_(at, at)], total[at, -1], rcond=1e-12)
+    return dict(zip(shown, values.tolist()))
+
+
+def lacks_weight(fitted: Fit) -> bool:
+    """Return whether torques are small, and have no weight at the joint that carries most."""
+    torque, _ = model_torque(fitted)
+    joint = int(np.argmax(torque))
+    share = regression(fitted, joint).get(WEIGHT, 1.0)
+    is_small = fitted.arm.has_gravity and typical_ratio(fitted) < SMALLER
+    return is_small and abs(share) < NO_WEIGHT
 
 
 def dry_friction(fitted: Fit) -> tuple[Array, Array]:
@@ -727,7 +744,7 @@ def is_computed(fitted: Fit) -> bool:
     """
     torque = typical_torque(fitted)
     dry, error = dry_friction(fitted)
-    _, is_loaded = torque_ratio(fitted)
+    _, is_loaded = model_torque(fitted)
     size = float(np.linalg.norm(torque[is_loaded]))
     known = np.linalg.norm(error[is_loaded]) / max(size, 1e-300)
     distance = np.sum((dry / np.hypot(error, EXACT * torque)) ** 2)

@@ -358,10 +358,10 @@ class Search:
 # ---- corrections
 
 
-def torque_ratio(fitted: Fit) -> tuple[Array, NDArray[np.bool_]]:
-    """Return (ratio (J,) of measured torque to the model's, loaded (J,)).
+def model_torque(fitted: Fit) -> tuple[Array, NDArray[np.bool_]]:
+    """Return (root mean square torque (J,) of the model [N m], loaded (J,)).
 
-    The model's is that of its links' masses and first moments, as inertias may be placeholders, and
+    It is that of the links' masses and first moments, as inertias may be placeholders, and
     of its inertias where there is no gravity. Loaded are joints whose links make more than
     ``LOADED`` of the torque of the most loaded hinge: the force of a slide is in another unit, and
     exceeds the torques of an arm that it carries.
@@ -377,12 +377,13 @@ def torque_ratio(fitted: Fit) -> tuple[Array, NDArray[np.bool_]]:
     torque = np.sqrt(squares / counts)
     hinges = torque[~arm.robot.is_slide[arm.indices]]
     is_loaded = torque > LOADED * np.max(hinges, initial=0.0)
-    return fitted.sums.rms_torque / np.maximum(torque, 1e-12), is_loaded
+    return np.maximum(torque, 1e-12), is_loaded
 
 
 def typical_ratio(fitted: Fit) -> float:
     """Return the median ratio of measured torque to the model's at joints that links load."""
-    ratio, is_loaded = torque_ratio(fitted)
+    torque, is_loaded = model_torque(fitted)
+    ratio = fitted.sums.rms_torque / torque
     return float(np.median(ratio[is_loaded])) if np.any(is_loaded) else 1.0
 
 
@@ -608,7 +609,8 @@ def own_scales(
     ``common_scale``.
     """
     arm = fitted.arm
-    scale, is_loaded = torque_ratio(fitted)
+    torque, is_loaded = model_torque(fitted)
+    scale = fitted.sums.rms_torque / torque
     scale[~is_loaded] = np.median(scale[is_loaded])
     # Links that explain the scales as they are would leave none to find.
     question = with_priors(replace(fitted.question, link_scales=AS_STATED), scale=WIDE)
@@ -681,12 +683,11 @@ def odd_unit(fitted: Fit, dry: Array) -> Iterator[Finding]:
     Dry friction (J,) counts beside the torque: links hardly load some joints, but no joint has so
     much more friction than the others.
     """
-    ratio, is_loaded = torque_ratio(fitted)
-    if len(ratio) < 3:
+    torque, _ = model_torque(fitted)
+    if len(torque) < 3:
         return
-    model = fitted.sums.rms_torque / np.maximum(ratio, 1e-12)
-    least = _LEAST_LOAD * np.max(model)
-    ratio = ratio * model / np.maximum(model, least)
+    least = _LEAST_LOAD * np.max(torque)
+    ratio = fitted.sums.rms_torque / np.maximum(torque, least)
     joint = int(np.argmax(ratio))
     factor = ratio[joint] / max(np.median(np.delete(ratio, joint)), 1e-9)
     friction = dry / np.median(np.maximum(np.delete(dry, joint), 1e-9))
