@@ -19,13 +19,13 @@ BUDGETS = {
     "robot_sysid/api": 4546,
     "robot_sysid/commands": 10397,
     "robot_sysid/damiao": 31061,
-    "robot_sysid/diagnosis": 17721,
+    "robot_sysid/diagnosis": 17353,
     "robot_sysid/dynamics": 5284,
-    "robot_sysid/estimate": 31964,
-    "robot_sysid/logs": 15149,
+    "robot_sysid/estimate": 31234,
+    "robot_sysid/logs": 15281,
     "robot_sysid/mjcf": 7128,
     "robot_sysid/model": 8958,
-    "robot_sysid/motion": 16543,
+    "robot_sysid/motion": 16524,
     "robot_sysid/pipeline": 6622,
     "robot_sysid/records": 8559,
     "robot_sysid/report": 5049,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4998,
     "robot_sysid/simulation": 3828,
     "robot_sysid": 9186,
-    "tests": 226432,
+    "tests": 227202,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -270,7 +270,8 @@ class Search:
 
     def __init__(self, fitted: Fit) -> None:
         question = with_priors(fitted.question, friction=0.0)
-        needed = {LAST_LINK, LINKS, PAYLOAD, *question.friction, *question.motors}
+        motors = [motor.name for motor in fitted.arm.motors]
+        needed = {LAST_LINK, LINKS, PAYLOAD, *question.friction, *motors}
         terms = fitted.arm.terms
         self.arm = fitted.arm.of([terms[key] for key in terms if key in needed])
         self.terms = arm_question(self.arm, question, fitted.sums.rms_torque)
@@ -301,7 +302,7 @@ class Search:
             if np.any(crosses):
                 start = np.where(crosses, equations.inside(values), equations.reference)
                 values, _ = solve(normal, start, ~crosses)
-            squares = equations.own.squared_residuals(values)
+            squares = equations.squared_residuals(values)
             noise = np.maximum(np.sqrt(squares / counts), least)
         return likelihood(equations, values, counts, noise)
 
@@ -368,13 +369,13 @@ def model_torque(fitted: Fit) -> tuple[Array, NDArray[np.bool_]]:
     """
     arm = fitted.arm
     terms = [arm.terms[key] for key in (LAST_LINK, LINKS) if key in arm.terms]
-    model = np.zeros(len(fitted.sums.names))
+    model = np.zeros(len(fitted.sums.names) + 1)
     for name in (name for term in terms for name in term.names):
         if name[0] in "mh" or not arm.has_gravity:
             model[fitted.sums.names.index(name)] = arm.model[name]
     counts = np.maximum(np.sum(fitted.sums.counts, axis=0), 1.0)
-    squares = np.maximum(fitted.sums.spread(np.outer(model, model)), 0.0)
-    torque = np.sqrt(squares / counts)
+    squares = fitted.sums.squares_of(model, fitted.sums.totals)
+    torque = np.sqrt(np.maximum(squares, 0.0) / counts)
     hinges = torque[~arm.robot.is_slide[arm.indices]]
     is_loaded = torque > LOADED * np.max(hinges, initial=0.0)
     return np.maximum(torque, 1e-12), is_loaded

@@ -24,8 +24,10 @@ PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Iz
 """Names of the inertial parameters theta of one body, in their order."""
 N_INERTIAL = len(PARAMETER_NAMES)
 """Number of inertial parameters of one body."""
+# Index in theta of each entry of [[I, h], [h^T, m]].
+_OF_THETA = np.array([[4, 5, 6, 1], [5, 7, 8, 2], [6, 8, 9, 3], [1, 2, 3, 0]])
 # Index in [xx, xy, xz, yy, yz, zz] of each entry of a symmetric matrix.
-_OF_SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+_OF_SIX = _OF_THETA[:3, :3] - 4
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -68,7 +70,7 @@ def theta_from_com(mass: float, com: Array, inertia_com: Array) -> Array:
     Parallel-axis theorem: I_origin = I_com + m (|c|^2 1 - c c^T).
     """
     about_origin = inertia_com + _steiner(mass, com)
-    return np.concatenate(([mass], mass * com, six_from_symmetric(about_origin)))
+    return np.hstack((mass, mass * com, six_from_symmetric(about_origin)))
 
 
 def com_from_theta(theta: Array) -> tuple[float, Array, Array]:
@@ -166,17 +168,17 @@ def pseudo_inertia(theta: Array) -> Array:
     "Linear matrix inequalities for physically consistent inertial parameter identification",
     2018, eq. 17).
     """
-    inertia = symmetric_from_six(theta[4:])
-    h = theta[1:4]
-    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    return np.block([[second, h[:, None]], [h, theta[0]]])
+    matrix = theta[_OF_THETA]
+    second = matrix[:3, :3]
+    second[:] = 0.5 * np.trace(second) * np.eye(3) - second
+    return matrix
 
 
 def theta_from_pseudo_inertia(matrix: Array) -> Array:
     """Return theta (10,) of a (4, 4) pseudo-inertia; I = tr(S) 1 - S, S its upper left block."""
     second = matrix[:3, :3]
     inertia = np.trace(second) * np.eye(3) - second
-    return np.concatenate(([matrix[3, 3]], matrix[:3, 3], six_from_symmetric(inertia)))
+    return np.hstack((matrix[3, 3], matrix[:3, 3], six_from_symmetric(inertia)))
 
 
 def is_consistent(theta: Array) -> bool:

@@ -149,15 +149,14 @@ def consistent_least_squares(
     for link, (theta, units) in zip(problem.links, problem.bodies):
         reference[link] = theta
         unit[np.ix_(link, link)] = units
-    # A few rows with the same squares; other parameters first, so that links have their triangle.
+    # Other parameters come first, so that links have a triangle of their own.
     links = np.concatenate(problem.links)
     order = np.concatenate((np.setdiff1d(np.arange(size), links), links))
-    rows = np.column_stack((matrix @ unit[:, order], right_side - matrix @ reference))
-    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    shown = np.column_stack((matrix @ unit[:, order], right_side - matrix @ reference))
 
     def cost(y: Array) -> float:
         """Return the sum of squared residuals."""
-        return np.sum((triangle @ np.append(y, -1.0)) ** 2)
+        return np.sum((shown @ np.append(y, -1.0)) ** 2)
 
     # With all hidden directions held, then with none of them.
     choices = {False: np.zeros((0, size + 1))}
@@ -173,10 +172,10 @@ def consistent_least_squares(
         start = np.concatenate([like.values[link] for link in problem.links])
         tried = [(like.is_held and has_hidden, like.spread)]
     best = (False, SPREADS[-1])
-    y = _solve(triangle, problem, SPREADS[-1]) if like is None else np.zeros(size)
+    y = _solve(shown, problem, SPREADS[-1]) if like is None else np.zeros(size)
     limit = cost(y) + HARDLY if like is None else np.inf
     for is_held, spread in tried:
-        rows = np.vstack((triangle, choices[is_held]))
+        rows = np.vstack((shown, choices[is_held]))
         other = _solve(rows, problem, spread, start)
         if cost(other) <= limit:
             y, best = other, (is_held, spread)
@@ -248,7 +247,7 @@ def _possible_coordinates(
         rows = np.column_stack((equations[:, :-1] @ change, shifted))
         found = _by_cone(rows, LEAST_SHARE * np.array(least) + _SEARCHED * np.eye(4))
         z = centre + change @ found
-        if found.any() and shifted @ shifted < _NEAR:
+        if found.any() and (start is not None or shifted @ shifted < _NEAR):
             break
     return np.asarray(z)
 

@@ -14,7 +14,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling
 from robot_sysid.estimate.contacts import without_contacts
-from robot_sysid.estimate.fit import Fit, correlation_times, fit
+from robot_sysid.estimate.fit import Fit, correlation_times, fit, solve
 from robot_sysid.estimate.links import (
     LinkEvidence,
     average_scales,
@@ -77,11 +77,6 @@ def solved(
     options = question.options
     stated, offered = motors_of(robot, options.torques)
     friction = friction_columns(options)
-
-    def arm_of(motors: Sequence[Coupling]) -> ArmTerms:
-        """Return all terms of the arm with some motors."""
-        return ArmTerms(robot, options.torques, motors, friction, question.loaded)
-
     # Each round has a pass for residuals and one for sums, which begin with a pass.
     n_steps = 1 + 2 * (_ROUNDS if question.loaded else 2)
 
@@ -89,15 +84,11 @@ def solved(
         """Show that so many steps are done."""
         progress.advance("Solving the equations", step, n_steps, "")
 
-    advance(0)
-    arm = arm_of((*stated, *offered))
-    question = replace(question, motors=tuple(motor.name for motor in stated))
-    point = arm.start()
-    sums = arm.sums(recordings, point)
-    torque = sums.rms_torque
-    noise = correlation = None
+    def arm_of(motors: Sequence[Coupling]) -> ArmTerms:
+        """Return all terms of the arm with some motors."""
+        return ArmTerms(robot, options.torques, motors, friction, question.loaded)
 
-    def fitted(possible: bool = False) -> Fit:
+    def answer(noise: Array | None = None, possible: bool = False) -> Fit:
         """Return the fit of the question as it is now."""
         terms = arm_question(arm, question, torque)
         return fit(
@@ -112,34 +103,38 @@ def solved(
             possible=possible,
         )
 
-    current = fitted()
+    advance(0)
+    arm = arm_of(stated)
+    arm = arm.beside(map(arm.motor, offered))
+    point = arm.start()
+    sums = arm.sums(recordings, point)
+    torque = sums.rms_torque
+    correlation = None
+    current = without_contacts(answer())
+    recordings = current.recordings
+    sums = current.sums
     for step in range(1, n_steps, 2):
         advance(step)
-        if step == 1:
-            current = without_contacts(current)
-            recordings, sums = current.recordings, current.sums
         question = replace(question, dry=dry_friction(current))
         noise = current.noise
         correlation = correlation_times(current.residuals)
         if step == 1:
             recordings = without_turns(current)
-        current = fitted()
-        if offered:
-            motors = choose_motors(current, offered, question)
-            question = replace(question, motors=tuple(motor.name for motor in motors))
-            arm = arm_of(motors)
-            offered = ()
+        current = answer(noise)
+        if step == 1:
+            arm = arm_of((*stated, *choose_motors(current, offered)))
         advance(step + 1)
         point = current.next_point()
         if beside is not None and step + 1 == n_steps - 1:
             arm = arm.beside(beside(current))
+        # Sums of a long arm are large: the old ones go before the new ones come.
+        del current, sums
         sums = arm.sums(recordings, point)
-        current = fitted()
+        current = answer(noise)
     evidence = link_evidence(current)
     if evidence is not None:
         question = replace(question, link_scales=average_scales(evidence))
-    noise = current.noise
-    current = fitted(possible=True)
+    current = answer(current.noise, possible=True)
     advance(n_steps)
     return current
 
@@ -151,11 +146,8 @@ def without_turns(fitted: Fit) -> list[Recording]:
     joint that does not stand keeps them, as they tell most of friction.
     """
     recordings = []
-    start = 0
-    for recording in fitted.recordings:
-        own = fitted.residuals[start : start + len(recording)]
-        start += len(recording)
-        standing = []
+    for recording, own in zip(fitted.recordings, fitted.split(fitted.residuals)):
+        used = recording.used.copy()
         for row, joint in enumerate(fitted.arm.indices.tolist()):
             at_turns = recording.at_turns[:, joint]
             sizes = []
@@ -164,8 +156,8 @@ def without_turns(fitted: Fit) -> list[Recording]:
                 squares = squares[np.isfinite(squares)]
                 sizes.append(np.mean(squares) if len(squares) else 0.0)
             if sizes[0] > LARGER_AT_TURNS**2 * sizes[1] > 0.0:
-                standing.append(joint)
-        recordings.append(recording.without_turns(standing))
+                used[:, joint] &= ~at_turns
+        recordings.append(recording.only(used))
     return recordings
 
 
@@ -182,36 +174,34 @@ def dry_friction(fitted: Fit) -> tuple[float, ...]:
     return tuple(np.sqrt(squares).tolist())
 
 
-def choose_motors(
-    fitted: Fit, offered: Sequence[Coupling], question: Question
-) -> tuple[Coupling, ...]:
-    """Return the motors of a question and those of the offered ones that torques clearly show.
+def choose_motors(fitted: Fit, offered: Sequence[Coupling]) -> list[Coupling]:
+    """Return those of the offered motors that torques clearly show.
 
     A missing motor makes slow residuals, in which it would hide: each is judged with the noise that
     it leaves, as the fit without it is.
     """
-    present = [motor for motor in fitted.arm.motors if motor.name in question.motors]
+    chosen: list[Coupling] = []
     others = list(offered)
     current = fitted
-    while True:
+    while others:
         offers = Offers(current)
         terms = [_motor_term(current, motor) for motor in others]
-        effects = [Effect.of(term) for term in terms]
-        gains = [offers.offer(effect).gain for effect in effects]
-        best = None
+        gains = [offers.offer(Effect.of(term)).gain for term in terms]
+        shown = []
         for number in np.argsort(gains)[-2:].tolist():
-            offer = offers.weigh(effects[number])
+            offer = offers.weigh(Effect.of(terms[number]))
             # Evidence knows no bounds: negative friction or rotors, which no motor has, add to it.
             is_there = np.any(offer.values > CLEARLY_THERE * offer.errors)
-            if is_there and offer.gain > max(CLEAR, best[1].gain if best else 0.0):
-                best = number, offer
-        if best is None:
-            return tuple(present)
-        number, offer = best
-        present.append(others.pop(number))
+            if is_there and offer.gain > CLEAR:
+                shown.append((offer.gain, number, offer))
+        if not shown:
+            break
+        _, number, offer = max(shown, key=lambda entry: entry[0])
+        chosen.append(others.pop(number))
         correlation = offers.correlation(offer.squares, offer.successive)
         current = replace(current, correlation=correlation)
         current = current.refit([*current.equations.terms, terms[number]])
+    return chosen
 
 
 def _motor_term(fitted: Fit, motor: Coupling) -> Term:
@@ -266,27 +256,20 @@ def links_information(
     """Return what data and all other priors say of the links before the last, L of them.
 
     It is (curvature (10 L, 10 L), gradient (10 L,) at zero), all other parameters eliminated: the
-    Schur complement. None where the links are not estimated. Some blocks may be left out.
+    links' posterior without their prior. None where the links are not estimated. Some blocks may
+    be left out.
     """
     equations = fitted.equations
-    pairs = zip(equations.terms, equations.spans)
-    links = [pair for pair in pairs if pair[0].cause == LINKS]
-    if not links:
-        return None
-    ((term, span),) = links
-    assert term.prior is not None
-    normal = equations.normal(fitted.weights, left_out)
-    *indices, last = np.arange(len(normal))
-    at = np.append(indices[span], last)
-    others = np.setdiff1d(indices, at)
-    normal[np.ix_(at, at)] -= term.prior.rows.T @ term.prior.rows
-    diagonal = np.diag(normal)[others]
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    scaled = scale[:, None] * normal[np.ix_(others, others)] * scale
-    scaled[np.diag_indices_from(scaled)] += 1e-12
-    crossed = scale[:, None] * normal[np.ix_(others, at)]
-    left = normal[np.ix_(at, at)] - crossed.T @ np.linalg.solve(scaled, crossed)
-    return 0.5 * (left + left.T)[:-1, :-1], left[:-1, -1]
+    for term, span in zip(equations.terms, equations.spans):
+        if term.cause == LINKS and term.prior is not None:
+            normal = fitted.normal_without(left_out)
+            values, inverse = solve(normal, equations.reference)
+            posterior = np.linalg.inv(inverse[span, span])
+            rows = term.prior.rows[:, :-1]
+            curvature = posterior - rows.T @ rows
+            gradient = posterior @ values[span] - rows.T @ term.prior.rows[:, -1]
+            return 0.5 * (curvature + curvature.T), gradient
+    return None
 
 
 def common_factor(fitted: Fit, left_out: Sequence[int] = ()) -> tuple[float, float]:

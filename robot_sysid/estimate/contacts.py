@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_sysid.estimate.fit import Fit, fit
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.rows import Mask, Recording, Stretch
 from robot_sysid.records import Array
 from robot_sysid.signals.frozen import true_runs
@@ -59,12 +57,12 @@ def without_contacts(fitted: Fit) -> Fit:
         if outlying is not None and np.array_equal(is_far, outlying):
             break
         outlying = is_far
-        current = _refit(fitted, [~rows for rows in _split(fitted, is_far)])
+        current = _refit(fitted, [~rows for rows in fitted.split(is_far)])
         # All rows are judged, those that are not fitted included.
         residuals = replace(current, recordings=fitted.recordings).residuals
     recordings = []
     means = mean_sizes(fitted, sizes)
-    for recording, own in zip(fitted.recordings, _split(fitted, means)):
+    for recording, own in zip(fitted.recordings, fitted.split(means)):
         recordings.append(replace(recording, touched=(*_stretches(recording, own),)))
     marked = replace(fitted, recordings=tuple(recordings))
     kept = [~touched_rows(recording) for recording in recordings]
@@ -80,14 +78,14 @@ def without_worst_blocks(fitted: Fit) -> Array:
 
     One after the other is left out, as long as the squared residuals of the others fall by half.
     """
-    own = fitted.equations.own
     blocks = [*fitted.sums.blocks]
     values = fitted.values
     left_out: list[int] = []
 
     def size(values: Array, left: Sequence[int]) -> float:
         """Return the sum over joints of the logarithm of what blocks leave."""
-        squares = sum(own.squared_residuals(values, b) for b in blocks if b not in left)
+        others = [block for block in blocks if block not in left]
+        squares = fitted.equations.squared_residuals(values, others)
         return float(np.sum(np.log(squares + 1e-300)))
 
     current = size(values, left_out)
@@ -128,7 +126,7 @@ def mean_sizes(fitted: Fit, sizes: Array) -> Array:
     Where fewer than a third of the rows are used, the others count as zero.
     """
     means = []
-    for recording, own in zip(fitted.recordings, _split(fitted, sizes)):
+    for recording, own in zip(fitted.recordings, fitted.split(sizes)):
         signals = recording.signals
         width = max(1, round(_SMOOTH * signals.rate / signals.low_pass.step))
         window = np.ones(min(width, len(own))) / width
@@ -162,25 +160,9 @@ def _stretches(recording: Recording, means: Array) -> Iterator[Stretch]:
             yield Stretch(start - margin, stop + margin, joints)
 
 
-def _split(fitted: Fit, rows: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return rows (K, ...) of all recordings as those of each."""
-    ends = np.cumsum([len(recording) for recording in fitted.recordings])
-    return np.split(rows, ends[:-1])
-
-
 def _refit(fitted: Fit, kept: Sequence[Mask]) -> Fit:
     """Return the fit of the same question to some rows (K,) of each recording."""
     recordings = [
         recording.only(rows) for recording, rows in zip(fitted.recordings, kept)
     ]
-    return fit(
-        fitted.arm,
-        recordings,
-        fitted.point,
-        fitted.arm.sums(recordings, fitted.point),
-        fitted.equations.terms,
-        fitted.question,
-        noise=fitted.noise,
-        correlation=fitted.correlation,
-        possible=False,
-    )
+    return fitted.refit(fitted.equations.terms, recordings)

@@ -15,9 +15,11 @@ Shapes: p parameters in the sums, k of them estimated, J joints with equations, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from enum import Enum, auto
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +29,7 @@ from robot_sysid.dynamics.equations import link_names, split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.bodies import LinksProblem, Possible, consistent_least_squares
 from robot_sysid.estimate.questions import Question, scale_spread
-from robot_sysid.estimate.rows import Recording, Sums
+from robot_sysid.estimate.rows import Recording, Sums, indices_of
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
@@ -66,10 +68,16 @@ class Equations:
 
     Attributes:
         index: (k,) of the estimated parameters in ``sums.names``.
-        own: the sums in the estimated parameters alone.
         names: (k,) their names.
+        spans: per term, that of its parameters among the estimated ones.
+        lower, upper: (k,) bounds.
         reference: (k,) values that stay where nothing shows them.
         prior: (k + 1, k + 1) products of the priors' equations.
+        joints: per joint (own, at, rest): which of its columns (c,) are estimated or the torque,
+            their indices among all of these (c,), and what all its columns (k,) are multiplied by
+            in the torque that is left to explain.
+        bodies: (L, 10) indices of the parameters of each body that has to be possible.
+        least: (k,) bodies that these have to contain; zero for none.
     """
 
     def __init__(self, sums: Sums, terms: Sequence[Term], held: Array) -> None:
@@ -78,17 +86,27 @@ class Equations:
         self.terms = tuple(terms)
         self.names = tuple(name for term in terms for name in term.names)
         self.index = sums.at(self.names)
-        self.own = sums.of(self.names, held)
         size = len(self.names)
         self.prior = np.zeros((size + 1, size + 1))
         self.reference = np.zeros(size)
+        self.least = np.zeros(size)
         self.lower = np.full(size, -np.inf)
         self.upper = np.full(size, np.inf)
         self.spans: list[slice] = []
-        self.log_prior = 0.0
+        self.bodies = np.zeros((0, N_INERTIAL), dtype=np.int64)
+        self._normal: tuple[Array, Array] | None = None
+        left = np.append(-held, 1.0)
+        left[self.index] = 0.0
+        place = np.full(len(left), -1)
+        place[[*self.index, -1]] = np.arange(size + 1)
+        self.joints = []
+        for columns in sums.columns:
+            own = np.flatnonzero(place[columns] >= 0)
+            self.joints.append((own, place[columns[own]], left[columns]))
         start = 0
         for term in terms:
             span = slice(start, start + len(term.names))
+            indices = np.arange(span.start, span.stop)
             start = span.stop
             self.spans.append(span)
             self.lower[span] = term.lower
@@ -96,18 +114,53 @@ class Equations:
             if term.reference is not None:
                 self.reference[span] = term.reference
             if term.prior is not None:
-                at = np.append(np.arange(span.start, span.stop), size)
-                self.prior[np.ix_(at, at)] += term.prior.rows.T @ term.prior.rows
-                self.log_prior += np.linalg.slogdet(term.prior.factor)[1]
+                at = np.append(indices, size)
+                self.prior[at[:, None], at] += term.prior.rows.T @ term.prior.rows
                 self.reference[span] = term.prior.mean
+            if term.bodies:
+                self.bodies = np.vstack((self.bodies, indices.reshape(-1, N_INERTIAL)))
+            if term.least is not None:
+                self.least[span] = term.least
 
-    def normal(self, weights: Array, left_out: Sequence[int] = ()) -> Array:
-        """Return the products (k + 1, k + 1) of priors and of weighted rows.
+    def normal(self, weights: Array) -> Array:
+        """Return the products (k + 1, k + 1) of priors and of weighted rows: do not change them."""
+        if self._normal is None or not np.array_equal(self._normal[0], weights):
+            self._normal = weights, self.prior + self.data(weights)
+        return self._normal[1]
 
-        The held torque is subtracted, and the rows of some blocks are left out.
+    def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
+        """Return the products (k + 1, k + 1) of weighted rows, of all blocks or some.
+
+        The torque of the parameters that are held is subtracted.
         """
-        normal = self.own.normal(weights) + self.prior
-        return normal - self.own.normal(weights, left_out) if left_out else normal
+        data = np.zeros_like(self.prior)
+        products = self.sums.of_blocks(blocks)
+        for weight, gram, (own, at, rest) in zip(weights, products, self.joints):
+            torque = gram @ rest
+            part = gram[own[:, None], own]
+            part[-1] = part[:, -1] = torque[own]
+            part[-1, -1] = rest @ torque
+            data[at[:, None], at] += weight**2 * part
+        return data
+
+    def squared_residuals(
+        self, values: Array, blocks: Sequence[int] | None = None
+    ) -> Array:
+        """Return each joint's sum of squared residuals (J,) at values (k,) [N^2 m^2]."""
+        return self.sums.squared_residuals(self.full(values), blocks)
+
+    def spread(self, covariance: Array, blocks: Sequence[int] | None = None) -> Array:
+        """Return the squared errors (J,) to expect from those of an estimate (k, k) [N^2 m^2]."""
+        spread = []
+        for gram, (own, at, _) in zip(self.sums.of_blocks(blocks), self.joints):
+            own, at = own[:-1], at[:-1]
+            errors = covariance[at[:, None], at]
+            spread.append(np.vdot(gram[own[:, None], own], errors))
+        return np.array(spread)
+
+    def are_possible(self, values: Array) -> bool:
+        """Tell whether all bodies are possible at values (k,)."""
+        return all(map(spatial.is_consistent, (values - self.least)[self.bodies]))
 
     def inside(self, values: Array) -> Array:
         """Return values (k,) with those that cross a bound moved to it."""
@@ -135,11 +188,10 @@ def solve(
     """
     size = len(reference)
     at = np.arange(size) if is_free is None else np.flatnonzero(is_free)
-    matrix = normal[np.ix_(at, at)]
     gradient = normal[at, -1] - normal[at, :size] @ reference
-    unit = _inverse(matrix)
+    unit = _inverse(normal[at[:, None], at])
     inverse = np.zeros((size, size))
-    inverse[np.ix_(at, at)] = unit
+    inverse[at[:, None], at] = unit
     values = reference.copy()
     values[at] += unit @ gradient
     # One step of refinement: the inverse of nearly singular equations has lost digits.
@@ -162,6 +214,14 @@ def _inverse(matrix: Array) -> Array:
         return scale[:, None] * (half @ half.T) * scale
     inverse = np.linalg.inv(scaled)
     return scale[:, None] * (0.5 * (inverse + inverse.T)) * scale
+
+
+class LeftOut(Enum):
+    """Which estimates without one block each a fit has, for errors and held-out validation."""
+
+    NOTHING = auto()
+    EACH = auto()
+    WITH_BOUNDS = auto()
 
 
 @dataclass(frozen=True)
@@ -189,16 +249,16 @@ class Fit:
     recordings: tuple[Recording, ...]
     point: Point
     equations: Equations
+    question: Question
     noise: Array
     correlation: Array
     free: Array
     values: Array
     inverse: Array
-    alone: Array
     start: Array
     is_free: NDArray[np.bool_]
-    question: Question
     bodies: Possible | None = None
+    left_out: LeftOut = LeftOut.NOTHING
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -220,6 +280,11 @@ class Fit:
         """Weights (J,) of each joint's rows [1/(N m)]."""
         return 1.0 / (self.noise * np.sqrt(self.correlation))
 
+    @property
+    def normal(self) -> Array:
+        """Products (k + 1, k + 1) of priors and of weighted rows."""
+        return self.equations.normal(self.weights)
+
     @cached_property
     def full(self) -> Array:
         """All parameters (p,), those that are held included."""
@@ -232,8 +297,9 @@ class Fit:
 
     @cached_property
     def is_hidden(self) -> NDArray[np.bool_]:
-        """Which estimated parameters (k,) nothing shows."""
-        return _hidden(self.inverse, self.equations.normal(self.weights))
+        """Which estimated parameters (k,) nothing shows: neither data nor prior."""
+        own = np.diag(self.normal)[:-1]
+        return (own == 0.0) | (np.diag(self.inverse) * own > _HIDDEN)
 
     @cached_property
     def covariance(self) -> Array:
@@ -275,17 +341,15 @@ class Fit:
         if SCALES not in (term.cause for term in terms):
             return effects.T @ effects
         for term, span in zip(terms, self.equations.spans):
+            # The loss of a gear is a share, and has no unit.
+            is_in_unit = not term.names[0].startswith("load[")
             if term.cause == PAYLOAD:
                 shared = np.linalg.norm(deviations) / len(joints)
                 effects[-1, span] = shared * self.free[span]
-            if term.cause not in (FRICTION, FURTHER_FRICTION):
-                continue
-            for k, name in enumerate(term.names, span.start):
-                kind, owner = split_name(name)
-                # The loss of a gear is a share, and has no unit.
-                if kind != "load":
-                    row = joints.index(owner)
-                    effects[row, k] = deviations[row] * self.values[k]
+            elif term.cause in (FRICTION, FURTHER_FRICTION) and is_in_unit:
+                rows = [joints.index(split_name(name)[1]) for name in term.names]
+                own = np.arange(span.start, span.stop)
+                effects[rows, own] = deviations[rows] * self.values[span]
         return effects.T @ effects
 
     @property
@@ -322,46 +386,89 @@ class Fit:
 
     def at(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the indices of named parameters among the estimated ones."""
-        return self.equations.own.at(names)
+        return indices_of(names, self.names)
+
+    @cached_property
+    def _apart(self) -> tuple[Array, Array]:
+        """Estimates (B, k) without each block, and squared errors (B, J) to expect in it."""
+        estimates = []
+        errors = []
+        is_any = self.left_out is not LeftOut.NOTHING
+        for block in self.sums.blocks if is_any else ():
+            values, inverse = self.without([block])
+            errors.append(self.expected_squares(inverse, [block]))
+            if self.left_out is LeftOut.WITH_BOUNDS:
+                values = self._possible_without(block, values)
+            estimates.append(values)
+        return np.array(estimates), np.array(errors)
+
+    @property
+    def alone(self) -> Array:
+        """Estimates (B, k) without one block each."""
+        return self._apart[0]
 
     @cached_property
     def held_out(self) -> Array:
         """Squared errors (B, J) of blocks predicted from the others [N^2 m^2]."""
-        own = self.equations.own
-        return np.array([own.squared_residuals(x, b) for b, x in enumerate(self.alone)])
+        squares = self.equations.squared_residuals
+        return np.array([squares(x, [block]) for block, x in enumerate(self.alone)])
 
-    def expected(self, inverse: Array, block: int) -> Array:
-        """Return the squared errors (J,) to expect in a block from noise and an estimate's errors.
+    @property
+    def expected_held_out(self) -> Array:
+        """Squared errors (B, J) to expect of ``held_out`` if the model is right [N^2 m^2]."""
+        return self._apart[1]
+
+    def expected_squares(self, inverse: Array, blocks: Sequence[int]) -> Array:
+        """Return the squared errors (J,) to expect in blocks from noise and an estimate's errors.
 
         ``inverse`` (k, k) is the covariance of the estimate [N^2 m^2].
         """
-        own = self.equations.own
-        return own.counts[block] * self.noise**2 + own.spread(inverse, block)
+        counts = np.sum(self.sums.counts[list(blocks)], axis=0)
+        return counts * self.noise**2 + self.equations.spread(inverse, blocks)
 
-    @cached_property
-    def expected_held_out(self) -> Array:
-        """Squared errors (B, J) to expect of ``held_out`` if the model is right [N^2 m^2]."""
-        blocks = self.sums.blocks
-        return np.array([self.expected(self.without([b])[1], b) for b in blocks])
+    def normal_without(self, blocks: Sequence[int]) -> Array:
+        """Return ``normal`` without the rows of some blocks."""
+        return self.normal - self.equations.data(self.weights, blocks)
 
     def without(self, blocks: Sequence[int]) -> tuple[Array, Array]:
         """Return (estimate (k,), inverse (k, k)) without some blocks."""
-        normal = self.equations.normal(self.weights, blocks)
-        return solve(normal, self.start, self.is_free)
+        return solve(self.normal_without(blocks), self.start, self.is_free)
 
-    def possible_without(self, block: int) -> Array:
-        """Return the estimate (k,) without a block that obeys all bounds, its bodies possible."""
+    def _possible_without(self, block: int, values: Array) -> Array:
+        """Return the estimate (k,) without a block, its bounds obeyed and its bodies possible.
+
+        ``values`` (k,) is the estimate that may break them.
+        """
         equations = self.equations
-        values = self.alone[block]
-        if np.any(equations.crossing(values)) or not _are_possible(equations, values):
-            normal = equations.normal(self.weights, [block])
-            possible = partial(
-                _possible, equations, normal, self.is_hidden, self.bodies
-            )
-            values, *_ = _within_bounds(
-                equations, lambda *at: possible(*at).values, self.start, self.is_free
-            )
-        return values
+        if equations.are_possible(values) and not np.any(equations.crossing(values)):
+            return values
+        return self._constrained(self.normal_without([block]), True).values
+
+    def _constrained(self, normal: Array, possible: bool) -> Fit:
+        """Return the fit with the solution of products (k + 1, k + 1) that obeys all bounds.
+
+        Parameters that cross a bound are held at it. Bodies are possible ones, if they have to be.
+        """
+        equations = self.equations
+        start = self.start
+        is_free = self.is_free
+        bodies = self.bodies
+        for _ in range(_BOUND_ROUNDS):
+            if possible:
+                has_hidden = bool(np.any(self.is_hidden))
+                bodies = _possible(
+                    equations, normal, has_hidden, bodies, start, is_free
+                )
+                values = bodies.values
+            else:
+                values, _ = solve(normal, start, is_free)
+            crosses = equations.crossing(values) & is_free
+            if not np.any(crosses):
+                break
+            is_free = is_free & ~crosses
+            start = np.where(crosses, equations.inside(values), start)
+        values = equations.inside(values)
+        return replace(self, values=values, start=start, is_free=is_free, bodies=bodies)
 
     def of(self, sums: Sums) -> Fit:
         """Return this estimate with the sums of other recordings, to judge it on them."""
@@ -382,33 +489,14 @@ class Fit:
         return dict(zip(self.sums.joints, self.sums.rms_torque.tolist()))
 
     @cached_property
-    def independent_share(self) -> dict[str, float]:
-        """Joint to the share of its rows that are independent."""
-        return dict(zip(self.sums.joints, (1.0 / self.correlation).tolist()))
-
-    @cached_property
-    def log_evidence(self) -> float:
-        """Log marginal likelihood of the data under the question, up to a constant (MacKay 1992).
-
-        Noise is that of this fit: its size counts, by the number of independent rows.
-        """
-        normal = self.equations.normal(self.weights)
-        values, inverse = solve(normal, self.equations.reference)
-        change = np.append(-values, 1.0)
-        misfit = change @ normal @ change
-        independent = np.sum(self.sums.counts, axis=0) / self.correlation
-        size = independent @ np.log(self.noise)
-        log_inverse = np.linalg.slogdet(inverse)[1]
-        return 0.5 * (log_inverse - misfit) - size - self.equations.log_prior
-
-    @cached_property
     def unexplained(self) -> Array:
         """Torque (J,) that neither model nor noise explains, root mean square [N m].
 
         It is the part of the residuals that is alike in successive rows: those of white noise
         behind the low-pass hardly are.
         """
-        return slow_part(self.sums.successive(self.full), self.sums)
+        squares = np.maximum(self.sums.successive(self.full), 0.0)
+        return np.sqrt(squares / self.sums.row_counts)
 
     @property
     def unexplained_share(self) -> float:
@@ -416,13 +504,21 @@ class Fit:
         torque = float(np.linalg.norm(self.sums.rms_torque))
         return float(np.linalg.norm(self.unexplained)) / max(torque, 1e-300)
 
-    def refit(self, terms: Sequence[Term], possible: bool = False) -> Fit:
-        """Return the fit of other terms to the question, from this noise on."""
+    def refit(
+        self,
+        terms: Sequence[Term],
+        recordings: Sequence[Recording] | None = None,
+        possible: bool = False,
+    ) -> Fit:
+        """Return the fit of other terms, or of other recordings, from this noise on."""
+        sums = self.sums
+        if recordings is not None:
+            sums = self.arm.sums(recordings, self.point)
         return fit(
             self.arm,
-            self.recordings,
+            recordings or self.recordings,
             self.point,
-            self.sums,
+            sums,
             terms,
             self.question,
             noise=self.noise,
@@ -465,17 +561,10 @@ class Fit:
                 residuals.append(arm.measured(rows) - predicted)
         return np.concatenate(residuals)
 
-
-def slow_part(successive: Array, sums: Sums) -> Array:
-    """Return the root mean square (J,) of torque from sums of products of successive rows (J,)."""
-    counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
-    return np.sqrt(np.maximum(successive, 0.0) / counts)
-
-
-def _hidden(inverse: Array, normal: Array) -> NDArray[np.bool_]:
-    """Return which parameters (k,) nothing shows: neither data nor prior."""
-    own = np.diag(normal)[:-1]
-    return (own == 0.0) | (np.diag(inverse) * own > _HIDDEN)
+    def split(self, rows: NDArray[Any]) -> list[NDArray[Any]]:
+        """Return rows (K of all recordings, ...) as those of each recording."""
+        ends = np.cumsum([len(recording) for recording in self.recordings])
+        return np.split(rows, ends[:-1])
 
 
 def fit(
@@ -509,54 +598,22 @@ def fit(
     torque = sums.rms_torque
     least = max(_LEAST_NOISE * np.sqrt(np.mean(torque**2)), 1e-12)
     noise = np.maximum(0.05 * torque if noise is None else noise, least)
+    reference = equations.reference
     for _ in range(_NOISE_ROUNDS):
         weights = 1.0 / (noise * np.sqrt(correlation))
-        values, inverse = solve(equations.normal(weights), equations.reference)
+        values, inverse = solve(equations.normal(weights), reference)
         previous = noise
         noise = np.maximum(_noise(equations, values, inverse, weights), least)
         if np.max(np.abs(noise / previous - 1.0)) < _SETTLED:
             break
-    weights = 1.0 / (noise * np.sqrt(correlation))
-    normal = equations.normal(weights)
-    _, inverse = solve(normal, equations.reference)
-    free, start, is_free = _within_bounds(
-        equations,
-        lambda start, is_free: solve(normal, start, is_free)[0],
-        equations.reference,
-        np.ones(len(inverse), dtype=bool),
-    )
-    values = free
-    bodies = None
-    if possible and not _are_possible(equations, free):
-        is_hidden = _hidden(inverse, normal)
-
-        def of_bodies(start: Array, is_free: NDArray[np.bool_]) -> Array:
-            """Return the solution with possible bodies, and keep the search."""
-            nonlocal bodies
-            bodies = _possible(equations, normal, is_hidden, bodies, start, is_free)
-            return bodies.values
-
-        values, start, is_free = _within_bounds(equations, of_bodies, start, is_free)
-    alone = []
-    for block in sums.blocks if possible else ():
-        smaller = equations.normal(weights, [block])
-        alone.append(solve(smaller, start, is_free)[0])
-    return Fit(
-        arm,
-        tuple(recordings),
-        point,
-        equations,
-        noise,
-        correlation,
-        free,
-        values,
-        inverse,
-        np.array(alone),
-        start,
-        is_free,
-        question,
-        bodies,
-    )
+    fitted = _free_fit(arm, recordings, point, equations, question, noise, correlation)
+    fitted = fitted._constrained(fitted.normal, False)
+    fitted = replace(fitted, free=fitted.values)
+    if not possible:
+        return fitted
+    if not equations.are_possible(fitted.free):
+        fitted = fitted._constrained(fitted.normal, True)
+    return replace(fitted, left_out=LeftOut.EACH)
 
 
 def expected(
@@ -578,22 +635,40 @@ def expected(
         noise: (J,) of an independent row [N m].
     """
     equations = equations_of(arm, sums, terms, values)
-    _, inverse = solve(equations.normal(1.0 / noise), equations.reference)
+    independent = np.ones_like(noise)
+    fitted = _free_fit(arm, recordings, point, equations, question, noise, independent)
     given = equations.held[equations.index]
+    return replace(fitted, free=given, values=given, start=given)
+
+
+def _free_fit(
+    arm: ArmTerms,
+    recordings: Sequence[Recording],
+    point: Point,
+    equations: Equations,
+    question: Question,
+    noise: Array,
+    correlation: Array,
+) -> Fit:
+    """Return the fit with a noise (J,) that is known, without bounds.
+
+    Arguments are as in ``fit``, ``equations`` those of the question.
+    """
+    weights = 1.0 / (noise * np.sqrt(correlation))
+    values, inverse = solve(equations.normal(weights), equations.reference)
     return Fit(
         arm,
         tuple(recordings),
         point,
         equations,
-        noise,
-        np.ones_like(noise),
-        given,
-        given,
-        inverse,
-        np.zeros((0, len(given))),
-        given,
-        np.ones(len(given), dtype=bool),
         question,
+        noise,
+        correlation,
+        values,
+        values,
+        inverse,
+        equations.reference,
+        np.ones(len(values), dtype=bool),
     )
 
 
@@ -628,61 +703,15 @@ def _noise(
 
     sigma_j^2 = |r_j|^2 / (n_j - l_j), l_j the number of parameters that the joint's rows determine.
     """
-    own = equations.own
-    leverage = weights**2 * own.spread(inverse)
-    freedom = np.maximum(np.sum(own.counts, axis=0) - leverage, 1.0)
-    return np.sqrt(own.squared_residuals(values) / freedom)
-
-
-def _within_bounds(
-    equations: Equations,
-    solution: Callable[[Array, NDArray[np.bool_]], Array],
-    start: Array,
-    is_free: NDArray[np.bool_],
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return a solution (k,) with the parameters that cross a bound held at it.
-
-    With it, values (k,) to start from and which parameters (k,) are not held.
-
-    Args:
-        equations: the question, with its bounds.
-        solution: returns the values (k,) for the next two.
-        start: (k,) to begin with.
-        is_free: (k,) to begin with.
-    """
-    values = solution(start, is_free)
-    for _ in range(_BOUND_ROUNDS):
-        crosses = equations.crossing(values) & is_free
-        if not np.any(crosses):
-            break
-        is_free = is_free & ~crosses
-        start = np.where(crosses, equations.inside(values), start)
-        values = solution(start, is_free)
-    return equations.inside(values), start, is_free
-
-
-def _bodies(equations: Equations) -> Iterator[tuple[NDArray[np.int64], Array]]:
-    """Yield the indices (10,) of each body among the estimated parameters.
-
-    With them comes the body (10,) that it has to contain, zero for none.
-    """
-    for term, span in zip(equations.terms, equations.spans):
-        if term.bodies:
-            indices = np.arange(span.start, span.stop)
-            least = np.zeros(len(indices)) if term.least is None else term.least
-            yield from zip(*(each.reshape(-1, N_INERTIAL) for each in (indices, least)))
-
-
-def _are_possible(equations: Equations, values: Array) -> bool:
-    """Tell whether all estimated bodies are possible at values (k,)."""
-    bodies = _bodies(equations)
-    return all(spatial.is_consistent(values[body] - least) for body, least in bodies)
+    leverage = weights**2 * equations.spread(inverse)
+    freedom = np.maximum(equations.sums.row_counts - leverage, 1.0)
+    return np.sqrt(equations.squared_residuals(values) / freedom)
 
 
 def _possible(
     equations: Equations,
     normal: Array,
-    is_hidden: NDArray[np.bool_],
+    has_hidden: bool,
     like: Possible | None,
     start: Array,
     is_free: NDArray[np.bool_],
@@ -692,32 +721,22 @@ def _possible(
     ``like`` is such a search for nearly the same equations; None for none.
     """
     at = np.flatnonzero(is_free)
-    matrix = normal[np.ix_(at, at)]
-    fixed = np.flatnonzero(~is_free)
-    right_side = normal[at, -1] - normal[np.ix_(at, fixed)] @ start[fixed]
+    matrix = normal[at[:, None], at]
+    # Searched are bodies without what they have to contain.
+    known = np.where(is_free, equations.least, start)
+    right_side = normal[at, -1] - normal[at, :-1] @ known
     length = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix / np.outer(length, length)
     scaled[np.diag_indices_from(scaled)] += _RIDGE
     root = np.linalg.cholesky(scaled)
-    rows = root.T * length
     target = np.linalg.solve(root, right_side / length)
-    prior = np.zeros(len(at))
-    contained = np.zeros(len(at))
-    links = []
-    for body, least in _bodies(equations):
-        link = np.searchsorted(at, body)
-        links.append(link)
-        prior[link] = equations.reference[body] - least
-        contained[link] = least
+    links = tuple(np.searchsorted(at, body) for body in equations.bodies)
+    problem = LinksProblem(links, (equations.reference - equations.least)[at])
     if like is not None:
-        like = replace(like, values=like.values[at] - contained)
-    problem = LinksProblem(tuple(links), prior)
-    has_hidden = bool(np.any(is_hidden))
-    found = consistent_least_squares(
-        rows, target - rows @ contained, problem, has_hidden, like
-    )
-    values = start.copy()
-    values[at] = contained + found.values
+        like = replace(like, values=(like.values - equations.least)[at])
+    found = consistent_least_squares(root.T * length, target, problem, has_hidden, like)
+    values = known.copy()
+    values[at] += found.values
     return replace(found, values=values)
 
 

@@ -73,9 +73,9 @@ def error_in(
     fitted: Fit, values: Array, covariance: Array, blocks: Sequence[int], source: str
 ) -> Validation:
     """Return the error of an estimate (k,) with its covariance (k, k) in blocks of a fit's sums."""
-    own = fitted.equations.own
-    squares = np.array([own.squared_residuals(values, block) for block in blocks])
-    expected = np.sum([fitted.expected(covariance, b) for b in blocks], axis=0)
+    residuals = fitted.equations.squared_residuals
+    squares = np.array([residuals(values, [block]) for block in blocks])
+    expected = fitted.expected_squares(covariance, blocks)
     return _record(fitted, squares, expected, blocks, source)
 
 

@@ -22,6 +22,8 @@ from robot_sysid.records import Array, Identifiability
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
+ROUNDING = 1e-13
+"""Eigenvalues of products of columns below this share of the largest are nothing but rounding."""
 # Components of unit vectors below this count as zero; a choice, far above their rounding (1e-13).
 _TOLERANCE = 1e-6
 # Indices of the first moments among the parameters.
@@ -101,6 +103,18 @@ def visible_space(matrix: Array) -> VisibleSpace:
 def _count_visible(singular: NDArray[Any], largest: float) -> int:
     """Return how many singular values (k,) exceed ``RELATIVE_CUT`` of the ``largest`` one."""
     return int(np.count_nonzero(singular > RELATIVE_CUT * largest))
+
+
+def square_root(normal: Array) -> Array:
+    """Return rows R (p, p) with the products R'R (p, p) of a matrix's columns.
+
+    Directions that are nothing but the products' rounding are zero.
+    """
+    length = np.sqrt(np.diag(normal))
+    scale = np.where(length > 0.0, length, 1.0)
+    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    values = np.where(values > ROUNDING * values[-1], values, 0.0)
+    return np.sqrt(values)[:, None] * vectors.T * scale
 
 
 def analyse_identifiability(

@@ -130,7 +130,6 @@ class Offers:
         self._full = np.append(equations.full(free), -1.0)
         self.squares = self.sums.squared_residuals(self._full[:-1])
         self.successive = self.sums.successive(self._full[:-1])
-        self._counts = np.maximum(np.sum(self.sums.counts, axis=0), 1.0)
         self.squares = np.maximum(self.squares, 1e-300)
         slow = np.clip(self.successive / self.squares, 1e-3, 1.0)
         # Rows for which what is slow in the residuals lasts.
@@ -189,10 +188,10 @@ class Offers:
         explained = np.zeros(len(sums.joints))
         totals = sums.lagged_totals if lagged else sums.totals
         for joint, (columns, total) in enumerate(zip(sums.columns, totals)):
-            shown = np.append(columns, -1)
-            moved = total @ moves[shown]
-            slope = self._full[shown] @ moved
-            bend = moves[shown].T @ moved
+            shown = moves[columns]
+            moved = total @ shown
+            slope = self._full[columns] @ moved
+            bend = shown.T @ moved
             if effect.joint in (None, joint):
                 rows, own = sums.products(at, joint, effect.shares, lagged)
                 crossed = rows @ moves
@@ -228,7 +227,7 @@ class Offers:
             leverage = after.leverage + offer.leverage
             after = self._reweighted(offer.squares, leverage, correlation)
             before = self._reweighted(before.squares, before.leverage, correlation)
-        independent = self._counts / correlation
+        independent = self.sums.row_counts / correlation
         offer = after.offer(effect)
         sizes = independent @ np.log(after.weights / before.weights)
         gain = offer.gain + after.evidence - before.evidence + float(sizes)
@@ -238,14 +237,14 @@ class Offers:
         self, squares: Array, leverage: Array, correlation: Array
     ) -> Offers:
         """Return the fit with weights by what residuals, parameters and memory (J,) leave."""
-        freedom = np.maximum(self._counts - leverage, 1.0)
+        freedom = np.maximum(self.sums.row_counts - leverage, 1.0)
         noise = np.maximum(np.sqrt(squares / freedom), self._least)
         return Offers(self.fitted, 1.0 / (noise * np.sqrt(correlation)))
 
     @cached_property
     def leverage(self) -> Array:
         """Number of parameters (J,) that each joint's rows determine."""
-        return self.weights**2 * self.fitted.equations.own.spread(self.inverse)
+        return self.weights**2 * self.fitted.equations.spread(self.inverse)
 
     @property
     def evidence(self) -> float:

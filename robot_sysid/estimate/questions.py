@@ -64,7 +64,6 @@ class Question:
         link_scales: factors on the stated uncertainty of all links but the terminal one.
         dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None before a
             fit.
-        motors: names of the motors that turn several joints and are estimated.
     """
 
     options: EstimationOptions
@@ -73,7 +72,6 @@ class Question:
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
     dry: tuple[float, ...] | None = None
-    motors: tuple[str, ...] = ()
 
     @property
     def friction(self) -> tuple[str, ...]:
@@ -109,7 +107,7 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
             term = replace(term, lower=-np.inf)
         terms.append(term)
     terms += _unknown_friction(arm, question, torque)
-    terms += [arm.terms[name] for name in question.motors]
+    terms += [arm.terms[motor.name] for motor in arm.motors]
     scale = scale_spread(arm, options, question.loaded)
     sizes: dict[str, Array | float] = {
         SCALES: scale,

@@ -17,7 +17,7 @@ from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.choose import CLEAR
-from robot_sysid.estimate.fit import Fit, fit
+from robot_sysid.estimate.fit import Fit, LeftOut, fit
 from robot_sysid.estimate.held_out import error_in, validation
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import (
@@ -68,8 +68,6 @@ class RestrictedFit:
         unchanged: names of the parts of the file that stay as they are.
         before: held-out error of the given model, each joint's sensor offset fitted.
         after: held-out error of the file, likewise.
-        without_rotors: error of the file without rotors and motors that turn several joints, which
-            readers of a URDF leave out.
         rotors: joint or motor to its rotor inertia in the file [kg m^2], where it is held.
         gravity: (3,) in the file [m/s^2]; None where it stays.
     """
@@ -78,9 +76,19 @@ class RestrictedFit:
     unchanged: tuple[str, ...]
     before: Validation
     after: Validation
-    without_rotors: Validation
     rotors: Mapping[str, float]
     gravity: Array | None = None
+
+    @property
+    def without_rotors(self) -> Validation:
+        """Error of the file without rotors and motors, which readers of a URDF leave out."""
+        arm = self.fit.arm
+        beyond = [*names_of("armature", self.rotors)]
+        for motor in arm.motors:
+            beyond += motor.parameter_names
+        bare = {name: arm.model.get(name, 0.0) for name in beyond}
+        held = {**self.fit.by_name, **bare}
+        return validation(_solved(self.fit, [arm.terms["offset"]], held))
 
 
 def fit_file(
@@ -122,18 +130,12 @@ def fit_file(
         terms = [_with_known(term, far) for term in fitted.equations.terms]
         fitted = _solved(estimate, terms, held)
     # What is printed as held-out is the error of such files, not of fits without their bounds.
-    alone = [fitted.possible_without(block) for block in fitted.sums.blocks]
-    fitted = replace(fitted, alone=np.array(alone))
-    beyond = [*rotor_names]
-    for motor in arm.motors:
-        beyond += motor.parameter_names
-    bare = {**fitted.by_name, **{name: arm.model.get(name, 0.0) for name in beyond}}
+    fitted = replace(fitted, left_out=LeftOut.WITH_BOUNDS)
     return RestrictedFit(
         fitted,
         tuple(sorted(unchanged)),
         validation(before),
         validation(fitted),
-        validation(_solved(estimate, [offset], bare)),
         rotors,
         gravity,
     )
@@ -195,10 +197,9 @@ def _solved(estimate: Fit, terms: Sequence[Term], held: Mapping[str, float]) -> 
 def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:
     """Return the terms that a file holds, but for rotors and gravity's tilt."""
     arm = estimate.arm
-    motors = {motor.name for motor in arm.motors}
-    left_out = {"armature", TILT, *motors.difference(estimate.question.motors)}
+    left_out = {"armature", TILT}
     if FILE_FRICTION in unchanged:
-        left_out |= {"coulomb", "viscous", *motors}
+        left_out |= {"coulomb", "viscous", *(motor.name for motor in arm.motors)}
     if FILE_LINKS in unchanged or estimate.question.options.priors.link <= 0.0:
         left_out.add(LINKS)
     terms = []
@@ -280,7 +281,7 @@ def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
         return {}
     errors = dict(zip(estimate.names, estimate.errors))
     rotors = {}
-    for owner in (*robot.joint_names, *estimate.question.motors):
+    for owner in (*robot.joint_names, *(motor.name for motor in arm.motors)):
         name = f"armature[{owner}]"
         of_model = arm.model.get(name, 0.0)
         value = estimate.by_name.get(name, of_model)

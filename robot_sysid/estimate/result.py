@@ -18,14 +18,13 @@ from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import held_out_logs, validation
-from robot_sysid.estimate.identifiability import analyse_identifiability
+from robot_sysid.estimate.identifiability import analyse_identifiability, square_root
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
 from robot_sysid.estimate.restricted_fit import RestrictedFit
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
     LAST_LINK,
-    LINKS,
     MOTORS,
     PAYLOAD,
     PAYLOAD_NAMES,
@@ -89,8 +88,8 @@ from robot_sysid.results.record import (
 _CLEAR = 3.0
 # Size of an encoder zero up to which no note is added, even if it is significant [rad].
 _SMALL_ZERO = 1e-3
-# Rows from which identifiability is computed: more do not change it.
-_MOST_ROWS = 1500
+# Causes that are of joints and their motors.
+_OF_JOINTS = (FRICTION, MOTORS)
 
 
 def link_result(
@@ -267,11 +266,10 @@ def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
     shares = fitted.share()
     for name, index in zip(cause_of, fitted.at([*cause_of])):
         kind, owner = split_name(name)
-        error = float(fitted.errors[index])
+        value, error = quantity(fitted, name)
         reason = max(causes, key=lambda cause: causes[cause][index])
         source = DATA if shares[index] >= PRIOR_SHARE else MODEL
-        if name in fitted.at_bound:
-            error = math.nan
+        if math.isnan(error):
             source = BOUND
             reason = "it would cross its bound"
         elif math.isinf(error):
@@ -283,7 +281,7 @@ def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
             of=owner or "arm",
             unit=term_unit(kind, owner in robot.slides),
             model=fitted.arm.model.get(name),
-            value=fitted.by_name[name],
+            value=value,
             error=error,
             source=source,
             reason=reason,
@@ -298,21 +296,17 @@ def quantity(fitted: Fit, name: str) -> tuple[float, float]:
 
 def joint_quantities(fitted: Fit) -> list[Quantity]:
     """Return friction and rotor inertia of chain joints, and of motors that turn several."""
-    terms = [
-        each for each in fitted.equations.terms if each.cause in (FRICTION, MOTORS)
-    ]
-    owners = [
-        *fitted.arm.robot.joint_names,
-        *(motor.name for motor in fitted.arm.motors),
-    ]
+    arm = fitted.arm
+    terms = [t for t in fitted.equations.terms if t.cause in _OF_JOINTS]
+    owners = [*arm.robot.joint_names, *(motor.name for motor in arm.motors)]
     return sorted(term_quantities(fitted, terms), key=lambda row: owners.index(row.of))
 
 
 def sensors(fitted: Fit) -> Iterator[Quantity]:
-    """Return all parameters that are neither of bodies nor of friction."""
-    excluded = (LINKS, LAST_LINK, PAYLOAD, FRICTION, MOTORS)
-    terms = [each for each in fitted.equations.terms if each.cause not in excluded]
-    return term_quantities(fitted, terms)
+    """Return all parameters that are neither of bodies nor of joints."""
+    terms = fitted.equations.terms
+    others = [t for t in terms if not t.bodies and t.cause not in _OF_JOINTS]
+    return term_quantities(fitted, others)
 
 
 def _estimate(fitted: Fit) -> Estimate:
@@ -320,48 +314,30 @@ def _estimate(fitted: Fit) -> Estimate:
 
     The parameters of interest come first: the terminal link, a payload, friction.
     """
-    interest: list[str] = []
-    nuisances: list[str] = []
+    sums = fitted.sums
+    interest = (LAST_LINK, PAYLOAD, FRICTION)
+    names: list[str] = []
+    others: list[str] = []
     for term in fitted.equations.terms:
-        is_wanted = term.cause in (LAST_LINK, PAYLOAD, FRICTION)
-        (interest if is_wanted else nuisances).extend(term.names)
-    ordered = (*interest, *nuisances)
-    order = fitted.at(ordered)
-    counts = np.sum(fitted.sums.counts, axis=0)
-    squares = fitted.sums.squared_residuals(fitted.full)
+        (names if term.cause in interest else others).extend(term.names)
+    at = fitted.at(names)
+    normal = fitted.equations.data(np.ones(len(sums.joints)))[at[:, None], at]
+    order = fitted.at([*names, *others])
+    counts = np.sum(sums.counts, axis=0)
+    squares = sums.squared_residuals(fitted.full)
     rms = np.sqrt(squares / np.maximum(counts, 1.0))
-    joints = fitted.sums.joints
     return Estimate(
-        names=ordered,
+        names=(*names, *others),
         values=fitted.values[order],
         identifiability=analyse_identifiability(
-            _rows(fitted, interest), interest, joints[-1]
+            square_root(normal), names, sums.joints[-1]
         ),
         rmse=float(np.sqrt(np.sum(squares) / max(np.sum(counts), 1.0))),
-        rmse_per_joint=dict(zip(joints, rms.tolist())),
-        samples=dict(zip(joints, counts.astype(int).tolist())),
+        rmse_per_joint=dict(zip(sums.joints, rms.tolist())),
+        samples=dict(zip(sums.joints, counts.astype(int).tolist())),
         standard_errors=fitted.errors[order],
         noise_per_joint=fitted.noise_per_joint,
     )
-
-
-def _rows(fitted: Fit, names: Sequence[str]) -> Array:
-    """Return the rows (M, k) of named parameters, reduced to a triangle: at most ``_MOST_ROWS``."""
-    wanted = set(names)
-    terms = [
-        term for term in fitted.arm.terms.values() if wanted.intersection(term.names)
-    ]
-    present = [name for term in terms for name in term.names]
-    at = [present.index(name) for name in names]
-    blocks = []
-    for recording in fitted.recordings:
-        step = max(1, sum(map(len, fitted.recordings)) // _MOST_ROWS)
-        for rows in recording.chunks(len(present) * len(fitted.arm.joints)):
-            columns = [term.columns(rows, fitted.point) for term in terms]
-            shown = np.concatenate(columns, axis=2)[:, :, at][::step]
-            used = recording.used[rows.span][:, fitted.arm.indices][::step]
-            blocks.append(shown[used])
-    return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
 
 
 def model_file(
@@ -389,7 +365,6 @@ def model_file(
             "identifiable there, the model's values are kept"
         )
     notes += [*_friction_notes(fitted, rows), *_offset_notes(file)]
-    motors = tuple(m for m in fitted.arm.motors if m.name in fitted.question.motors)
     written = ModelFile(
         thetas,
         joints,
@@ -397,7 +372,7 @@ def model_file(
         file.before,
         file.after,
         unchanged=file.unchanged,
-        motors=motors,
+        motors=fitted.arm.motors,
     )
     if robot.kind == "urdf" and written.needs_mjcf:
         errors = file.after.relative_error, file.without_rotors.relative_error
@@ -424,7 +399,7 @@ def _file_terms(fitted: Fit, file: RestrictedFit) -> Iterator[Quantity]:
             error = math.hypot(row.error, FRICTION_CHANGE * row.value)
             yield replace(row, error=error, source=FILE, reason="")
     robot = fitted.arm.robot
-    for owner in (*robot.joint_names, *fitted.question.motors):
+    for owner in (*robot.joint_names, *(motor.name for motor in fitted.arm.motors)):
         name = f"armature[{owner}]"
         model_rotor = fitted.arm.model.get(name, 0.0)
         rotor = file.rotors.get(owner, model_rotor)
@@ -483,7 +458,7 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
     if left_out:
         yield f"not estimated, as the friction model is given without: {', '.join(left_out)}"
     for motor in fitted.arm.motors:
-        if motor.tendon is None and motor.name in fitted.question.motors:
+        if motor.tendon is None:
             yield f"a motor turns with {motor.name}: the torques give clear evidence of it"
     for name in fitted.names:
         kind, joint = split_name(name)

@@ -34,10 +34,8 @@ BLOCKS = 10
 """Number of blocks that held-out validation and the jackknife leave out in turn."""
 LEAST_BLOCKS = 3
 """Least number of blocks of one log, of several."""
-MOTION = ("time", "q", "qd", "qdd")
-"""Names of the fields of a motion."""
 # Numbers in the columns of one chunk of rows: bounds memory, changes no result.
-_NUMBERS = 4_000_000
+_NUMBERS = 1_000_000
 
 
 class Stretch(NamedTuple):
@@ -77,8 +75,7 @@ class Recording:
     @cached_property
     def motion(self) -> Motion:
         """Positions, speeds, accelerations (K, n) at the instants of rows."""
-        motion = vars(self.signals.decimated_motion())
-        return Motion(*(motion[name][:: self.every] for name in MOTION))
+        return motion_at(self.signals.decimated_motion(), slice(None, None, self.every))
 
     @cached_property
     def torque(self) -> Array:
@@ -95,12 +92,6 @@ class Recording:
     def at_turns(self) -> Mask:
         """Which rows (K, n) lie where a joint may be standing because it turns round."""
         return self.signals.at_turns()[:: self.every]
-
-    def without_turns(self, joints: Sequence[int]) -> Recording:
-        """Return the recording in which rows at turns of some joints are not used."""
-        kept = np.ones_like(self.used)
-        kept[:, joints] = ~self.at_turns[:, joints]
-        return self.only(kept)
 
     def only(self, rows: Mask) -> Recording:
         """Return the recording in which some rows, (K,) or (K, n), are used at most."""
@@ -140,17 +131,21 @@ class Rows:
 
     recording: Recording
     span: slice
+    _moves: dict[bytes, LinksMotion] = field(default_factory=dict, compare=False)
 
-    @property
+    @cached_property
     def motion(self) -> Motion:
         """The motion (m, n) at these rows."""
-        fields = vars(self.recording.motion)
-        return Motion(*(fields[name][self.span] for name in MOTION))
+        return motion_at(self.recording.motion, self.span)
 
     def moves(self, robot: RobotModel, gravity: Array) -> LinksMotion:
         """Return the motion of an arm's links at these rows, gravity (3,) in the world frame."""
-        motion = self.motion
-        return LinkDynamics(robot, gravity).motion(motion.q, motion.qd, motion.qdd)
+        key = gravity.tobytes()
+        if key not in self._moves:
+            motion = self.motion
+            dynamics = LinkDynamics(robot, gravity)
+            self._moves[key] = dynamics.motion(motion.q, motion.qd, motion.qdd)
+        return self._moves[key]
 
     @property
     def is_loaded(self) -> bool:
@@ -162,6 +157,16 @@ class Rows:
         return self.recording.low_passed(key, make)[self.span]
 
 
+def motion_at(motion: Motion, rows: slice) -> Motion:
+    """Return some rows of a motion, without what a motion may have beside."""
+    return Motion(motion.time[rows], motion.q[rows], motion.qd[rows], motion.qdd[rows])
+
+
+def indices_of(names: Sequence[str], all_names: Sequence[str]) -> NDArray[np.int64]:
+    """Return the indices of some names among all."""
+    return np.array([all_names.index(name) for name in names], dtype=np.int64)
+
+
 @dataclass(frozen=True)
 class Sums:
     """Squares of all rows, block by block: all that a fit needs of recordings.
@@ -169,10 +174,9 @@ class Sums:
     Attributes:
         names: (p,) of the parameters.
         joints: names of the J joints with equations.
-        columns: per joint (k,) indices of the parameters in its equations.
-        grams: per joint (B, k + 1, k + 1) the products [A b]' [A b] of each block's rows.
-        lagged: per joint (B, k + 1, k + 1) the products of each row with the next one, made
-            symmetric.
+        columns: per joint (k,) indices of the parameters in its equations, and p for the torque.
+        grams: per joint (B, k, k) the products [A b]' [A b] of each block's rows.
+        lagged: per joint (B, k, k) the products of each row with the next one, made symmetric.
         counts: (B, J) number of rows.
         logs: (B,) the log that a block belongs to.
     """
@@ -190,19 +194,20 @@ class Sums:
         """Numbers of all B blocks."""
         return range(len(self.logs))
 
-    def at(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """Return the indices of named parameters."""
-        return np.array([self.names.index(name) for name in names], dtype=np.int64)
-
     @cached_property
     def totals(self) -> tuple[Array, ...]:
-        """Per joint (k + 1, k + 1) the products of all blocks."""
+        """Per joint (k, k) the products of all blocks."""
         return tuple(gram.sum(axis=0) for gram in self.grams)
 
     @cached_property
     def lagged_totals(self) -> tuple[Array, ...]:
-        """Per joint (k + 1, k + 1) the products of successive rows of all blocks."""
+        """Per joint (k, k) the products of successive rows of all blocks."""
         return tuple(lagged.sum(axis=0) for lagged in self.lagged)
+
+    @cached_property
+    def row_counts(self) -> Array:
+        """Number (J,) of each joint's rows, one at least."""
+        return np.maximum(np.sum(self.counts, axis=0), 1.0)
 
     @cached_property
     def squared_torque(self) -> Array:
@@ -212,70 +217,47 @@ class Sums:
     @cached_property
     def rms_torque(self) -> Array:
         """Root mean square (J,) of the right-hand sides [N m]; zero of a joint without rows."""
-        counts = np.maximum(np.sum(self.counts, axis=0), 1.0)
-        return np.sqrt(np.sum(self.squared_torque, axis=0) / counts)
+        return np.sqrt(np.sum(self.squared_torque, axis=0) / self.row_counts)
 
     @cached_property
     def squares(self) -> Array:
         """Sum of squares (J, p) of each parameter's column in each joint's rows."""
-        squares = np.zeros((len(self.joints), len(self.names)))
+        squares = np.zeros((len(self.joints), len(self.names) + 1))
         for joint, columns in enumerate(self.columns):
-            squares[joint, columns] = np.diag(self.totals[joint])[:-1]
-        return squares
+            squares[joint, columns] = np.diag(self.totals[joint])
+        return squares[:, :-1]
 
-    def normal(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
-        """Return the normal matrix (p + 1, p + 1) of weighted rows.
+    def at(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Return the indices of named parameters."""
+        return indices_of(names, self.names)
 
-        Args:
-            weights: (J,) of each joint's rows [1/(N m)].
-            blocks: those that count; None for all.
-        """
-        size = len(self.names)
-        normal = np.zeros((size + 1, size + 1))
-        for joint, weight in enumerate(weights):
-            gram = self.totals[joint]
-            if blocks is not None:
-                gram = self.grams[joint][list(blocks)].sum(axis=0)
-            at = np.append(self.columns[joint], size)
-            normal[np.ix_(at, at)] += weight**2 * gram
-        return normal
+    def of_blocks(self, blocks: Sequence[int] | None) -> Sequence[Array]:
+        """Return per joint (k, k) the products of some blocks; of all of them with None."""
+        if blocks is None:
+            return self.totals
+        if len(blocks) == 1:
+            return [gram[blocks[0]] for gram in self.grams]
+        return [gram[list(blocks)].sum(axis=0) for gram in self.grams]
 
-    def of(self, names: Sequence[str], held: Array) -> Sums:
-        """Return the sums in named parameters alone, the torque of all others subtracted.
-
-        ``held`` (p,) are the values of the others.
-        """
-        index = self.at(names)
-        number = np.full(len(self.names), -1, dtype=np.int64)
-        number[index] = np.arange(len(index))
-        columns = []
-        grams = []
-        for own, gram in zip(self.columns, self.grams):
-            estimated = np.flatnonzero(number[own] >= 0)
-            others = np.flatnonzero((number[own] < 0) & (held[own] != 0.0))
-            torque = gram[:, :, -1] - gram[:, :, others] @ held[own[others]]
-            at = np.append(estimated, len(own))
-            reduced = gram[:, at[:, None], at]
-            reduced[:, -1] = reduced[:, :, -1] = torque[:, at]
-            reduced[:, -1, -1] -= torque[:, others] @ held[own[others]]
-            columns.append(number[own[estimated]])
-            grams.append(reduced)
-        return replace(
-            self,
-            names=tuple(names),
-            columns=tuple(columns),
-            grams=tuple(grams),
-            lagged=(),
-        )
-
-    def squared_residuals(self, values: Array, block: int | None = None) -> Array:
+    def squared_residuals(
+        self, values: Array, blocks: Sequence[int] | None = None
+    ) -> Array:
         """Return each joint's sum of squared residuals (J,) at values (p,) [N^2 m^2]."""
-        sums = []
-        for joint, columns in enumerate(self.columns):
-            gram = self.totals[joint] if block is None else self.grams[joint][block]
-            change = np.append(-values[columns], 1.0)
-            sums.append(max(change @ gram @ change, 0.0))
-        return np.array(sums)
+        change = np.append(-values, 1.0)
+        squares = self.squares_of(change, self.of_blocks(blocks))
+        return np.maximum(squares, 0.0)
+
+    def successive(self, values: Array) -> Array:
+        """Return each joint's sum of products of successive residuals (J,) at values (p,)."""
+        return self.squares_of(np.append(-values, 1.0), self.lagged_totals)
+
+    def squares_of(self, change: Array, products: Sequence[Array]) -> Array:
+        """Return each joint's sum of squares (J,) of columns and torque times factors (p + 1,).
+
+        ``products`` are per joint (k, k) those of its rows.
+        """
+        pairs = zip(self.columns, products)
+        return np.array([change[at] @ gram @ change[at] for at, gram in pairs])
 
     def products(
         self,
@@ -292,29 +274,31 @@ class Sums:
             shares: (B,) by which the columns are multiplied in each block; None for one.
             lagged: whether products are those of successive rows.
         """
-        own = np.append(self.columns[joint], len(self.names))
-        places = np.minimum(np.searchsorted(own, at), len(own) - 2)
-        is_shown = own[places] == at
-        shares = np.ones(len(self.logs)) if shares is None else shares
-        of_blocks = (self.lagged if lagged else self.grams)[joint][:, places[is_shown]]
+        columns = self.columns[joint]
+        places = np.searchsorted(columns, at)
+        shown = np.flatnonzero(columns[places] == at)
+        places = places[shown]
+        if shares is None:
+            of_rows = (self.lagged_totals if lagged else self.totals)[joint][places]
+            own = of_rows[:, places]
+        else:
+            of_blocks = (self.lagged if lagged else self.grams)[joint][:, places]
+            of_rows = np.tensordot(shares, of_blocks, 1)
+            own = np.tensordot(shares**2, of_blocks[:, :, places], 1)
         rows = np.zeros((len(at), len(self.names) + 1))
-        rows[np.ix_(is_shown, own)] = np.tensordot(shares, of_blocks, 1)
+        rows[shown[:, None], columns] = of_rows
         squares = np.zeros((len(at), len(at)))
-        squares[np.ix_(is_shown, is_shown)] = np.tensordot(
-            shares**2, of_blocks[:, :, places[is_shown]], 1
-        )
+        squares[shown[:, None], shown] = own
         return rows, squares
 
     def with_torque_times(self, factors: Array) -> Sums:
         """Return the sums with each joint's right-hand sides times a factor (J,)."""
-        kinds = []
-        for kind in (self.grams, self.lagged):
-            scaled = [gram.copy() for gram in kind]
-            for gram, factor in zip(scaled, factors):
-                gram[:, -1] *= factor
-                gram[:, :, -1] *= factor
-            kinds.append(tuple(scaled))
-        return replace(self, grams=kinds[0], lagged=kinds[1])
+        turns = []
+        for columns, factor in zip(self.columns, factors):
+            turn = np.eye(len(columns))
+            turn[-1, -1] = factor
+            turns.append(turn)
+        return self._turned(turns, self.names, self.columns)
 
     def with_columns(
         self,
@@ -328,50 +312,32 @@ class Sums:
 
         The other arguments are as in ``products``; without a joint they act at all of them.
         """
-        new = np.arange(len(names)) + len(self.names)
+        size = len(self.names)
         shares = np.ones(len(self.logs)) if shares is None else shares
-        all_columns = []
-        kinds: tuple[list[Array], list[Array]] = ([], [])
+        new = np.arange(size, size + len(names) + 1)
+        turns = []
         for number, columns in enumerate(self.columns):
-            own = np.append(columns, len(self.names))
-            places = np.minimum(np.searchsorted(own, at), len(own) - 2)
-            is_shown = own[places] == at
-            mix = np.zeros((len(own), len(new)))
+            mix = np.zeros((size + 1, len(names)))
             if joint in (None, number):
-                mix[places[is_shown]] = factor[is_shown]
-            turn = np.zeros((len(shares), len(own), len(own) + len(new)))
-            turn[:, :-1, : len(columns)] = np.eye(len(columns))
-            turn[:, :, len(columns) : -1] = shares[:, None, None] * mix
-            turn[:, -1, -1] = 1.0
-            all_columns.append(np.append(columns, new))
-            for wider, kind in zip(kinds, (self.grams, self.lagged)):
-                wider.append(np.swapaxes(turn, 1, 2) @ kind[number] @ turn)
-        return replace(
-            self,
-            names=(*self.names, *names),
-            columns=tuple(all_columns),
-            grams=tuple(kinds[0]),
-            lagged=tuple(kinds[1]),
+                mix[at] = factor
+            eye = np.tile(np.eye(len(columns)), (len(shares), 1, 1))
+            mixed = shares[:, None, None] * mix[columns]
+            turns.append(np.concatenate((eye[..., :-1], mixed, eye[..., -1:]), axis=2))
+        wider = tuple(np.append(own[:-1], new) for own in self.columns)
+        return self._turned(turns, (*self.names, *names), wider)
+
+    def _turned(
+        self,
+        turns: Sequence[Array],
+        names: tuple[str, ...],
+        columns: tuple[NDArray[np.int64], ...],
+    ) -> Sums:
+        """Return the sums of each joint's rows times a matrix, of all blocks or one per block."""
+        grams, lagged = (
+            tuple(np.swapaxes(t, -1, -2) @ own @ t for own, t in zip(products, turns))
+            for products in (self.grams, self.lagged)
         )
-
-    def successive(self, values: Array) -> Array:
-        """Return each joint's sum of products of successive residuals (J,) at values (p,)."""
-        sums = []
-        for columns, lagged in zip(self.columns, self.lagged_totals):
-            change = np.append(-values[columns], 1.0)
-            sums.append(change @ lagged @ change)
-        return np.array(sums)
-
-    def spread(self, covariance: Array, block: int | None = None) -> Array:
-        """Return each joint's sum of squares (J,) to expect of errors in parameters [N^2 m^2].
-
-        ``covariance`` (p, p) is that of the errors.
-        """
-        sums = []
-        for joint, columns in enumerate(self.columns):
-            gram = self.totals[joint] if block is None else self.grams[joint][block]
-            sums.append(np.vdot(gram[:-1, :-1], covariance[np.ix_(columns, columns)]))
-        return np.array(sums)
+        return replace(self, names=names, columns=columns, grams=grams, lagged=lagged)
 
 
 def block_numbers(
@@ -404,7 +370,7 @@ def add_up(
     recordings: Sequence[Recording],
     names: Sequence[str],
     joints: Sequence[str],
-    make: Callable[[Rows], tuple[Array, Array, Mask]],
+    make: Callable[[Rows], tuple[Array, Mask]],
 ) -> Sums:
     """Return the sums of all rows; columns that are nothing but rounding are zero.
 
@@ -412,20 +378,20 @@ def add_up(
         recordings: one at least.
         names: (p,) of the parameters.
         joints: names of the J joints with equations.
-        make: returns (columns (m, J, p), right-hand sides (m, J), used (m, J)) of a chunk.
+        make: returns (rows [A b] (m, J, p + 1), used (m, J)) of a chunk.
 
     Raises:
         InputError: no row can be used.
     """
     numbers, logs = block_numbers(recordings)
-    width = len(names) * len(joints)
-    joint_sums = [_JointSums(len(logs)) for _ in joints]
+    size = len(names) + 1
+    joint_sums = [_JointSums(len(logs), size) for _ in joints]
     for recording, blocks in zip(recordings, numbers):
-        for rows in recording.chunks(width):
-            columns, tau, used = make(rows)
+        for chunk in recording.chunks(size * len(joints)):
+            rows, used = make(chunk)
             for joint, sums in enumerate(joint_sums):
-                block = np.where(used[:, joint], blocks[rows.span], -1)
-                sums.add(columns[:, joint], tau[:, joint], block)
+                block = np.where(used[:, joint], blocks[chunk.span], -1)
+                sums.add(rows[:, joint], block)
     counts = np.stack([sums.counts for sums in joint_sums], axis=1)
     if not np.any(counts):
         raise InputError(
@@ -438,63 +404,58 @@ def add_up(
         tuple(names),
         tuple(joints),
         tuple(sums.columns for sums in joint_sums),
-        tuple(sums.grams for sums in joint_sums),
-        tuple(sums.lagged for sums in joint_sums),
+        tuple(sums.products[0] for sums in joint_sums),
+        tuple(sums.products[1] for sums in joint_sums),
         counts,
         tuple(logs),
     )
 
 
 class _JointSums:
-    """Products of one joint's rows, of the columns that have not been zero so far.
+    """Products of one joint's rows, of the torque and of columns that were not always zero so far.
 
     Attributes:
-        columns: (k,) indices of these columns.
-        grams: (B, k + 1, k + 1) products of each block.
-        lagged: (B, k + 1, k + 1) products of successive rows of each block.
+        columns: (k,) indices of these columns; the last one is that of the torque.
+        products: (2, B, k, k) products of each block's rows, and of its successive rows.
         counts: (B,) number of rows.
     """
 
-    def __init__(self, blocks: int) -> None:
-        self.columns = np.zeros(0, dtype=np.int64)
-        self.grams = np.zeros((blocks, 1, 1))
-        self.lagged = self.grams
+    def __init__(self, blocks: int, size: int) -> None:
+        self.columns = np.array([size - 1])
+        self.products = np.zeros((2, blocks, 1, 1))
         self.counts = np.zeros(blocks)
-        self._last: tuple[int, Array] = (-1, np.zeros(0))
+        self._last: tuple[int, Array] = (-1, np.zeros(size))
 
-    def add(self, rows: Array, tau: Array, block: NDArray[np.int64]) -> None:
-        """Add rows (m, p) with right-hand sides (m,); ``block`` (m,) is -1 of an unused one."""
+    def add(self, rows: Array, block: NDArray[np.int64]) -> None:
+        """Add rows [A b] (m, p + 1); ``block`` (m,) is -1 of an unused one."""
         present = np.flatnonzero(np.any(rows != 0.0, axis=0))
         columns = np.union1d(self.columns, present)
         if len(columns) > len(self.columns):
-            size = len(columns) + 1
-            at = np.append(np.searchsorted(columns, self.columns), size - 1)
-            products = np.zeros((2, len(self.grams), size, size))
-            products[:, :, at[:, None], at] = self.grams, self.lagged
+            at = np.searchsorted(columns, self.columns)
+            products = np.zeros((2, len(self.counts), len(columns), len(columns)))
+            products[:, :, at[:, None], at] = self.products
             self.columns = columns
-            self.grams, self.lagged = products
-        full = np.column_stack((rows, tau))
-        at = np.append(columns, -1)
+            self.products = products
+        grams, lagged = self.products
         for number in np.unique(block[block >= 0]).tolist():
-            own = full[block == number]
+            own = rows[block == number]
             before, last = self._last
             self._last = number, own[-1]
             self.counts[number] += len(own)
-            own = own[:, at]
-            self.grams[number] += own.T @ own
+            own = own[:, columns]
+            grams[number] += own.T @ own
             if before == number:
-                own = np.vstack((last[at], own))
-            products = own[:-1].T @ own[1:]
-            self.lagged[number] += 0.5 * (products + products.T)
+                own = np.vstack((last[columns], own))
+            successive = own[:-1].T @ own[1:]
+            lagged[number] += 0.5 * (successive + successive.T)
 
     def clear_rounding(self) -> None:
         """Set the products of columns that are nothing but rounding to zero."""
-        squares = np.diag(self.grams.sum(axis=0))[:-1]
+        squares = np.diag(self.products[0].sum(axis=0))[:-1]
         is_noise = squares <= RELATIVE_CUT**2 * np.max(squares, initial=0.0)
         at = np.flatnonzero(is_noise)
-        for products in (self.grams, self.lagged):
-            products[:, at] = 0.0
-            products[:, :, at] = 0.0
+        self.products[:, :, at] = 0.0
+        self.products[..., at] = 0.0
 
 
 @dataclass(frozen=True)

@@ -183,7 +183,7 @@ class ArmTerms:
     Args:
         robot: the arm with its model.
         torques: "chain" for the equations of all joints, "terminal" for the last one's only.
-        motors: motors that turn several joints, or candidates for such motors.
+        motors: motors that turn several joints.
         friction: names of the friction terms that have columns.
         loaded: whether some recordings carry a payload.
 
@@ -213,7 +213,11 @@ class ArmTerms:
         self._beyond = BeyondRigidBodies(robot)
         self.model = self._model_values()
         self.terms = {term_key(term): term for term in self._terms(loaded)}
-        self.names = tuple(n for term in self.terms.values() for n in term.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters of all terms."""
+        return tuple(name for term in self.terms.values() for name in term.names)
 
     def _model_values(self) -> dict[str, float]:
         """Return the model's value of each parameter that the model has."""
@@ -274,15 +278,7 @@ class ArmTerms:
                 in_file=name in ("coulomb", "viscous", "armature"),
                 reference=np.array([self.model.get(each, 0.0) for each in own_names]),
             )
-        for motor in self.motors:
-            yield Term(
-                MOTORS,
-                motor.parameter_names,
-                partial(self._motor, motor),
-                lower=0.0,
-                in_file=True,
-                reference=motor.model,
-            )
+        yield from map(self.motor, self.motors)
         yield Term(SCALES, names_of("scale", self.joints), self._scales)
         yield Term(ZEROS, names_of("zero", robot.joint_names), self._zeros)
         if loaded:
@@ -293,11 +289,21 @@ class ArmTerms:
             yield Term(TILT, TILT_NAMES, self._tilt, in_file=True)
         yield Term(DELAY, ("delay",), self._delay)
 
+    def motor(self, motor: Coupling) -> Term:
+        """Return the term of a motor that turns several joints."""
+        return Term(
+            MOTORS,
+            motor.parameter_names,
+            partial(self._motor, motor),
+            lower=0.0,
+            in_file=True,
+            reference=motor.model,
+        )
+
     def of(self, terms: Iterable[Term]) -> ArmTerms:
         """Return the arm with other terms."""
         other = copy(self)
         other.terms = {term_key(term): term for term in terms}
-        other.names = tuple(n for term in other.terms.values() for n in term.names)
         return other
 
     def beside(self, terms: Iterable[Term]) -> ArmTerms:
@@ -309,12 +315,12 @@ class ArmTerms:
         make = partial(self.equations, point=point)
         return add_up(recordings, self.names, self.joints, make)
 
-    def equations(self, rows: Rows, point: Point) -> tuple[Array, Array, Mask]:
-        """Return (columns (m, J, p), right-hand sides (m, J), used (m, J)) of a chunk of rows."""
+    def equations(self, rows: Rows, point: Point) -> tuple[Array, Mask]:
+        """Return (rows [A b] (m, J, p + 1), used (m, J)) of a chunk."""
         columns = [term.columns(rows, point) for term in self.terms.values()]
-        tau = rows.recording.torque[rows.span][:, self.indices] - self.known(rows)
-        used = rows.recording.used[rows.span][:, self.indices]
-        return np.concatenate(columns, axis=2), tau, used
+        tau = self.measured(rows)
+        others = (tau - self.known(rows))[:, :, None]
+        return np.concatenate((*columns, others), axis=2), np.isfinite(tau)
 
     def measured(self, rows: Rows) -> Array:
         """Return the measured torque (m, J) of a chunk of rows [N m]; NaN where not used."""
@@ -447,5 +453,5 @@ class ArmTerms:
 def term_key(term: Term) -> str:
     """Return the key of a term among all: its cause, or the name of a friction term or motor."""
     kind, owner = split_name(term.names[0])
-    keys = {FRICTION: kind, MOTORS: owner, "": term.names[0]}
-    return keys.get(term.cause, term.cause)
+    keys = {FRICTION: kind, FURTHER_FRICTION: kind, MOTORS: owner}
+    return keys.get(term.cause, term.cause or term.names[0])

@@ -15,6 +15,7 @@ import numpy as np
 
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import NOISE_EXPLAINS, is_clearly_lower, validation
+from robot_sysid.estimate.terms import term_key
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import InertialParameters, RobotModel, Validation
 from robot_sysid.records.messages import Level, Remark, percent, torque_unit, with_error
@@ -94,9 +95,10 @@ def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
             )
     torque = fitted.torque
     shares = {joint: noise[joint] / torque[joint] for joint in noise if torque[joint]}
+    memory = dict(zip(fitted.arm.joints, fitted.correlation))
     for joint, share in shares.items():
         others = [other for other in shares if other != joint]
-        if not others or fitted.independent_share[joint] >= MEMORY:
+        if not others or 1.0 / memory[joint] >= MEMORY:
             continue
         median = np.median([shares[other] for other in others])
         # Of a wrist that carries nearly nothing, sensors show little but their own slow errors.
@@ -135,13 +137,9 @@ def missed_friction(fitted: Fit) -> str:
     missed = options.left_out_terms
     if not missed:
         return ""
-    added = [fitted.arm.terms[name] for name in missed]
-    kept = []
-    for term in fitted.equations.terms:
-        names = [name for name in term.names if name.partition("[")[0] not in missed]
-        if names:
-            kept.append(term.only(names))
-    complete = fitted.refit([*kept, *added], possible=True)
+    terms = {term_key(term): term for term in fitted.equations.terms}
+    terms |= {name: fitted.arm.terms[name] for name in missed}
+    complete = fitted.refit([*terms.values()], possible=True)
     joints = []
     for row, joint in enumerate(fitted.arm.joints):
         given = fitted.held_out[:, row]

@@ -252,10 +252,8 @@ def _read_cells(
         complaint = complaint or block.complaint
         # All is done only behind the loop, though the last blocks may report a share of 1.
         done = min(block.share_read, 0.999)
-        progress.advance(
-            label, done, total=1.0, text=f"{table.row_noun} {block.lines[-1]}"
-        )
-    progress.advance(label, done=1.0, total=1.0, text="")
+        progress.advance(label, done, 1.0, f"{table.row_noun} {block.lines[-1]}")
+    progress.advance(label, 1.0, 1.0, "")
     factors = np.array([column.factor for column in used])
     np.multiply(cells, factors, out=cells, where=np.isfinite(cells))
     if columns.time is None:

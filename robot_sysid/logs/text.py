@@ -74,8 +74,8 @@ def text_table(source: LogSource) -> LogTable:
         dialect.titles,
         partial(_blocks, dialect),
         choices,
-        row_noun="line",
-        first_row=dialect.first_row[: len(dialect.titles)],
+        "line",
+        dialect.first_row[: len(dialect.titles)],
     )
 
 
@@ -84,7 +84,7 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
 
     ``first_bytes``: of the file, some thousands.
     """
-    is_utf16 = first_bytes[:2] in (b"\xff\xfe", b"\xfe\xff")
+    is_utf16 = first_bytes.startswith((b"\xff\xfe", b"\xfe\xff"))
     encoding = "utf-16" if is_utf16 else "utf-8-sig"
     try:
         # The last line may be cut off within a character.
@@ -164,25 +164,26 @@ def _date(cell: str) -> np.datetime64:
 
 
 def _read_lines(
-    path: Path, encoding: str, size: int
+    path: Path, encoding: str, size: int, above: int = 0
 ) -> Iterator[tuple[int, list[str], float]]:
     """Yield (number of the first line, lines, share of the file that is read) in chunks of about
-    ``size`` characters.
+    ``size`` characters, from behind the first ``above`` lines on.
     """
     file_size = max(1, path.stat().st_size)
-    number = 1
     # Titles may hold a degree sign in any encoding; numbers never do, so replacing is harmless.
     with (
         path.open("rb") as binary,
         TextIOWrapper(binary, encoding, errors="replace") as stream,
     ):
+        for _ in range(above):
+            stream.readline()
         while lines := stream.readlines(size):
             yield (
-                number,
+                above + 1,
                 [line.rstrip("\n") for line in lines],
                 binary.tell() / file_size,
             )
-            number += len(lines)
+            above += len(lines)
 
 
 def _read_beginning(path: Path, encoding: str) -> tuple[str, list[tuple[int, str]]]:
@@ -239,18 +240,19 @@ def _is_mostly_numbers(cells: Sequence[str]) -> bool:
 
 def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of a log, with the columns of these indices; dates as seconds."""
-    for first, lines, share in _read_lines(dialect.path, dialect.encoding, CHUNK):
+    chunks = _read_lines(dialect.path, dialect.encoding, CHUNK, dialect.header_line)
+    for first, lines, share in chunks:
         cells = _read_plain_rows(dialect, lines)
         if cells is not None:
-            line_numbers = np.arange(first, first + len(lines))
-            yield Block(line_numbers, cells[:, list(columns)], share_read=share)
+            line_numbers = np.arange(first, first + len(cells))
+            yield Block(line_numbers, cells[:, list(columns)], "", share)
             continue
         numbers = []
         rows = []
         complaint = ""
         for number, line in enumerate(lines, first):
             text = line.lstrip()
-            if not text or text.startswith(_COMMENT) or number == dialect.header_line:
+            if not text or text.startswith(_COMMENT):
                 continue
             try:
                 row = _read_row(dialect, columns, line)
@@ -268,7 +270,7 @@ def _read_plain_rows(dialect: Dialect, lines: Sequence[str]) -> Array | None:
 
     That is several times as fast as ``_read_row``.
     """
-    delimiter = None if dialect.separator == " " else dialect.separator
+    delimiter = dialect.separator.strip(" ") or None
     try:
         cells = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
     except ValueError:
@@ -321,10 +323,9 @@ def write_measurement_csv(
         quantities: list[str] = []
         for chunk in chunks:
             if not quantities:
-                attributes = _ATTRIBUTES.items()
-                quantities = [q for q, a in attributes if getattr(chunk, a) is not None]
-                columns = product(quantities, joint_names)
-                titles = [f"{joint}_{quantity}" for quantity, joint in columns]
+                pairs = _ATTRIBUTES.items()
+                quantities = [q for q, a in pairs if getattr(chunk, a) is not None]
+                titles = [f"{j}_{q}" for q, j in product(quantities, joint_names)]
                 # The name of a joint may hold ends of lines.
                 writer.writerow(re.sub(r"[\r\n]", " ", t) for t in ("time", *titles))
             values = [getattr(chunk, _ATTRIBUTES[q]) for q in quantities]

@@ -69,14 +69,8 @@ def _question(
     ``torque`` (J,) is the root mean square of each joint's torque [N m].
     """
     dry = np.maximum(arm.robot.friction.coulomb[arm.indices], LEAST_DRY * torque)
-    motors = tuple(motor.name for motor in arm.motors)
     return Question(
-        options,
-        loaded,
-        drifts=loaded,
-        link_scales=EXPECTED,
-        dry=tuple(dry.tolist()),
-        motors=motors,
+        options, loaded, drifts=loaded, link_scales=EXPECTED, dry=tuple(dry.tolist())
     )
 
 

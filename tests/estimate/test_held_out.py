@@ -45,13 +45,11 @@ def test_each_block_is_predicted_from_the_others(noisy_fit):
     equations = noisy_fit.equations
     for block in range(len(noisy_fit.sums.logs)):
         others = [k for k in range(len(noisy_fit.sums.logs)) if k != block]
-        data = equations.own.normal(noisy_fit.weights, others)
-        normal = data + equations.prior
+        normal = equations.data(noisy_fit.weights, others) + equations.prior
         size = np.sqrt(np.diag(normal)[:-1])
         matrix = normal[:-1, :-1] / np.outer(size, size)
         values = np.linalg.solve(matrix, normal[:-1, -1] / size) / size
-        full = equations.full(values)
-        expected = noisy_fit.sums.squared_residuals(full, block)
+        expected = equations.squared_residuals(values, [block])
         assert_allclose(noisy_fit.held_out[block], expected, rtol=1e-4)
     noise = noisy_fit.noise
     test = validation(noisy_fit)

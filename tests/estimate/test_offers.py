@@ -24,6 +24,14 @@ from tests.support.payload_logs import TrueArm, add_torque, four_joint_arm
 ROBOT = four_joint_arm()
 
 
+def log_evidence(equations, weights):
+    """Return the log marginal likelihood of equations, but for noise and prior."""
+    normal = equations.normal(weights)
+    values, inverse = solve(normal, equations.reference)
+    change = np.append(-values, 1.0)
+    return 0.5 * (np.linalg.slogdet(inverse)[1] - change @ normal @ change)
+
+
 @pytest.mark.parametrize(("seed", "joint"), [*enumerate([None, 0, 1, 2, 3, None])])
 def test_an_offer_is_the_estimate_with_the_columns_in_the_sums(
     payload_fit, seed, joint
@@ -50,6 +58,8 @@ def test_an_offer_is_the_estimate_with_the_columns_in_the_sums(
     off = before + offer.change - values[:-2]
     assert np.max(np.abs(off) / np.sqrt(np.diag(inverse))) < 1e-3
     full = wider.full(values)
+    gain = log_evidence(wider, weights) - log_evidence(equations, weights)
+    assert offer.gain == pytest.approx(gain, abs=1e-3)
     assert_allclose(offer.squares, wide.squared_residuals(full), rtol=1e-6)
     assert_allclose(offer.successive, wide.successive(full), rtol=1e-6, atol=1e-9)
 
@@ -79,5 +89,9 @@ def test_an_effect_that_is_weighed_is_that_of_a_fit_with_its_own_noise(cause):
     errors = np.sqrt(np.diag(wider.inverse)[at])
     assert np.max(np.abs(offer.values - wider.free[at]) / errors) < 0.5
     assert_allclose(offer.errors, errors, rtol=0.02)
-    gain = wider.log_evidence - before.log_evidence
+    gain = log_evidence(wider.equations, wider.weights)
+    gain -= log_evidence(before.equations, before.weights)
+    independent_rows = np.sum(base.sums.counts, axis=0) / correlation
+    gain += independent_rows @ np.log(before.noise / wider.noise)
+    gain -= np.linalg.slogdet(term.prior.factor)[1]
     assert offer.gain == pytest.approx(gain, abs=1.0) and gain > 100.0

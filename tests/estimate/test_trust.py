@@ -204,10 +204,9 @@ def test_slow_errors_no_larger_than_other_sensors_are_no_misfit(
     noisy_fit, share, others, is_ok
 ):
     """Of the last joint, as shares of its torque; more than its torque is no sensor's error."""
-    joints = noisy_fit.arm.joints
-    fitted = replace(noisy_fit, noise=np.array([others, others, share]))
-    fitted.__dict__["torque"] = dict(zip(joints, (1e3, 1e3, 1.0)))
-    fitted.__dict__["independent_share"] = dict.fromkeys(joints, 0.1)
+    noise = np.array([others, others, share])
+    fitted = replace(noisy_fit, noise=noise, correlation=np.full(3, 10.0))
+    fitted.__dict__["torque"] = dict(zip(fitted.arm.joints, (1e3, 1e3, 1.0)))
     assert (judge_fit(fitted)[0] is OK) == is_ok
 
 

@@ -139,7 +139,7 @@ FILES_AND_CALLS = {
     arrays.npz_table: (FORMS["npz"], "numpy.load", STACK),
     arrays.parquet_table: (FORMS["Parquet"], READ_TABLE, STACK),
     arrays.lerobot_table: (FORMS["LeRobot"], READ_TABLE, STACK),
-    reader.text_table: (FORMS["libfranka"], "csv.reader", "csv.reader"),
+    reader.text_table: (FORMS["libfranka"], "csv.reader", "numpy.loadtxt"),
 }
 """Reader to a function that writes a file of its form, and two functions of libraries: that it
 calls as the log is opened, and as its blocks are read."""
