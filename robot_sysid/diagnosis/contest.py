@@ -104,7 +104,7 @@ SHAPES = ("force", "contact", "crosstalk")
 """Checks whose causes at one joint are torque of any shape."""
 SLOW = 0.5
 """Least share of what a cause explains that is not noise."""
-FRICTIONLESS = 0.004
+FRICTIONLESS = 0.002
 """Largest error of dry friction, as a share of the torque, with which none can be told."""
 EXACT = 0.001
 """Error of filtering in dry friction, as a share of the joint's torque."""
