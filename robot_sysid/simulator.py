@@ -1,4 +1,4 @@
-"""Simulation and data collection: a trajectory in, torques out, equations collected, in chunks."""
+"""Simulation: a trajectory in, torques out, in chunks."""
 
 from __future__ import annotations
 
@@ -7,17 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SimulationError
-from robot_sysid.records import (
-    Array,
-    Measurement,
-    Motion,
-    RobotModel,
-    SquareRootInformation,
-)
-from robot_sysid.solver import InformationAccumulator
+from robot_sysid.records import Array, Measurement, Motion, RobotModel
 
 
 class ArmTorque:
@@ -63,21 +55,3 @@ def simulate_inverse(
                 "or inertia; check the model's <inertial> elements"
             )
         yield Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
-
-
-def collect_sysid_data(
-    equations: Equations, measurements: Iterable[Measurement]
-) -> SquareRootInformation:
-    """Return the square-root information of measurements, one QR triangle per joint whose torque is
-    used.
-
-    The measurements, chunks with velocities and accelerations, are read one at a time, so that the
-    memory does not grow with their number.
-    """
-    accumulator = InformationAccumulator(
-        equations.names, equations.joints, equations.columns
-    )
-    for measurement in measurements:
-        for index, (rows, tau) in enumerate(equations.rows(measurement)):
-            accumulator.add(index, rows, tau)
-    return accumulator.result()

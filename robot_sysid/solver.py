@@ -1,113 +1,155 @@
-"""Equations of a simulation to an estimate by plain least squares, in constant memory.
+"""The self-test: the last link and its joint's friction from a simulation, in constant memory.
 
-For equations Y x = tau the triangle R of [Y tau] = Q R contains all that least squares needs.
-Stacking a new chunk of rows under R and factorising again gives the triangle of all rows (Bierman,
-"Factorization Methods for Discrete Sequential Estimation", 1977, ch. IV). No digit is lost, as in
-products of rows: a self-test returns the model's parameters to 1e-8.
+It is a question to the rows and sums that logs are fitted with. The samples of a simulation are
+exact, so that no row is low-passed and none is left out; and the sums keep triangles (Bierman,
+"Factorization Methods for Discrete Sequential Estimation", 1977, ch. IV), which lose no digit: a
+self-test returns the model's parameters to 1e-8.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.bodies import LinksProblem, consistent_least_squares
 from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
-from robot_sysid.records import Array, Estimate, JointInformation, SquareRootInformation
+from robot_sysid.estimate.rows import Recording, Rows, Sums, add_up
+from robot_sysid.estimate.terms import LAST_LINK, ArmTerms
+from robot_sysid.records import Array, Estimate, Measurement, RobotModel
+from robot_sysid.records.data import rms_of_joints
+from robot_sysid.signals.filters import LowPass
+from robot_sysid.signals.process import ProcessedSignals
 
+TERMINAL_FRICTION = ("coulomb", "viscous")
+"""Friction terms of the terminal joint that are estimated from a simulation."""
 # Smallest noise, as a share of the root mean square torque: rounding.
 _LEAST_NOISE = 1e-9
 
 
-class InformationAccumulator:
-    """Collects the rows of several joints into a SquareRootInformation.
+class LastLinkTerms(ArmTerms):
+    """Terms of the last link and of its joint's friction; all other torque is taken as known.
+
+    The torque of the other links is computed by Newton and Euler's recursion, without the
+    regressor: a wrong regressor then shows as a wrong result, also on the model's own simulation,
+    whose torques are MuJoCo's.
 
     Args:
-        names: (p,) global parameter names.
-        joints: names of the joints, base to terminal.
-        columns: per joint (k,) indices into ``names`` of the parameters in its rows.
+        robot: the arm with its model.
+        torques: "chain" for the equations of all joints, "terminal" for the last one's only.
+        friction: terms of the last joint that are estimated; all else of the model's friction is
+            taken as known.
+
+    Attributes:
+        prior: (p,) the model's values of the parameters.
     """
 
     def __init__(
         self,
-        names: Sequence[str],
-        joints: Sequence[str],
-        columns: Sequence[NDArray[np.int64]],
+        robot: RobotModel,
+        torques: str = "chain",
+        friction: Sequence[str] = TERMINAL_FRICTION,
     ) -> None:
-        self._names = tuple(names)
-        self._joints = []
-        for joint, indices in zip(joints, columns):
-            triangle = np.zeros((0, len(indices) + 1))
-            self._joints.append(JointInformation(joint, indices, triangle, 0))
+        super().__init__(robot, torques, friction=friction)
+        terms = {LAST_LINK: self.terms[LAST_LINK]}
+        known = {}
+        for name in friction:
+            terms[name] = self.terms[name].only([f"{name}[{robot.terminal_joint}]"])
+            known[name] = np.append(vars(robot.friction)[name][:-1], 0.0)
+        self.terms = terms
+        self.prior = np.array([self.model[name] for name in self.names])
+        self._known_friction = replace(robot.friction, **known)
+        self._point = self.start()
 
-    def add(self, index: int, rows: Array, tau: Array) -> None:
-        """Add equations rows x = tau of one joint to the rows collected so far.
+    def known(self, rows: Rows) -> Array:
+        """Return the torque (m, J) of all that is not estimated [N m]."""
+        motion = rows.motion
+        thetas = self.robot.thetas
+        thetas[-1] = 0.0
+        torque = rows.moves(self.robot, self._point.gravity).torque(thetas)
+        torque += self._beyond.torque(motion.q, motion.qd, motion.qdd)
+        torque += self._known_friction.torque(motion.qd)
+        return torque[:, self.indices]
 
-        Args:
-            index: number of the joint, base to terminal.
-            rows: (N, k) one column per index in the joint's ``columns``.
-            tau: (N,) torque [N m].
+    def exact_sums(self, measurements: Iterable[Measurement]) -> Sums:
+        """Return the sums of exact samples, all in one block, with triangles.
+
+        The measurements, chunks with velocities and accelerations, are read one at a time, so that
+        the memory does not grow with their number.
         """
-        joint = self._joints[index]
-        stacked = np.vstack((joint.triangle, np.column_stack((rows, tau))))
-        triangle = stacked[np.any(stacked != 0.0, axis=1)]
-        # Fewer rows than columns are kept as they are.
-        if len(triangle) >= triangle.shape[1]:
-            triangle = np.asarray(np.linalg.qr(triangle, mode="r"))
-        count = joint.n_samples + len(tau)
-        self._joints[index] = replace(joint, triangle=triangle, n_samples=count)
-
-    def result(self) -> SquareRootInformation:
-        """Return the information of all rows added so far."""
-        return SquareRootInformation(self._names, tuple(self._joints))
+        make = partial(self.equations, point=self._point)
+        pairs = (
+            (exact_recording(measurement), np.zeros(len(measurement), dtype=np.int64))
+            for measurement in measurements
+        )
+        return add_up(pairs, [""], self.names, self.joints, make, True)
 
 
-def identify_parameters(
-    information: SquareRootInformation, prior: Array, possible: bool = False
-) -> Estimate:
+def exact_recording(measurement: Measurement) -> Recording:
+    """Return samples without noise as a recording, all of its rows used and none low-passed."""
+    assert measurement.qd is not None and measurement.qdd is not None
+    never = np.zeros(measurement.q.shape, dtype=bool)
+    signals = ProcessedSignals(
+        measurement.time,
+        measurement.q,
+        measurement.qd,
+        measurement.qdd,
+        measurement.tau,
+        never[:, 0],
+        never,
+        np.zeros(1),
+        LowPass(np.inf, np.inf, np.ones(1), 1),
+    )
+    recording = Recording("", signals)
+    # A torque of zero is one, not a missing sensor.
+    recording.__dict__["used"] = ~never
+    return recording
+
+
+def identify_parameters(sums: Sums, prior: Array, possible: bool = False) -> Estimate:
     """Return the estimate of all p parameters by ordinary least squares.
 
     Parameters that the data does not identify keep the prior's value. The first ten are those of
     the terminal link, the body that ``possible`` constrains.
 
     Args:
-        information: the equations of all joints.
-        prior: (p,) the model's own values, in the order of ``information.names``.
+        sums: of all rows, with triangles.
+        prior: (p,) the model's own values, in the order of ``sums.names``.
         possible: whether a terminal link that is no possible rigid body is estimated again, with
             the constraint to be one.
     """
-    matrix, right_side = information.equations()
+    assert sums.triangles is not None
+    rows = np.concatenate(sums.triangles)
+    matrix = rows[:, :-1]
     space = visible_space(matrix)
-    free = prior + space.solve(right_side - matrix @ prior)
-    freedom = max(information.n_samples - space.rank, 1)
-    torque = np.linalg.norm(right_side) / np.sqrt(max(information.n_samples, 1))
-    rms = np.sqrt(np.sum(information.squared_residuals(free)) / freedom)
-    noise = float(max(rms, _LEAST_NOISE * torque)) or 1.0
-    values = free
-    if possible and not spatial.is_consistent(free[:N_INERTIAL]):
-        # Near this body the solver looks for possible ones; other parameters are zero in it.
-        link_only = np.append(prior[:N_INERTIAL], np.zeros(len(prior) - N_INERTIAL))
-        problem = LinksProblem((np.arange(N_INERTIAL),), link_only)
-        rows = matrix / noise
-        values = consistent_least_squares(rows, right_side / noise, problem).values
-    covariance = noise**2 * space.inverse()
-    errors = np.where(space.is_identified, np.sqrt(np.diag(covariance)), np.inf)
-    joints = [joint.joint for joint in information.joints]
-    counts = np.array([joint.n_samples for joint in information.joints])
-    squares = information.squared_residuals(values)
-    rms_per_joint = np.sqrt(squares / np.maximum(counts, 1)).tolist()
+    values = prior + space.solve(rows @ np.append(-prior, 1.0))
+    counts = np.sum(sums.counts, axis=0)
+    count = np.sum(counts)
+    misfit = np.linalg.norm(rows @ np.append(-values, 1.0))
+    noise = misfit / np.sqrt(max(count - space.rank, 1.0))
+    rounding = _LEAST_NOISE * np.linalg.norm(rows[:, -1]) / np.sqrt(count)
+    noise = float(max(noise, rounding)) or 1.0
+    link = np.arange(spatial.N_INERTIAL)
+    if possible and not spatial.is_consistent(values[link]):
+        # Near the prior's body the solver looks for possible ones.
+        problem = LinksProblem((link,), prior)
+        right_side = rows[:, -1] / noise
+        values = consistent_least_squares(matrix / noise, right_side, problem).values
+    residuals = sums.triangles @ np.append(-values, 1.0)
+    rmse, rmse_per_joint = rms_of_joints(
+        sums.joints, np.sum(residuals**2, axis=1), counts
+    )
+    variances = noise**2 * np.diag(space.inverse())
     return Estimate(
-        names=information.names,
+        names=sums.names,
         values=values,
-        identifiability=analyse_identifiability(matrix, information.names, joints[-1]),
-        rmse=float(np.sqrt(np.sum(squares) / max(information.n_samples, 1))),
-        rmse_per_joint=dict(zip(joints, rms_per_joint)),
-        standard_errors=errors,
-        noise_per_joint={j: noise for j, count in zip(joints, counts) if count},
-        samples=dict(zip(joints, counts.tolist())),
+        identifiability=analyse_identifiability(matrix, sums.names, sums.joints[-1]),
+        rmse=rmse,
+        rmse_per_joint=rmse_per_joint,
+        standard_errors=np.where(space.is_identified, np.sqrt(variances), np.inf),
+        noise_per_joint=dict.fromkeys(sums.joints, noise),
+        samples=dict(zip(sums.joints, counts.astype(int).tolist())),
     )

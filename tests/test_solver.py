@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.solver import InformationAccumulator, identify_parameters
+from robot_sysid.solver import identify_parameters
 from tests.support.synthetic_data import (
     arm_equations,
-    information_of,
     noisy_samples,
     random_body,
-    terminal_information,
+    sums_of,
+    terminal_sums,
 )
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -27,13 +27,13 @@ def noisy_arm(seed, noise=0.1):
     rng = np.random.default_rng(seed)
     equations, names = arm_equations(rng)
     truth = np.concatenate((random_body(rng), rng.uniform(0.1, 1.0, 6)))
-    return information_of(equations, names, truth, noise, rng), truth, rng
+    return sums_of(equations, names, truth, noise, rng), truth, rng
 
 
 @given(SEEDS)
 def test_noise_free_data_is_recovered(seed):
-    information, truth, rng = noisy_arm(seed, noise=0.0)
-    estimate = identify_parameters(information, rng.normal(size=16))
+    sums, truth, rng = noisy_arm(seed, noise=0.0)
+    estimate = identify_parameters(sums, rng.normal(size=16))
     assert_allclose(estimate.values, truth, rtol=0.0, atol=1e-10)
     assert estimate.rmse < 1e-12
 
@@ -43,7 +43,7 @@ def test_where_the_data_shows_nothing_the_prior_stays_exactly(seed):
     rng = np.random.default_rng(seed)
     truth = np.append(random_body(rng), [0.4, 0.1])
     prior = np.append(random_body(rng), [0.0, 0.0])
-    values = identify_parameters(terminal_information(rng, truth), prior).values
+    values = identify_parameters(terminal_sums(rng, truth), prior).values
     assert values[0] == prior[0]
     assert values[3] == prior[3]
     assert values[4] + values[7] == pytest.approx(prior[4] + prior[7], rel=1e-12)
@@ -54,25 +54,21 @@ def test_where_the_data_shows_nothing_the_prior_stays_exactly(seed):
 
 @given(SEEDS, st.floats(1e-3, 1e3))
 def test_scaling_all_torques_scales_the_estimate(seed, factor):
-    information, _, rng = noisy_arm(seed)
+    sums, _, rng = noisy_arm(seed)
     prior = rng.normal(size=16)
-    joints = []
-    for joint in information.joints:
-        triangle = joint.triangle * np.append(np.ones(len(joint.columns)), factor)
-        joints.append(replace(joint, triangle=triangle))
-    expected = factor * identify_parameters(information, prior).values
-    scaled = replace(information, joints=tuple(joints))
+    scaled = replace(sums, triangles=sums.triangles * np.append(np.ones(16), factor))
+    expected = factor * identify_parameters(sums, prior).values
     values = identify_parameters(scaled, factor * prior).values
     assert_allclose(values, expected, rtol=1e-9, atol=1e-12 * factor)
 
 
 @given(SEEDS, st.permutations(range(3)))
 def test_the_order_of_joints_does_not_matter(seed, order):
-    information, _, rng = noisy_arm(seed)
-    joints = tuple(information.joints[k] for k in order)
-    shuffled = replace(information, joints=joints)
+    sums, _, rng = noisy_arm(seed)
+    triangles = sums.triangles[list(order)]
+    shuffled = replace(sums, triangles=triangles)
     prior = rng.normal(size=16)
-    one = identify_parameters(information, prior)
+    one = identify_parameters(sums, prior)
     other = identify_parameters(shuffled, prior)
     assert_allclose(other.values, one.values, rtol=0.0, atol=1e-11)
     assert other.rmse == pytest.approx(one.rmse, rel=1e-12)
@@ -81,7 +77,7 @@ def test_the_order_of_joints_does_not_matter(seed, order):
 @given(SEEDS)
 def test_an_estimate_carries_what_it_was_made_of(seed):
     samples, names, _, rng = noisy_samples(seed, noises=(0.1, 0.2, 0.3), count=40)
-    estimate = identify_parameters(samples.information(names), rng.normal(size=16))
+    estimate = identify_parameters(samples.sums(names), rng.normal(size=16))
     joints = ("joint0", "joint1", "joint2")
     assert estimate.names == names
     assert estimate.samples == dict.fromkeys(joints, 40)
@@ -110,11 +106,11 @@ def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(
     truth = np.append(body, rng.uniform(0.1, 1.0, 2 if terminal else 6))
     prior = np.append(random_body(rng), np.zeros(len(truth) - 10))
     if terminal:
-        information = terminal_information(rng, truth, noise=noise)
+        sums = terminal_sums(rng, truth, noise=noise)
     else:
-        information = information_of(*arm_equations(rng), truth, noise, rng)
+        sums = sums_of(*arm_equations(rng), truth, noise, rng)
     plain, estimate = (
-        identify_parameters(information, prior, possible) for possible in (False, True)
+        identify_parameters(sums, prior, possible) for possible in (False, True)
     )
     is_impossible = not spatial.is_consistent(plain.values[:10])
     assert np.any(estimate.values != plain.values) == is_impossible
@@ -125,11 +121,8 @@ def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(
 
 def test_data_at_rest_gives_the_prior_or_its_nearest_possible_body():
     body = random_body(np.random.default_rng(0))
-    names = tuple("abcdefghij")
-    accumulator = InformationAccumulator(names, ["held"], [np.arange(10)])
-    accumulator.add(0, np.zeros((20, 10)), np.zeros(20))
-    information = accumulator.result()
-    estimate = identify_parameters(information, body, possible=True)
+    sums = sums_of([(np.zeros((20, 10)), np.arange(10))], "abcdefghij", np.zeros(10))
+    estimate = identify_parameters(sums, body, possible=True)
     assert_array_equal(estimate.values, body)
-    repaired = identify_parameters(information, -body, possible=True)
+    repaired = identify_parameters(sums, -body, possible=True)
     assert spatial.is_consistent(repaired.values)

@@ -15,7 +15,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimate.options import EstimationOptions
@@ -31,8 +30,8 @@ from robot_sysid.motion.search import (
     draw_trajectory,
 )
 from robot_sysid.parser import load_robot_model
-from robot_sysid.simulator import ArmTorque, collect_sysid_data, simulate_inverse
-from robot_sysid.solver import identify_parameters
+from robot_sysid.simulator import ArmTorque, simulate_inverse
+from robot_sysid.solver import LastLinkTerms, identify_parameters
 from robot_sysid.trajectory import (
     TrajectoryOptions,
     generate_excitation_trajectory,
@@ -149,11 +148,10 @@ def test_another_link_than_the_models_is_found(model, joint):
     heavier, theta = with_heavier_link(robot)
     plant = arms.robot_of(heavier, robot.terminal_joint)
     motion = TrajectoryOptions()
-    terms = {robot.terminal_joint: TERMINAL_FRICTION}
-    equations = Equations(robot, "chain", terms)
+    arm = LastLinkTerms(robot)
     motions = motion_chunks(excitation(robot, motion.duration), motion.sample_rate)
-    information = collect_sysid_data(equations, simulate_inverse(plant, motions))
-    estimate = identify_parameters(information, equations.prior)
+    sums = arm.exact_sums(simulate_inverse(plant, motions))
+    estimate = identify_parameters(sums, arm.prior)
     scale = spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
     assert np.all(np.isfinite(estimate.standard_errors[:10]))
     assert np.max(np.abs(estimate.values[:10] - theta) / scale) < 1e-6

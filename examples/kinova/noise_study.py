@@ -16,30 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 from validate_regressor import with_link
 
-from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_terms
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.fit import fit
-from robot_sysid.estimate.identifiability import visible_space
+from robot_sysid.estimate.identifiability import square_root, visible_space
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.result import common_result
-from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import ArmTerms
+from robot_sysid.estimate.rows import Recording, Sums
+from robot_sysid.estimate.terms import LAST_LINK, ArmTerms
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import (
-    DataOrigin,
-    Estimate,
-    MotionPlan,
-    RobotModel,
-    SquareRootInformation,
-)
+from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel
 from robot_sysid.results.record import LINK
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import plant_measurements
-from robot_sysid.simulator import collect_sysid_data, simulate_inverse
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.solver import exact_recording
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 Array = NDArray[np.float64]
@@ -120,11 +114,11 @@ class NoiseStudy:
         )
         self.plan = plan or random_plan(self.robot, seed)
         self.signals = self.record()
-        terms = friction_terms(DEFAULT_MEASURED)
-        self.friction = dict.fromkeys(self.robot.joint_names, terms)
         self.recording = Recording("log", self.signals)
         self.arm = ArmTerms(self.robot)
-        self.names = self._equations().names
+        keys = (LAST_LINK, *friction_terms(DEFAULT_MEASURED))
+        self.shown = self.arm.of([self.arm.terms[key] for key in keys])
+        self.names = self.shown.names
         self.truth = self._true_values()
 
     def record(self) -> ProcessedSignals:
@@ -138,10 +132,6 @@ class NoiseStudy:
     def cutoff(self) -> float:
         """Return the cut-off of the low-pass [Hz]."""
         return self.signals.cutoff
-
-    def _equations(self) -> Equations:
-        """Return the equations of the whole chain with each joint's friction terms."""
-        return Equations(self.robot, "chain", self.friction)
 
     def _true_values(self) -> Array:
         """Return the plant's values (p,) in the order of ``names``."""
@@ -157,11 +147,12 @@ class NoiseStudy:
     def bound(self, noise: Noise) -> Array:
         """Return the Cramer-Rao bound (p,) of the whole log: exact motion, white noise."""
         exact = simulate_inverse(self.plant, motion_chunks(self.plan, SAMPLE_RATE))
-        information = collect_sysid_data(self._equations(), exact)
+        recording = exact_recording(join_measurements(exact))
+        sums = self.shown.sums([recording], self.shown.start())
         level = np.broadcast_to(
             np.asarray(noise.level, dtype=float), (self.robot.n_joints,)
         )
-        return np.sqrt(np.diag(cramer_rao_bound(information, level)))
+        return np.sqrt(np.diag(cramer_rao_bound(sums, level)))
 
     def noisy(self, noise: Noise, rng: np.random.Generator) -> Recording:
         """Return the recording with one draw of noise in its torques."""
@@ -221,17 +212,17 @@ def random_plan(robot: RobotModel, seed: int) -> MotionPlan:
     return generate_excitation_trajectory(robot, rng)
 
 
-def cramer_rao_bound(information: SquareRootInformation, noise: Array) -> Array:
+def cramer_rao_bound(sums: Sums, noise: Array) -> Array:
     """Return the least covariance (p, p) any unbiased estimate can have: (Y^T Sigma^-1 Y)^-1.
 
     For white normal noise; the pseudo-inverse where the data shows nothing (Cramer 1946, Rao 1945).
 
     Args:
-        information: the equations.
+        sums: of the equations.
         noise: (joints,) noise standard deviation [N m].
     """
-    joints = []
-    for joint, sigma in zip(information.joints, noise):
-        joints.append(replace(joint, triangle=joint.triangle / sigma))
-    matrix, _ = replace(information, joints=tuple(joints)).equations()
-    return visible_space(matrix).inverse()
+    size = len(sums.names) + 1
+    normal = np.zeros((size, size))
+    for sigma, at, products in zip(noise, sums.columns, sums.totals):
+        normal[at[:, None], at] += products / sigma**2
+    return visible_space(square_root(normal[:-1, :-1])).inverse()

@@ -7,7 +7,6 @@ what must succeed exactly to what a real arm does. Exit code 0 when the exact on
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,11 +16,10 @@ from numpy.typing import NDArray
 from validate_regressor import with_link
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, MotionPlan, RobotModel
-from robot_sysid.simulator import collect_sysid_data, simulate_inverse
-from robot_sysid.solver import InformationAccumulator, identify_parameters
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.solver import LastLinkTerms, identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 Array = NDArray[np.float64]
@@ -49,22 +47,15 @@ def main() -> int:
 
 
 def identify(
-    robot: RobotModel,
-    plant: RobotModel,
-    plan: MotionPlan,
-    torques: str = "chain",
-    joints: Iterable[str] = (),
+    robot: RobotModel, plant: RobotModel, plan: MotionPlan, torques: str = "chain"
 ) -> Estimate:
     """Identify ``robot``'s terminal link from torques that ``plant`` produces along a plan.
 
-    The friction of the terminal joint is identified too, and that of ``joints``.
+    The friction of the terminal joint is identified too.
     """
-    friction = dict.fromkeys([*joints, robot.terminal_joint], TERMINAL_FRICTION)
-    equations = Equations(robot, torques, friction)
+    arm = LastLinkTerms(robot, torques)
     measurements = simulate_inverse(plant, motion_chunks(plan, SAMPLE_RATE))
-    return identify_parameters(
-        collect_sysid_data(equations, measurements), equations.prior
-    )
+    return identify_parameters(arm.exact_sums(measurements), arm.prior)
 
 
 def own_simulation(guess: RobotModel, plan: MotionPlan) -> bool:
@@ -103,7 +94,8 @@ def payload_by_difference(
 ) -> bool:
     """Test that the tool alone is identified from two runs, in which errors of the links cancel.
 
-    tau_with - tau_without = Y (theta_with - theta_without) = Y theta_tool.
+    tau_with - tau_without = Y (theta_with - theta_without) = Y theta_tool: least squares are linear
+    in torques, so that the difference of two estimates is the estimate from the difference.
     """
     print(
         "\n4. The tool alone: run with it minus run without it, all other links guessed wrong"
@@ -113,30 +105,22 @@ def payload_by_difference(
     )
     bare = truth.prior.theta - tool
     unloaded = replace(truth, mj_model=with_link(truth, bare))
-    equations = Equations(guess, "chain", {})
-    information = InformationAccumulator(
-        equations.names, equations.joints, equations.columns
-    )
-    runs = (
-        simulate_inverse(arm, motion_chunks(plan, SAMPLE_RATE))
-        for arm in (truth, unloaded)
-    )
-    for pair in zip(*runs):
-        (loaded, empty) = (equations.rows(measurement) for measurement in pair)
-        for joint, ((rows, tau), (_, tau_empty)) in enumerate(zip(loaded, empty)):
-            information.add(joint, rows, tau - tau_empty)
-    estimate = identify_parameters(information.result(), np.zeros(10))
-    return print_table(tool, estimate.values, guess)
+    loaded, empty = (identify(guess, arm, plan).values for arm in (truth, unloaded))
+    return print_table(tool, (loaded - empty)[:10], guess)
 
 
 def links_from_the_catalogue(
     guess: RobotModel, truth: RobotModel, plan: MotionPlan
 ) -> None:
-    """Print the result where the other links differ from the model, as on a real arm."""
+    """Print the result where the other links differ from the model, as on a real arm.
+
+    The friction of the other joints is known.
+    """
     print(
         "\n5. The truth, when all other links are only guessed (not expected to be exact)"
     )
-    estimate = identify(guess, truth, plan, joints=guess.joint_names)
+    start = replace(guess, friction=truth.friction)
+    estimate = identify(start, truth, plan)
     compare(model_parameters(truth), estimate, guess)
     verdict = "a" if estimate.inertial.is_consistent else "no"
     print(f"   residual {estimate.rmse:.3f} N m; {verdict} possible rigid body")

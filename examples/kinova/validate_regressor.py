@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import Equations
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
+from robot_sysid.estimate.rows import Rows
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion, RobotModel
+from robot_sysid.solver import LastLinkTerms, exact_recording
 
 Array = NDArray[np.float64]
 
@@ -78,13 +79,13 @@ def both_torques(
     robot: RobotModel, theta: Array, motion: Motion
 ) -> tuple[Array, Array]:
     """Return torques (N, n) without friction: MuJoCo's, and known part + Y theta."""
-    equations = Equations(robot, "chain", {})
+    arm = LastLinkTerms(robot, friction=())
     still = np.zeros_like(motion.q)
     measured = Measurement(motion.time, motion.q, motion.qd, still, motion.qdd)
-    rows, right_sides = zip(*equations.rows(measured))
-    # Of a torque of zero, the right-hand side is the torque that is known, friction included.
-    known = -np.stack(right_sides, axis=1) - robot.friction.torque(motion.qd)
-    ours = np.stack(rows, axis=1) @ theta + known
+    rows, _ = arm.equations(Rows(exact_recording(measured), slice(None)), arm.start())
+    # Of a torque of zero, the right-hand side is minus the torque that is known, with friction.
+    known = -rows[:, :, -1] - robot.friction.torque(motion.qd)
+    ours = rows[:, :, :-1] @ theta + known
     carrying = replace(robot, mj_model=with_link(robot, theta))
     return ArmDynamics(carrying).torque(motion.q, motion.qd, motion.qdd), ours
 

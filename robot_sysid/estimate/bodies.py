@@ -77,7 +77,7 @@ class LinksProblem:
     Attributes:
         links: per link (10,) indices of its parameters, in the order of
             ``spatial.PARAMETER_NAMES``.
-        prior: (p,) parameters of the reference bodies at these indices, zero elsewhere.
+        prior: (p,) parameters, of which those at these indices are the reference bodies.
     """
 
     links: tuple[NDArray[np.int64], ...]

@@ -50,7 +50,7 @@ from robot_sysid.records import (
     InertialParameters,
     Validation,
 )
-from robot_sysid.records.data import Traces
+from robot_sysid.records.data import Traces, rms_of_joints
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.messages import (
     PARAMETER_UNITS,
@@ -325,15 +325,15 @@ def _estimate(fitted: Fit) -> Estimate:
     order = fitted.at([*names, *others])
     counts = np.sum(sums.counts, axis=0)
     squares = sums.squared_residuals(fitted.full)
-    rms = np.sqrt(squares / np.maximum(counts, 1.0))
+    rmse, rmse_per_joint = rms_of_joints(sums.joints, squares, counts)
     return Estimate(
         names=(*names, *others),
         values=fitted.values[order],
         identifiability=analyse_identifiability(
             square_root(normal), names, sums.joints[-1]
         ),
-        rmse=float(np.sqrt(np.sum(squares) / max(np.sum(counts), 1.0))),
-        rmse_per_joint=dict(zip(sums.joints, rms.tolist())),
+        rmse=rmse,
+        rmse_per_joint=rmse_per_joint,
         samples=dict(zip(sums.joints, counts.astype(int).tolist())),
         standard_errors=fitted.errors[order],
         noise_per_joint=fitted.noise_per_joint,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -179,6 +179,8 @@ class Sums:
         lagged: per joint (B, k, k) the products of each row with the next one, made symmetric.
         counts: (B, J) number of rows.
         logs: (B,) the log that a block belongs to.
+        triangles: (J, p + 1, p + 1) triangles R of each joint with R' R = [A b]' [A b], of all
+            parameters, which keep the digits that products lose; None where nobody asked for them.
     """
 
     names: tuple[str, ...]
@@ -188,6 +190,7 @@ class Sums:
     lagged: tuple[Array, ...]
     counts: Array
     logs: tuple[str, ...]
+    triangles: Array | None = None
 
     @property
     def blocks(self) -> range:
@@ -367,31 +370,38 @@ def block_numbers(
 
 
 def add_up(
-    recordings: Sequence[Recording],
+    recordings: Iterable[tuple[Recording, NDArray[np.int64]]],
+    logs: Sequence[str],
     names: Sequence[str],
     joints: Sequence[str],
     make: Callable[[Rows], tuple[Array, Mask]],
+    with_triangles: bool = False,
 ) -> Sums:
     """Return the sums of all rows; columns that are nothing but rounding are zero.
 
     Args:
-        recordings: one at least.
+        recordings: one at least, each with the block (K,) of its rows; read one at a time.
+        logs: (B,) the log that a block belongs to.
         names: (p,) of the parameters.
         joints: names of the J joints with equations.
         make: returns (rows [A b] (m, J, p + 1), used (m, J)) of a chunk.
+        with_triangles: whether to keep triangles beside the products, of rows that are all used.
 
     Raises:
         InputError: no row can be used.
     """
-    numbers, logs = block_numbers(recordings)
     size = len(names) + 1
     joint_sums = [_JointSums(len(logs), size) for _ in joints]
-    for recording, blocks in zip(recordings, numbers):
+    triangles = np.zeros((len(joints), size, size)) if with_triangles else None
+    for recording, blocks in recordings:
         for chunk in recording.chunks(size * len(joints)):
             rows, used = make(chunk)
             for joint, sums in enumerate(joint_sums):
                 block = np.where(used[:, joint], blocks[chunk.span], -1)
                 sums.add(rows[:, joint], block)
+            if triangles is not None:
+                stacked = np.concatenate((triangles, np.swapaxes(rows, 0, 1)), axis=1)
+                triangles = np.asarray(np.linalg.qr(stacked, mode="r"))
     counts = np.stack([sums.counts for sums in joint_sums], axis=1)
     if not np.any(counts):
         raise InputError(
@@ -408,6 +418,7 @@ def add_up(
         tuple(sums.products[1] for sums in joint_sums),
         counts,
         tuple(logs),
+        triangles,
     )
 
 

@@ -38,7 +38,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.estimate.links import reference_links
-from robot_sysid.estimate.rows import Mask, Recording, Rows, Sums, add_up
+from robot_sysid.estimate.rows import Mask, Recording, Rows, Sums, add_up, block_numbers
 from robot_sysid.records import Array, RobotModel
 
 # Causes, as they are called in results.
@@ -174,7 +174,17 @@ class Term:
         if prior is not None:
             prior = Prior(prior.mean[at], prior.factor[np.ix_(at, at)])
         reference = None if self.reference is None else self.reference[at]
-        return replace(self, names=tuple(names), prior=prior, reference=reference)
+        return replace(
+            self,
+            names=tuple(names),
+            columns=partial(self._columns_at, at),
+            prior=prior,
+            reference=reference,
+        )
+
+    def _columns_at(self, at: Sequence[int], rows: Rows, point: Point) -> Array:
+        """Return the columns (m, J, k) of the parameters with indices ``at`` (k,)."""
+        return self.columns(rows, point)[:, :, at]
 
 
 class ArmTerms:
@@ -313,7 +323,9 @@ class ArmTerms:
     def sums(self, recordings: Sequence[Recording], point: Point) -> Sums:
         """Return the sums of all rows, linearised around a point."""
         make = partial(self.equations, point=point)
-        return add_up(recordings, self.names, self.joints, make)
+        numbers, logs = block_numbers(recordings)
+        pairs = zip(recordings, numbers)
+        return add_up(pairs, logs, self.names, self.joints, make)
 
     def equations(self, rows: Rows, point: Point) -> tuple[Array, Mask]:
         """Return (rows [A b] (m, J, p + 1), used (m, J)) of a chunk."""

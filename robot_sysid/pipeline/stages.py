@@ -22,8 +22,7 @@ from robot_sysid.config import (
     SelfTestConfig,
     with_scale_prior,
 )
-from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations, split_name
-from robot_sysid.dynamics.spatial import N_INERTIAL
+from robot_sysid.dynamics.equations import split_name
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
 from robot_sysid.parser import load_robot_model
@@ -43,8 +42,8 @@ from robot_sysid.records.option_fields import given_values, write_torque_scale
 from robot_sysid.results.quantities import body_quantities, without_rounding
 from robot_sysid.results.record import LINK, Quantity, Result, Verdict
 from robot_sysid.results.verification import CHECKPOINTS
-from robot_sysid.simulator import collect_sysid_data, simulate_inverse
-from robot_sysid.solver import identify_parameters
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.solver import TERMINAL_FRICTION, LastLinkTerms, identify_parameters
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count
 
 
@@ -255,22 +254,21 @@ def run_self_test(
     rate = config.trajectory.sample_rate
     progress.stage("Running MuJoCo simulation...")
     terms = () if options.no_friction else TERMINAL_FRICTION
-    equations = Equations(robot, options.torques, {robot.terminal_joint: terms})
+    arm = LastLinkTerms(robot, options.torques, terms)
     simulated = simulate_inverse(robot, motion_chunks(plan, rate))
     count = math.ceil(sample_count(plan.duration, rate) / CHUNK)
     tracked = progress.track(simulated, "Collecting regressor data", count)
-    information = collect_sysid_data(equations, tracked)
+    sums = arm.exact_sums(tracked)
     progress.stage("Solving for parameters...")
-    estimate = identify_parameters(information, equations.prior, possible=True)
+    estimate = identify_parameters(sums, arm.prior, possible=True)
     rows = []
-    for index in range(N_INERTIAL, len(equations.names)):
-        term, joint = split_name(equations.names[index])
-        unit = term_unit(term, joint in robot.slides)
-        value = float(without_rounding(estimate.values[index], 1.0))
-        # Without noise, the error is one of rounding: none is stated.
-        rows.append(
-            Quantity(term, joint, unit, float(equations.prior[index]), value, None)
-        )
+    for name, model, identified in zip(arm.names, arm.prior, estimate.values):
+        term, joint = split_name(name)
+        if joint:
+            unit = term_unit(term, joint in robot.slides)
+            value = float(without_rounding(identified, 1.0))
+            # Without noise, the error is one of rounding: none is stated.
+            rows.append(Quantity(term, joint, unit, float(model), value, None))
     verdict = self_test_verdict(estimate).remark()
     result = Result(
         robot=robot,

@@ -1,7 +1,7 @@
-"""Motion and measurements, the information that one pass leaves of them, and what follows from it.
+"""Motion and measurements, and what follows from them.
 
-Samples become square-root information, that becomes an ``Estimate``, which is judged by a
-``Validation``. ``Traces`` are what a report draws of the samples.
+Samples become an ``Estimate``, which is judged by a ``Validation``. ``Traces`` are what a report
+draws of the samples.
 """
 
 from __future__ import annotations
@@ -94,65 +94,19 @@ class Measurement:
         return len(self.time)
 
 
-@dataclass(frozen=True)
-class JointInformation:
-    """Square-root information of one joint's equations Y x = tau.
+def rms_of_joints(
+    joint_names: Sequence[str], squares: Array, counts: Array
+) -> tuple[float, dict[str, float]]:
+    """Return the root mean square of all samples, and joint to that of its own.
 
-    Attributes:
-        joint: name of the joint.
-        columns: (k,) indices of the global parameters that these equations contain.
-        triangle: upper triangle R (k+1, k+1) with R^T R = [Y tau]^T [Y tau]; fewer rows, with that
-            product, where there are fewer equations.
-        n_samples: number of equations.
+    Args:
+        joint_names: the J joints.
+        squares: (J,) sum of squares of each joint.
+        counts: (J,) number of samples in these sums.
     """
-
-    joint: str
-    columns: NDArray[np.int64]
-    triangle: Array
-    n_samples: int
-
-    def __post_init__(self) -> None:
-        size = len(self.columns) + 1
-        check_arrays(self, triangle=(min(len(self.triangle), size), size))
-
-
-@dataclass(frozen=True)
-class SquareRootInformation:
-    """The equations of all joints after one pass over the data, as one triangle per joint.
-
-    Attributes:
-        names: (p,) global parameter names: the ten of ``spatial.PARAMETER_NAMES`` first, then
-            nuisances such as ``coulomb[joint6]``.
-        joints: the equations of each joint, base to terminal.
-    """
-
-    names: tuple[str, ...]
-    joints: tuple[JointInformation, ...]
-
-    @property
-    def n_samples(self) -> int:
-        """Number of scalar equations."""
-        return sum(joint.n_samples for joint in self.joints)
-
-    def equations(self) -> tuple[Array, Array]:
-        """Return (A (M, p), b (M,)) with ||A x - b||^2 = sum_j ||Y_j x - tau_j||^2."""
-        blocks = []
-        for joint in self.joints:
-            # A joint's triangle has the columns of its own parameters, and the torque's.
-            block = np.zeros((len(joint.triangle), len(self.names) + 1))
-            block[:, [*joint.columns, -1]] = joint.triangle
-            blocks.append(block)
-        rows = np.vstack(blocks)
-        return rows[:, :-1], rows[:, -1]
-
-    def squared_residuals(self, values: Array) -> Array:
-        """Return each joint's sum of squared residuals (joints,) at values (p,) [N^2 m^2]."""
-        sums = []
-        for joint in self.joints:
-            # The last column of a triangle is that of the torques.
-            residual = joint.triangle[:, :-1] @ values[joint.columns]
-            sums.append(np.sum((residual - joint.triangle[:, -1]) ** 2))
-        return np.array(sums)
+    per_joint = np.sqrt(squares / np.maximum(counts, 1.0)).tolist()
+    overall = float(np.sqrt(np.sum(squares) / max(np.sum(counts), 1.0)))
+    return overall, dict(zip(joint_names, per_joint))
 
 
 @dataclass(frozen=True)
@@ -179,7 +133,7 @@ class Estimate:
     """Result of one solver run.
 
     Attributes:
-        names: (p,) parameter names, as in the information.
+        names: (p,) parameter names.
         values: (p,) the estimated parameters, the ten inertial ones first.
         identifiability: of these parameters.
         rmse: root mean square torque residual of all joints [N m].
@@ -264,20 +218,19 @@ def validation_of(
     """
 
     squared_errors = np.sum(blocks, axis=0)
-    total = float(np.sum(squared_errors))
     # Those of the joints, then of all joints together.
-    errors = [*squared_errors, total]
+    errors = [*squared_errors, np.sum(squared_errors)]
     torques = [*squared_torques, np.sum(squared_torques)]
     *relative, overall = [
         float(np.sqrt(e / t)) if t > 0.0 else None for e, t in zip(errors, torques)
     ]
-    per_joint = np.sqrt(squared_errors / np.maximum(counts, 1.0)).tolist()
+    rmse, rmse_per_joint = rms_of_joints(joint_names, squared_errors, counts)
     return Validation(
         source=source,
         n_samples=int(np.max(counts, initial=0)),
-        rmse=float(np.sqrt(total / max(np.sum(counts), 1.0))),
+        rmse=rmse,
         relative_error=overall,
-        rmse_per_joint=dict(zip(joint_names, per_joint)),
+        rmse_per_joint=rmse_per_joint,
         relative_error_per_joint=dict(zip(joint_names, relative)),
         blocks=blocks,
     )

@@ -6,19 +6,17 @@ import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
-from robot_sysid.errors import InputError
 from robot_sysid.estimate.identifiability import VisibleSpace, visible_space
 from robot_sysid.model.bodies import composite_theta
-from robot_sysid.records import JointFriction
-from robot_sysid.simulator import collect_sysid_data, simulate_inverse
+from robot_sysid.records import JointFriction, Measurement
+from robot_sysid.simulator import simulate_inverse
+from robot_sysid.solver import LastLinkTerms
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.support import arms
 from tests.support.arms import SEEDS, random_chain, rigid_bodies, robot_of
@@ -43,7 +41,6 @@ ARM_NAMES = [
     "unlimited",
 ]
 ARMS = {name: robot_of(arms.MODELS[name]) for name in ARM_NAMES}
-SEVEN = ARMS["seven"]
 
 
 def plant_with(robot, theta, friction):
@@ -96,21 +93,15 @@ class Fit:
 
 def identify(robot, measurements):
     """Return a Fit of the terminal link and joint friction to the measurements."""
-    equations = Equations(robot, "chain", {robot.terminal_joint: TERMINAL_FRICTION})
-    information = collect_sysid_data(equations, measurements)
-    return solve(information, equations.prior)
-
-
-def solve(information, prior):
-    """Return the Fit of collected information to a prior (M,)."""
-    matrix, rhs = information.equations()
-    space = visible_space(matrix)
-    values = prior + space.solve(rhs - matrix @ prior)
-    squared = np.sum(information.squared_residuals(values))
-    rmse = float(np.sqrt(squared / information.n_samples))
-    return Fit(
-        information.names, values, prior, space, float(np.linalg.norm(rhs)), rmse
-    )
+    arm = LastLinkTerms(robot)
+    sums = arm.exact_sums(measurements)
+    rows = np.concatenate(sums.triangles)
+    space = visible_space(rows[:, :-1])
+    values = arm.prior + space.solve(rows @ np.append(-arm.prior, 1.0))
+    residual = np.linalg.norm(rows @ np.append(-values, 1.0))
+    rmse = float(residual / np.sqrt(np.sum(sums.counts)))
+    torque_size = float(np.linalg.norm(rows[:, -1]))
+    return Fit(sums.names, values, arm.prior, space, torque_size, rmse)
 
 
 def scale_of(truth):
@@ -156,10 +147,26 @@ def test_identified_parameters_are_exact_and_the_others_keep_the_prior(
     assert estimate.rmse < 1e-9 * (1.0 + np.linalg.norm(truth))
 
 
-@pytest.mark.parametrize("missing", ["qd", "qdd"])
-def test_a_measurement_without_derivatives_is_refused(missing):
-    equations = Equations(SEVEN, "chain", {})
-    with pytest.raises(InputError, match="differentiate it first"):
-        collect_sysid_data(
-            equations, [replace(measure(SEVEN, 5)[0], **{missing: None})]
-        )
+@given(SEEDS, st.integers(1, 200))
+def test_sums_of_chunks_are_those_of_one(seed, size):
+    """Triangles of any chunks have the products of all rows."""
+    robot = ARMS["three"]
+    (whole,) = measure(robot, seed)
+    parts = [slice(k, k + size) for k in range(0, len(whole), size)]
+    arm = LastLinkTerms(robot)
+    one, several = (
+        arm.exact_sums(chunks)
+        for chunks in ([whole], [chunk_of(whole, part) for part in parts])
+    )
+    products = np.swapaxes(several.triangles, 1, 2) @ several.triangles
+    for product, at, expected in zip(products, one.columns, one.totals):
+        scale = np.sqrt(np.diag(expected))
+        error = (product[np.ix_(at, at)] - expected) / np.outer(scale, scale)
+        assert_array_less(np.abs(error), 1e-12)
+    assert one.counts.tolist() == several.counts.tolist()
+
+
+def chunk_of(whole, part):
+    """Return a part of the samples of a measurement."""
+    fields = (whole.time, whole.q, whole.qd, whole.tau, whole.qdd)
+    return Measurement(*(values[part] for values in fields))

@@ -12,34 +12,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from robot_sysid.dynamics.equations import TERMINAL_FRICTION, Equations
 from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
 from robot_sysid.records import Measurement
-from robot_sysid.solver import InformationAccumulator
+from robot_sysid.solver import LastLinkTerms
 from tests.support import arms
-from tests.support.synthetic_data import (
-    arm_equations,
-    information_of,
-    terminal_information,
-)
+from tests.support.synthetic_data import arm_equations, sums_of, terminal_sums
 
 
-def analyse_information(information):
-    """Return the identifiability from square-root information."""
-    matrix, _ = information.equations()
-    joint = information.joints[-1].joint
-    return analyse_identifiability(matrix, information.names, joint)
+def matrix_of(sums):
+    """Return rows (M, p) with the products of all rows of sums."""
+    return np.concatenate(sums.triangles)[:, :-1]
+
+
+def analyse_sums(sums):
+    """Return the identifiability from sums."""
+    return analyse_identifiability(matrix_of(sums), sums.names, sums.joints[-1])
 
 
 def analyse(rng, equations, names):
     """Return the identifiability from equations of any torque."""
     truth = rng.normal(size=len(names))
-    return analyse_information(information_of(equations, names, truth))
+    return analyse_sums(sums_of(equations, names, truth))
 
 
 def test_last_joint_alone_shows_seven_of_ten_parameters_and_its_friction():
-    information = terminal_information(np.random.default_rng(0), np.zeros(12))
-    identifiability = analyse_information(information)
+    sums = terminal_sums(np.random.default_rng(0), np.zeros(12))
+    identifiability = analyse_sums(sums)
     assert (identifiability.rank, identifiability.n_parameters) == (9, 12)
     hidden = ("mass", "first moment along z", "inertia Ixx", "inertia Iyy")
     assert identifiability.unidentifiable == hidden
@@ -54,7 +52,7 @@ def test_nuisances_of_any_number_and_unit_do_not_count(seed, exponents):
     equations = [(np.column_stack((rows, nuisances)), np.arange(12 + len(exponents)))]
     names += tuple(f"nuisance{k}" for k in range(len(exponents)))
     truth = rng.normal(size=len(names)) / np.append(np.ones(12), units)
-    identifiability = analyse_information(information_of(equations, names, truth))
+    identifiability = analyse_sums(sums_of(equations, names, truth))
     assert (identifiability.rank, identifiability.n_parameters) == (9, 12)
 
 
@@ -98,8 +96,7 @@ def test_the_unit_of_torque_does_not_decide_what_is_visible(
     scaled = [(rows * 10.0**exponent, columns) for rows, columns in equations]
     truth = rng.normal(size=16)
     expected, identifiability = (
-        analyse_information(information_of(rows, names, truth))
-        for rows in (equations, scaled)
+        analyse_sums(sums_of(rows, names, truth)) for rows in (equations, scaled)
     )
     assert identifiability.rank == expected.rank
     assert identifiability.unidentifiable == expected.unidentifiable
@@ -188,26 +185,19 @@ def random_states(robot, rng, joints, samples):
     return np.where(moving, q, robot.reference), qd * moving, qdd * moving
 
 
-def information_of_states(robot, torques, q, qd, qdd):
-    """Return square-root information of the package's own equations for some states."""
-    friction = {robot.terminal_joint: TERMINAL_FRICTION}
-    equations = Equations(robot, torques, friction)
+def sums_of_states(robot, torques, q, qd, qdd):
+    """Return the sums of the package's own equations for some states."""
     measurement = Measurement(np.arange(len(q)) / 100.0, q, qd, np.zeros_like(q), qdd)
-    accumulator = InformationAccumulator(
-        equations.names, equations.joints, equations.columns
-    )
-    for joint, (rows, _) in enumerate(equations.rows(measurement)):
-        accumulator.add(joint, rows, np.zeros(len(rows)))
-    return accumulator.result()
+    return LastLinkTerms(robot, torques).exact_sums([measurement])
 
 
-def assert_same(information, visibility):
+def assert_same(sums, visibility):
     """Compare rank, parameters and directions with those that MuJoCo shows.
 
     Where a combination shows by about as much as the cut requires, another motion may decide
     otherwise, and the rank alone is compared.
     """
-    identifiability = analyse_information(information)
+    identifiability = analyse_sums(sums)
     least, largest = visibility.ranks
     assert identifiability.n_parameters == 12
     assert least <= identifiability.rank <= largest
@@ -215,7 +205,7 @@ def assert_same(information, visibility):
         return
     is_identified = np.linalg.norm(visibility.null, axis=1) < 1e-6
     assert len(identifiability.unidentifiable) == np.count_nonzero(~is_identified)
-    space = visible_space(information.equations()[0])
+    space = visible_space(matrix_of(sums))
     assert_array_equal(space.is_identified, is_identified)
     hidden = space.scale[:, None] * space.null / visibility.scale[:, None]
     hidden /= np.linalg.norm(hidden, axis=0)
@@ -259,4 +249,4 @@ def test_the_package_shows_what_mujoco_and_an_svd_show(arm, torques, seed):
     )
     columns = mujoco_columns(robot, *states)
     visibility = visibility_of(columns if torques == "chain" else columns[:, -1:])
-    assert_same(information_of_states(robot, torques, *other_states), visibility)
+    assert_same(sums_of_states(robot, torques, *other_states), visibility)

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import Equations
+from robot_sysid.estimate.rows import Rows
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
+from robot_sysid.solver import LastLinkTerms, exact_recording
 
 X = "1 0 0"
 Y = "0 1 0"
@@ -253,13 +254,13 @@ def seeded_motion(seed, n_joints, n_samples=20):
 
 def rows_and_rest(robot, motion):
     """Rows (N, n, 10) of the terminal link and the torque (N, n) of the rest of the arm."""
-    equations = Equations(robot, "chain", {})
+    arm = LastLinkTerms(robot, friction=())
     q, qd, qdd = motion
     still = Measurement(np.arange(len(q)), q, qd, np.zeros_like(q), qdd)
-    rows, right_sides = zip(*equations.rows(still))
+    rows = Rows(exact_recording(still), slice(None))
+    equations, _ = arm.equations(rows, arm.start())
     # The right-hand side of a torque of zero is the torque that is known; friction is added to it.
-    rest = -np.stack(right_sides, axis=1) - robot.friction.torque(qd)
-    return np.stack(rows, axis=1), rest
+    return equations[:, :, :-1], -equations[:, :, -1] - robot.friction.torque(qd)
 
 
 def random_rotation(rng):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.solver import InformationAccumulator
+from robot_sysid.estimate.rows import Sums
 
 Z = np.array([0.0, 0.0, 1.0])
 ORIGIN = np.zeros(3)
@@ -71,13 +71,13 @@ def arm_equations(rng, joints=3, count=60):
     return equations, tuple(names)
 
 
-def information_of(equations, names, truth, noise=0.0, rng=None):
-    """SquareRootInformation of equations with tau = rows truth + noise."""
+def sums_of(equations, names, truth, noise=0.0, rng=None):
+    """Sums of equations with tau = rows truth + noise."""
     torques = []
     for rows, columns in equations:
         error = 0.0 if rng is None else noise * rng.normal(size=len(rows))
         torques.append(rows @ truth[columns] + error)
-    return Samples(equations, torques).information(names)
+    return Samples(equations, torques).sums(names)
 
 
 class Samples:
@@ -87,19 +87,19 @@ class Samples:
         self.equations = equations
         self.torques = torques
 
-    def __iter__(self):
-        for j, (rows, _) in enumerate(self.equations):
-            yield j, rows, self.torques[j]
-
-    def information(self, names):
-        """What is left of them after one pass."""
-        joints = [f"joint{j}" for j in range(len(self.equations))]
-        columns = [columns for _, columns in self.equations]
-        accumulator = InformationAccumulator(names, joints, columns)
-        for index, rows, tau in self:
-            keep = np.isfinite(tau)
-            accumulator.add(index, rows[keep], tau[keep])
-        return accumulator.result()
+    def sums(self, names):
+        """Their sums, nothing but triangles, which are those of all rows at once."""
+        size = len(names) + 1
+        triangles = np.zeros((len(self.equations), size, size))
+        for triangle, (rows, columns), tau in zip(
+            triangles, self.equations, self.torques
+        ):
+            full = np.zeros((max(len(rows), size), size))
+            full[: len(rows), [*columns, size - 1]] = np.column_stack((rows, tau))
+            triangle[:] = np.linalg.qr(full, mode="r")
+        joints = tuple(f"joint{j}" for j in range(len(self.equations)))
+        counts = np.array([[float(len(tau)) for tau in self.torques]])
+        return Sums(tuple(names), joints, (), (), (), counts, ("",), triangles)
 
 
 def noisy_samples(seed, noises=(0.1, 0.1, 0.1), count=200):
@@ -130,8 +130,8 @@ def autocorrelated(white, memory, start=None):
     return lfilter(*weights, white, axis=0, zi=state)[0]
 
 
-def terminal_information(rng, truth, axis=Z, offset=ORIGIN, count=80, noise=0.0):
+def terminal_sums(rng, truth, axis=Z, offset=ORIGIN, count=80, noise=0.0):
     """What ``--torques terminal`` collects: one joint, ten inertial and two friction columns."""
     equations = [(joint_rows(rng, count, axis, offset), np.arange(12))]
     names = (*spatial.PARAMETER_NAMES, "coulomb[joint0]", "viscous[joint0]")
-    return information_of(equations, names, truth, noise, rng)
+    return sums_of(equations, names, truth, noise, rng)
