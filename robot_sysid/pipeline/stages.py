@@ -290,8 +290,7 @@ def self_test_verdict(estimate: Estimate) -> Verdict:
     TOO_WEAK where the mass's standard error is above half the mass, PARTLY_FROM_MODEL where some
     parameters are not identifiable, else OK.
     """
-    errors = estimate.standard_errors
-    mass_error = np.inf if errors is None else errors[0]
+    mass_error = estimate.error("m") or 0.0
     if max(_NEGLIGIBLE_MASS_ERROR, 0.5 * estimate.inertial.mass) < mass_error < np.inf:
         return Verdict.TOO_WEAK
     identifiability = estimate.identifiability

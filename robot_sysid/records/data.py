@@ -33,24 +33,24 @@ class Motion:
     qdd: Array
 
     def __post_init__(self) -> None:
-        _check_samples(self, "q", "qd", "qdd")
+        _check_samples(self, "qd", "qdd")
 
 
 def _check_samples(record: Motion | Measurement, *names: str) -> None:
     """Make the arrays of a record read-only and check their shapes.
 
     Args:
-        record: the record, whose fields are replaced by views; its ``time`` has the shape (N,).
-        names: of its fields of the shape (N, n); one that is None is left out.
+        record: the record, whose fields are replaced by views; its ``time`` has the shape (N,), its
+            ``q`` (N, n).
+        names: of its further fields of the shape (N, n); one that is None is left out.
 
     Raises:
         InputError: a shape differs, or an element is not finite.
     """
     check_arrays(record, time=(None,))
-    n_joints = np.shape(record.q)[1] if np.ndim(record.q) == 2 else None
-    shape = len(record.time), n_joints
-    shapes = {name: shape for name in names if getattr(record, name) is not None}
-    check_arrays(record, **shapes)
+    check_arrays(record, q=(len(record.time), None))
+    given = (name for name in names if getattr(record, name) is not None)
+    check_arrays(record, **dict.fromkeys(given, record.q.shape))
 
 
 class MotionPlan(Protocol):
@@ -88,7 +88,7 @@ class Measurement:
     left_out: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        _check_samples(self, "q", "qd", "tau", "qdd", "joint_time", "command")
+        _check_samples(self, "qd", "tau", "qdd", "joint_time", "command")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -163,15 +163,13 @@ class Estimate:
 
     def value(self, name: str) -> float | None:
         """Return one parameter by name, or None where it was not estimated."""
-        if name not in self.names:
-            return None
-        return float(self.values[self.names.index(name)])
+        return dict(zip(self.names, self.values.tolist())).get(name)
 
     def error(self, name: str) -> float | None:
         """Return the standard error of one parameter by name, or None where there is none."""
-        if self.standard_errors is None or name not in self.names:
+        if self.standard_errors is None:
             return None
-        return float(self.standard_errors[self.names.index(name)])
+        return dict(zip(self.names, self.standard_errors.tolist())).get(name)
 
 
 @dataclass(frozen=True)
