@@ -10,6 +10,7 @@ import statistics
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain, product
 from pathlib import Path
@@ -20,10 +21,13 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import (
+    ROWS,
     Block,
+    Chunk,
     LogSource,
     LogTable,
     as_input_errors,
+    chunk_blocks,
     import_optional,
 )
 from robot_sysid.logs.titles import read_title
@@ -32,10 +36,11 @@ from robot_sysid.records.file_access import read_json
 from robot_sysid.signals.resampling import RECORDING_SEPARATION
 
 
-def array_blocks(arrays: Sequence[Array], columns: Sequence[int]) -> Iterator[Block]:
+def array_blocks(arrays: Chunk, columns: Sequence[int]) -> Iterator[Block]:
     """Yield the rows of arrays, (N,) or (N, k), side by side, with the columns of these indices."""
-    cells = np.column_stack([np.asarray(array, dtype=float) for array in arrays])
-    yield Block(np.arange(len(cells)) + 1, cells[:, list(columns)])
+    edges = range(0, len(arrays[0]), ROWS)
+    chunks = ([array[k : k + ROWS] for array in arrays] for k in edges)
+    return chunk_blocks(lambda: chunks, len(arrays[0]), columns)
 
 
 def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable:
@@ -48,8 +53,8 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     uses = Counter(name.rpartition("/")[2] for name in arrays)
     columns = {}
     for name, values in arrays.items():
-        if isinstance(values, np.ndarray) and values.size and values.dtype.kind in "Mm":
-            values = (values - values.flat[0]) / np.timedelta64(1, "s")
+        if isinstance(values, np.ndarray) and values.size:
+            values = _in_seconds(values, values.flat[0])
         if can_be_column(values):
             short_name = name.rpartition("/")[2]
             columns[short_name if uses[short_name] == 1 else name] = values
@@ -58,8 +63,7 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
     times = [n for n in columns if read_title(n).quantity == "time"]
     lengths = [max(columns[name].shape) for name in times or columns]
     if not lengths:
-        shapes = [f"{name} {np.shape(array)}" for name, array in arrays.items()]
-        listed = ", ".join(shapes) or "nothing"
+        listed = ", ".join(arrays) or "nothing"
         raise InputError(f"{path} holds no arrays with a row per sample: {listed}")
     n_rows = statistics.mode(lengths)
     titles = []
@@ -117,33 +121,45 @@ _NUMERIC_TYPE = re.compile(
 def parquet_table(source: LogSource) -> LogTable:
     """Return the columns of numbers of a Parquet file; a list in a cell is a column each."""
     path = source.path
-    schema = import_optional("pyarrow.parquet", "parquet").read_schema(path)
+    metadata = import_optional("pyarrow.parquet", "parquet").read_metadata(path)
+    schema = metadata.schema.to_arrow_schema()
     names = [f.name for f in schema if _NUMERIC_TYPE.fullmatch(str(f.type))]
-    return arrays_table(path, "Parquet", _read_parquet([path], names))
+    read = partial(_read_parquet, [path], names)
+    table = arrays_table(path, "Parquet", dict(zip(names, next(read(), ()))))
+    return replace(table, blocks=partial(chunk_blocks, read, metadata.num_rows))
 
 
-def _read_parquet(files: Sequence[Path], columns: Sequence[str]) -> dict[str, Array]:
-    """Return name to column, (N,) or (N, k) for lists, of Parquet files one after the other.
+def _read_parquet(files: Sequence[Path], columns: Sequence[str]) -> Iterator[Chunk]:
+    """Yield columns of Parquet files, one after the other, in chunks of rows.
 
-    InputError where one of them cannot be read.
+    A column is (R,), dates as seconds from the first one, or (R, k) for lists. InputError where a
+    file cannot be read.
     """
     parquet = import_optional("pyarrow.parquet", "parquet")
-    arrays = []
-    for file in files:
-        with as_input_errors(file, "a Parquet file"):
-            frames = parquet.read_table(file, columns=list(columns))
-            arrays.append([_arrow_array(frames.column(name)) for name in columns])
-    return dict(zip(columns, map(np.concatenate, zip(*arrays))))
+    starts: list[Any] = []
+    for path in files:
+        with as_input_errors(path, "a Parquet file"), parquet.ParquetFile(path) as file:
+            for batch in file.iter_batches(ROWS, columns=list(columns)):
+                chunk = [_arrow_array(batch.column(name)) for name in columns]
+                starts = starts or [values[0] for values in chunk]
+                yield [*map(_in_seconds, chunk, starts)]
 
 
 def _arrow_array(column: Any) -> Array:
-    """Return an Arrow column as (N,), dates and durations as NumPy's, or (N, k) for lists of k
+    """Return an Arrow column as (R,), dates and durations as NumPy's, or (R, k) for lists of k
     numbers; ValueError where the lists are not of one length.
     """
     if "list" in str(column.type):
         return np.array(column.to_pylist(), dtype=float)
-    values = column.to_numpy()
+    values = column.to_numpy(zero_copy_only=False)
     return values if values.dtype.kind in "Mm" else values.astype(float)
+
+
+def _in_seconds(values: Array, start: Any) -> Array:
+    """Return dates as seconds from a first one, and other values as they are."""
+    if values.dtype.kind not in "Mm":
+        return values
+    return np.asarray((values - start) / np.timedelta64(1, "s"))
 
 
 STATE = "observation.state"
@@ -188,7 +204,9 @@ def lerobot_table(source: LogSource) -> LogTable:
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{path} has no Parquet files in data/; {_DOWNLOAD}")
-    frames = _read_parquet(files, ["timestamp", "episode_index", *titles])
+    names = ["timestamp", "episode_index", *titles]
+    arrays = map(np.concatenate, zip(*_read_parquet(files, names)))
+    frames = dict(zip(names, arrays))
     episode_index = frames.pop("episode_index").astype(int)
     available = np.unique(episode_index).tolist()
     # An episode that is named twice counts once.
@@ -300,9 +318,10 @@ def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
         joints = [*_ALOHA_JOINTS]
     elif width == 14:
         joints = [*map("/".join, product(("left", "right"), _ALOHA_JOINTS))]
-    quantities = [name.rpartition("/")[2] for name in arrays]
-    titles = [f"{joint} {quantity}" for quantity, joint in product(quantities, joints)]
+    columns: dict[str, Array] = {}
+    for name, values in arrays.items():
+        titles = [f"{joint} {name.rpartition('/')[2]}" for joint in joints]
+        columns.update(zip(titles, values.T))
     layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
-    blocks = partial(array_blocks, list(arrays.values()))
-    choices = ColumnChoices(rate=ALOHA_RATE)
-    return LogTable(path, layout, tuple(titles), blocks, choices)
+    table = arrays_table(path, layout, columns)
+    return replace(table, choices=ColumnChoices(rate=ALOHA_RATE))

@@ -88,7 +88,9 @@ def check_log(
     with prefix_input_errors(name):
         for anomaly in _TOLERANCES:
             notes += require_few(anomaly, rows)
-        require_rows(rows)
+        if len(rows.lines) < _FEWEST_ROWS:
+            usable_rows = count_text(len(rows.lines), "usable row")
+            raise InputError(f"the log has only {usable_rows}; record longer")
         notes += clock_notes(rows)
         if not in_radians:
             require_radians(rows, robot)
@@ -97,13 +99,6 @@ def check_log(
         notes += torque_notes(rows, robot)
         require_one_clock(rows)
     return tuple(notes)
-
-
-def require_rows(rows: LogRows) -> None:
-    """Raise InputError where there are too few rows for any other check."""
-    if len(rows.lines) < _FEWEST_ROWS:
-        usable_rows = count_text(len(rows.lines), "usable row")
-        raise InputError(f"the log has only {usable_rows}; record longer")
 
 
 def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
@@ -166,41 +161,37 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
     The error names a probable unit.
     """
     time = rows.samples.time
-    q = rows.samples.q
-    largest = np.max(np.abs(q), axis=0)
-    speed = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None]
-    is_often_fast = np.mean(speed > _FAST, axis=0) > _OFTEN
-    # Two turns either way are more than an arm's joints have.
-    is_wrong = ~robot.is_slide & ((largest > 4.0 * np.pi) | is_often_fast)
-    if not np.any(is_wrong):
-        return
-    joint = np.argmax(is_wrong)
-    symptom = (
-        f"joint {robot.joint_names[joint]} would reach {largest[joint]:.4g} rad and "
-        f"{np.max(speed[:, joint]):.4g} rad/s"
-    )
-    rate = (len(time) - 1) / (time[-1] - time[0])
-    raise InputError(
-        f"positions look like degrees, or time stamps are those of another unit, or of when rows "
-        f"were written ({symptom}); pass --units deg, or --units rad, if they are radians or count "
-        f"turns, or write 'rate = {rate:.6g}' in --columns FILE if rows are evenly spaced",
-        _ANGLE_OPTIONS,
-    )
+    step = np.diff(time)
+    for joint in np.flatnonzero(~robot.is_slide):
+        q = rows.samples.q[:, joint]
+        largest = np.max(np.abs(q))
+        speed = np.abs(np.diff(q)) / step
+        # Two turns either way are more than an arm's joints have.
+        if largest <= 4.0 * np.pi and np.mean(speed > _FAST) <= _OFTEN:
+            continue
+        rate = (len(time) - 1) / (time[-1] - time[0])
+        raise InputError(
+            f"positions look like degrees, or time stamps are those of another unit, or of when "
+            f"rows were written (joint {robot.joint_names[joint]} would reach {largest:.4g} rad "
+            f"and {np.max(speed):.4g} rad/s); pass --units deg, or --units rad, if they are "
+            f"radians or count turns, or write 'rate = {rate:.6g}' in --columns FILE if rows are "
+            "evenly spaced",
+            _ANGLE_OPTIONS,
+        )
 
 
 def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
     """Raise InputError for single positions that no joint can reach within one step."""
     threshold = np.maximum(_JUMP, _JUMP_SPEED * np.diff(rows.samples.time))
-    faults = []
     for name, q in zip(robot.joint_names, rows.samples.q.T):
         step = np.abs(np.diff(q))
         # What repeats its value for a while is left out (``diagnosis.limited_in_time``).
         is_jump = (step > threshold) & (np.roll(step, 1) > 0.0)
         if np.any(is_jump):
-            lines = rows.lines[1:][is_jump]
-            faults.append(f"of joint {name} jumps at {rows.cite(lines)}")
-    if faults:
-        raise InputError(f"the position {', '.join(faults)}; delete the bad rows")
+            where = rows.cite(rows.lines[1:][is_jump])
+            raise InputError(
+                f"the position of joint {name} jumps at {where}; delete the bad rows"
+            )
 
 
 def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:

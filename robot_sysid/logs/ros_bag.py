@@ -37,7 +37,14 @@ from robot_sysid.logs.ros_messages import (
     Sample,
     read_stamp,
 )
-from robot_sysid.logs.table import Block, LogSource, LogTable, import_optional
+from robot_sysid.logs.table import (
+    ROWS,
+    Chunk,
+    LogSource,
+    LogTable,
+    chunk_blocks,
+    import_optional,
+)
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records.file_access import refuse_special_file
 
@@ -90,29 +97,31 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
     best = max(topic.rank for topic in topics)
     fitting = [topic for topic in topics if topic.rank == best]
     measured = [topic for topic in fitting if not topic.is_commanded]
-    fitting = measured or fitting
-    if best == (True, False, False) and len(fitting) == 1:
+    types = list(READERS)
+    topic_read, *rivals = sorted(
+        measured or fitting,
+        key=lambda t: (-t.n_messages, types.index(t.message_type), t.name),
+    )
+    if best == (True, False, False) and not rivals:
         raise InputError(
-            f"{path}: topic {fitting[0].name} has no effort of the arm's joints; let the driver "
+            f"{path}: topic {topic_read.name} has no effort of the arm's joints; let the driver "
             "publish effort and record again"
         )
-    types = list(READERS)
-    fitting.sort(key=lambda t: (-t.n_messages, types.index(t.message_type), t.name))
-    topic_read = fitting[0]
-    rivals = fitting[1:]
     if any(_is_of_another_arm(topic_read.name, rival.name) for rival in rivals):
+        fitting = [topic_read, *rivals]
         listed = ", ".join(f"{topic.name} ({topic.message_type})" for topic in fitting)
         raise InputError(
             f"{path}: several topics could be the arm: {listed}; choose with --topic",
             options=[("--topic", topic.name) for topic in fitting],
         )
+    note = ""
     if rivals:
         listed = ", ".join(f"{topic.name} ({topic.n_messages})" for topic in rivals)
-        return topic_read, (
+        note = (
             f"log topic: {topic_read.name} with {topic_read.n_messages} samples is read, not "
             f"{listed}; choose with --topic"
         )
-    return topic_read, ""
+    return topic_read, note
 
 
 def _is_of_another_arm(first: str, second: str) -> bool:
@@ -185,50 +194,47 @@ def _read_topic(
     with contextlib.suppress(InputError):
         recorded_joints = [joint for joint, _ in sent]
         arm_joints += match_joint_names(recorded_joints, joint_names).model_names
-    efforts: set[float | None] = set()
-    for _, sample in messages:
-        efforts.update(map(sample.get, product(arm_joints, TORQUE)))
     start = min(stamp for stamp, _ in messages)
     titles = ("time", *map(" ".join, sent))
     connections = _connections(bag, name)
     message_type = connections[0].msgtype
     layout = f"ROS bag, topic {name} ({message_type}), joints by name"
-    blocks = partial(_blocks, path, name, list(sent), start)
-    complete = set()
-    for quantity in ("position", *TORQUE):
-        if arm_joints and sent.keys() >= {*product(arm_joints, [quantity])}:
-            complete.add(quantity)
-    has_torques = not complete.isdisjoint(TORQUE)
-    has_nonzero_torques = has_torques and bool(efforts - {None, 0.0})
+    n_messages = sum(connection.msgcount for connection in connections)
+    read = partial(_read_chunks, path, name, list(sent), start)
+    blocks = partial(chunk_blocks, read, n_messages)
+    has_position, *has_torque = (
+        bool(arm_joints) and sent.keys() >= {*product(arm_joints, [quantity])}
+        for quantity in ("position", *TORQUE)
+    )
+    is_powered = any(map(sent.get, product(arm_joints, TORQUE)))
     yield Topic(
         name,
         message_type,
         LogTable(path, layout, titles, blocks, row_noun="message"),
-        n_messages=sum(connection.msgcount for connection in connections),
-        rank=("position" in complete, has_torques, has_nonzero_torques),
+        n_messages,
+        rank=(has_position, any(has_torque), is_powered and any(has_torque)),
     )
 
 
-def _blocks(
-    path: Path, topic: str, keys: Sequence[Key], start: int, columns: Sequence[int]
-) -> Iterator[Block]:
-    """Yield the samples of a topic, with the columns of these indices.
-
-    Column 0 is time from the start [s], column k + 1 the number of ``keys[k]``.
+def _read_chunks(
+    path: Path, topic: str, keys: Sequence[Key], start: int
+) -> Iterator[Chunk]:
+    """Yield the samples of a topic in chunks: time from the start [s], and the numbers of ``keys``.
 
     Args:
         path: of the bag.
         topic: its name.
         keys: of the numbers of a sample.
         start: stamp at which time is zero [ns since 1970].
-        columns: indices.
     """
     with _open_bag(path) as bag:
-        total = sum(c.msgcount for c in _connections(bag, topic))
-        for number, (stamp, sample) in enumerate(_read_messages(bag, topic), 1):
-            numbers = [sample.get(key, np.nan) for key in keys]
-            row = np.array([[1e-9 * (stamp - start), *numbers]])
-            yield Block(np.array([number]), row[:, list(columns)], "", number / total)
+        messages = _read_messages(bag, topic)
+        while chunk := list(islice(messages, ROWS)):
+            rows = []
+            for stamp, sample in chunk:
+                numbers = [sample.get(key, np.nan) for key in keys]
+                rows.append([1e-9 * (stamp - start), *numbers])
+            yield [np.array(rows)]
 
 
 def _read_messages(bag: Any, topic: str) -> Iterator[Message]:

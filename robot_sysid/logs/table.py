@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from pathlib import Path
@@ -27,6 +27,8 @@ from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
 
+ROWS = 10_000
+"""Number of rows of a log that are read at a time from files that are not text."""
 Lines = NDArray[np.int64]
 """Numbers of lines, messages or rows, counted from 1."""
 
@@ -46,6 +48,30 @@ class Block:
     cells: Array
     complaint: str = ""
     share_read: float = 1.0
+
+
+Chunk = Sequence[Array]
+"""Successive rows of arrays, (R,) or (R, k) each."""
+
+
+def chunk_blocks(
+    read: Callable[[], Iterable[Chunk]], n_rows: int, columns: Sequence[int]
+) -> Iterator[Block]:
+    """Yield the rows of chunks that a function reads, with the columns of these indices.
+
+    ``n_rows``: of all chunks. ValueError where chunks differ in their number of columns.
+    """
+    count = 0
+    widths = set()
+    for chunk in read():
+        cells = np.column_stack([np.asarray(array, dtype=float) for array in chunk])
+        widths.add(cells.shape[1])
+        if len(widths) > 1:
+            raise ValueError("its rows differ in length")
+        lines = count + 1 + np.arange(len(cells))
+        count += len(cells)
+        if len(cells):
+            yield Block(lines, cells[:, list(columns)], share_read=count / n_rows)
 
 
 @dataclass(frozen=True)
@@ -176,36 +202,39 @@ def read_rows(
         is_slide: (n,) whether a joint is a slide, whose positions are not unwrapped.
         progress: receives the progress of reading.
     """
-    lines, cells, complaint = _read_cells(table, columns, progress)
-    n = len(columns.position)
-    # Positions and torques.
-    needed = cells[:, 1 : 1 + 2 * n]
-    impossible = np.any(np.abs(needed) > _IMPOSSIBLE, axis=1)
-    impossible |= np.abs(cells[:, 0]) > _IMPOSSIBLE_TIME
-    foreign = np.isnan(needed).all(axis=1) & ~impossible
-    finite = np.isfinite(cells).all(axis=1)
-    missing = np.flatnonzero(~finite & ~impossible & ~foreign)
+    cells, complaint = _read_cells(table, columns, progress)
+    lines = cells[:, 0].astype(np.int64)
+    is_impossible = np.abs(cells[:, 1]) > _IMPOSSIBLE_TIME
+    is_foreign = ~is_impossible
+    # Positions and torques; one column at a time, to bound memory.
+    for column in cells.T[2 : 2 + 2 * len(columns.position)]:
+        is_impossible |= np.abs(column) > _IMPOSSIBLE
+        is_foreign &= np.isnan(column)
+    is_usable = np.isfinite(cells).all(axis=1) & ~is_impossible
+    missing = np.flatnonzero(~(is_usable | is_impossible | is_foreign))
     first = ""
     if len(missing):
         titles = [column.title for column in columns.columns()]
         is_empty = ~np.isfinite(cells[missing[0], -len(titles) :])
         listed = ", ".join(compress(titles, is_empty))
         first = f"{table.row_noun} {lines[missing[0]]}, columns {listed}"
-    usable = np.flatnonzero(finite & ~impossible)
     anomalies = {
-        UNREADABLE: _anomaly(table, lines[impossible], complaint),
+        UNREADABLE: _anomaly(table, lines[is_impossible], complaint),
         MISSING: _anomaly(table, lines[missing], first),
     }
     # Rows after a step backwards that are not yet later than all before are not counted.
-    time = cells[usable, 0]
+    time = cells[is_usable, 1]
     step = np.diff(time)
-    later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0.0
-    anomalies[BACKWARDS] = _anomaly(table, lines[usable[1:][step < 0.0]])
-    anomalies[REPEATED] = _anomaly(table, lines[usable[1:][step == 0.0]])
-    rows = usable[later]
-    widths = [1, *map(len, columns.groups())]
-    groups = np.split(cells, np.cumsum(widths)[:-1], axis=1)
-    time, q, tau, qd, stamps = (group[rows] for group in groups)
+    after = lines[is_usable][1:]
+    anomalies[BACKWARDS] = _anomaly(table, after[step < 0.0])
+    anomalies[REPEATED] = _anomaly(table, after[step == 0.0])
+    is_later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0.0
+    rows = np.flatnonzero(is_usable)[is_later]
+    if len(rows) < len(cells):
+        lines = lines[rows]
+        cells = cells[rows]
+    widths = [2, *map(len, columns.groups())]
+    _, q, tau, qd, stamps = np.split(cells, np.cumsum(widths)[:-1], axis=1)
     for joint in np.flatnonzero(~is_slide):
         # Full turns by which the position jumps against the row before.
         step = np.diff(q[:, joint])
@@ -218,48 +247,52 @@ def read_rows(
         command = tau
         tau = command - q
     samples = Measurement(
-        time=time[:, 0],
+        time=cells[:, 1],
         q=q,
         qd=qd if columns.velocity else None,
         tau=tau,
         joint_time=stamps if columns.joint_time else None,
         command=command,
     )
-    n_read = int(np.count_nonzero(~foreign))
-    return LogRows(lines[rows], samples, n_read, anomalies, table.row_noun)
+    n_read = int(np.count_nonzero(~is_foreign))
+    return LogRows(lines, samples, n_read, anomalies, table.row_noun)
 
 
 def _read_cells(
     table: LogTable, columns: ColumnMap, progress: Progress
-) -> tuple[Lines, Array, str]:
-    """Return the lines (R,) of all rows of a log, their cells (R, 1 + C), and a complaint.
+) -> tuple[Array, str]:
+    """Return the cells (R, 2 + C) of all rows of a log, and the fault of one that is not numbers.
 
-    The cells are time, then the columns of ``columns.groups()``, in SI units; the complaint is the
-    fault of the first row that is not numbers.
+    The cells are a row's line, its time, and the columns of ``columns.groups()``, in SI units.
     """
     used = columns.columns()
-    lines = np.empty(0, dtype=np.int64)
-    cells = np.empty((0, len(used)))
+    cells = np.empty((0, 2 + sum(map(len, columns.groups()))))
+    count = 0
     complaint = ""
     label = f"Reading {table.path.name}"
     for block in table.blocks([column.index for column in used]):
-        # Enlarged in place: blocks that are joined at the end would take twice the memory.
-        count = len(lines)
-        lines.resize(count + len(block.lines), refcheck=False)
-        lines[count:] = block.lines
-        cells.resize((len(lines), len(used)), refcheck=False)
-        cells[count:] = block.cells
+        last = count + len(block.lines)
+        if last > len(cells):
+            # Memory beyond the rows that are read is not touched, and so not taken.
+            size = round(1.1 * last / block.share_read)
+            larger = np.empty((size, cells.shape[1]))
+            larger[:count] = cells[:count]
+            cells = larger
+        cells[count:last, 0] = block.lines
+        cells[count:last, -len(used) :] = block.cells
+        count = last
         complaint = complaint or block.complaint
         # All is done only behind the loop, though the last blocks may report a share of 1.
         done = min(block.share_read, 0.999)
-        progress.advance(label, done, 1.0, f"{table.row_noun} {block.lines[-1]}")
+        text = f"{table.row_noun} {block.lines[-1]}"
+        progress.advance(label, done, 1.0, text)
     progress.advance(label, 1.0, 1.0, "")
-    factors = np.array([column.factor for column in used])
-    np.multiply(cells, factors, out=cells, where=np.isfinite(cells))
+    cells = cells[:count]
+    for column, numbers in zip(used, cells.T[-len(used) :]):
+        np.multiply(numbers, column.factor, out=numbers, where=np.isfinite(numbers))
     if columns.time is None:
-        time = np.arange(len(cells)) / (columns.rate or 1.0)
-        cells = np.column_stack((time, cells))
-    return lines, cells, complaint
+        cells[:, 1] = np.arange(count) / (columns.rate or 1.0)
+    return cells, complaint
 
 
 def _anomaly(table: LogTable, lines: Lines, first: str = "") -> Anomaly:

@@ -281,6 +281,11 @@ def match_joints(
     return {**counted, **candidates}, joint_match
 
 
+def _no_columns() -> dict[str, dict[Any, list[int]]]:
+    """Return an empty table of quantity, and name or number of a joint, to indices of columns."""
+    return defaultdict(lambda: defaultdict(list))
+
+
 def _columns_by_joint_name(
     titles: Sequence[Title], listed_names: Mapping[int, str]
 ) -> Mapping[str, Mapping[str, list[int]]]:
@@ -288,7 +293,7 @@ def _columns_by_joint_name(
 
     ``listed_names``: number in a title to the name that the log lists for it.
     """
-    columns: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    columns = _no_columns()
     for column, title in enumerate(titles):
         quantity = joint_quantity(title)
         name = title.joint
@@ -345,7 +350,7 @@ def _match_numbers(
         excluded: indices of columns that are left out.
     """
     # Quantity to number in the title to indices of columns.
-    numbered: dict[str, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
+    numbered = _no_columns()
     for column, title in enumerate(titles):
         quantity = None if column in excluded else joint_quantity(title)
         numbers = title.numbers

@@ -11,7 +11,9 @@ import pytest
 from scipy.io import savemat
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs import arrays
+from robot_sysid.logs import LogOptions, arrays
+from robot_sysid.logs.reader import open_table
+from robot_sysid.logs.table import ROWS
 from tests.support import recorded
 from tests.support.log_files import JOINTS, assert_refused, motion, read_measurements
 
@@ -73,6 +75,17 @@ def test_lists_of_unequal_length_are_refused(tmp_path):
     time = [0.0, 0.1, 0.2, 0.3]
     parquet(tmp_path / "log", time=time, q=pa.array(q))
     assert_refused("cannot read .* as a Parquet file", tmp_path / "log")
+
+
+def test_parquet_is_read_some_rows_at_a_time(tmp_path):
+    """Not even its first rows take the memory of the whole file."""
+    path = tmp_path / "log"
+    time = np.arange(3 * ROWS - 5) / 1000.0
+    parquet(path, time=time, q=np.outer(time, [1.0, 2.0, 3.0]))
+    blocks = [*open_table(path, JOINTS, LogOptions()).blocks([0, 3])]
+    assert [len(block.lines) for block in blocks] == [ROWS, ROWS, ROWS - 5]
+    assert blocks[2].lines[0] == 2 * ROWS + 1
+    np.testing.assert_array_equal(blocks[2].cells[:, 1], 3.0 * time[2 * ROWS :])
 
 
 class Harmless:

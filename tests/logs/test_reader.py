@@ -130,15 +130,15 @@ def matlab(folder, data):
 
 FORMS = recorded.FORMS
 BAG_TYPES = "rosbags.typesys.get_typestore"
-READ_TABLE = "pyarrow.parquet.read_table"
+PARQUET_FILE = "pyarrow.parquet.ParquetFile"
 STACK = "numpy.column_stack"
 FILES_AND_CALLS = {
     reader.bag_table: (FORMS["ROS 1 bag"], BAG_TYPES, BAG_TYPES),
     arrays.matlab_table: (matlab, "scipy.io.loadmat", STACK),
     arrays.hdf5_table: (hdf5, "h5py.File", STACK),
     arrays.npz_table: (FORMS["npz"], "numpy.load", STACK),
-    arrays.parquet_table: (FORMS["Parquet"], READ_TABLE, STACK),
-    arrays.lerobot_table: (FORMS["LeRobot"], READ_TABLE, STACK),
+    arrays.parquet_table: (FORMS["Parquet"], PARQUET_FILE, STACK),
+    arrays.lerobot_table: (FORMS["LeRobot"], PARQUET_FILE, STACK),
     reader.text_table: (FORMS["libfranka"], "csv.reader", "numpy.loadtxt"),
 }
 """Reader to a function that writes a file of its form, and two functions of libraries: that it
