@@ -201,7 +201,8 @@ def saturation_findings(
             continue
         near = 0.02 * np.ptp(values)
         for end in (np.min(values), np.max(values)):
-            count = np.sum(values == end)
+            # One sample is at the end of any range.
+            count = np.sum(values == end) - 1
             others = np.sum(np.abs(values - end) < near) - count
             if count > max(OFTEN * len(values), _CROWDED * others):
                 share = percent(count / len(values))

@@ -555,7 +555,9 @@ def clear_factor(fitted: Fit, before: float = 1.0) -> tuple[float, float] | None
     ``before`` is that by which the model's masses were multiplied already.
     """
     estimate, error = common_factor(fitted)
-    relative = error / estimate
+    # Coarse or seldom positions make all columns wrong by the share of their accelerations.
+    coarse = max(each.signals.acceleration_error for each in fitted.recordings)
+    relative = float(np.hypot(error / estimate, coarse))
     size = abs(np.log(before * estimate))
     if size < max(np.log(ODD), SURE * relative):
         return None

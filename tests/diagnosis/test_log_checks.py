@@ -27,6 +27,7 @@ from robot_sysid.logs import CHECKS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Level
+from robot_sysid.signals.resampling import slice_samples
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, judged
@@ -123,6 +124,13 @@ def test_a_sensor_at_its_end_is_found(joint, share):
     unit = "N" if joint == 2 else "N·m"
     assert f"joint {JOINTS[joint]} is exactly" in findings[0].text
     assert f" {unit}, the end of its range" in findings[0].text
+
+
+def test_the_largest_torque_of_a_short_log_does_not_saturate():
+    tau = SAMPLES.tau.copy()
+    tau[50] += 9.0
+    short = slice_samples(replace(SAMPLES, tau=tau), 0, 180)
+    assert list(saturation_findings(arm_of(JOINTS), [short])) == []
 
 
 # ---- against the model
