@@ -19,10 +19,10 @@ BUDGETS = {
     "robot_sysid/api": 4546,
     "robot_sysid/commands": 10397,
     "robot_sysid/damiao": 31061,
-    "robot_sysid/diagnosis": 17353,
+    "robot_sysid/diagnosis": 17381,
     "robot_sysid/dynamics": 4694,
     "robot_sysid/estimate": 31357,
-    "robot_sysid/logs": 15281,
+    "robot_sysid/logs": 15464,
     "robot_sysid/mjcf": 7128,
     "robot_sysid/model": 8958,
     "robot_sysid/motion": 16524,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4998,
     "robot_sysid/simulation": 3828,
     "robot_sysid": 9330,
-    "tests": 227323,
+    "tests": 227545,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02
