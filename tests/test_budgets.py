@@ -31,7 +31,7 @@ BUDGETS = {
     "robot_sysid/report": 5049,
     "robot_sysid/results": 11406,
     "robot_sysid/servo": 5035,
-    "robot_sysid/signals": 4998,
+    "robot_sysid/signals": 5032,
     "robot_sysid/simulation": 3828,
     "robot_sysid": 9330,
     "tests": 227545,
