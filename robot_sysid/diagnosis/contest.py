@@ -712,9 +712,8 @@ def regression(fitted: Fit, joint: int) -> dict[str, float]:
 
 def lacks_weight(fitted: Fit) -> bool:
     """Return whether torques are small, and have no weight at the joint that carries most."""
-    torque, _ = model_torque(fitted)
-    joint = int(np.argmax(torque))
-    share = regression(fitted, joint).get(WEIGHT, 1.0)
+    torque, *_ = model_torque(fitted)
+    share = regression(fitted, int(np.argmax(torque))).get(WEIGHT, 1.0)
     is_small = fitted.arm.has_gravity and typical_ratio(fitted) < SMALLER
     return is_small and abs(share) < NO_WEIGHT
 
@@ -744,7 +743,7 @@ def is_computed(fitted: Fit) -> bool:
     """
     torque = typical_torque(fitted)
     dry, error = dry_friction(fitted)
-    _, is_loaded = model_torque(fitted)
+    *_, is_loaded = model_torque(fitted)
     size = float(np.linalg.norm(torque[is_loaded]))
     known = np.linalg.norm(error[is_loaded]) / max(size, 1e-300)
     distance = np.sum((dry / np.hypot(error, EXACT * torque)) ** 2)

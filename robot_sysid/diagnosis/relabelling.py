@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations, compress, product
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from robot_sysid.estimate.fit import Equations, Fit, equations_of, fit, solve
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, Term
+from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, ArmTerms, Term
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.messages import Level, torque_unit, with_error
@@ -73,6 +73,8 @@ WEIGHING = (
 COLUMNS = "put the columns right with --columns FILE"
 LOADED = 0.1
 """Least model torque of a joint that links load, over that of the most loaded one."""
+OPPOSITE = -0.5
+"""Correlation of a foreign torque with the model's below which its sign is the opposite."""
 COMPARED = 250
 """Number of rows on which steps are compared."""
 WIDE = 70.0
@@ -359,12 +361,13 @@ class Search:
 # ---- corrections
 
 
-def model_torque(fitted: Fit) -> tuple[Array, NDArray[np.bool_]]:
-    """Return (root mean square torque (J,) of the model [N m], loaded (J,)).
+def model_torque(fitted: Fit) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return (root mean square torque (J,) of the model [N m], share (J,), loaded (J,)).
 
     It is that of the links' masses and first moments, as inertias may be placeholders, and
-    of its inertias where there is no gravity. Loaded are joints whose links make more than
-    ``LOADED`` of the torque of the most loaded hinge: the force of a slide is in another unit, and
+    of its inertias where there is no gravity. The share is that of it in the measured torque, by a
+    regression. Loaded are hinges whose links make more than
+    ``LOADED`` of the torque of the most loaded one: the force of a slide is in another unit, and
     exceeds the torques of an arm that it carries.
     """
     arm = fitted.arm
@@ -373,17 +376,20 @@ def model_torque(fitted: Fit) -> tuple[Array, NDArray[np.bool_]]:
     for name in (name for term in terms for name in term.names):
         if name[0] in "mh" or not arm.has_gravity:
             model[fitted.sums.names.index(name)] = arm.model[name]
-    counts = np.maximum(np.sum(fitted.sums.counts, axis=0), 1.0)
-    squares = fitted.sums.squares_of(model, fitted.sums.totals)
-    torque = np.sqrt(np.maximum(squares, 0.0) / counts)
-    hinges = torque[~arm.robot.is_slide[arm.indices]]
-    is_loaded = torque > LOADED * np.max(hinges, initial=0.0)
-    return np.maximum(torque, 1e-12), is_loaded
+    sums = fitted.sums
+    squares = np.maximum(sums.squares_of(model, sums.totals), 1e-24)
+    pairs = zip(sums.columns, sums.totals)
+    products = np.array([model[at] @ total[:, -1] for at, total in pairs])
+    torque = np.sqrt(squares / sums.row_counts)
+    is_slide = arm.robot.is_slide[arm.indices]
+    is_compared = ~is_slide | np.all(is_slide)
+    is_loaded = is_compared & (torque > LOADED * np.max(torque[is_compared]))
+    return torque, products / squares, is_loaded
 
 
 def typical_ratio(fitted: Fit) -> float:
     """Return the median ratio of measured torque to the model's at joints that links load."""
-    torque, is_loaded = model_torque(fitted)
+    torque, _, is_loaded = model_torque(fitted)
     ratio = fitted.sums.rms_torque / torque
     return float(np.median(ratio[is_loaded])) if np.any(is_loaded) else 1.0
 
@@ -612,14 +618,18 @@ def own_scales(
     ``common_scale``.
     """
     arm = fitted.arm
-    torque, is_loaded = model_torque(fitted)
+    torque, share, is_loaded = model_torque(fitted)
     scale = fitted.sums.rms_torque / torque
     scale[~is_loaded] = np.median(scale[is_loaded])
+    signs = np.ones(len(scale))
+    if not SMALLER < typical_ratio(fitted) < LARGER:
+        opposes = share * torque < OPPOSITE * fitted.sums.rms_torque
+        signs[is_loaded & opposes] = -1.0
     # Links that explain the scales as they are would leave none to find.
     question = with_priors(replace(fitted.question, link_scales=AS_STATED), scale=WIDE)
     sums = arm.sums(fitted.recordings, arm.start())
     for _ in range(_ROUNDS):
-        divided_sums = sums.with_torque_times(1.0 / scale)
+        divided_sums = sums.with_torque_times(signs / scale)
         torque = divided_sums.rms_torque
         terms = arm_question(arm, question, torque)
         after = fit(
@@ -645,16 +655,22 @@ def own_scales(
     scale[~is_sure] = np.exp(np.average(own, weights=relative[is_sure] ** -2.0))
     if np.ptp(own) < np.log(SAME):
         return
-    factors = np.ones(arm.robot.n_joints)
-    factors[arm.indices] = 1.0 / scale
-    reading = replace(Relabelling.none(len(factors)), torque=np.diag(factors))
+    reading = with_factors(arm, signs / scale)
     recordings = [reading.apply(recording) for recording in fitted.recordings]
     after = solved(arm.robot, recordings, fitted.question, beside=beside)
     # Loss for scales that fit the data instead of being one: the prior's volume over that left.
     penalty = np.sum(np.log(OWN_RANGE / relative[is_sure]))
-    finding = scale_finding(fitted, scale, np.flatnonzero(is_sure), divided)
+    finding = scale_finding(fitted, signs * scale, np.flatnonzero(is_sure), divided)
     gain = likelier(fitted, after, 1.0 / scale) - penalty
     yield Correction((finding,), float(gain), after)
+
+
+def with_factors(arm: ArmTerms, factors: Array) -> Relabelling:
+    """Return the reading in which torques (J,) are multiplied by factors."""
+    none = Relabelling.none(arm.robot.n_joints)
+    torque = none.torque.copy()
+    torque[arm.indices, arm.indices] = factors
+    return replace(none, torque=torque)
 
 
 def scale_finding(
@@ -662,7 +678,7 @@ def scale_finding(
 ) -> Finding:
     """Return the finding on torque scales (n,), of which those with indices ``sure`` are found."""
     names = fitted.arm.joints
-    known = scale[sure]
+    known = np.abs(scale[sure])
     typical = np.median(known)
     listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
     text = f"torque reads {typical:.3g} times what the model takes ({listed}): "
@@ -671,13 +687,18 @@ def scale_finding(
     # No links, and no tool that an arm may carry, make all torques that small or large.
     is_foreign = np.all(known < SMALLER) or np.all(known > LARGER)
     check = "torque-unit" if is_foreign else "torque-scale"
-    start = [f"{value:.4g}" for value in scale * divided]
+    correction = None
+    if np.any(scale < 0.0):
+        correction = with_factors(fitted.arm, np.sign(scale)).columns
+        opposite = ", ".join(compress(names, scale < 0.0))
+        text += f"of {opposite} with the opposite sign; "
+    start = [f"{value:.4g}" for value in np.abs(scale) * divided]
     options = ("--torque-scale", ",".join(start))
     text += (
         "a factor of its own for every joint, as motor currents or per cent of rated "
     )
     text += "torque have, or all masses of the model are wrong"
-    return Finding(level, check, text, WEIGHING, (options,), "payload")
+    return Finding(level, check, text, WEIGHING, (options,), "payload", correction)
 
 
 def odd_unit(fitted: Fit, dry: Array) -> Iterator[Finding]:
@@ -686,7 +707,7 @@ def odd_unit(fitted: Fit, dry: Array) -> Iterator[Finding]:
     Dry friction (J,) counts beside the torque: links hardly load some joints, but no joint has so
     much more friction than the others.
     """
-    torque, _ = model_torque(fitted)
+    torque, *_ = model_torque(fitted)
     if len(torque) < 3:
         return
     least = _LEAST_LOAD * np.max(torque)

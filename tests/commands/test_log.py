@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from dataclasses import replace
 
@@ -173,11 +174,16 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
         f"{payload} weight.csv",
     )
     remedies = set()
+    scales = []
     for words in runs:
         message, remedy = command.run(words, code=2).err.splitlines()[-2:]
         assert "motor currents" in message
-        remedies.add(remedy)
+        before, scale, after = re.split(r"(?<=--torque-scale )(\S+)", remedy)
+        remedies.add((before, after))
+        scales.append(float(scale))
+    # A payload's scale is that of both of its logs.
     assert len(remedies) == 1
+    assert scales == pytest.approx(scales[:1] * 3, rel=0.05)
     known = f"{payload} weight.csv --known-mass 1"
     remedy_of_known = command.run(known, code=2).err.splitlines()[-1]
     assert remedy_of_known.startswith(f"  robot-sysid {known} --torque-scale ")
