@@ -360,7 +360,7 @@ def put_body(body, theta) -> None:
 
 def percent(share: float) -> str:
     """Return a fraction in percent."""
-    return f"{100.0 * share:.1f} %"
+    return f"{100.0 * share:.3g} %"
 
 
 def table(columns) -> list[str]:
