@@ -306,7 +306,6 @@ def fits(fitted: Fit) -> bool:
         and not is_foreign(fitted)
         and is_plausible(fitted)
         and not drives(fitted)
-        and not is_turned(fitted)
         and not touched
     )
 
@@ -315,18 +314,6 @@ def drives(fitted: Fit) -> bool:
     """Return whether friction drives a joint: a turned sign, whatever the model."""
     dry, error = dry_friction(fitted)
     return bool(np.any(dry < -SURE * error))
-
-
-def is_turned(fitted: Fit) -> bool:
-    """Return whether the torque of a joint clearly has a negative scale."""
-    white = Offers(fitted)
-    for each in explanations(fitted):
-        is_scale = each.check == "torque-scale" and each.effect.shares is None
-        if is_scale and not each.log:
-            offer = white.offer(each.effect)
-            if offer.values[0] + SURE * offer.errors[0] < -1.0 and offer.gain > CLEAR:
-                return True
-    return False
 
 
 def correction(
