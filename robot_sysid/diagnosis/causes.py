@@ -330,8 +330,8 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
     yield Explanation(
         "clock",
         Effect((INERTIAL,), np.full((1, 1), 0.2)),
-        "time in the log is {value} too {long|short}, as the torque of inertia shows beside that "
-        "of gravity",
+        "time in the log is {value} too {long, or a balancer carries a part of the weight|short}, "
+        "as the torque of inertia shows beside that of gravity",
         "record the controller's own time stamps, or scale these with a line in --columns FILE: "
         "time = {inverse} * TITLE",
         factor=50.0,

@@ -105,7 +105,7 @@ TORQUES = {
 }
 """Name of a check and its message to a torque (N, 4) for which it has to come; for all faults, on
 public arms, see benchmarks/confusion.py."""
-CLOCK = "clock: too long, as the torque of inertia"
+CLOCK = "clock: too long, or a balancer carries a part of the weight"
 SAMPLES = {
     "order": lambda log: {
         name: vars(log)[name][:, ::-1] for name in ("q", "qd", "tau")
