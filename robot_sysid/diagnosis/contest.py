@@ -42,7 +42,6 @@ from robot_sysid.diagnosis.relabelling import (
 )
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit, equations_of, fit, solve
 from robot_sysid.estimate.offers import Effect, Offer, Offers
@@ -56,15 +55,13 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
+from robot_sysid.estimate.trust import UNEXPLAINED
 from robot_sysid.records import Array
+from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
 
 TIE = 6.0
 """Difference in gain within which two explanations count as equally likely [nats]."""
-SURE = 3.0
-"""Standard errors from which a cause has a value."""
-POSSIBLE = 2.0
-"""Standard errors from which a cause is named beside one that explains as much."""
 LEAST_SHARE = 0.005
 """Share of the torque that a cause at one joint, or a mere note, has to explain to be reported."""
 NOTED = 3.0
@@ -77,8 +74,6 @@ HARMFUL_SHAPE = 0.015
 """The same for torque of a shape at one joint."""
 MOST_NAMES = 3
 """Largest number of causes that are named together."""
-UNEXPLAINED = 0.05
-"""Share of unexplained torque above which no cause is named: logs without faults have 0.03."""
 OTHER_ARM = 0.3
 """Share of unexplained torque above which the model is taken for that of another arm."""
 NO_WEIGHT = 0.1
@@ -450,7 +445,7 @@ class Contest:
             is_less = np.sum(offer.squares) < np.sum(white.squares) + rounding
             if is_less and slow + relief > max(SLOW * (total + relief), CLEAR):
                 score = self.weighed(score, white)
-                if score.distance > POSSIBLE and not self._evidence.contradicts(score):
+                if score.distance > INTERVAL and not self._evidence.contradicts(score):
                     scores.append(score)
         return sorted(scores, key=lambda score: -score.gain)
 

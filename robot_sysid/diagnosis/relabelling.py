@@ -28,7 +28,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
     with_gravity,
 )
-from robot_sysid.estimate.choose import CLEAR, common_factor, solved
+from robot_sysid.estimate.choose import common_factor, solved
 from robot_sysid.estimate.fit import Equations, Fit, equations_of, fit, solve
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.questions import Question, arm_question
@@ -36,12 +36,11 @@ from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, ArmTerms, Term
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.levels import CLEAR, INTERVAL
 from robot_sysid.records.messages import Level, torque_unit, with_error
 
 ODD = 1.3
 """Factor on all masses, or its inverse, above which it is refused."""
-SURE = 2.0
-"""Standard errors that count as sure."""
 SMALLER = 1.0 / 3.0
 """Torque scale below which all joints' torques are in another unit, whatever the links: arms whose
 links are off by 20 %, one of them by 40 %, measure at least 0.53 of the weight."""
@@ -565,13 +564,13 @@ def clear_factor(fitted: Fit, before: float = 1.0) -> tuple[float, float] | None
     coarse = max(each.signals.acceleration_error for each in fitted.recordings)
     relative = float(np.hypot(error / estimate, coarse))
     size = abs(np.log(before * estimate))
-    if size < max(np.log(ODD), SURE * relative):
+    if size < max(np.log(ODD), INTERVAL * relative):
         return None
     # What single blocks show may be something else.
     blocks = fitted.sums.blocks
     alone = [np.log(common_factor(fitted, [block])[0]) for block in blocks]
     relative = max(relative, float(np.sqrt((len(blocks) - 1.0) * np.var(alone))))
-    return None if size < SURE * relative else (estimate, relative)
+    return None if size < INTERVAL * relative else (estimate, relative)
 
 
 def common_finding(
@@ -584,7 +583,9 @@ def common_finding(
     number = with_error(factor, factor * relative_error)
     text = f"the torques are {number} times those of the model's masses, at all joints alike"
     unit = min(UNITS, key=lambda size: abs(np.log(factor / size)))
-    is_close = abs(np.log(factor / unit)) < max(np.log(CLOSE), SURE * relative_error)
+    is_close = abs(np.log(factor / unit)) < max(
+        np.log(CLOSE), INTERVAL * relative_error
+    )
     unit_text = f" (as in {UNITS[unit]})" if is_close else ""
     texts = [f"{value:.4g}" for value in (unit if is_close else factor) * divided]
     numbers = texts if len({*texts}) > 1 else texts[:1]

@@ -44,9 +44,9 @@ from robot_sysid.regressor import wrench_regressor
 
 MUJOCO_VERSION: str = mujoco.__version__
 """Release of MuJoCo that computes the torques."""
-# Largest size of an array of intermediate results [numbers], beyond which a motion is split
-# (``split_motion``): it bounds the memory for arms with many joints.
-_ARRAY_SIZE = 1_000_000
+ARRAY_SIZE = 1_000_000
+"""Largest size of an array of intermediate results [numbers], beyond which a motion is split: it
+bounds the memory for arms with many joints, and changes no result."""
 TILT_NAMES = ("tilt_1", "tilt_2")
 """Names of the two angles by which a base is tilted."""
 
@@ -346,7 +346,7 @@ def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
             are so short that it has at most about a million numbers.
         arrays: (N, ...) each.
     """
-    count = 1 + len(arrays[0]) * width // _ARRAY_SIZE
+    count = 1 + len(arrays[0]) * width // ARRAY_SIZE
     yield from zip(*(np.array_split(array, count) for array in arrays))
 
 

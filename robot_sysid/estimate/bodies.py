@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.errors import SysidError
-from robot_sysid.estimate.identifiability import visible_space
+from robot_sysid.estimate.identifiability import ROUNDING, visible_space
 from robot_sysid.records import Array
 
 LEAST_SHARE = 1e-6
@@ -49,12 +49,6 @@ _ROUNDS = 3
 _NEAR = 3e4
 # Weight of rows that hold directions without data at the reference bodies, in shares of them.
 _PIN = 1e4
-# Share of the largest eigenvalue to which those of an inconsistent reference body are raised.
-_FLOOR = 1e-6
-# Least eigenvalue of a body that is far larger than its reference body, as a share of its own size:
-# more than the error of a search, and more than rounding.
-_SEARCHED = 1e-8
-_ROUNDING = 1e-12
 # The share for a body relative to which others are expressed: none of its directions is tiny.
 _ROUND = 0.1
 # Standard deviation of other parameters, whose columns have unit length: holds those without data.
@@ -92,7 +86,7 @@ class LinksProblem:
         bodies = []
         for link in self.links:
             prior = self.prior[link]
-            theta = spatial.nearest_consistent_body(prior, prior, floor=_FLOOR)
+            theta = spatial.nearest_consistent_body(prior, prior, floor=LEAST_SHARE)
             bodies.append((theta, _units(theta)))
         return tuple(bodies)
 
@@ -184,7 +178,7 @@ def consistent_least_squares(
     for link in problem.links:
         theta = values[link]
         if not spatial.is_consistent(theta):
-            values[link] = spatial.nearest_consistent_body(theta, theta, _ROUNDING)
+            values[link] = spatial.nearest_consistent_body(theta, theta, ROUNDING)
     return Possible(values, *best)
 
 
@@ -245,7 +239,7 @@ def _possible_coordinates(
             least.append(inverse @ spatial.pseudo_inertia(theta) @ inverse.T)
         shifted = equations[:, -1] - equations[:, :-1] @ centre
         rows = np.column_stack((equations[:, :-1] @ change, shifted))
-        found = _by_cone(rows, LEAST_SHARE * np.array(least) + _SEARCHED * np.eye(4))
+        found = _by_cone(rows, LEAST_SHARE * np.array(least) + _TOLERANCE * np.eye(4))
         z = centre + change @ found
         if found.any() and (start is not None or shifted @ shifted < _NEAR):
             break

@@ -14,7 +14,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling
 from robot_sysid.estimate.contacts import without_contacts
-from robot_sysid.estimate.fit import Fit, correlation_times, fit, solve
+from robot_sysid.estimate.fit import ROUNDS, Fit, correlation_times, fit, solve
 from robot_sysid.estimate.links import (
     LinkEvidence,
     average_scales,
@@ -35,22 +35,12 @@ from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.records.levels import CLEAR, SURE
 from robot_sysid.records.messages import Progress
 
-CLEAR = 15.0
-"""Least gain in the log marginal likelihood at which something is named: a motor that turns two
-joints, or a fault. A Staubli TX40's wrist gives 114 to 148, 38 right logs 10 at most."""
 LARGER_AT_TURNS = 1.4
 """Ratio of a joint's residuals at turns to those elsewhere from which it stands there: sensors
 behind the gears of a KUKA LWR4+ show 0.3 to 1.0, motor currents of a UR10e 1.4 to 3.7."""
-CLEARLY_THERE = 3.0
-"""Standard errors by which one of a motor's parameters has to exceed zero."""
-# Linearisations of a question with a payload, whose torque scales multiply it.
-_ROUNDS = 3
-# Rounds in which the common factor of all masses and the errors of links in its unit are found.
-_FACTOR_ROUNDS = 6
-# Cosine between the ratios of two motors above which they are one.
-_SAME = 1.0 - 1e-9
 # Shows nothing.
 _SILENT = Progress()
 
@@ -77,8 +67,9 @@ def solved(
     options = question.options
     stated, offered = motors_of(robot, options.torques)
     friction = friction_columns(options)
-    # Each round has a pass for residuals and one for sums, which begin with a pass.
-    n_steps = 1 + 2 * (_ROUNDS if question.loaded else 2)
+    # Torque scales multiply a payload: it takes one round more. Each round has a pass for residuals
+    # and one for sums, which begin with a pass.
+    n_steps = 1 + 2 * (3 if question.loaded else 2)
 
     def advance(step: int) -> None:
         """Show that so many steps are done."""
@@ -191,7 +182,7 @@ def choose_motors(fitted: Fit, offered: Sequence[Coupling]) -> list[Coupling]:
         for number in np.argsort(gains)[-2:].tolist():
             offer = offers.weigh(Effect.of(terms[number]))
             # Evidence knows no bounds: negative friction or rotors, which no motor has, add to it.
-            is_there = np.any(offer.values > CLEARLY_THERE * offer.errors)
+            is_there = np.any(offer.values > SURE * offer.errors)
             if is_there and offer.gain > CLEAR:
                 shown.append((offer.gain, number, offer))
         if not shown:
@@ -292,7 +283,7 @@ def common_factor(fitted: Fit, left_out: Sequence[int] = ()) -> tuple[float, flo
     share = PER_CENT * fitted.question.options.priors.link
     usual = np.linalg.inv(link_factor(robot, fitted.arm.others, share))
     factor = 1.0
-    for _ in range(_FACTOR_ROUNDS):
+    for _ in range(ROUNDS):
         shrunk = curvature @ np.linalg.inv(curvature + usual.T @ usual / factor**2)
         precision = float(theta @ (curvature - shrunk @ curvature) @ theta)
         weighted = float(theta @ (gradient - shrunk @ gradient))
@@ -342,7 +333,7 @@ def motors_of(
     offered = []
     for motor in neighbours(robot):
         axis = motor.ratios / np.linalg.norm(motor.ratios)
-        if all(abs(axis @ other) <= _SAME for other in axes):
+        if not any(np.isclose(abs(axis @ other), 1.0) for other in axes):
             offered.append(motor)
     return stated, tuple(offered)
 

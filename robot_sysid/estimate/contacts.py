@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.estimate.fit import Fit
+from robot_sysid.estimate.fit import ROUNDS, Fit
 from robot_sysid.estimate.rows import Mask, Recording, Stretch
 from robot_sysid.records import Array
 from robot_sysid.signals.frozen import true_runs
@@ -34,8 +34,6 @@ _SMOOTH = 0.3
 _OUTLYING = 6.0
 # Least ordinary size of a residual, as a share of the joint's torque.
 _LEAST_SIZE = 0.005
-# Number of fits, each without the outlying rows of the one before.
-_ROUNDS = 6
 
 
 def without_contacts(fitted: Fit) -> Fit:
@@ -49,7 +47,8 @@ def without_contacts(fitted: Fit) -> Fit:
         # A long push makes all residuals large.
         residuals = replace(fitted, values=without_worst_blocks(fitted)).residuals
     outlying = None
-    for _ in range(_ROUNDS):
+    # Each fit is without the outlying rows of the one before.
+    for _ in range(ROUNDS):
         sizes = ordinary_sizes(fitted, residuals)
         if np.max(mean_sizes(fitted, sizes), initial=0.0) < 0.5 * FAR:
             return fitted

@@ -42,14 +42,13 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.records import Array
 
-# Rounds in which noise and estimate are found from each other.
-_NOISE_ROUNDS = 12
+ROUNDS = 12
+"""Most rounds of an iteration, which ends where nothing changes any more."""
+LEAST_NOISE = 1e-4
+"""Least noise of a joint, as a share of the root mean square torque of all: the error of filtering.
+"""
 # Relative change of the noise below which it has converged.
 _SETTLED = 1e-3
-# Rounds that hold further parameters at their bounds.
-_BOUND_ROUNDS = 6
-# Least noise of a joint, as a share of the root mean square torque of all: the error of filtering.
-_LEAST_NOISE = 1e-4
 # Added to the diagonal of scaled equations: parameters that nothing shows stay at the model's.
 _RIDGE = 1e-12
 # Variance of a parameter, over that of its column alone, above which nothing shows it.
@@ -453,7 +452,7 @@ class Fit:
         start = self.start
         is_free = self.is_free
         bodies = self.bodies
-        for _ in range(_BOUND_ROUNDS):
+        while True:
             if possible:
                 has_hidden = bool(np.any(self.is_hidden))
                 bodies = _possible(
@@ -596,10 +595,10 @@ def fit(
     equations = equations_of(arm, sums, terms, held or {})
     correlation = np.ones(len(sums.joints)) if correlation is None else correlation
     torque = sums.rms_torque
-    least = max(_LEAST_NOISE * np.sqrt(np.mean(torque**2)), 1e-12)
+    least = max(LEAST_NOISE * np.sqrt(np.mean(torque**2)), 1e-12)
     noise = np.maximum(0.05 * torque if noise is None else noise, least)
     reference = equations.reference
-    for _ in range(_NOISE_ROUNDS):
+    for _ in range(ROUNDS):
         weights = 1.0 / (noise * np.sqrt(correlation))
         values, inverse = solve(equations.normal(weights), reference)
         previous = noise

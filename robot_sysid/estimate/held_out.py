@@ -16,18 +16,12 @@ from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.records import Array, Validation
 from robot_sysid.records.data import validation_of
+from robot_sysid.records.levels import INTERVAL, SURE
 
 OWN_SOURCE = "the logs, each tenth predicted from the others"
 """Source of a validation on the fitted recordings, in words for the user."""
 CLEAR_SHARE = 0.1
 """Least relative decrease of the held-out squared error that counts as clear."""
-CLEARLY = 2.0
-"""Least mean decrease of the logarithm of the held-out squared error that counts as clear, in
-standard errors of the mean over the blocks."""
-NOISE_EXPLAINS = 3.0
-"""Ratio of held-out error to noise up to which noise, and not a wrong model, may be the cause."""
-# Less than every squared error [N^2 m^2]; avoids the logarithm of zero.
-_TINY = 1e-30
 
 
 def validation(fitted: Fit) -> Validation:
@@ -84,8 +78,9 @@ def _record(
 ) -> Validation:
     """Return squared errors in some blocks as a record, which says whether they test a fit.
 
-    They do if they are as small as noise, or if they exceed the variance of the prediction. Large
-    errors that this variance explains only mean that the fitted rows do not identify the torque.
+    They do if they are within ``SURE`` times the noise, or exceed the variance of the prediction.
+    Large errors that this variance explains only mean that the fitted rows do not identify the
+    torque.
 
     Args:
         squares: (B, J) squared errors [N^2 m^2].
@@ -104,7 +99,7 @@ def _record(
         of_noise, of_all = (
             np.sqrt(np.mean(total / size[used])) for size in (noise, expected)
         )
-        is_informative = bool(of_noise <= NOISE_EXPLAINS or of_all > NOISE_EXPLAINS)
+        is_informative = bool(of_noise <= SURE or of_all > SURE)
     test = validation_of(sums.joints, squares, torque, counts, source)
     return replace(test, is_informative=is_informative)
 
@@ -114,7 +109,7 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
 
     The sum over blocks, and the geometric mean of the ratios of the blocks' errors, have to be
     lower by more than ``CLEAR_SHARE``; the mean logarithm of these ratios has to be negative by
-    more than ``CLEARLY`` standard errors. Fewer than two blocks show nothing.
+    more than ``INTERVAL`` standard errors. Fewer than two blocks show nothing.
 
     Args:
         errors: (B,) squared held-out errors, in any unit.
@@ -122,12 +117,12 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
     """
     if len(errors) < 2:
         return False
-    ratio = np.log((errors + _TINY) / (reference + _TINY))
+    ratio = np.log(errors + 1e-300) - np.log(reference + 1e-300)
     mean = np.mean(ratio)
     standard_error = np.std(ratio, ddof=1) / np.sqrt(len(ratio))
     is_lower = np.sum(errors) < (1.0 - CLEAR_SHARE) * np.sum(reference)
     return bool(
         is_lower
         and mean < np.log(1.0 - CLEAR_SHARE)
-        and mean + CLEARLY * standard_error < 0.0
+        and mean + INTERVAL * standard_error < 0.0
     )

@@ -22,8 +22,8 @@ from robot_sysid.records import Array, Identifiability
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
-ROUNDING = 1e-13
-"""Eigenvalues of products of columns below this share of the largest are nothing but rounding."""
+ROUNDING = 1e-12
+"""Share of the largest below which a number is nothing but rounding."""
 # Components of unit vectors below this count as zero; a choice, far above their rounding (1e-13).
 _TOLERANCE = 1e-6
 # Indices of the first moments among the parameters.

@@ -23,16 +23,13 @@ from functools import cached_property
 
 import numpy as np
 
-from robot_sysid.estimate.fit import Fit, solve
+from robot_sysid.estimate.fit import LEAST_NOISE, Fit, solve
+from robot_sysid.estimate.identifiability import ROUNDING
 from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array
 
 # Times that the noise is taken from what the columns leave.
 _ROUNDS = 3
-# Least noise of a joint, as a share of the root mean square torque of all.
-_LEAST_NOISE = 1e-4
-# Least squared residuals, as a share of those without the columns.
-_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ class Offer:
     def squares(self) -> Array:
         """Squared residuals (J,) with the columns [N^2 m^2]."""
         before = self._offers.squares
-        return np.maximum(before + self._after[0], _ROUNDING * before)
+        return np.maximum(before + self._after[0], ROUNDING * before)
 
     @cached_property
     def successive(self) -> Array:
@@ -134,7 +131,7 @@ class Offers:
         slow = np.clip(self.successive / self.squares, 1e-3, 1.0)
         # Rows for which what is slow in the residuals lasts.
         self._memory = (fitted.correlation - 1.0) / slow
-        self._least = _LEAST_NOISE * np.sqrt(np.mean(self.sums.rms_torque**2))
+        self._least = LEAST_NOISE * np.sqrt(np.mean(self.sums.rms_torque**2))
 
     def offer(self, effect: Effect) -> Offer:
         """Return what the fit says of an effect, with the weights as they are."""

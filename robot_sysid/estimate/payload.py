@@ -12,7 +12,6 @@ import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimate.choose import CLEAR
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.offers import Effect, Offers
@@ -33,6 +32,7 @@ from robot_sysid.estimate.trust import (
     missed_friction,
 )
 from robot_sysid.records import Array, DataOrigin, Flange
+from robot_sysid.records.levels import CLEAR
 from robot_sysid.records.messages import Detail, Level, Remark, says, with_error
 from robot_sysid.results.body_errors import is_inertia_known, principal_moments
 from robot_sysid.results.quantities import body_quantities

@@ -46,10 +46,12 @@ PER_CENT = 0.01
 """One per cent."""
 MILLI = 1e-3
 """One thousandth."""
+EXACT = 1e-6
+"""Standard deviation of a number that is known, as a share of it."""
+WIDE = 1e3
+"""Standard deviation of a number of which nothing is known, in its usual size."""
 # Share of an error that is left of what all torque scales have in common.
 _LEFT = 1e-3
-# Prior standard deviation of a number that is known exactly, as a share of it.
-_EXACT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -142,8 +144,8 @@ def _payload(arm: ArmTerms, question: Question) -> Term:
     term = arm.terms[PAYLOAD]
     if question.known_mass is None:
         return term
-    wide = np.full(N_INERTIAL, 1e3 * question.known_mass)
-    wide[0] = _EXACT * question.known_mass
+    wide = np.full(N_INERTIAL, WIDE * question.known_mass)
+    wide[0] = EXACT * question.known_mass
     mean = np.zeros(N_INERTIAL)
     mean[0] = question.known_mass
     return replace(term, prior=Prior(mean, np.diag(wide)))

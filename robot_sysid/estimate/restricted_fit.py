@@ -16,8 +16,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import names_of
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
 from robot_sysid.dynamics.spatial import N_INERTIAL
-from robot_sysid.estimate.choose import CLEAR
-from robot_sysid.estimate.fit import Fit, LeftOut, fit
+from robot_sysid.estimate.fit import ROUNDS, Fit, LeftOut, fit
 from robot_sysid.estimate.held_out import error_in, validation
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import (
@@ -26,7 +25,7 @@ from robot_sysid.estimate.options import (
     FILE_LINKS,
     FILE_ROTORS,
 )
-from robot_sysid.estimate.questions import links_term
+from robot_sysid.estimate.questions import WIDE, links_term
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import (
     LAST_LINK,
@@ -39,24 +38,11 @@ from robot_sysid.estimate.terms import (
     independent,
 )
 from robot_sysid.records import Array, InertialParameters, Validation
+from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE, OFFSET
 
-CLEAR_OFFSET = 3.0
-"""Least distance of a sensor's offset from zero, in standard errors, at which it is significant."""
-BETTER = 2.0**0.5
-"""Least distance of a rotor from the model's, in standard errors, from which it is expected to
-predict better than the model's (Akaike, "A new look at the statistical model identification", IEEE
-Transactions on Automatic Control 19(6), 1974)."""
-FARTHEST = 2.0
-"""Largest distance of a mass in a file from the identified one, in standard errors."""
 # Share of that distance at which a mass that lies beyond it is held.
 _NEAR = 0.95
-# Error of a mass that torques do not show, in this place, as a share of it.
-_HIDDEN = 1e-3
-# Standard deviation of a body of which nothing is known, as a share of its reference body.
-_WIDE = 1e3
-# Rounds in which masses of the file are brought near the identified ones.
-_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -123,7 +109,7 @@ def fit_file(
             fitted = _solved(estimate, terms, held)
             angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
             gravity = turn_gravity(fitted.point.gravity, angles)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         far = _far_masses(estimate, fitted)
         if not far:
             break
@@ -167,18 +153,18 @@ def _known_offsets(fitted: Fit) -> Term:
     """Return the term of sensors' offsets with a prior of those that are not significant.
 
     In a small motion an offset and the weight of links make the same torque, so that noise alone
-    would move weight into offsets. Sensors of an arm are alike: where none is significant, all are
-    held at zero; where one is, the others are known to ``OFFSET``.
+    would move weight into offsets. Sensors of an arm are alike: where none is ``SURE`` errors
+    from zero, all are held at zero; where one is, the others are known to ``OFFSET``.
     """
     term = fitted.arm.terms["offset"]
     torque = fitted.sums.rms_torque
     errors = dict(zip(fitted.names, fitted.errors))
     is_clear = [
-        abs(fitted.by_name[name]) > CLEAR_OFFSET * errors.get(name, np.inf)
+        abs(fitted.by_name[name]) > SURE * errors.get(name, np.inf)
         for name in term.names
     ]
     known = OFFSET * torque * np.any(is_clear)
-    return replace(term, prior=independent(np.where(is_clear, 1e3 * torque, known)))
+    return replace(term, prior=independent(np.where(is_clear, WIDE * torque, known)))
 
 
 def _solved(estimate: Fit, terms: Sequence[Term], held: Mapping[str, float]) -> Fit:
@@ -220,7 +206,7 @@ def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:
 def _far_masses(estimate: Fit, fitted: Fit) -> dict[str, tuple[float, float]]:
     """Return the masses of a file that are far from the identified ones, to be held near them.
 
-    They are held within ``FARTHEST`` standard errors of these, and at them where the torques show
+    They are held within ``INTERVAL`` standard errors of these, and at them where the torques show
     less of a mass than its own size.
 
     Returns:
@@ -234,10 +220,10 @@ def _far_masses(estimate: Fit, fitted: Fit) -> dict[str, tuple[float, float]]:
             continue
         mass = estimate.by_name[name]
         is_shown = errors[name] < abs(mass)
-        error = errors[name] if is_shown else _HIDDEN * abs(mass)
+        error = errors[name] if is_shown else 1e-3 * abs(mass)
         distance = fitted.by_name[name] - mass
-        if abs(distance) > FARTHEST * error:
-            held = mass + np.copysign(_NEAR * FARTHEST * error, distance)
+        if abs(distance) > INTERVAL * error:
+            held = mass + np.copysign(_NEAR * INTERVAL * error, distance)
             far[name] = (held, (1.0 - _NEAR) * error)
     return far
 
@@ -258,7 +244,7 @@ def _with_known(term: Term, known: Mapping[str, tuple[float, float]]) -> Term:
     prior = term.prior
     if prior is None:
         assert term.reference is not None
-        wide = _WIDE * InertialParameters(term.reference).scale
+        wide = WIDE * InertialParameters(term.reference).scale
         prior = independent(wide, term.reference)
     triangle = np.asarray(np.linalg.qr(np.vstack((prior.rows, rows)), mode="r"))[:-1]
     factor = np.linalg.inv(triangle[:, :-1])
@@ -268,9 +254,10 @@ def _with_known(term: Term, known: Mapping[str, tuple[float, float]]) -> Term:
 def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
     """Return joint, or motor that turns several joints, to its rotor inertia in a file [kg m^2].
 
-    It is the estimate of all terms where that is expected to predict better than the model's rotor:
-    one that is fitted beside a file's few terms would take up the torque of friction that a file
-    lacks.
+    It is the estimate of all terms where that is expected to predict better than the model's rotor,
+    from sqrt(2) standard errors on (Akaike, "A new look at the statistical model identification",
+    IEEE Transactions on Automatic Control 19(6), 1974). One that is fitted beside a file's few
+    terms would take up the torque of friction that a file lacks.
 
     Tendons have rotor inertia since MuJoCo 3.2.7 only. So that of a motor goes to the joints which
     it turns, unless the model's tendon has some.
@@ -285,7 +272,7 @@ def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
         name = f"armature[{owner}]"
         of_model = arm.model.get(name, 0.0)
         value = estimate.by_name.get(name, of_model)
-        is_better = abs(value - of_model) > BETTER * errors.get(name, np.inf)
+        is_better = (value - of_model) ** 2 > 2.0 * errors.get(name, np.inf) ** 2
         rotors[owner] = value if is_better else of_model
     for motor in arm.motors:
         if arm.model.get(f"armature[{motor.name}]", 0.0) > 0.0:

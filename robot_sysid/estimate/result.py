@@ -52,6 +52,7 @@ from robot_sysid.records import (
 )
 from robot_sysid.records.data import Traces, rms_of_joints
 from robot_sysid.records.file_access import MODEL_NAMES
+from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import (
     PARAMETER_UNITS,
     Level,
@@ -84,8 +85,6 @@ from robot_sysid.results.record import (
     Verdict,
 )
 
-# Distance of an encoder zero from zero, in standard errors, above which it is significant.
-_CLEAR = 3.0
 # Size of an encoder zero up to which no note is added, even if it is significant [rad].
 _SMALL_ZERO = 1e-3
 # Causes that are of joints and their motors.
@@ -418,7 +417,7 @@ def _friction_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
         name = f"coulomb[{row.of}]"
         if row.name == "coulomb" and name in fitted.names:
             value, error = quantity(fitted, name)
-            if abs(row.value - value) > 2.0 * error:
+            if abs(row.value - value) > INTERVAL * error:
                 number = with_error(value, error, row.unit)
                 phrases.append(f"{row.of} {row.value:.3g} for {number}")
     if phrases:
@@ -438,7 +437,7 @@ def _offset_notes(file: RestrictedFit) -> Iterator[str]:
         name = f"offset[{joint}]"
         if name in fitted.names:
             offset, error = quantity(fitted, name)
-            if abs(offset) > _CLEAR * error:
+            if abs(offset) > SURE * error:
                 squares += offset**2 * np.sum(fitted.sums.counts[:, row])
                 unit = torque_unit(joint in fitted.arm.robot.slides)
                 phrases.append(f"{joint} {offset:.2g} {unit}")
@@ -463,7 +462,7 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
     for name in fitted.names:
         kind, joint = split_name(name)
         zero, error = quantity(fitted, name)
-        if kind == "zero" and abs(zero) > max(_CLEAR * error, _SMALL_ZERO):
+        if kind == "zero" and abs(zero) > max(SURE * error, _SMALL_ZERO):
             unit = position_unit(joint in fitted.arm.robot.slides)
             yield (
                 f"the log reads {joint} {1e3 * zero:.1f} ± {1e3 * error:.1g} m{unit} too "

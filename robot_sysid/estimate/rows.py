@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, LinksMotion
+from robot_sysid.dynamics.inverse_dynamics import ARRAY_SIZE, LinkDynamics, LinksMotion
 from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.estimate.identifiability import RELATIVE_CUT
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
@@ -34,8 +34,6 @@ BLOCKS = 10
 """Number of blocks that held-out validation and the jackknife leave out in turn."""
 LEAST_BLOCKS = 3
 """Least number of blocks of one log, of several."""
-# Numbers in the columns of one chunk of rows: bounds memory, changes no result.
-_NUMBERS = 1_000_000
 
 
 class Stretch(NamedTuple):
@@ -120,7 +118,7 @@ class Recording:
 
     def chunks(self, width: int) -> Iterator[Rows]:
         """Yield the rows in chunks, of which columns ``width`` numbers wide fit in memory."""
-        size = max(1, _NUMBERS // max(width, 1))
+        size = max(1, ARRAY_SIZE // max(width, 1))
         for start in range(0, len(self), size):
             yield Rows(self, slice(start, min(start + size, len(self))))
 

@@ -14,10 +14,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.held_out import NOISE_EXPLAINS, is_clearly_lower, validation
+from robot_sysid.estimate.held_out import is_clearly_lower, validation
 from robot_sysid.estimate.terms import term_key
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import InertialParameters, RobotModel, Validation
+from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import Level, Remark, percent, torque_unit, with_error
 from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
 
@@ -45,9 +46,6 @@ reach: a tool that the model does not have may be bolted to it."""
 GYRATION_BEYOND = 0.1
 """Excess of the radius of gyration over the model's link that is accepted, as a share of the
 arm's reach."""
-MOVED_UNSEEN = 2.0
-"""Largest factor, up or down, between the model's mass and a mass that the data does not identify
-but that follows from consistent bodies."""
 COARSE = 0.2
 """Expected relative error of the acceleration above which it is said."""
 LEAST_WRONG = 0.1
@@ -57,18 +55,15 @@ WORST = 0.5
 WORST_OF_PAYLOAD = 0.25
 """Held-out error, as a share of the torque, above which neither a payload nor torque scales from a
 known mass are believed: logs of real arms have 0.4 to 5 %."""
+MOST_FACTOR = 2.0
+"""Largest factor, up or down, between a mass that follows from torques and one that is known: gears
+lose a third of the torque at most."""
 NEGLIGIBLE = 1e-3
 """Held-out error, as a share of the torque, up to which a model counts as exact."""
 FARTHEST_PAYLOAD = 0.5
 """Largest distance of a payload's centre of mass from the flange, as a share of the arm's reach."""
 LEAST_REACH = 0.6
 """Reach that arms with a smaller one are given in the bound by ``FARTHEST_PAYLOAD`` [m]."""
-MOST_FACTOR = 2.0
-"""Largest factor, up or down, between a payload's known mass and its estimate: gears lose a third
-of the torque at most."""
-# Standard errors from which a distance of a mass from zero, or of a size from its bound, is
-# significant (95 %).
-_SURE = 2.0
 
 
 def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
@@ -88,7 +83,7 @@ def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
         errors = test.rmse_per_joint
         ratios = [errors[joint] / noise[joint] for joint in errors if joint in noise]
         ratio = np.sqrt(np.mean(np.square(ratios or [0.0])))
-        if ratio > NOISE_EXPLAINS:
+        if ratio > SURE:
             yield Verdict.UNEXPLAINED.remark(
                 f"torques of {test.source} are predicted {ratio:.1f} times worse than the noise "
                 "of the fit allows"
@@ -173,7 +168,7 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Remark]:
     # Largest distances from the link's origin and from the arm's first joint [m].
     reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
     arm = reach + _distance_of_ends(robot)
-    slack = _SURE * np.linalg.norm(errors[1:4]) / link.mass
+    slack = INTERVAL * np.linalg.norm(errors[1:4]) / link.mass
     distance = np.linalg.norm(link.com)
     where = f"on a link that reaches {reach:.2g} m"
     if distance - slack > reach + COM_BEYOND * arm:
@@ -181,14 +176,14 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Remark]:
             f"the centre of mass is {distance:.2g} m away {where}"
         )
     moment = link.principal_moments[-1]
-    slack = _SURE * np.max(errors[4:10])
+    slack = INTERVAL * np.max(errors[4:10])
     if moment - slack > link.mass * (reach + GYRATION_BEYOND * arm) ** 2:
         radius = np.sqrt(moment / link.mass)
         yield Verdict.IMPLAUSIBLE.remark(
             f"the radius of gyration is {radius:.2g} m {where}"
         )
     ratio = link.mass / robot.prior.mass
-    if not np.isfinite(errors[0]) and not 1.0 / MOVED_UNSEEN <= ratio <= MOVED_UNSEEN:
+    if not np.isfinite(errors[0]) and not 1.0 / MOST_FACTOR <= ratio <= MOST_FACTOR:
         yield Verdict.IMPLAUSIBLE.remark(
             f"these torques do not show the mass, yet the rest is only possible with "
             f"{link.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg"
@@ -220,7 +215,7 @@ def implausible_joints(
     least: dict[str, dict[str, float]] = {name: {} for name in robot.joint_names}
     for row in quantities:
         if row.of in least and row.error is not None:
-            least[row.of][row.name] = row.value - _SURE * row.error
+            least[row.of][row.name] = row.value - INTERVAL * row.error
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
         terms = least[name]
         dry = terms.get("coulomb", terms.get("sigmoid", 0.0))
@@ -260,7 +255,7 @@ def wrong_links(links: Sequence[BodyEstimate], remedy: str = "") -> Iterator[Rem
         moment = float(direction @ link.first_moment)
         error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
         deviation = abs(moment - expected)
-        least = max(_SURE * error, LEAST_WRONG * expected)
+        least = max(INTERVAL * error, LEAST_WRONG * expected)
         if np.all(link.is_determined[1:4]) and deviation > least:
             text = (
                 f"{link.name} of the model is probably wrong: its mass times the distance of its "
@@ -332,9 +327,9 @@ def judge_payload(
     share = validation.relative_error or 0.0
     if contradicting:
         yield Verdict.DISAGREE.remark(contradicting)
-    if mass < -_SURE * error:
+    if mass < -INTERVAL * error:
         yield Verdict.SWAPPED.remark(sentence)
-    elif not np.isfinite(error) or mass <= _SURE * error:
+    elif not np.isfinite(error) or mass <= INTERVAL * error:
         yield Verdict.NOT_SEEN.remark(sentence)
     elif share > WORST_OF_PAYLOAD:
         yield Verdict.UNEXPLAINED.remark(

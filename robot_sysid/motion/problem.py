@@ -17,6 +17,7 @@ from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
 from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.solids import mounting_plane, tool_corners, unguarded_links
 from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
     PerJoint,
@@ -43,9 +44,6 @@ ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""
-RESERVED_DEVIATIONS = 2.0
-"""Reserve of torque for errors of the links' parameters, in standard deviations of the torque that
-these errors cause."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +157,7 @@ class ExcitationProblem:
         for chunk in split_motion(2 * self.n_joints * len(self.link_errors), *rates):
             regressor = self.dynamics.motion(*chunk).columns(self.links)
             deviations.append(np.linalg.norm(regressor @ self.link_errors, axis=2))
-        return RESERVED_DEVIATIONS * is_limited * np.concatenate(deviations)
+        return INTERVAL * is_limited * np.concatenate(deviations)
 
     def torque_per_kilogram(self, motion: Motion) -> Array:
         """Return the torques (N, n) that a load at the tool's tip adds, per kilogram [N m/kg].

@@ -29,7 +29,8 @@ from robot_sysid.report.runs import Run
 from robot_sysid.results.record import Quantity
 
 SURE = 2.5
-"""Standard errors beyond which two runs differ."""
+"""Standard errors beyond which two runs differ: three miss 30 % more friction of a simulated joint,
+two name a joint between two logs of a KUKA LWR4+."""
 ALL_JOINTS = "all joints alike"
 """What a change of friction is of that is the same in all joints."""
 DIFFERS = "differs"

@@ -8,12 +8,13 @@ from robot_sysid.config import Config, IdentifyConfig, PayloadConfig
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
+from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import NextStep
 from robot_sysid.records.option_fields import given_arguments
 from robot_sysid.results.next_steps import step_after
 from robot_sysid.results.quantities import BEYOND, MOMENT
 from robot_sysid.results.record import Result
-from robot_sysid.results.table import KNOWN, SIGNIFICANT
+from robot_sysid.results.table import KNOWN
 
 SHARP = 20.0
 """Mass of what is bolted on, in standard errors, above which weighing it by difference gains
@@ -34,7 +35,7 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
         ratios = [part.value / part.error for part in parts if part and part.error]
         if (
             not isinstance(config, IdentifyConfig)
-            or max(ratios, default=0.0) < SIGNIFICANT
+            or max(ratios, default=0.0) < INTERVAL
         ):
             if result.body.errors[0] < KNOWN * result.body.mass:
                 return None

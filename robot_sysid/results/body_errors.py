@@ -11,6 +11,7 @@ import numpy as np
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array
+from robot_sysid.records.levels import SURE
 from robot_sysid.results.record import BodyEstimate
 
 INERTIA = PARAMETER_NAMES[4:]
@@ -24,12 +25,6 @@ ERROR_NAMES = (
 )
 """Keys of the standard errors of mass [kg], centre of mass [m] and inertia about the centre of mass
 [kg m^2], in the axes of the body's frame."""
-MOMENT_SIGNIFICANCE = 2.5
-"""Standard errors from zero from which on a principal moment counts as known.
-
-Estimates that had to be made physically consistent have too large moments: of 48 payloads in
-simulation, all 11 that count as known at 2.5 are nearer the truth than the ball of aluminium (arms
-of benchmarks/payload_by_difference.py); at 2, some are 183 times too large."""
 # How often each of xx, xy, xz, yy, yz, zz stands in a symmetric matrix.
 _MULTIPLICITY = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
 
@@ -95,10 +90,12 @@ def principal_moments(body: BodyEstimate) -> tuple[Array, Array]:
 
 
 def is_inertia_known(body: BodyEstimate) -> bool:
-    """Return whether any principal moment exceeds ``MOMENT_SIGNIFICANCE`` standard errors.
+    """Return whether any principal moment exceeds ``SURE`` standard errors.
 
     One is enough: the smallest moment of a rod never does, and a wrist that only spins determines
-    one moment alone.
+    one moment alone. Bodies that had to be made possible ones have too large moments: some of 48
+    simulated payloads that exceed two errors are 183 times too large (arms of
+    benchmarks/payload_by_difference.py).
     """
     moments, errors = principal_moments(body)
-    return bool(np.any(moments > MOMENT_SIGNIFICANCE * errors))
+    return bool(np.any(moments > SURE * errors))

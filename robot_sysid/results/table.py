@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import aligned_lines, number_text, percent, with_error
 from robot_sysid.results.content import FORMULAS, Content
 from robot_sysid.results.quantities import BEYOND, BODY_NAMES
@@ -58,8 +59,6 @@ _LEGEND = {
 _MAX_RELATIVE_CHANGE = 10.0
 KNOWN = 0.2
 """Relative standard error up to which a mass is known."""
-SIGNIFICANT = 2.0
-"""Standard errors from which a change is stated in words (95 %)."""
 
 
 def label(row: Content) -> str:
@@ -197,8 +196,8 @@ def beyond_line(content: Content) -> str:
     product, weight = (
         with_error(row["value"], row["error"], row["unit"]) for row in (moment, mass)
     )
-    is_seen = [abs(r["value"]) >= SIGNIFICANT * r["error"] for r in (moment, mass)]
-    unseen = number_text(SIGNIFICANT * mass["error"], mass["error"])
+    is_seen = [abs(r["value"]) >= INTERVAL * r["error"] for r in (moment, mass)]
+    unseen = number_text(INTERVAL * mass["error"], mass["error"])
     text = f"mass times distance {product}"
     if not any(is_seen):
         text = (
@@ -225,7 +224,7 @@ def largest_changes(content: Content) -> Iterator[str]:
         is_wanted = row["name"] in names and row["source"] == DATA and row["error"]
         if is_wanted and row["model"] is not None:
             size = abs(row["value"] - row["model"]) / row["error"]
-            if size >= SIGNIFICANT:
+            if size >= INTERVAL:
                 text = f"{label(row)} of {row['of']} {change(row)}"
                 unit = "" if text.endswith("%") else f" {row['unit']}"
                 changes.append((size, f"{text}{unit}"))

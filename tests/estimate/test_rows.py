@@ -106,7 +106,7 @@ def test_neither_chunks_nor_the_order_of_recordings_change_the_sums(seed, size):
     recordings = logs_of(seed)
     expected = ARM.sums(recordings, POINT)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rows_module, "_NUMBERS", size * len(ARM.names) * len(JOINTS))
+        patch.setattr(rows_module, "ARRAY_SIZE", size * len(ARM.names) * len(JOINTS))
         chunked = ARM.sums(logs_of(seed), POINT)
     of_all = expected.totals + expected.lagged_totals
     for sums in (chunked, ARM.sums(recordings[::-1], POINT)):

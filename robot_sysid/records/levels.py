@@ -1,0 +1,9 @@
+"""Decision levels: how sure a thing has to be before it is named, the same in all commands."""
+
+CLEAR = 15.0
+"""Least gain in the log marginal likelihood at which something is named: a motor that turns two
+joints, or a fault. A Staubli TX40's wrist gives 114 to 148, 38 right logs 10 at most [nats]."""
+SURE = 3.0
+"""Standard errors from which a number is significant where many are compared."""
+INTERVAL = 2.0
+"""Standard errors of a printed ±: the interval that holds a number with 95 %."""
