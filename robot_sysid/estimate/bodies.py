@@ -274,7 +274,7 @@ def _by_cone(equations: Array, least: Array) -> Array:
         limits = np.append(rows[:, -1], above)
         try:
             solution = clarabel.DefaultSolver(
-                sparse.diags(np.repeat((0.0, 1.0), (size, count)), format="csc"),
+                sparse.csc_matrix(np.diag(np.repeat((0.0, 1.0), (size, count)))),
                 np.zeros(size + count),
                 sparse.csc_matrix(constraints),
                 limits,

@@ -351,7 +351,7 @@ class Fit:
                 effects[rows, own] = deviations[rows] * self.values[span]
         return effects.T @ effects
 
-    @property
+    @cached_property
     def errors(self) -> Array:
         """Standard errors (k,), infinite where nothing shows a parameter."""
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))

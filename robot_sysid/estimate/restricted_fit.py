@@ -95,20 +95,19 @@ def fit_file(
     terms = _terms(estimate, unchanged)
     offset = arm.terms["offset"]
     before = _solved(estimate, [offset], payload)
-    fitted = _solved(estimate, [*terms, offset], held)
-    terms.append(_known_offsets(fitted))
-    fitted = _solved(estimate, terms, held)
-    gravity = None
+    terms.append(_known_offsets(_solved(estimate, [*terms, offset], held)))
     if TILT in arm.terms and FILE_GRAVITY not in unchanged:
         prior = independent(np.full(2, np.radians(GRAVITY_IN_FILE)))
         tilt = replace(arm.terms[TILT], prior=prior)
-        # Gravity is turned only where the torques clearly show it.
-        offers = Offers(fitted, fitted.weights)
-        if offers.offer(Effect.of(tilt)).gain > CLEAR:
+        # Gravity is turned only where the torques clearly show it, whatever bodies are possible.
+        free = _solved(estimate, terms, held, False)
+        if Offers(free, free.weights).offer(Effect.of(tilt)).gain > CLEAR:
             terms.append(tilt)
-            fitted = _solved(estimate, terms, held)
-            angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
-            gravity = turn_gravity(fitted.point.gravity, angles)
+    fitted = _solved(estimate, terms, held)
+    gravity = None
+    if TILT_NAMES[0] in fitted.names:
+        angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
+        gravity = turn_gravity(fitted.point.gravity, angles)
     for _ in range(ROUNDS):
         far = _far_masses(estimate, fitted)
         if not far:
@@ -167,7 +166,12 @@ def _known_offsets(fitted: Fit) -> Term:
     return replace(term, prior=independent(np.where(is_clear, WIDE * torque, known)))
 
 
-def _solved(estimate: Fit, terms: Sequence[Term], held: Mapping[str, float]) -> Fit:
+def _solved(
+    estimate: Fit,
+    terms: Sequence[Term],
+    held: Mapping[str, float],
+    possible: bool = True,
+) -> Fit:
     """Return the fit of a file's terms around the estimate."""
     return fit(
         estimate.arm,
@@ -177,6 +181,7 @@ def _solved(estimate: Fit, terms: Sequence[Term], held: Mapping[str, float]) -> 
         terms,
         estimate.question,
         held,
+        possible=possible,
     )
 
 
