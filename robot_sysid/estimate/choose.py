@@ -329,11 +329,10 @@ def motors_of(
     tendons = shared_motors(robot.mj_model, robot.dof_index)
     motors = (coupling(robot, ratios, tendon) for tendon, ratios in tendons.items())
     stated = tuple(motor for motor in motors if np.any(motor.model))
-    axes = [motor.ratios / np.linalg.norm(motor.ratios) for motor in stated]
     offered = []
     for motor in neighbours(robot):
-        axis = motor.ratios / np.linalg.norm(motor.ratios)
-        if not any(np.isclose(abs(axis @ other), 1.0) for other in axes):
+        pairs = [(motor.ratios, other.ratios) for other in stated]
+        if all(np.linalg.matrix_rank(pair) == 2 for pair in pairs):
             offered.append(motor)
     return stated, tuple(offered)
 

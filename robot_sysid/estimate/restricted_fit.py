@@ -273,7 +273,7 @@ def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
         return {}
     errors = dict(zip(estimate.names, estimate.errors))
     rotors = {}
-    for owner in (*robot.joint_names, *(motor.name for motor in arm.motors)):
+    for owner in arm.owners:
         name = f"armature[{owner}]"
         of_model = arm.model.get(name, 0.0)
         value = estimate.by_name.get(name, of_model)

@@ -40,7 +40,7 @@ from robot_sysid.estimate.trust import (
     implausible_link,
     judge_file,
     missed_friction,
-    unexplained_share,
+    unexplained_torque,
     wrong_links,
 )
 from robot_sysid.records import (
@@ -127,7 +127,8 @@ def link_result(
     # A file that is worse on another log than the given model is not trustworthy.
     on_others = [judge_file(b, a, data=b.source) for b, a in file_tests]
     missed = missed_friction(fitted)
-    share, sentence = unexplained_share(fitted)
+    share = fitted.unexplained_share
+    sentence = unexplained_torque(fitted)
     doubts = [sentence] if share > UNEXPLAINED else []
     doubts += [missed] if missed else []
     # A file that clearly predicts better is written all the same, for torques only.
@@ -295,9 +296,8 @@ def quantity(fitted: Fit, name: str) -> tuple[float, float]:
 
 def joint_quantities(fitted: Fit) -> list[Quantity]:
     """Return friction and rotor inertia of chain joints, and of motors that turn several."""
-    arm = fitted.arm
     terms = [t for t in fitted.equations.terms if t.cause in _OF_JOINTS]
-    owners = [*arm.robot.joint_names, *(motor.name for motor in arm.motors)]
+    owners = fitted.arm.owners
     return sorted(term_quantities(fitted, terms), key=lambda row: owners.index(row.of))
 
 
@@ -398,7 +398,7 @@ def _file_terms(fitted: Fit, file: RestrictedFit) -> Iterator[Quantity]:
             error = math.hypot(row.error, FRICTION_CHANGE * row.value)
             yield replace(row, error=error, source=FILE, reason="")
     robot = fitted.arm.robot
-    for owner in (*robot.joint_names, *(motor.name for motor in fitted.arm.motors)):
+    for owner in fitted.arm.owners:
         name = f"armature[{owner}]"
         model_rotor = fitted.arm.model.get(name, 0.0)
         rotor = file.rotors.get(owner, model_rotor)

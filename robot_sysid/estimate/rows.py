@@ -8,7 +8,7 @@ few at a time, so that memory does not grow with a log: of a log only its signal
 from __future__ import annotations
 
 import itertools
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -348,22 +348,20 @@ def block_numbers(
 
     Blocks are stretches of time of one log; stretches of one name are one log.
     """
+    lengths = [len(recording) for recording in recordings]
+    log_of_row = np.repeat([recording.name for recording in recordings], lengths)
+    is_used = np.concatenate([np.any(log.used, axis=1) for log in recordings])
     names = list(dict.fromkeys(recording.name for recording in recordings))
-    per_log = (
-        max(LEAST_BLOCKS, round(BLOCKS / len(names))) if len(names) > 1 else BLOCKS
-    )
-    numbers: list[NDArray[np.int64]] = []
-    in_use = [np.any(recording.used, axis=1) for recording in recordings]
-    totals: Counter[str] = Counter()
-    for recording, is_used in zip(recordings, in_use):
-        totals[recording.name] += int(np.count_nonzero(is_used))
-    done: Counter[str] = Counter()
-    for recording, is_used in zip(recordings, in_use):
-        name = recording.name
-        position = done[name] + np.cumsum(is_used) - is_used
-        done[name] += int(np.count_nonzero(is_used))
-        block = position * per_log // max(totals[name], 1)
-        numbers.append(names.index(name) * per_log + np.minimum(block, per_log - 1))
+    per_log = BLOCKS
+    if len(names) > 1:
+        per_log = max(LEAST_BLOCKS, round(BLOCKS / len(names)))
+    blocks = np.zeros(len(is_used), dtype=np.int64)
+    for number, name in enumerate(names):
+        own = log_of_row == name
+        position = np.cumsum(is_used[own]) - is_used[own]
+        block = position * per_log // max(np.count_nonzero(is_used[own]), 1)
+        blocks[own] = number * per_log + np.minimum(block, per_log - 1)
+    numbers = np.split(blocks, np.cumsum(lengths)[:-1])
     return numbers, [name for name in names for _ in range(per_log)]
 
 

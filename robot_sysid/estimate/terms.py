@@ -229,6 +229,11 @@ class ArmTerms:
         """Names of the parameters of all terms."""
         return tuple(name for term in self.terms.values() for name in term.names)
 
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """Names of what has friction and rotors: joints, and motors that turn several."""
+        return *self.robot.joint_names, *(motor.name for motor in self.motors)
+
     def _model_values(self) -> dict[str, float]:
         """Return the model's value of each parameter that the model has."""
         robot = self.robot

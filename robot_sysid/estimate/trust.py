@@ -107,18 +107,17 @@ def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
             )
 
 
-def unexplained_share(fitted: Fit) -> tuple[float, str]:
-    """Return the share of torque that neither model nor noise explains, and a sentence on it."""
+def unexplained_torque(fitted: Fit) -> str:
+    """Return a sentence on the torque that neither model nor noise explains."""
     torque = np.maximum(fitted.sums.rms_torque, 1e-300)
-    share = fitted.unexplained_share
     largest = np.argsort(-fitted.unexplained)[:3].tolist()
     phrases = [
         f"{percent(float(fitted.unexplained[k] / torque[k]))} of {fitted.arm.joints[k]}"
         for k in largest
     ]
-    return share, (
-        f"{percent(share)} of the torque is explained by neither the model nor noise "
-        f"({', '.join(phrases)})"
+    return (
+        f"{percent(fitted.unexplained_share)} of the torque is explained by neither the model nor "
+        f"noise ({', '.join(phrases)})"
     )
 
 
