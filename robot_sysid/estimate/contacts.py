@@ -23,7 +23,8 @@ right logs of real arms reach 18."""
 ORDINARY = 4.0
 """Mean residual at which a stretch that is left out ends."""
 LITTLE = 0.02
-"""Share of unexplained torque that logs of real arms without faults reach."""
+"""Share of the torque up to which an error is little: that which logs of real arms without faults
+leave unexplained."""
 MOST_STRETCHES = 5
 """Number of stretches above which a fault comes back, and is not limited in time."""
 MOST_SHARE = 0.3

@@ -38,20 +38,15 @@ from robot_sysid.records.option_fields import joint_values
 
 LEAST_DRY = 0.02
 """Least dry friction assumed before a fit, as a share of the joint's root mean square torque."""
-LEAST_FITTED_DRY = 1e-3
-"""Least dry friction assumed after a fit, as a share of the joint's root mean square torque."""
 LARGEST_LOSS = 0.3
 """Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
+NEGLIGIBLE = 1e-3
+"""Share of a joint's root mean square torque that counts as nothing: dry friction after a fit, or
+an error."""
 PER_CENT = 0.01
 """One per cent."""
-MILLI = 1e-3
-"""One thousandth."""
-EXACT = 1e-6
-"""Standard deviation of a number that is known, as a share of it."""
 WIDE = 1e3
 """Standard deviation of a number of which nothing is known, in its usual size."""
-# Share of an error that is left of what all torque scales have in common.
-_LEFT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -113,11 +108,12 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     scale = scale_spread(arm, options, question.loaded)
     sizes: dict[str, Array | float] = {
         SCALES: scale,
-        ZEROS: MILLI * priors.zero,
+        # Priors are in milliradians and milliseconds.
+        ZEROS: 1e-3 * priors.zero,
         DRIFT: usual_errors.FRICTION_DRIFT * question.drifts,
         SCALE_DRIFT: PER_CENT * usual_errors.SCALE_DRIFT * question.loaded,
         TILT: np.radians(priors.gravity),
-        DELAY: MILLI * priors.delay,
+        DELAY: 1e-3 * priors.delay,
     }
     for cause, size in sizes.items():
         if cause in arm.terms and np.any(size > 0.0):
@@ -135,7 +131,8 @@ def without_common(prior: Prior) -> Prior:
     links decides about it. It is added to the payload's error (``Fit.scale_errors``).
     """
     size = len(prior.mean)
-    apart = np.eye(size) - (1.0 - _LEFT) / size
+    # A thousandth of it is left, as a prior needs an inverse.
+    apart = np.eye(size) - (1.0 - 1e-3) / size
     return Prior(prior.mean, prior.factor @ apart)
 
 
@@ -145,7 +142,7 @@ def _payload(arm: ArmTerms, question: Question) -> Term:
     if question.known_mass is None:
         return term
     wide = np.full(N_INERTIAL, WIDE * question.known_mass)
-    wide[0] = EXACT * question.known_mass
+    wide[0] = 1e-6 * question.known_mass
     mean = np.zeros(N_INERTIAL)
     mean[0] = question.known_mass
     return replace(term, prior=Prior(mean, np.diag(wide)))
@@ -175,7 +172,7 @@ def _unknown_friction(
         of_model = arm.robot.friction.coulomb[arm.indices]
         dry = np.maximum(of_model, LEAST_DRY * torque)
     else:
-        dry = np.maximum(question.dry, LEAST_FITTED_DRY * torque)
+        dry = np.maximum(question.dry, NEGLIGIBLE * torque)
     # A gear that loses much of its load has much dry friction without load, too.
     loss = np.clip(
         dry / np.maximum(torque, 1e-9), share, usual_errors.LARGEST_USUAL_LOSS * share

@@ -16,6 +16,7 @@ import numpy as np
 from robot_sysid.dynamics.equations import link_names, split_name
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import held_out_logs, validation
 from robot_sysid.estimate.identifiability import analyse_identifiability, square_root
@@ -32,7 +33,6 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.estimate.trust import (
     COARSE,
-    HARMLESS,
     UNEXPLAINED,
     UNUSUAL,
     find_misfits,
@@ -443,7 +443,7 @@ def _offset_notes(file: RestrictedFit) -> Iterator[str]:
                 phrases.append(f"{joint} {offset:.2g} {unit}")
     squared = squares / np.sum(fitted.sums.squared_torque)
     share = file.after.relative_error or 0.0
-    if squared > max(HARMLESS, share) ** 2:
+    if squared > max(LITTLE, share) ** 2:
         yield (
             f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "
             "that is larger in one direction: counted as errors, they make the torque error of the "

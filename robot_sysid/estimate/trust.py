@@ -13,8 +13,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import is_clearly_lower, validation
+from robot_sysid.estimate.questions import NEGLIGIBLE
 from robot_sysid.estimate.terms import term_key
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import InertialParameters, RobotModel, Validation
@@ -22,8 +24,6 @@ from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import Level, Remark, percent, torque_unit, with_error
 from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
 
-HARMLESS = 0.02
-"""Held-out error, as a share of the torque, up to which the noise of the fit does not matter."""
 UNUSUAL = 0.035
 """Share of all torque that neither model nor noise explains, above which a note is added."""
 UNEXPLAINED = 0.05
@@ -58,8 +58,6 @@ known mass are believed: logs of real arms have 0.4 to 5 %."""
 MOST_FACTOR = 2.0
 """Largest factor, up or down, between a mass that follows from torques and one that is known: gears
 lose a third of the torque at most."""
-NEGLIGIBLE = 1e-3
-"""Held-out error, as a share of the torque, up to which a model counts as exact."""
 FARTHEST_PAYLOAD = 0.5
 """Largest distance of a payload's centre of mass from the flange, as a share of the arm's reach."""
 LEAST_REACH = 0.6
@@ -78,7 +76,7 @@ def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
     """
     noise = fitted.noise_per_joint
     for test in tests:
-        if not test.is_informative or (test.relative_error or 0.0) <= HARMLESS:
+        if not test.is_informative or (test.relative_error or 0.0) <= LITTLE:
             continue
         errors = test.rmse_per_joint
         ratios = [errors[joint] / noise[joint] for joint in errors if joint in noise]
@@ -302,7 +300,7 @@ def worse_joints(model: Validation, written: Validation) -> list[str]:
     errors = written.relative_error_per_joint.items()
     for (joint, new), before, after in zip(errors, model.blocks.T, written.blocks.T):
         old = model.relative_error_per_joint[joint]
-        if old is None or new is None or new <= HARMLESS:
+        if old is None or new is None or new <= LITTLE:
             continue
         if is_clearly_lower(before, after):
             worse.append(f"{joint} ({percent(old)} -> {percent(new)})")

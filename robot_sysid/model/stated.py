@@ -25,11 +25,9 @@ from robot_sysid.records import KINDS, ArmLink, Array, InertialParameters
 from robot_sysid.records.usual_errors import LEAST_SIZE, LEAST_SIZE_SHARE
 
 MASS, CENTRE, INERTIA = KINDS
-LEAST_MASS = 1e-3
-"""Share of the links' median mass below which a mass is a placeholder: public arms have 0.08."""
-LEAST_DISTANCE = 1e-3
-"""Distance of a centre of mass from its joint, over the link's size, below which it is a
-placeholder: a wrist of an iiwa14 has 0.005."""
+LEAST_SHARE = 1e-3
+"""Share of the links' median mass below which a mass is a placeholder, and of the link's size below
+which the distance of a centre of mass from its joint is one: public arms have 0.08 and 0.005."""
 LEAST_INERTIA = 0.2
 """Share of the mean moment of a rod of the link's size below which an inertia is a placeholder:
 links of public arms have 0.26 and more."""
@@ -52,7 +50,7 @@ def with_references(
     masses = np.array([link.theta[0] for link in links if link.theta[0] > 0.0])
     if not len(masses):
         return tuple(links)
-    median = np.median(masses[masses >= LEAST_MASS * np.max(masses)])
+    median = np.median(masses[masses >= LEAST_SHARE * np.max(masses)])
     data = data_at_pose(mj_model, qpos)
     steps = [*(link.translation for link in links[1:]), np.zeros(3)]
     lengths = np.linalg.norm(steps, axis=1).tolist()
@@ -64,13 +62,13 @@ def with_references(
         centre, gyration = _boxes(mj_model, data, ids) or rod
         mass, com, inertia = spatial.com_from_theta(link.theta)
         unknown = {*copied[link.body_name]}
-        if mass < LEAST_MASS * median:
+        if mass < LEAST_SHARE * median:
             unknown |= {MASS, INERTIA}
         least = LEAST_INERTIA * mass * np.trace(rod[1])
         if np.trace(inertia) < least or not spatial.is_consistent(link.theta):
             unknown.add(INERTIA)
         # Shapes may have their middle at the joint, too.
-        is_at_joint = np.linalg.norm(com) < LEAST_DISTANCE * size
+        is_at_joint = np.linalg.norm(com) < LEAST_SHARE * size
         if is_at_joint and np.linalg.norm(centre) > LEAST_INERTIA * size:
             unknown.add(CENTRE)
         reference = link.theta

@@ -18,7 +18,7 @@ import numpy as np
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.model.bodies import link_reach
-from robot_sysid.model.stated import LEAST_MASS
+from robot_sysid.model.stated import LEAST_SHARE
 from robot_sysid.records import RobotModel
 
 # m / r^3 of a sphere of the densest metal, 22 600 kg/m^3.
@@ -99,7 +99,7 @@ def _unit_fault(robot: RobotModel) -> str:
     mj_model = robot.mj_model
     bodies = np.array(subtree(mj_model, robot.links[0].body_id))
     masses = mj_model.body_mass[bodies]
-    bodies = bodies[masses > LEAST_MASS * np.max(masses)]
+    bodies = bodies[masses > LEAST_SHARE * np.max(masses)]
     length = _reach(robot)
     com_distance = np.median(np.linalg.norm(mj_model.body_ipos[bodies], axis=1))
     if max(length, com_distance) > _LONGEST:

@@ -33,8 +33,8 @@ CHECKPOINTS = 400
 """Number of samples of the motion at which the torques of a written model are compared with the
 predicted ones."""
 TOLERANCE = 1e-9
-"""Largest relative deviation of a compiled number from the written one: MuJoCo's transformation to
-principal axes and back leaves up to 1e-10."""
+"""Largest relative deviation of a compiled number from the written one, and of a torque relative to
+its joint's largest: MuJoCo's transformation to principal axes and back leaves up to 1e-10."""
 
 # Inertial fields of a body, and whether its frame and its inertial frame coincide: compared row by
 # row, because only the changed bodies may differ.
@@ -293,8 +293,6 @@ def _is_same(original: Any, other: Any, changed_rows: Collection[int]) -> bool:
     return np.array_equal(original, other)
 
 
-TORQUE_TOLERANCE = 1e-9
-"""Largest deviation of a written model's torque, relative to the joint's largest torque."""
 # Share of the arm's largest torque: the least scale that a joint's deviation is relative to.
 _MIN_TORQUE_SHARE = 1e-3
 
@@ -335,9 +333,9 @@ def require_reproduction(
     deviation = np.max(np.abs(actual - predicted), axis=0)
     relative = deviation / np.where(scale > 0.0, scale, 1.0)
     worst = np.argmax(relative)
-    if not relative[worst] <= TORQUE_TOLERANCE:
+    if not relative[worst] <= TOLERANCE:
         raise ExportError(
             f"{path.name} does not reproduce the identified torques: joint "
             f"{robot.joint_names[worst]} is off by {relative[worst]:.1e} relative (allowed "
-            f"{TORQUE_TOLERANCE:.0e}); no model was written"
+            f"{TOLERANCE:.0e}); no model was written"
         )
