@@ -172,11 +172,7 @@ def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
     if link.prior is None:
         return
     beyond = replace(link, theta=link.theta - link.prior.theta, prior=None)
-    moment = float(np.linalg.norm(beyond.first_moment))
-    direction = beyond.first_moment / max(moment, 1e-300)
-    error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
-    if not np.all(link.is_determined[1:4]):
-        error = math.inf
+    moment, error = beyond.moment_along(beyond.first_moment)
     yield Quantity(MOMENT, BEYOND, PARAMETER_UNITS[1], None, moment, error)
     yield from itertools.islice(body_quantities(beyond, BEYOND), 4)
 

@@ -209,19 +209,18 @@ def implausible_joints(
     inertia = robot.mass * robot.length**2
     # Least values that the errors allow. A term at its bound has the error NaN, and no comparison
     # with NaN is true.
-    least: dict[str, dict[str, float]] = {name: {} for name in robot.joint_names}
-    for row in quantities:
-        if row.of in least and row.error is not None:
-            least[row.of][row.name] = row.value - INTERVAL * row.error
+    least = {
+        (row.of, row.name): row.value - INTERVAL * row.error
+        for row in quantities
+        if row.error is not None
+    }
+    torques = np.array([torque.get(name, 0.0) for name in robot.joint_names])
     for index, (name, slide) in enumerate(zip(robot.joint_names, robot.is_slide)):
-        terms = least[name]
-        dry = terms.get("coulomb", terms.get("sigmoid", 0.0))
-        rotor = terms.get("armature", 0.0)
-        others = [0.0]
-        for other, is_slide in zip(robot.joint_names, robot.is_slide):
-            if other != name and is_slide == slide:
-                others.append(torque.get(other, 0.0))
-        strongest = DRY_FRICTION * max(others) or np.inf
+        dry = least.get((name, "coulomb"), least.get((name, "sigmoid"), 0.0))
+        rotor = least.get((name, "armature"), 0.0)
+        is_other = robot.is_slide == slide
+        is_other[index] = False
+        strongest = DRY_FRICTION * np.max(torques[is_other], initial=0.0) or np.inf
         # A limit of zero means that the model states none.
         if dry > min(robot.limits.torque[index] or np.inf, strongest):
             yield Verdict.IMPLAUSIBLE.remark(
@@ -245,15 +244,11 @@ def wrong_links(links: Sequence[BodyEstimate], remedy: str = "") -> Iterator[Rem
         remedy: what is done about it in the written model.
     """
     for link in links:
-        if link.prior is None or not np.any(link.prior.theta[1:4]):
+        if link.prior is None:
             continue
-        expected = float(np.linalg.norm(link.prior.theta[1:4]))
-        direction = link.prior.theta[1:4] / expected
-        moment = float(direction @ link.first_moment)
-        error = float(np.sqrt(direction @ link.covariance[1:4, 1:4] @ direction))
-        deviation = abs(moment - expected)
-        least = max(INTERVAL * error, LEAST_WRONG * expected)
-        if np.all(link.is_determined[1:4]) and deviation > least:
+        expected = float(np.linalg.norm(link.prior.first_moment))
+        moment, error = link.moment_along(link.prior.first_moment)
+        if abs(moment - expected) > max(INTERVAL * error, LEAST_WRONG * expected):
             text = (
                 f"{link.name} of the model is probably wrong: its mass times the distance of its "
                 f"centre of mass is {with_error(moment, error, 'kg·m')}, in the model "

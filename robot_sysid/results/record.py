@@ -173,6 +173,17 @@ class BodyEstimate(InertialParameters):
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return np.where(self.is_determined, errors, np.inf)
 
+    def moment_along(self, vector: Array) -> tuple[float, float]:
+        """Return the first moment along a vector (3,), and its standard error [kg m].
+
+        The error is infinite where the first moment is not determined.
+        """
+        direction = vector / max(float(np.linalg.norm(vector)), 1e-300)
+        variance = direction @ self.covariance[1:4, 1:4] @ direction
+        is_determined = np.all(self.is_determined[1:4])
+        error = float(np.sqrt(variance)) if is_determined else np.inf
+        return float(direction @ self.first_moment), error
+
     def largest_cause(self, index: int) -> str:
         """Return the cause of the largest part of a parameter's error; "" where that is not known.
 
