@@ -16,6 +16,7 @@ import numpy as np
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.causes import beside
 from robot_sysid.diagnosis.contest import Evidence, findings
+from robot_sysid.diagnosis.limited_in_time import SLOWEST
 from robot_sysid.diagnosis.log_checks import (
     check_recording,
     time_share,
@@ -46,8 +47,6 @@ ROWS = 40
 """Least number of independent samples per joint, for ten parameters and the joint's friction."""
 SLOWEST_RATE = 10.0
 """Sampling rate below which a motion cannot be differentiated [Hz]."""
-SLOWEST = 0.05
-"""Speed that at least one joint has to reach [rad/s]."""
 TRYING = "Trying explanations"
 """Label of the progress of the contest of explanations."""
 

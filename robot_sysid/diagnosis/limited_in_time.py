@@ -25,8 +25,8 @@ from robot_sysid.signals.resampling import slice_samples
 
 MANY_VALUES = 100
 """Number of different values below which a channel has coarse steps, which repeat by chance."""
-# Least mean speed of an arm that moves [rad/s].
-_MOVING = 0.05
+SLOWEST = 0.05
+"""Speed that at least one joint of a moving arm reaches [rad/s]."""
 
 
 class Stretch(NamedTuple):
@@ -58,7 +58,7 @@ def held_torques(piece: Measurement, tau: Array) -> Iterator[tuple[str, slice]]:
     for rows in equal_runs(piece.time, tau):
         # The range of positions counts: an arm may return to where it was.
         length = min(float(np.ptp(piece.time[rows])), 1.0)
-        if np.max(np.ptp(piece.q[rows], axis=0)) > _MOVING * length:
+        if np.max(np.ptp(piece.q[rows], axis=0)) > SLOWEST * length:
             yield "saturated" if tau[rows.start] in ends else "held", rows
 
 

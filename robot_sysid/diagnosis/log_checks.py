@@ -19,6 +19,7 @@ from robot_sysid.diagnosis.limited_in_time import MANY_VALUES, failed_sensors, l
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Level, count_text, percent, torque_unit
 from robot_sysid.signals.resampling import (
+    GAP_STEPS,
     cut_pieces,
     duration,
     sampling_period,
@@ -36,8 +37,6 @@ MANY = 0.02
 """Share of steps with lost samples above which the log is refused."""
 UNEVEN = 0.02
 """Median deviation of the steps' durations from their median from which time stamps are uneven."""
-# Least duration of a step that is a jump of the clock, over the median duration.
-_JUMP = 1.75
 # Largest displacement in a jump of the clock, over that of the steps around it.
 _NO_WAY = 1.4
 # Least displacement, over the noise of positions, of the steps that are judged.
@@ -59,7 +58,7 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     if len(speed) < _ENOUGH:
         return
     # Speeds and durations are relative to those of the steps around, see ``_steps``.
-    is_long = duration > _JUMP
+    is_long = duration > GAP_STEPS
     is_jump = is_long & (speed * duration < _NO_WAY) & (speed > 0.0)
     jumps = np.sum(is_jump)
     speed[is_long] = 1.0
