@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 4546,
     "robot_sysid/commands": 10397,
     "robot_sysid/damiao": 31061,
-    "robot_sysid/diagnosis": 17464,
+    "robot_sysid/diagnosis": 17448,
     "robot_sysid/dynamics": 4695,
     "robot_sysid/estimate": 31144,
     "robot_sysid/logs": 15464,

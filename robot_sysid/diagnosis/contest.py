@@ -327,13 +327,10 @@ def correction(
         is_clear = is_unit or (tried.gain > CLEAR and (is_less or is_turned_back))
         return is_clear and is_plausible(tried.fit) and not is_odd(tried.fit)
 
-    scales = [*common_scale(fitted, evidence.divided, beside)]
-    scales += [*own_scales(fitted, evidence.divided, beside)]
-    right = [*filter(is_right, scales)]
-    # No sign and no exchange makes torques that much smaller or larger.
-    if not (is_unit and right):
-        right += filter(is_right, discrete(fitted, beside, fits, advance))
-    return max(right, key=lambda each: each.gain, default=None)
+    tried = [*common_scale(fitted, evidence.divided, beside)]
+    tried += [*own_scales(fitted, evidence.divided, beside)]
+    tried += [*discrete(fitted, beside, fits, advance)]
+    return max(filter(is_right, tried), key=lambda each: each.gain, default=None)
 
 
 def is_foreign(fitted: Fit) -> bool:
