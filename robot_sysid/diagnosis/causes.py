@@ -28,7 +28,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, parameter_scale
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer
-from robot_sysid.estimate.rows import Rows
+from robot_sysid.estimate.rows import Rows, Sums
 from robot_sysid.estimate.terms import ArmTerms, Point, Term
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
@@ -113,7 +113,7 @@ class Explanation:
 
     def in_log(self, fitted: Fit, log: str) -> Explanation:
         """Return the explanation for one log of several."""
-        mask = (np.array(fitted.sums.logs) == log).astype(float)
+        mask = fitted.sums.is_of(log).astype(float)
         shares = mask if self.effect.shares is None else mask * self.effect.shares
         return replace(self, effect=replace(self.effect, shares=shares), log=log)
 
@@ -347,7 +347,7 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
     blocks = np.arange(len(sums.logs))
     along = np.zeros(len(blocks))
     for log in dict.fromkeys(sums.logs):
-        own = np.flatnonzero(np.array(sums.logs) == log)
+        own = np.flatnonzero(sums.is_of(log))
         along[own] = (2.0 * np.arange(len(own)) + 1.0) / len(own) - 1.0
     owners: dict[str, int | None] = {f"joint {n}": k for k, n in enumerate(arm.joints)}
     scales = names_of("scale", arm.joints)
@@ -388,7 +388,7 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
         if sums.logs[first] == sums.logs[first - 1]:
             yield Explanation(
                 "payload-step",
-                effect(PARAMETER_NAMES, spread, None, _after(sums.logs, first)),
+                effect(PARAMETER_NAMES, spread, None, _after(sums, first)),
                 "from about {instant} on the last link carries {value} {more|less}: something was "
                 "picked up, dropped or moved",
                 "record each state in a log of its own",
@@ -400,10 +400,10 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
             )
 
 
-def _after(logs: Sequence[str], first: int) -> Array:
+def _after(sums: Sums, first: int) -> Array:
     """Return 1 for the blocks (B,) of a log from one of them on, 0 for all others."""
-    blocks = np.arange(len(logs))
-    return (np.array(logs) == logs[first]) * (blocks >= first).astype(float)
+    is_later = np.array(sums.blocks) >= first
+    return (sums.is_of(sums.logs[first]) & is_later).astype(float)
 
 
 def forces(fitted: Fit) -> Iterator[Explanation]:

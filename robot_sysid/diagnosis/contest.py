@@ -272,10 +272,10 @@ def findings(
         found = contest.corrected if is_shown else [misfit(fitted, contest.least)]
         return found, contest.first
     named = [*contest.corrected, *name_causes(contest.rounds[:MOST_NAMES])]
-    foreign = [each for each in named if each.about in ("computed", "torque-unit")]
-    if foreign:
+    unmeasured = [each for each in named if each.about in ("computed", "torque-unit")]
+    if unmeasured:
         # What is no torque of this arm, or in no known unit, shows nothing else.
-        return foreign, contest.first
+        return unmeasured, contest.first
     if is_experiment:
         named = [each for each in named if each.about not in OF_LINKS]
     elif all(finding.level is Level.SAYS for finding in named):

@@ -614,9 +614,10 @@ def own_scales(
     """Yield the correction of torque scales of one per joint.
 
     Found by Gauss-Newton from the ratios of root mean square torques: torques are divided by the
-    scales, and the fit of what results allows them wide errors. None where some loaded joint's
-    torque does not follow its links, or all have one scale (``common_scale``). Arguments are as in
-    ``common_scale``.
+    scales, and the fit of what results allows them wide errors. Signs are found with them in
+    torques of another unit, in which a turned one alone explains nothing. None where some loaded
+    joint's torque does not follow its links, or all have one scale (``common_scale``). Arguments
+    are as in ``common_scale``.
     """
     arm = fitted.arm
     torque, share, is_loaded = model_torque(fitted)
@@ -677,7 +678,10 @@ def with_factors(arm: ArmTerms, factors: Array) -> Relabelling:
 def scale_finding(
     fitted: Fit, scale: Array, sure: NDArray[np.int64], divided: Array
 ) -> Finding:
-    """Return the finding on torque scales (n,), of which those with indices ``sure`` are found."""
+    """Return the finding on torque scales (J,), of which those with indices ``sure`` are found.
+
+    A scale is negative where the torque has the opposite sign of the model's.
+    """
     names = fitted.arm.joints
     known = np.abs(scale[sure])
     typical = np.median(known)

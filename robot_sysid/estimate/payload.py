@@ -224,7 +224,7 @@ def contradiction(fitted: Fit, flange: Flange) -> str:
         if not same:
             continue
         factor = np.diag(spatial.parameter_scale(max(mass, 0.1), 0.1))
-        shares = (np.array(fitted.sums.logs) == name).astype(float)
+        shares = fitted.sums.is_of(name).astype(float)
         offer = offers.offer(Effect(PARAMETER_NAMES, factor, shares=shares))
         gain, theta = offer.gain, offer.values
         expected = fitted.free[fitted.at(PAYLOAD_NAMES)] * is_loaded

@@ -351,8 +351,8 @@ def model_file(
         joints.setdefault(row.of, {})[row.name] = row.value
         rows.append(row)
     # Of joints without torque, the log says it.
-    torques = np.concatenate([recording.torque for recording in fitted.recordings])
-    powered = itertools.compress(robot.joint_names, np.any(torques, axis=0))
+    has_torque = np.any([each.has_torque for each in fitted.recordings], axis=0)
+    powered = itertools.compress(robot.joint_names, has_torque)
     unseen = [joint for joint in powered if joint not in joints]
     if unseen and FILE_FRICTION not in file.unchanged:
         notes.append(

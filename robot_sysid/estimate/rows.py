@@ -80,11 +80,15 @@ class Recording:
         """The measured torque (K, n), low-passed like the columns [N m]."""
         return self.signals.low_pass.decimate(self.signals.tau)[:: self.every]
 
+    @property
+    def has_torque(self) -> Mask:
+        """Which joints (n,) have a torque: it is zero throughout where no sensor measured it."""
+        return np.any(self.signals.tau, axis=0)
+
     @cached_property
     def used(self) -> Mask:
         """Which rows (K, n) may be used: of joints with torque, where friction has a direction."""
-        has_torque = np.any(self.signals.tau, axis=0)
-        return self.signals.usable()[:: self.every] & has_torque
+        return self.signals.usable()[:: self.every] & self.has_torque
 
     @cached_property
     def at_turns(self) -> Mask:
@@ -194,6 +198,10 @@ class Sums:
     def blocks(self) -> range:
         """Numbers of all B blocks."""
         return range(len(self.logs))
+
+    def is_of(self, log: str) -> Mask:
+        """Return which blocks (B,) are of a log."""
+        return np.array(self.logs) == log
 
     @cached_property
     def totals(self) -> tuple[Array, ...]:

@@ -79,7 +79,8 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
     """Return the highest cut-off whose expected error of the acceleration is small.
 
     It is at most a fifth of the sample rate and 15 times the highest frequency at which the arm
-    moves, and so high that the filters take at most a fifth of the log at its ends.
+    moves, at least 4 times that frequency where the error there is bearable, and so high that the
+    filters take at most a fifth of the log at its ends.
 
     Args:
         q: (N, n) positions on a uniform grid [rad].
