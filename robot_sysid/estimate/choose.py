@@ -116,11 +116,12 @@ def solved(
             arm = arm_of((*stated, *choose_motors(current, offered)))
         advance(step + 1)
         point = current.next_point()
-        if beside is not None and step + 1 == n_steps - 1:
+        is_last = step + 2 == n_steps
+        if beside is not None and is_last:
             arm = arm.beside(beside(current))
         # Sums of a long arm are large: the old ones go before the new ones come.
         del current, sums
-        sums = arm.sums(recordings, point)
+        sums = arm.sums(recordings, point, is_last)
         current = answer(noise)
     evidence = link_evidence(current)
     if evidence is not None:

@@ -95,7 +95,9 @@ def fit_file(
     terms = _terms(estimate, unchanged)
     offset = arm.terms["offset"]
     before = _solved(estimate, [offset], payload)
-    terms.append(_known_offsets(_solved(estimate, [*terms, offset], held)))
+    # Errors of offsets are the same whatever bodies are possible.
+    free = _solved(estimate, [*terms, offset], held, False)
+    terms.append(_known_offsets(replace(free, left_out=LeftOut.EACH)))
     if TILT in arm.terms and FILE_GRAVITY not in unchanged:
         prior = independent(np.full(2, np.radians(GRAVITY_IN_FILE)))
         tilt = replace(arm.terms[TILT], prior=prior)

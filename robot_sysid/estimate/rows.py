@@ -350,19 +350,18 @@ class Sums:
 
 
 def block_numbers(
-    recordings: Sequence[Recording],
+    recordings: Sequence[Recording], in_blocks: bool = True
 ) -> tuple[list[NDArray[np.int64]], list[str]]:
     """Return per recording the block (K,) of each row, and the log of each block.
 
-    Blocks are stretches of time of one log; stretches of one name are one log.
+    Blocks are stretches of time of one log; stretches of one name are one log, which is one block
+    where it is not cut ``in_blocks``.
     """
     lengths = [len(recording) for recording in recordings]
     log_of_row = np.repeat([recording.name for recording in recordings], lengths)
     is_used = np.concatenate([np.any(log.used, axis=1) for log in recordings])
     names = list(dict.fromkeys(recording.name for recording in recordings))
-    per_log = BLOCKS
-    if len(names) > 1:
-        per_log = max(LEAST_BLOCKS, round(BLOCKS / len(names)))
+    per_log = max(LEAST_BLOCKS, round(BLOCKS / len(names))) if in_blocks else 1
     blocks = np.zeros(len(is_used), dtype=np.int64)
     for number, name in enumerate(names):
         own = log_of_row == name

@@ -325,10 +325,15 @@ class ArmTerms:
         """Return the terms of the arm with further ones, whose columns stand beside theirs."""
         return self.of([*self.terms.values(), *terms])
 
-    def sums(self, recordings: Sequence[Recording], point: Point) -> Sums:
-        """Return the sums of all rows, linearised around a point."""
+    def sums(
+        self, recordings: Sequence[Recording], point: Point, in_blocks: bool = True
+    ) -> Sums:
+        """Return the sums of all rows, linearised around a point.
+
+        Only jackknife, held-out validation and what changes over a log need them ``in_blocks``.
+        """
         make = partial(self.equations, point=point)
-        numbers, logs = block_numbers(recordings)
+        numbers, logs = block_numbers(recordings, in_blocks)
         pairs = zip(recordings, numbers)
         return add_up(pairs, logs, self.names, self.joints, make)
 

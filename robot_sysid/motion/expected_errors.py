@@ -215,7 +215,7 @@ def expected_fit(
     if loaded:
         point = replace(point, payload=typical_load(problem))
         values = dict(zip(PAYLOAD_NAMES, point.payload.tolist()))
-    sums = arm.sums(recordings, point)
+    sums = arm.sums(recordings, point, in_blocks=False)
     torque = sums.rms_torque
     # Columns vary slowly along the rows, so that what counts is the density of the noise at low
     # frequencies, which the low-pass does not change: sigma^2 over the samples per row.
