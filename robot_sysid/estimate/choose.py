@@ -38,9 +38,6 @@ from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, SURE
 from robot_sysid.records.messages import Progress
 
-LARGER_AT_TURNS = 1.4
-"""Ratio of a joint's residuals at turns to those elsewhere from which it stands there: sensors
-behind the gears of a KUKA LWR4+ show 0.3 to 1.0, motor currents of a UR10e 1.4 to 3.7."""
 # Shows nothing.
 _SILENT = Progress()
 
@@ -147,7 +144,9 @@ def without_turns(fitted: Fit) -> list[Recording]:
                 squares = own[rows, row] ** 2
                 squares = squares[np.isfinite(squares)]
                 sizes.append(np.mean(squares) if len(squares) else 0.0)
-            if sizes[0] > LARGER_AT_TURNS**2 * sizes[1] > 0.0:
+            # Sensors behind the gears of a KUKA LWR4+ show 0.3 to 1.0 times the residuals at turns,
+            # motor currents of a UR10e 1.4 to 3.7 times.
+            if sizes[0] > 1.4**2 * sizes[1] > 0.0:
                 used[:, joint] &= ~at_turns
         recordings.append(recording.only(used))
     return recordings

@@ -18,10 +18,8 @@ from robot_sysid.records import Array
 from robot_sysid.signals.frozen import true_runs
 
 FAR = 20.0
-"""Mean residual over ``_SMOOTH``, in ordinary sizes of the joint's, of a stretch that is left out:
-right logs of real arms reach 18."""
-ORDINARY = 4.0
-"""Mean residual at which a stretch that is left out ends."""
+"""Mean residual, in ordinary sizes of the joint's, of a stretch that is left out: right logs of
+real arms reach 18."""
 LITTLE = 0.02
 """Share of the torque up to which an error is little: that which logs of real arms without faults
 leave unexplained."""
@@ -29,12 +27,6 @@ MOST_STRETCHES = 5
 """Number of stretches above which a fault comes back, and is not limited in time."""
 MOST_SHARE = 0.3
 """Share of the rows above which a fault is not limited in time."""
-# Time over which residuals are averaged [s].
-_SMOOTH = 0.3
-# Residual above which a row has no weight in the fit, in ordinary sizes.
-_OUTLYING = 6.0
-# Least ordinary size of a residual, as a share of the joint's torque.
-_LEAST_SIZE = 0.005
 
 
 def without_contacts(fitted: Fit) -> Fit:
@@ -53,7 +45,8 @@ def without_contacts(fitted: Fit) -> Fit:
         sizes = ordinary_sizes(fitted, residuals)
         if np.max(mean_sizes(fitted, sizes), initial=0.0) < 0.5 * FAR:
             return fitted
-        is_far = np.any(np.abs(sizes) > _OUTLYING, axis=1)
+        # Single rows that are six times the ordinary size have no weight in the fit.
+        is_far = np.any(np.abs(sizes) > 6.0, axis=1)
         if outlying is not None and np.array_equal(is_far, outlying):
             break
         outlying = is_far
@@ -110,7 +103,8 @@ def ordinary_sizes(fitted: Fit, residuals: Array) -> Array:
     The ordinary size is the standard deviation of a normal distribution with the same median.
     """
     torque = fitted.sums.rms_torque
-    least = _LEAST_SIZE * np.maximum(torque, 0.02 * np.max(torque))
+    # No joint is so right that half a per cent of its torque were more than ordinary.
+    least = 0.005 * np.maximum(torque, 0.02 * np.max(torque))
     scaled = np.zeros_like(residuals)
     for joint, residual in enumerate(residuals.T):
         is_used = np.isfinite(residual)
@@ -121,14 +115,14 @@ def ordinary_sizes(fitted: Fit, residuals: Array) -> Array:
 
 
 def mean_sizes(fitted: Fit, sizes: Array) -> Array:
-    """Return the size (K, J) of means over ``_SMOOTH`` of sizes (K, J) of residuals.
+    """Return the size (K, J) of means over 0.3 s of sizes (K, J) of residuals.
 
     Where fewer than a third of the rows are used, the others count as zero.
     """
     means = []
     for recording, own in zip(fitted.recordings, fitted.split(sizes)):
         signals = recording.signals
-        width = max(1, round(_SMOOTH * signals.rate / signals.low_pass.step))
+        width = max(1, round(0.3 * signals.rate / signals.low_pass.step))
         window = np.ones(min(width, len(own))) / width
         used = recording.used[:, fitted.arm.indices].astype(float)
         totals, shares = (
@@ -153,7 +147,8 @@ def _stretches(recording: Recording, means: Array) -> Iterator[Stretch]:
     time = recording.motion.time
     # Time that the low-pass mixes with what happens in a stretch.
     margin = 0.5 / recording.signals.cutoff
-    for rows in true_runs(np.max(means, axis=1) > ORDINARY):
+    # A stretch that is far from ordinary ends where residuals are four times the ordinary size.
+    for rows in true_runs(np.max(means, axis=1) > 4.0):
         joints = np.max(means[rows], axis=0) > FAR
         if np.any(joints):
             start, stop = time[[rows.start, rows.stop - 1]].tolist()

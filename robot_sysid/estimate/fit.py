@@ -47,14 +47,8 @@ ROUNDS = 12
 LEAST_NOISE = 1e-4
 """Least noise of a joint, as a share of the root mean square torque of all: the error of filtering.
 """
-# Relative change of the noise below which it has converged.
-_SETTLED = 1e-3
 # Added to the diagonal of scaled equations: parameters that nothing shows stay at the model's.
 _RIDGE = 1e-12
-# Variance of a parameter, over that of its column alone, above which nothing shows it.
-_HIDDEN = 1e9
-# Largest lag of a residual's autocorrelation, as a share of the rows.
-_LONGEST_LAG = 0.1
 
 
 class Equations:
@@ -299,7 +293,8 @@ class Fit:
     def is_hidden(self) -> NDArray[np.bool_]:
         """Which estimated parameters (k,) nothing shows: neither data nor prior."""
         own = np.diag(self.normal)[:-1]
-        return (own == 0.0) | (np.diag(self.inverse) * own > _HIDDEN)
+        # Its variance is then far above that of its column alone.
+        return (own == 0.0) | (np.diag(self.inverse) * own > 1e9)
 
     @cached_property
     def covariance(self) -> Array:
@@ -604,7 +599,7 @@ def fit(
         values, inverse = solve(equations.normal(weights), reference)
         previous = noise
         noise = np.maximum(_noise(equations, values, inverse, weights), least)
-        if np.max(np.abs(noise / previous - 1.0)) < _SETTLED:
+        if np.max(np.abs(noise / previous - 1.0)) < 1e-3:
             break
     fitted = _free_fit(arm, recordings, point, equations, question, noise, correlation)
     fitted = fitted._constrained(fitted.normal, False)
@@ -750,7 +745,7 @@ def correlation_times(residuals: Array) -> Array:
     for residual in residuals.T:
         is_used = np.isfinite(residual)
         signal = np.where(is_used, residual, 0.0)
-        lags = max(int(_LONGEST_LAG * len(signal)), 1)
+        lags = max(len(signal) // 10, 1)
         pairs = np.maximum(lagged_sums(is_used.astype(float), lags), 1.0)
         covariance = lagged_sums(signal, lags) / pairs
         rho = np.append(covariance, 0.0) / max(covariance[0], 1e-300)

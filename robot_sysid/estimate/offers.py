@@ -28,9 +28,6 @@ from robot_sysid.estimate.identifiability import ROUNDING
 from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array
 
-# Times that the noise is taken from what the columns leave.
-_ROUNDS = 3
-
 
 @dataclass(frozen=True)
 class Effect:
@@ -218,7 +215,8 @@ class Offers:
     def weigh(self, effect: Effect) -> Offer:
         """Return what the fit says of an effect, each fit with its own noise."""
         before = after = self
-        for _ in range(_ROUNDS):
+        # Three times the noise is taken from what the columns leave.
+        for _ in range(3):
             offer = after.offer(effect)
             correlation = self.correlation(offer.squares, offer.successive)
             leverage = after.leverage + offer.leverage

@@ -32,8 +32,6 @@ Mask = NDArray[np.bool_]
 """Boolean mask, True where a row is used."""
 BLOCKS = 10
 """Number of blocks that held-out validation and the jackknife leave out in turn."""
-LEAST_BLOCKS = 3
-"""Least number of blocks of one log, of several."""
 
 
 class Stretch(NamedTuple):
@@ -361,7 +359,7 @@ def block_numbers(
     log_of_row = np.repeat([recording.name for recording in recordings], lengths)
     is_used = np.concatenate([np.any(log.used, axis=1) for log in recordings])
     names = list(dict.fromkeys(recording.name for recording in recordings))
-    per_log = max(LEAST_BLOCKS, round(BLOCKS / len(names))) if in_blocks else 1
+    per_log = max(3, round(BLOCKS / len(names))) if in_blocks else 1
     blocks = np.zeros(len(is_used), dtype=np.int64)
     for number, name in enumerate(names):
         own = log_of_row == name

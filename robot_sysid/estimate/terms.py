@@ -62,8 +62,6 @@ UNKNOWN_FRICTION = ("sqrt", *FADING_SPEEDS, "load")
 """Friction terms that the usual ones lack: a prior allows for them."""
 ALL_FRICTION = (*USUAL_FRICTION, *UNKNOWN_FRICTION)
 """Friction terms that have columns where no option names others."""
-LEAST_DEVIATION = 1e-9
-"""Least standard deviation of a prior [SI]: that of a number that is known exactly."""
 # Friction that drifts from the first recording to the last.
 _DRIFTING = (*DRY_TERMS, "viscous", "load")
 # Terms whose torque is smooth, so that its time derivative identifies a delay. Dry friction does
@@ -99,7 +97,8 @@ def independent(
     deviations: Sequence[float] | Array, mean: Array | None = None
 ) -> Prior:
     """Return the prior of k parameters with independent errors [SI], around zero by default."""
-    size = np.maximum(deviations, LEAST_DEVIATION)
+    # A number that is known exactly has an error all the same.
+    size = np.maximum(deviations, 1e-9)
     return Prior(np.zeros(len(size)) if mean is None else mean, np.diag(size))
 
 
