@@ -49,25 +49,18 @@ _CONTROL_CODES = (
     *range(0x2066, 0x206A),
 )
 _REPLACEMENTS = {code: "?" for code in _CONTROL_CODES if chr(code) != "\t"}
-_GREEN = 32
-_YELLOW = 33
-_RED = 31
-_BOLD = 1
-# Beginning of a line to the colour of that beginning on a terminal.
+# Escape code of red, yellow, green and bold letters to the beginnings of lines that have them on a
+# terminal; the first beginning that fits counts.
 _COLOURS = {
-    **dict.fromkeys(("Not usable", "robot-sysid: error", "STOP"), _RED),
-    **dict.fromkeys(
-        ("Usable, but", "Usable (", "Usable for", "note", "doubts"), _YELLOW
-    ),
-    **dict.fromkeys(("Usable", "Self-test passed"), _GREEN),
-    **dict.fromkeys(("Use this file", "Copy into", "Next"), _BOLD),
+    31: ("Not usable", "robot-sysid: error", "STOP"),
+    33: ("Usable, but", "Usable (", "Usable for", "note", "doubts"),
+    32: ("Usable", "Self-test passed"),
+    1: ("Use this file", "Copy into", "Next"),
 }
 COMMAND_STARTS = ("  robot-sysid ", "  pip install ")
 """Beginnings of lines that are a command and nothing else, which can be pasted into a shell."""
 # Beginnings of lines to paste, which are never wrapped.
 _SHELL_LINES = ("robot-sysid ", "  mujoco.", *COMMAND_STARTS)
-PROGRESS_INTERVAL = 10.0
-"""Time between two lines of progress where there is no terminal [s]."""
 
 
 def overview() -> list[str]:
@@ -124,8 +117,8 @@ def _terminal_text(text: str) -> str:
         text = "\n".join(lines)
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return text
-    for start, colour in _COLOURS.items():
-        if text.startswith(start):
+    for colour, starts in _COLOURS.items():
+        for start in filter(text.startswith, starts):
             end = max(text.find(":"), len(start))
             return f"\x1b[{colour}m{text[:end]}\x1b[0m{text[end:]}"
     return text
@@ -243,9 +236,9 @@ class Console(ConsoleOptions, Progress):
             self.close()
 
     def _print_progress(self, line: str) -> None:
-        """Print a line where none was printed for ``PROGRESS_INTERVAL``."""
+        """Print a line where none was printed for ten seconds."""
         now = time.monotonic()
-        if now - self._printed_at >= PROGRESS_INTERVAL:
+        if now - self._printed_at >= 10.0:
             self._printed_at = now
             print_line(line, sys.stderr)
 

@@ -32,8 +32,6 @@ _TERM_UNITS: Mapping[str, tuple[str, str]] = {
     **dict.fromkeys(("tilt_1", "tilt_2"), ("rad", "rad")),
     "delay": ("s", "s"),
 }
-# Decimals up to which a number is written without exponent.
-_MAX_DECIMALS = 6
 
 
 def number_text(value: float, error: float | None = None) -> str:
@@ -51,7 +49,7 @@ def number_text(value: float, error: float | None = None) -> str:
     decimals = 1 - math.floor(math.log10(error))
     # Adding zero takes the sign from the -0.00 that rounding leaves.
     rounded = round(value, max(decimals, 0)) + 0.0
-    if decimals <= _MAX_DECIMALS:
+    if decimals <= 6:  # more are written with an exponent
         return f"{rounded:.{max(decimals, 0)}f}"
     if rounded == 0.0:
         return "0"

@@ -47,8 +47,6 @@ CONSTANTS = "torque_constants"
 DEFAULT_MAX_VELOCITY = 2.0
 """Speed limit of hinge joints for which neither the user states one nor the model a lower one
 [rad/s]."""
-MAX_SAMPLES = 1e9
-"""Largest number of samples of a run; more would take days."""
 Check = Callable[[Any], Optional[str]]
 """Returns what is wrong with a value, as the end of a sentence that begins with the option's flag,
 or None where nothing is."""
@@ -561,16 +559,17 @@ class TrajectoryOptions(OptionRecord):
 
 
 def require_countable(duration: float, sample_rate: float) -> None:
-    """Raise InputError where a trajectory has more than ``MAX_SAMPLES`` samples, or a NaN number.
+    """Raise InputError where a trajectory has more samples than a run can take, or a NaN number.
 
     Args:
         duration: of the trajectory as it is played, at ``--speed`` [s].
         sample_rate: number of samples per second [Hz].
     """
     count = duration * sample_rate
-    if not count <= MAX_SAMPLES:
+    most = 1e9  # which takes days
+    if not count <= most:
         raise InputError(
             f"a trajectory of {duration:.3g} s with --sample-rate {sample_rate:g} has "
-            f"{count:.3g} samples, more than the {MAX_SAMPLES:.0e} a run can take; "
+            f"{count:.3g} samples, more than the {most:.0e} a run can take; "
             "shorten it, raise --speed where that slows it down, or lower the rate"
         )

@@ -30,8 +30,6 @@ COLOURS = {
 """Name of a colour, a CSS variable of the page, to the colour that stands for it while matplotlib
 draws: text and axes, grid lines, the model before, identified and
 measured values."""
-# Width of every figure [px]: two fit side by side on a screen, one on a phone.
-_WIDTH = 460.0
 # matplotlib's settings for all figures.
 _STYLE: Any = {
     "axes.axisbelow": True,
@@ -90,7 +88,9 @@ def new_figure(height: float, rows: int = 1) -> Any:
     """Return (matplotlib's figure of a height [px], its axes (rows, 1) above one another)."""
     from matplotlib.figure import Figure as Canvas
 
-    canvas = Canvas(figsize=(_WIDTH / 72.0, height / 72.0))
+    # Two figures fit side by side on a screen, one on a phone.
+    width = 460.0
+    canvas = Canvas(figsize=(width / 72.0, height / 72.0))
     return canvas, canvas.subplots(rows, squeeze=False, sharex=True)
 
 
@@ -120,8 +120,8 @@ def svg(canvas: Canvas, name: str) -> str:
     # The first definitions are a style, which would be that of the whole page.
     body = buffer.getvalue().partition("</defs>")[2]
     body = re.sub(r"<[^>]*>", _inline_tag, body)
-    height = f"{72.0 * canvas.get_figheight():.0f}"
-    view = f'viewBox="0 0 {_WIDTH:g} {height}" font-size="13"'
+    width, height = 72.0 * canvas.get_size_inches()
+    view = f'viewBox="0 0 {width:.0f} {height:.0f}" font-size="13"'
     return f'<svg aria-hidden="true" {view}>{body}'
 
 

@@ -11,9 +11,6 @@ from robot_sysid.records import Array, Traces
 from robot_sysid.records.messages import position_unit, torque_unit
 from robot_sysid.report.drawing import COLOURS, Figure, add_legend, new_figure, svg
 
-# Number of dots to which a scatter plot is thinned; more would overlap.
-_MAX_DOTS = 300
-
 
 def torque_figure(traces: Traces, joint: int, name: str = "torque") -> Figure:
     """Return the figure of a joint's torque, measured and predicted, above both residuals."""
@@ -61,7 +58,8 @@ def friction_figure(traces: Traces, joint: int) -> Figure:
     friction = traces.friction[:, joint]
     measured = friction + traces.residual[:, joint]
     used = np.flatnonzero(np.isfinite(measured))
-    used = used[:: max(1, len(used) // _MAX_DOTS)]
+    # More than some 300 dots would overlap.
+    used = used[:: max(1, len(used) // 300)]
     speed = traces.qd[used, joint]
     canvas, ((axes,),) = new_figure(230.0)
     axes.plot(

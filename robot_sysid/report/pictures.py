@@ -15,19 +15,11 @@ from robot_sysid.report.drawing import Figure
 from robot_sysid.report.runs import Run
 from robot_sysid.report.studio import Colour, Studio, png_bytes
 
-# Width and height of a picture [pixels].
-_SIZE = (800, 620)
 # Version of the parameters to colour (red, green, blue, opacity) of its ellipsoid, 0 to 1.
 _COLOURS: dict[str, Colour] = {
     "before": (0.9, 0.45, 0.05, 0.3),
     "after": (0.05, 0.38, 0.75, 0.5),
 }
-# Least distance of the camera from the arm, in sizes of the largest body in the picture.
-_ROOM = 6.0
-# Least distance of the camera from the whole arm, in distances at which just the arm fits.
-_FARTHER = 1.25
-# Distance of the camera from the last link over that from the whole arm.
-_NEARER = 0.3
 Bodies = Sequence[tuple[int, Mapping[str, Array]]]
 """Pairs (MuJoCo id of a body, version to parameters (10,) in the frame of that body)."""
 
@@ -66,17 +58,17 @@ def _ellipsoid_pictures(robot: RobotModel, bodies: Bodies) -> list[Figure]:
     """
     figures = []
     last = [pair for pair in bodies if pair[0] == robot.body_id]
-    with Studio(robot, *_SIZE) as studio:
+    with Studio(robot, width=800, height=620) as studio:
         target, distance = studio.arm_view()
-        distance *= _FARTHER
+        distance *= 1.25  # beyond the one at which just the arm fits
         for subject, drawn in (("the whole arm", bodies), ("the last link", last)):
             if drawn is last:
                 target = studio.data.xpos[robot.body_id]
-                distance *= _NEARER
+                distance *= 0.3
             # Of each ellipsoid in the picture: MuJoCo id of its body, version, parameters.
             shown = [(i, key, theta) for i, v in drawn for key, theta in v.items()]
             sizes = [characteristic_length(theta) for _, _, theta in shown]
-            studio.start(target, max(distance, _ROOM * max(sizes)))
+            studio.start(target, max(distance, 6.0 * max(sizes)))
             for body_id, version, theta in shown:
                 studio.add_ellipsoid(body_id, theta, _COLOURS[version])
             caption = f"Ellipsoids of inertia on {subject}, in its reference posture."

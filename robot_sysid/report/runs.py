@@ -1,6 +1,6 @@
 """A finished run, loaded from its folder, and the signals that it leaves for its report.
 
-A log of any length leaves at most ``MAX_INSTANTS`` instants in report_data.npz.
+A log of any length leaves at most 2000 instants in report_data.npz.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ from robot_sysid.results.table import ORIGIN, rows_of
 
 DATA_NAME = "report_data.npz"
 """Name of the file of a run's folder that holds its signals."""
-MAX_INSTANTS = 2000
-"""Largest number of instants saved for drawing: more than a figure has pixels across."""
 # Version of the format of report_data.npz; a file of another version is not read.
 _VERSION = 3
 
@@ -42,7 +40,8 @@ def save_data(folder: Path, traces: Traces, result: str) -> None:
         InputError: the file cannot be written.
     """
     count = len(traces.time)
-    chosen = np.linspace(0, count - 1, min(count, MAX_INSTANTS)).round().astype(int)
+    # More than a figure has pixels across are not saved.
+    chosen = np.linspace(0, count - 1, min(count, 2000)).round().astype(int)
     # The time starts anew with each log: here one log follows the other, a second apart.
     steps = np.diff(traces.time, prepend=traces.time[:1])
     time = np.cumsum(np.where(steps < 0.0, 1.0, steps))

@@ -28,8 +28,6 @@ NO_RENDERER = (
     "no pictures of the arm: MuJoCo finds neither EGL nor OSMesa here (Debian: apt-get install "
     "libegl1 libosmesa6); MUJOCO_GL chooses one"
 )
-# Opacity of the arm's own surfaces, through which the ellipsoids inside are seen, from 0 to 1.
-_OPACITY = 0.35
 # Program that opens a graphics context of the library that it is given, and may crash. It loads
 # that part of MuJoCo without the rest, which takes three times as long.
 _PROBE = """
@@ -130,7 +128,7 @@ class Studio:
         for geom in self._scene.geoms[: self._scene.ngeom]:
             # The ellipsoids inside are seen through the arm, and not through a floor.
             if geom.type != mujoco.mjtGeom.mjGEOM_PLANE:
-                geom.rgba[3] *= _OPACITY
+                geom.rgba[3] *= 0.35
         # A white wall closes the view; MuJoCo's own background is black.
         view_direction = self._scene.camera[0].forward
         front = target + (4.0 * distance - 0.01) * view_direction

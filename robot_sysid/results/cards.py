@@ -25,20 +25,9 @@ from robot_sysid.results.record import BodyEstimate, Payload
 _TEMPLATES = Path(__file__).with_name("card_templates")
 DIGITS = 9
 """Largest number of significant digits of a number that people type into a controller."""
-# Significant digits of a number whose standard error is not known.
-_UNKNOWN_DIGITS = 3
-# Decimals of an angle in degrees.
-_ANGLE_DIGITS = 5
-# Decimals of a quaternion: controllers refuse one whose length is not 1.
-_QUATERNION_DIGITS = 6
 # Share of the largest number of a group below which a number is rounding error: about 1e4 times the
 # relative rounding error of a double.
 _ROUNDING = 1e-12
-# Relative violation of physical consistency that a card tolerates: below the digits that a
-# controller keeps.
-_CONSISTENCY_TOLERANCE = 1e-6
-# Share of the smallest principal moment that has to remain after rounding: none becomes zero.
-_MIN_MOMENT_SHARE = 0.5
 NOT_KNOWN = "Inertia not known: a ball of aluminium of that mass stands in its place."
 """Note of a card whose inertia the data does not determine."""
 
@@ -124,7 +113,8 @@ def number_groups(body: BodyEstimate) -> dict[str, Any]:
     rounded = spatial.symmetric_from_six(np.array(upper))
     principal = _round_to_possible(moments, moment_errors, np.sort, rounding)
     angles = np.degrees(spatial.roll_pitch_yaw(axes)[::-1])
-    quaternion = np.round(spatial.quaternion(axes), _QUATERNION_DIGITS) + 0.0
+    # Fewer decimals would change its length: controllers refuse one that is not 1.
+    quaternion = np.round(spatial.quaternion(axes), 6) + 0.0
     return {
         "kg": round_to_errors([mass], errors[:1])[0],
         "com_m": round_to_errors(com, errors[1:4]),
@@ -135,14 +125,15 @@ def number_groups(body: BodyEstimate) -> dict[str, Any]:
         ).tolist(),
         "inertia_by_columns": rounded.T.ravel().tolist(),
         "principal_moments": principal,
-        "axes_yaw_pitch_roll_deg": (np.round(angles, _ANGLE_DIGITS) + 0.0).tolist(),
+        "axes_yaw_pitch_roll_deg": (np.round(angles, 5) + 0.0).tolist(),
         "axes_quaternion_wxyz": quaternion.tolist(),
     }
 
 
 def _is_possible(moments: Array, rounding: float) -> bool:
     """Return whether a rigid body has these principal moments (3,) [kg m^2], but for rounding."""
-    tolerance = _CONSISTENCY_TOLERANCE * np.sum(np.abs(moments)) + rounding
+    # Below the digits that a controller keeps.
+    tolerance = 1e-6 * np.sum(np.abs(moments)) + rounding
     triangle_excess = 2.0 * np.max(moments) - np.sum(moments)
     return max(-np.min(moments), triangle_excess) <= tolerance
 
@@ -163,7 +154,8 @@ def _round_to_possible(
         moments_of: returns the principal moments (3,), ascending, of such numbers.
         rounding: rounding error of the values [kg m^2].
     """
-    least_moment = _MIN_MOMENT_SHARE * moments_of(values)[0]
+    # No moment becomes zero.
+    least_moment = 0.5 * moments_of(values)[0]
     rounded = []
     for extra_digits in range(DIGITS + 1):
         rounded = round_to_errors(values, errors, extra_digits)
@@ -178,7 +170,8 @@ def round_to_errors(
 ) -> list[float]:
     """Return m numbers rounded at the second digit of their standard errors, or to ``DIGITS``.
 
-    Zero where they are below ``_ROUNDING`` times the largest.
+    Three digits where the error is not known. Zero where they are below ``_ROUNDING`` times the
+    largest.
 
     Args:
         values: (m,) numbers.
@@ -192,7 +185,7 @@ def round_to_errors(
     for value, error in zip(numbers.tolist(), errors):
         digits = DIGITS
         if not math.isfinite(error):
-            digits = min(_UNKNOWN_DIGITS + extra_digits, DIGITS)
+            digits = min(3 + extra_digits, DIGITS)
         elif error > 0.0:
             value = round(value, 1 - math.floor(math.log10(error)) + extra_digits)
         rounded.append(float(f"{value:.{digits}g}") + 0.0)

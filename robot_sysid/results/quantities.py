@@ -27,18 +27,17 @@ NOT_SHOWN = "these torques do not show it"
 _UNITS = ("kg", *"mmm", *PARAMETER_UNITS[4:], *PARAMETER_UNITS[1:])
 # Index of the inertial parameter whose share and causes a row has.
 _INDICES = (*range(10), *range(1, 10))
-# Share of a body's scale below which a number is rounding error: models are written to 1e-9.
-_ROUNDING = 1e-9
 
 
 def without_rounding(values: Array, scale: Array | float) -> Array:
-    """Return values, zero where they are below ``_ROUNDING`` times their scale.
+    """Return values, zero where they are rounding errors beside their scale.
 
     Args:
         values: numbers of any shape.
         scale: size of a large value, in the unit of the values and of a shape that fits theirs.
     """
-    return np.where(np.abs(values) < _ROUNDING * scale, 0.0, values)
+    # Models are written to 1e-9.
+    return np.where(np.abs(values) < 1e-9 * scale, 0.0, values)
 
 
 def _numbers(body: InertialParameters) -> list[float]:

@@ -55,8 +55,6 @@ _LEGEND = {
     "at its bound": "the torques ask for a value that cannot be, such as friction below zero, and "
     "the nearest one that can is taken",
 }
-# Relative change beyond which the change itself is stated, not a percentage.
-_MAX_RELATIVE_CHANGE = 10.0
 KNOWN = 0.2
 """Relative standard error up to which a mass is known."""
 
@@ -131,7 +129,7 @@ def _difference(row: Content) -> str:
     if error is not None and abs(difference) <= error:
         return _WITHIN
     sign = "+" if difference > 0.0 else ""
-    if before * after > 0.0 and abs(difference / before) <= _MAX_RELATIVE_CHANGE:
+    if before * after > 0.0 and abs(difference / before) <= 10.0:
         ratio = difference / before
         return f"{'+' if ratio > 0.0 else ''}{percent(ratio)}"
     return f"{sign}{number_text(difference, error)}"

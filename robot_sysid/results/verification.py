@@ -293,10 +293,6 @@ def _is_same(original: Any, other: Any, changed_rows: Collection[int]) -> bool:
     return np.array_equal(original, other)
 
 
-# Share of the arm's largest torque: the least scale that a joint's deviation is relative to.
-_MIN_TORQUE_SHARE = 1e-3
-
-
 def require_reproduction(
     robot: RobotModel,
     thetas: Array,
@@ -329,7 +325,8 @@ def require_reproduction(
     del expected  # its meshes take memory that the written model's dynamics needs
     actual = ArmDynamics(robot, written).torque(*samples)
     peak = np.max(np.abs(predicted), axis=0)
-    scale = np.maximum(peak, _MIN_TORQUE_SHARE * np.max(peak, initial=0.0))
+    # A joint's deviation is relative to a thousandth of the arm's largest torque at least.
+    scale = np.maximum(peak, 1e-3 * np.max(peak, initial=0.0))
     deviation = np.max(np.abs(actual - predicted), axis=0)
     relative = deviation / np.where(scale > 0.0, scale, 1.0)
     worst = np.argmax(relative)

@@ -34,14 +34,12 @@ from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.damiao.trajectory import LIMITS
-from robot_sysid.errors import InputError, SysidError
+from robot_sysid.errors import EXIT_CODES, InputError, SysidError
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 INTERRUPTED = "interrupted; no motor is enabled"
-# Exit codes that a motors command may have, for its help.
-_CODES = (0, 1, 2, 3, 130)
 
 
 @dataclass(frozen=True)
@@ -212,7 +210,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
     is_run = command in _PLAYED
     example = f"{PROGRAM} motors {command} {spec.example}"
     main = _MAIN if is_run and not full else None
-    parser = Parser(f"motors {command}", example, spec.description, main, codes=_CODES)
+    parser = Parser(f"motors {command}", example, spec.description, main, [*EXIT_CODES])
     if is_run:
         parser.add_argument(
             "trajectory", metavar="TRAJECTORY", type=Path, help="damiao_trajectory.csv"
@@ -254,7 +252,7 @@ def main(arguments: Sequence[str]) -> int:
             "Inspect Damiao motors, play a trajectory on them and record it, or rehearse "
             "all that with a simulated arm; set motors up, watch them, and map them to a model's "
             "joints. Each command has its own --help.",
-            codes=_CODES,
+            codes=[*EXIT_CODES],
         )
         overview.add_argument("command", metavar="|".join(COMMANDS), help="what to do")
         overview.add_console_options().parse_args(arguments or ["--help"])

@@ -24,19 +24,8 @@ from robot_sysid.records.option_fields import OptionRecord, option, record_from
 
 Positions = Mapping[int, float]
 """Position of each motor [rad], by its CAN id."""
-# Turn from which on a motor counts as moved by hand [rad]: half of the 20 degrees asked for.
-_LEAST_TURN = 0.15
-# Least ratio of the largest turn of a motor to the second largest, which a limp arm may drag along,
-# for the first to count as the one that was moved (a judgement).
-_CLEAR_RATIO = 3.0
-# Number of times that a person is asked to move the same joint.
-_ATTEMPTS = 3
 # End of a request to a person.
 _ENTER = "; then press Enter: "
-# Turn of a joint by which its effect on the tip is judged [rad].
-_PROBE_TURN = 0.3
-# Movement of the tip from which on a person sees it [m].
-_VISIBLE_SHIFT = 0.02
 # Names of the negative and the positive direction of each axis of the world.
 _DIRECTIONS = ("-x", "+x"), ("-y", "+y"), ("-z (down)", "+z (up)")
 
@@ -60,11 +49,12 @@ def movement_texts(robot: RobotModel) -> list[str]:
 
     arm = ArmStepper(robot, robot.reference)
     texts = []
-    # Row j of the matrix turns joint j alone.
-    for joint, turn in enumerate(_PROBE_TURN * np.eye(robot.n_joints)):
+    # Row j of the matrix turns joint j alone, by 0.3 rad.
+    for joint, turn in enumerate(0.3 * np.eye(robot.n_joints)):
         vector = ArmStepper(robot, robot.reference + turn).tip() - arm.tip()
         text = "the end of the arm moves towards"
-        if not np.max(np.abs(vector)) > _VISIBLE_SHIFT:
+        # A person sees a tip that moves by more than 2 cm.
+        if not np.max(np.abs(vector)) > 0.02:
             vector = arm.axis(joint)
             text = "it turns counter-clockwise seen from"
         axis = np.argmax(np.abs(vector))
@@ -171,21 +161,21 @@ def _find_motor(
         read_positions: returns the present positions of all motors [rad].
 
     Raises:
-        HardwareAbort: in ``_ATTEMPTS`` attempts no single motor turned clearly.
+        HardwareAbort: in three attempts no single motor turned clearly.
     """
     complaint = ""
-    for _ in range(_ATTEMPTS):
+    for _ in range(3):
         start = read_positions()
         ask(
             f"{complaint}move joint {name} alone, by 20 degrees or more, so that {movement}{_ENTER}"
         )
         end = read_positions()
         turns = {can_id: end[can_id] - start[can_id] for can_id in can_ids}
-        sizes = sorted(map(abs, turns.values()))
+        *others, _ = sorted(map(abs, turns.values()))
+        # Half of the 20 degrees asked for, and thrice what a limp arm drags along (judgements).
+        least_turn = max(0.15, 3.0 * max(others, default=0.0))
         for can_id, turn in turns.items():
-            if abs(turn) > max(
-                _LEAST_TURN, _CLEAR_RATIO * max(sizes[:-1], default=0.0)
-            ):
+            if abs(turn) > least_turn:
                 return can_id, 1 if turn > 0.0 else -1
         complaint = "no motor, or several, turned clearly; "
     raise HardwareAbort(

@@ -42,8 +42,6 @@ _RECORDS = (
 )
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
-# Share of its speed with which a motion is played for the first time.
-_FIRST_SPEED = 0.3
 
 
 def ask(prompt: str) -> str:
@@ -206,7 +204,7 @@ def play_step(session: Session, plan: Plan) -> NextStep:
     """
     defaults = {
         "channel": USUAL_CHANNEL,
-        "speed": _FIRST_SPEED,
+        "speed": 0.3,
         "record": plan.trajectory.path.with_name("slow.csv"),
     }
     missing = {k: v for k, v in defaults.items() if k not in session.values}

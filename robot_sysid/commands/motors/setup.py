@@ -48,8 +48,6 @@ from robot_sysid.records.option_fields import (
 )
 
 _SILENT = "no motor answers: check power, wiring and bit rate"
-# Time for a motor to write its flash memory [s]; a judgement, longer than that takes.
-_STORE_TIME = 0.05
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,8 @@ class MotorSetup:
             self._require_disabled()
             can_id = self._ids[ESC_ID]
             self._link.send(register_frame(STORE, can_id, register=1))
-            self._link.clock.sleep_until(self._link.clock.now() + _STORE_TIME)
+            # Longer than a motor takes to write its flash memory (a judgement).
+            self._link.clock.sleep_until(self._link.clock.now() + 0.05)
             yield f"{self._name} keeps its values when the power goes off"
 
     def _write_register(self, register: int, value: float) -> str:
