@@ -32,9 +32,6 @@ from robot_sysid.records.option_fields import suggestion
 
 UNFINISHED = "interrupted; no unfinished file is left"
 """Message of an interrupted command whose module has no message ``INTERRUPTED``."""
-_MESSAGE_START = 1500
-# Numbers of characters at either end that are printed of a longer error message.
-_MESSAGE_END = 400
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -211,8 +208,8 @@ def _message_lines(message: str) -> list[str]:
         if line.startswith(COMMAND_STARTS):
             continue
         text = " ".join(line.split())
-        if len(text) > _MESSAGE_START + _MESSAGE_END:
-            text = f"{text[:_MESSAGE_START]} [...] {text[-_MESSAGE_END:]}"
+        if len(text) > 1900:
+            text = f"{text[:1500]} [...] {text[-400:]}"
         lines[index] = text
     return lines
 

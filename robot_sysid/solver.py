@@ -26,8 +26,6 @@ from robot_sysid.signals.process import ProcessedSignals
 
 TERMINAL_FRICTION = ("coulomb", "viscous")
 """Friction terms of the terminal joint that are estimated from a simulation."""
-# Smallest noise, as a share of the root mean square torque: rounding.
-_LEAST_NOISE = 1e-9
 
 
 class LastLinkTerms(ArmTerms):
@@ -130,7 +128,7 @@ def identify_parameters(sums: Sums, prior: Array, possible: bool = False) -> Est
     count = np.sum(counts)
     misfit = np.linalg.norm(rows @ np.append(-values, 1.0))
     noise = misfit / np.sqrt(max(count - space.rank, 1.0))
-    rounding = _LEAST_NOISE * np.linalg.norm(rows[:, -1]) / np.sqrt(count)
+    rounding = 1e-9 * np.linalg.norm(rows[:, -1]) / np.sqrt(count)
     noise = float(max(noise, rounding)) or 1.0
     link = np.arange(spatial.N_INERTIAL)
     if possible and not spatial.is_consistent(values[link]):

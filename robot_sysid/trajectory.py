@@ -18,14 +18,6 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, MotionPlan, RobotModel, check_arrays
 from robot_sysid.records.option_fields import TrajectoryOptions
 
-FREQUENCY_BAND_HZ = (0.1, 0.6)
-"""Lowest and highest frequency of a sinusoid [Hz]."""
-TERMS_PER_JOINT = (3, 5)
-"""Fewest and most sinusoids of a joint."""
-TERMINAL_SHARE = 0.7
-"""Share of its range that the terminal joint's motion uses."""
-OTHER_SHARE = 0.1
-"""Share of its range that every other joint's motion uses."""
 POSITION_MARGIN = 0.02
 """Share of the range kept free at each position limit."""
 TORQUE_MARGIN = 0.95
@@ -35,10 +27,6 @@ UNLIMITED_RANGE = {False: 2.0 * np.pi, True: 0.3}
 slide]."""
 LONGEST_FADE = 2.5
 """Longest time in which the window rises, and in which it falls [s]."""
-# Rate at which speeds are compared with their limits.
-_SPEED_CHECK_HZ = 50.0
-# Fewest samples of that comparison.
-_FEWEST_CHECKS = 256
 CHUNK = 2048
 """Samples of a motion that are evaluated at a time."""
 
@@ -176,7 +164,7 @@ def generate_excitation_trajectory(
     # between samples a 0.6 Hz motion exceeds its sampled peak by less than 0.1 %, which the 1 %
     # reserve covers. A short motion is mostly window, and still gets 64 samples per rise.
     total = np.sum(np.abs(shape.amplitude), axis=1)
-    times = sample_times(duration, max(_SPEED_CHECK_HZ, _FEWEST_CHECKS / duration))
+    times = sample_times(duration, max(50.0, 256 / duration))
     peaks = [np.max(np.abs(shape.evaluate(time).qd), axis=0) for time in times]
     factor = np.minimum(
         reach / total, 0.99 * robot.limits.velocity / np.max(peaks, axis=0)
@@ -193,8 +181,9 @@ def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
     is_limited = np.isfinite(lower) & np.isfinite(upper)
     assumed = np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
     span = np.where(is_limited, upper - lower, assumed)
-    share = np.full(robot.n_joints, OTHER_SHARE)
-    share[-1] = TERMINAL_SHARE
+    # Of its range, which the terminal joint uses widely.
+    share = np.full(robot.n_joints, 0.1)
+    share[-1] = 0.7
     reach = 0.5 * span * share
     center = robot.reference.copy()
     if is_limited[-1]:
@@ -206,17 +195,19 @@ def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
 def _draw_sinusoids(
     rng: np.random.Generator, joints: int
 ) -> tuple[Array, Array, Array]:
-    """Return random frequencies [Hz], phases [rad] and relative amplitudes, (joints, K) each."""
+    """Return random frequencies [Hz], phases [rad] and relative amplitudes, (joints, K) each.
+
+    A joint has three to five sinusoids, of 0.1 to 0.6 Hz.
+    """
     # The band is cut into one slot per sinusoid, so that no two frequencies of the arm coincide;
     # within its slot a frequency is a random real number, so ratios are not small fractions and the
     # motion does not repeat.
-    fewest, most_terms = TERMS_PER_JOINT
-    n_terms = rng.integers(fewest, most_terms + 1, size=joints)
+    most_terms = 5
+    n_terms = rng.integers(3, most_terms + 1, size=joints)
     is_used = np.arange(most_terms) < n_terms[:, None]
     slots = rng.permutation(joints * most_terms).reshape(joints, most_terms)
     position = (slots + rng.uniform(0.1, 0.9, size=slots.shape)) / slots.size
-    low, high = FREQUENCY_BAND_HZ
-    frequency = low + (high - low) * position
+    frequency = 0.1 + 0.5 * position
     phase = rng.uniform(0.0, 2.0 * np.pi, size=slots.shape)
     weight = np.where(is_used, rng.uniform(0.4, 1.0, size=slots.shape), 0.0)
     return frequency, phase, weight

@@ -14,8 +14,6 @@ from numpy.testing import assert_array_equal
 from robot_sysid import trajectory
 from robot_sysid.records import JointLimits
 from robot_sysid.trajectory import (
-    FREQUENCY_BAND_HZ,
-    TERMS_PER_JOINT,
     generate_excitation_trajectory,
     sample_count,
     sample_times,
@@ -83,11 +81,9 @@ def test_every_joint_uses_its_range_or_its_speed(robot, seed, duration):
 def test_frequencies_are_in_the_band_and_distinct(seed):
     plan = excitation(robot_of(arms.SEVEN), seed)
     used = plan.amplitude != 0.0
-    fewest, most = TERMS_PER_JOINT
-    assert np.all(np.isin(np.sum(used, axis=1), range(fewest, most + 1)))
+    assert np.all(np.isin(np.sum(used, axis=1), (3, 4, 5)))
     frequency = np.sort(plan.frequency_hz[used])
-    assert FREQUENCY_BAND_HZ[0] < frequency[0]
-    assert frequency[-1] < FREQUENCY_BAND_HZ[1]
+    assert frequency[0] > 0.1 and frequency[-1] < 0.6
     assert np.min(np.diff(frequency)) > 1e-3
 
 

@@ -19,8 +19,6 @@ from robot_sysid.errors import ExportError
 from robot_sysid.records import Array, SubtreeBody
 from robot_sysid.records.messages import Detail
 
-NEGLIGIBLE = 1e-6
-"""Mass, relative to the link's, below which a difference is only rounding."""
 SLACK = 1e-10
 """How far a body may be from possible, relative to its size, before it is refused."""
 MARGIN = 1e-11
@@ -121,13 +119,13 @@ def possible_body(
     Mass and centre of mass stay, unlike where eigenvalues of the pseudo-inertia are raised.
 
     Args:
-        scale: mass of the larger of the two bodies [kg]; a mass below NEGLIGIBLE times it is none.
+        scale: mass of the larger of the two bodies [kg]; a millionth of it is only rounding.
         least_moment: smallest principal moment of inertia that the body must have [kg m^2].
     """
     mass, com, inertia = spatial.com_from_theta(theta)
     # The sum of the three second moments.
     size = np.trace(inertia) / 2.0
-    if not np.all(np.isfinite(theta)) or mass <= NEGLIGIBLE * scale or size <= 0.0:
+    if not np.all(np.isfinite(theta)) or mass <= 1e-6 * scale or size <= 0.0:
         return None
     moments = np.linalg.eigvalsh(inertia)
     smallest_share = 1.0 - moments[-1] / size

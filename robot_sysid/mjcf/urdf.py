@@ -32,13 +32,6 @@ _READABLE_MESHES = (".stl", ".obj", ".msh")
 _MINIMUM_MASS = 1e-6
 # Moments of inertia that such a link gets [kg m^2].
 _MINIMUM_INERTIA = 1e-9
-# Principal moment of inertia below which MuJoCo takes it for none [kg m^2].
-_SMALLEST_MOMENT = 1e-14
-# Share of a link's largest moment of inertia by which six digits can make a flat body impossible,
-# and by which moments are raised without a word.
-_ROUNDING = 1e-5
-# Smallest principal moment that a mended inertia gets, as a share of its largest.
-_LEAST_SHARE = 1e-6
 LARGEST = 1e12
 """Largest size of any number of an arm in SI units; squares of far larger ones overflow."""
 
@@ -194,8 +187,9 @@ def inertia_increases(document: ModelDocument) -> dict[str, float]:
         is_turned = np.any(inertia[np.triu_indices(3, 1)])
         if excess > 0.0 or (is_turned and not is_balanced):
             excess += MARGIN * largest
-        least = max(_LEAST_SHARE * max(largest, -smallest), 2.0 * _SMALLEST_MOMENT)
-        if smallest <= _SMALLEST_MOMENT:
+        none = 1e-14  # for MuJoCo
+        least = max(1e-6 * max(largest, -smallest), 2.0 * none)
+        if smallest <= none:
             excess = max(excess, least - smallest)
         if excess > 0.0:
             # Rounding must not leave it on the edge.
@@ -221,7 +215,8 @@ def raise_inertias(
         for name in ("ixx", "iyy", "izz"):
             moments.append(float(node.get(name) or 0.0) + increase)
             node.set(name, format_number(moments[-1]))
-        if increase > _ROUNDING * max(moments):
+        # Six digits can make a flat body impossible by less.
+        if increase > 1e-5 * max(moments):
             raised.append(str(link.get("name")))
     return raised
 

@@ -36,8 +36,6 @@ _AFFINE_GAIN = int(mujoco.mjtGain.mjGAIN_AFFINE)
 # MuJoCo's type of gain of a PID controller, which releases before 4 do not have.
 _PID_GAIN = getattr(mujoco.mjtGain, "mjGAIN_PID", None)
 _NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
-# MuJoCo's bit of an actuator one of whose controls is a position.
-_TAKES_POSITION = 1
 # Control, length and speed in place of infinite ones.
 _ENDLESS = 1e9
 
@@ -191,7 +189,8 @@ def servo_gains(mj_model: Any, actuator: int) -> tuple[float, float] | None:
     bias, kp, kv = (-mj_model.actuator_biasprm[actuator, :3]).tolist()
     gain_type = int(mj_model.actuator_gaintype[actuator])
     if gain_type == _PID_GAIN:
-        takes_position = mj_model.actuator_ctrlspec[actuator] & _TAKES_POSITION
+        # MuJoCo's bit of an actuator one of whose controls is a position.
+        takes_position = mj_model.actuator_ctrlspec[actuator] & 1
     else:
         gain = mj_model.actuator_gainprm[actuator, 0]
         takes_position = gain_type == _FIXED_GAIN and gain == kp

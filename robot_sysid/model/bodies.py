@@ -159,9 +159,6 @@ _PATTERNS = tuple(
     re.compile(rf"(?:.*[/_.:-])?(?:{name})(?:[_-](?:site|frame|link))?", re.IGNORECASE)
     for name in _NAMES
 )
-REACH = 3.0
-"""Distance of a flange from its link beyond which the numbers must be millimetres [m]: no arm is as
-long."""
 
 
 def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
@@ -262,20 +259,14 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
         remedy = "wanted are x,y,z in metres or x,y,z,roll,pitch,yaw with degrees"
         raise ModelError(f"flange {text}: neither a name nor numbers; {remedy}")
     translation = np.array(numbers[:3])
-    if np.max(np.abs(translation)) > REACH:
+    if np.max(np.abs(translation)) > 3.0:
         raise ModelError(
-            f"flange {text}: more than {REACH:g} m away from body '{robot.body_name}'; the "
-            "numbers are metres, not millimetres"
+            f"flange {text}: more than 3 m away from body '{robot.body_name}'; the numbers are "
+            "metres, not millimetres"
         )
     angles = np.radians(numbers[3:] or [0.0] * 3)
     rotation = spatial.rotation_of_angles(angles)
     return Flange(text.replace(" ", ""), rotation, translation, robot.body_name)
-
-
-# Positions of each joint at which two bodies are tried for whether they can part.
-_POSITIONS = 7
-# Joints between two bodies beyond which they are taken to part.
-_MAX_JOINTS_BETWEEN = 3
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
@@ -323,10 +314,10 @@ def touching_by_design(
     """Return those of some touching pairs of body ids that touch by the model's design.
 
     In a pair the lower id is first. One carries the other (bodies welded together count as one), or
-    they touch at every tried position of the chain joints between them, a grid of ``_POSITIONS``
-    per joint over their ranges, the others at reference (MuJoCo takes the convex hull of a mesh):
+    they touch at every tried position of the chain joints between them, a grid of seven per joint
+    over their ranges, the others at reference (MuJoCo takes the convex hull of a mesh):
     no position would avoid it. Not by design is a pair of the arm and something beside it (MuJoCo's
-    root body differs), or one with more than ``_MAX_JOINTS_BETWEEN`` joints between.
+    root body differs), or one with more than three joints between.
     """
     model = robot.mj_model
     counts = count_moving_joints(robot)
@@ -338,7 +329,7 @@ def touching_by_design(
         # The chain joints first, ..., last - 1 are between the two bodies.
         first, last = sorted(counts[list(pair)].tolist())
         first_root, second_root = model.body_rootid[list(pair)]
-        if last - first > _MAX_JOINTS_BETWEEN or first_root != second_root:
+        if last - first > 3 or first_root != second_root:
             continue
         one, other = pair
         is_carried = weld[one] == carrier[other] or weld[other] == carrier[one]
@@ -356,7 +347,7 @@ def _never_part(
     """
     model = robot.mj_model
     lowest, highest = joint_ranges(robot)
-    grid = np.linspace(lowest[between], highest[between], _POSITIONS)
+    grid = np.linspace(lowest[between], highest[between], 7)
     is_touching = True
     for positions in product(*grid.T):
         data.qpos[robot.qpos_index[between]] = positions

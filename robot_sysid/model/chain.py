@@ -44,9 +44,6 @@ _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Part of the errors on joints of other types.
 _ONLY_THESE = "only hinge and slide joints can be identified"
-RIVAL_SHARE = 0.6
-"""A run beside the longest one that has at least this share of its joints may be an arm too: a head
-of two or three joints beside a seven-joint arm is none, an arm of five is."""
 
 
 def joint_label(mj_model: Any, joint: int) -> str:
@@ -157,8 +154,8 @@ def find_terminal_joint(mj_model: Any) -> int:
     """Return the id of the last joint of the longest serial run, the arm, without its jaws.
 
     AmbiguousJointError where the user has to decide: a run beside the arm (not behind it, nor
-    between it and the world) has at least RIVAL_SHARE of its joints, or its last joint may be none
-    of the arm's. ModelError where the model has no hinge or slide joints.
+    between it and the world) has 60 % of its joints or more, or its last joint may be none of the
+    arm's. ModelError where the model has no hinge or slide joints.
     """
     runs = _runs_without_jaws(mj_model)
     if not runs:
@@ -175,7 +172,8 @@ def find_terminal_joint(mj_model: Any) -> int:
     rivals = [arm]
     for run in runs:
         is_in_line = {arm[-1], run[-1]} & (carriers[arm] | carriers[run])
-        if run != arm and not is_in_line and len(run) >= RIVAL_SHARE * longest:
+        # A head of two or three joints beside a seven-joint arm is no arm, a run of five is one.
+        if run != arm and not is_in_line and len(run) >= 0.6 * longest:
             rivals.append(run)
     if len(rivals) > 1:
         reason = f"{len(rivals)} serial chains of joints could be the arm"
@@ -247,21 +245,15 @@ def resolve_joint(mj_model: Any, name: str) -> int:
     return joint
 
 
-# Joints of a mobile base, two directions and a turn; as many must remain for an arm.
-_BASE_JOINTS = 3
-
-
 def arm_without_base(mj_model: Any, chain: tuple[int, ...]) -> tuple[int, ...]:
     """Return a chain (joint ids, outwards) without the joints of a mobile base at its beginning.
 
-    Those are two slides and a hinge, all unlimited.
+    Those are two slides and a hinge, all unlimited; as many joints must remain for an arm.
     """
-    base = list(chain[:_BASE_JOINTS])
+    base = list(chain[:3])
     is_planar = sorted(mj_model.jnt_type[base]) == sorted((_SLIDE, _SLIDE, _HINGE))
-    is_long = len(chain) >= 2 * _BASE_JOINTS
-    if not is_long or not is_planar or np.any(mj_model.jnt_limited[base]):
-        return chain
-    return chain[_BASE_JOINTS:]
+    is_limited = np.any(mj_model.jnt_limited[base])
+    return chain[3:] if len(chain) >= 6 and is_planar and not is_limited else chain
 
 
 DEFAULT_SLIDE_VELOCITY = 0.25

@@ -186,15 +186,6 @@ def _check_values(mj_model: Any, document: ModelDocument) -> None:
             )
 
 
-# Relative difference of traces that six-digit axes leave: turning keeps the trace.
-_SAME_TRACE = 1e-9
-# Relative difference from the stated inertia that rounding alone makes.
-_ALREADY_EXACT = 1e-13
-# Relative difference from the stated inertia that inaccurate axes do not reach, but a body with
-# equal moments in place of impossible ones.
-_BALANCED = 1e-2
-
-
 def restore_exact_inertias(
     mj_model: Any, inertias: Mapping[str, tuple[float, Array, Array]]
 ) -> None:
@@ -211,10 +202,12 @@ def restore_exact_inertias(
             continue
         size = np.trace(inertia)
         compiled = inertia_about_com(mj_model, body)
-        has_same_trace = abs(np.trace(compiled) - size) <= _SAME_TRACE * size
-        # balanceinertia keeps the trace too, but makes all three moments equal.
+        # Turning by axes of six digits keeps the trace.
+        has_same_trace = abs(np.trace(compiled) - size) <= 1e-9 * size
         difference = np.max(np.abs(compiled - inertia))
-        is_inaccurate = _ALREADY_EXACT * size < difference < _BALANCED * size
+        # More than rounding. balanceinertia keeps the trace too, but makes all three moments equal,
+        # which inaccurate axes do not reach.
+        is_inaccurate = 1e-13 * size < difference < 1e-2 * size
         if has_same_trace and is_inaccurate:
             # Rounding must not leave a flat body with moments that no body has.
             moments[2] = min(moments[2], moments[0] + moments[1])
@@ -230,8 +223,6 @@ InMemory = Union["mujoco.MjSpec", "mujoco.MjModel"]
 """A model that a program holds in memory."""
 # Folders of the files that ``file_of`` wrote; they are removed when the process ends.
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
-# Relative difference of numbers that MuJoCo writes: they have six digits.
-_WRITING_ACCURACY = 1e-4
 
 
 def is_in_memory(model: Any) -> bool:
@@ -285,7 +276,8 @@ def _write_all_digits(path: Path, model: Any) -> None:
         if inertial is None or node.get("name", "") != model.body(body).name:
             continue
         mass = model.body_mass[body]
-        if np.isclose(float(inertial.get("mass", 0.0)), mass, _WRITING_ACCURACY):
+        # MuJoCo writes six digits.
+        if np.isclose(float(inertial.get("mass", 0.0)), mass, rtol=1e-4):
             inertial.set("pos", format_numbers(model.body_ipos[body]))
             inertial.set("quat", format_numbers(model.body_iquat[body]))
             inertial.set("diaginertia", format_numbers(model.body_inertia[body]))

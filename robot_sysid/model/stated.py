@@ -28,9 +28,6 @@ MASS, CENTRE, INERTIA = KINDS
 LEAST_SHARE = 1e-3
 """Share of the links' median mass below which a mass is a placeholder, and of the link's size below
 which the distance of a centre of mass from its joint is one: public arms have 0.08 and 0.005."""
-LEAST_INERTIA = 0.2
-"""Share of the mean moment of a rod of the link's size below which an inertia is a placeholder:
-links of public arms have 0.26 and more."""
 ALIKE = 3
 """Number of links with one and the same inertia from which it is a placeholder."""
 _SHAPELESS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
@@ -64,12 +61,13 @@ def with_references(
         unknown = {*copied[link.body_name]}
         if mass < LEAST_SHARE * median:
             unknown |= {MASS, INERTIA}
-        least = LEAST_INERTIA * mass * np.trace(rod[1])
+        # Links of public arms have 0.26 of the mean moment of a rod of their size, and more.
+        least = 0.2 * mass * np.trace(rod[1])
         if np.trace(inertia) < least or not spatial.is_consistent(link.theta):
             unknown.add(INERTIA)
         # Shapes may have their middle at the joint, too.
         is_at_joint = np.linalg.norm(com) < LEAST_SHARE * size
-        if is_at_joint and np.linalg.norm(centre) > LEAST_INERTIA * size:
+        if is_at_joint and np.linalg.norm(centre) > 0.2 * size:
             unknown.add(CENTRE)
         reference = link.theta
         if unknown:

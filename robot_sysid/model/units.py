@@ -21,20 +21,6 @@ from robot_sysid.model.bodies import link_reach
 from robot_sysid.model.stated import LEAST_SHARE
 from robot_sysid.records import RobotModel
 
-# m / r^3 of a sphere of the densest metal, 22 600 kg/m^3.
-_LARGEST_COMPACTNESS = 2e5
-# Least length that is taken for an arm's: joints may turn about one point [m].
-_SHORTEST = 1.5
-# Longest arm: a crane [m].
-_LONGEST = 30.0
-
-# Least mass of an arm over the cube of its length [kg/m^3]; public arms have 5 to 250.
-_LIGHTEST = 0.1
-# Largest mass of an arm over the cube of its length [kg/m^3].
-_HEAVIEST = 1000.0
-# Length that shorter arms are given in this ratio [m].
-_LEAST_LENGTH = 0.3
-
 
 def with_mass_scale(robot: RobotModel, factor: float) -> RobotModel:
     """Return an arm all of whose masses and moments of inertia are multiplied by a factor."""
@@ -60,15 +46,16 @@ def mass_unit(robot: RobotModel, factor: float = 1.0) -> float:
     """Return the factor that brings an arm's masses, times another factor, into kilograms.
 
     It is 1 for an arm that there may be. No arm is as light for its length as foam, nor as heavy as
-    lead: masses in tonnes are 1000 times too small, masses in grams 1000 times too large.
+    lead, 0.1 and 1000 kg over the cube of its length in metres (public arms have 5 to 250): masses
+    in tonnes are 1000 times too small, masses in grams 1000 times too large.
     """
     length = _reach(robot)
     # Without shapes, it follows from inertias, which may be placeholders.
     tip = min(link_reach(robot.mj_model, robot.reference_qpos, robot.body_id), length)
-    density = factor * robot.mass / max(length + tip, _LEAST_LENGTH) ** 3
-    if _LIGHTEST <= density <= _HEAVIEST:
-        return 1.0
-    return 1e3 if density < _LIGHTEST else 1e-3
+    density = factor * robot.mass / max(length + tip, 0.3) ** 3
+    if density < 0.1:
+        return 1e3
+    return 1.0 if density <= 1000.0 else 1e-3
 
 
 def _reach(robot: RobotModel) -> float:
@@ -102,7 +89,7 @@ def _unit_fault(robot: RobotModel) -> str:
     bodies = bodies[masses > LEAST_SHARE * np.max(masses)]
     length = _reach(robot)
     com_distance = np.median(np.linalg.norm(mj_model.body_ipos[bodies], axis=1))
-    if max(length, com_distance) > _LONGEST:
+    if max(length, com_distance) > 30.0:  # the longest arm is a crane
         return (
             f"the distances between its joints add up to {length:.3g} m, and centres of mass lie "
             f"{com_distance:.3g} m away from their links' frames: these lengths fit mm, not m; "
@@ -115,7 +102,8 @@ def _unit_fault(robot: RobotModel) -> str:
         radii = np.sqrt(np.sum(moments[is_stated], axis=1) / (2.0 * masses))
         radius = np.median(radii)
         compactness = np.median(masses / radii**3)
-        if radius > max(length, _SHORTEST) or compactness > _LARGEST_COMPACTNESS:
+        # An arm's joints may turn about one point. A sphere of the densest metal has m / r^3 = 2e5.
+        if radius > max(length, 1.5) or compactness > 2e5:
             return (
                 f"half of its links have more than {np.median(masses):.3g} kg, and half a radius "
                 f"of gyration of more than {radius:.3g} m, which no arm has; state masses in kg "

@@ -28,9 +28,6 @@ from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.report.runs import Run
 from robot_sysid.results.record import Quantity
 
-SURE = 2.5
-"""Standard errors beyond which two runs differ: three miss 30 % more friction of a simulated joint,
-two name a joint between two logs of a KUKA LWR4+."""
 ALL_JOINTS = "all joints alike"
 """What a change of friction is of that is the same in all joints."""
 DIFFERS = "differs"
@@ -91,6 +88,9 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
 
 def changes(fitted: Fit) -> Iterator[Quantity]:
     """Yield what may have changed, from the fit of two runs."""
+    # Standard errors beyond which two runs differ: three miss 30 % more friction of a simulated
+    # joint, two name a joint between two logs of a KUKA LWR4+.
+    sure = 2.5
     at = fitted.at(PAYLOAD_NAMES[:4])
     values, errors = fitted.free[at], fitted.errors[at]
     inverse = np.linalg.pinv(fitted.covariance[np.ix_(at, at)], hermitian=True)
@@ -100,7 +100,7 @@ def changes(fitted: Fit) -> Iterator[Quantity]:
     for name, unit, value, error in zip(
         ("m", "hx", "hy", "hz"), PARAMETER_UNITS, values, errors
     ):
-        reason = DIFFERS if min(distance, abs(value) / error) > SURE else ""
+        reason = DIFFERS if min(distance, abs(value) / error) > sure else ""
         yield Quantity(name, body, unit, None, value, error, reason=reason)
     joints = fitted.arm.joints
     at = fitted.at(names_of("drift", joints))
@@ -111,9 +111,9 @@ def changes(fitted: Fit) -> Iterator[Quantity]:
     # A median, because one joint does not make a change of all.
     common = float(np.median(logarithms))
     error = float(np.sqrt(np.pi / 2.0 / np.sum(spreads**-2.0)))
-    is_common = abs(common) > SURE * error
+    is_common = abs(common) > sure * error
     yield _friction(ALL_JOINTS, common, error, is_common)
-    apart = np.abs(logarithms - common * is_common) > SURE * spreads
+    apart = np.abs(logarithms - common * is_common) > sure * spreads
     for joint, logarithm, error, differs in zip(joints, logarithms, errors, apart):
         yield _friction(joint, logarithm, error, differs)
 

@@ -29,11 +29,6 @@ from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
 from robot_sysid.results.record import Result
 
-LEAST_WITHIN = 0.15
-"""Least share of the variance of positions in the order of recording that lies within the empty and
-within the loaded logs, for a drift to be told apart from the payload: 0 for the order A B, 0.2 for
-A A B B at equal distances, 1 for A B B A."""
-
 
 def identify_payload(
     config: PayloadConfig, robot: RobotModel, progress: Progress
@@ -141,10 +136,14 @@ def order_positions(logs: Sequence[MeasurementLog], order: str | None) -> Array 
 
 
 def is_drift_identifiable(is_loaded: NDArray[np.bool_], positions: Array) -> bool:
-    """Return whether the order (k,) of empty and loaded recordings separates drift and payload."""
+    """Return whether the order (k,) of empty and loaded recordings separates drift and payload.
+
+    The variance of positions within the empty and within the loaded logs is 0 of the whole for the
+    order A B, 0.2 for A A B B at equal distances, 1 for A B B A.
+    """
     within = 0.0
     for loaded in (False, True):
         side_positions = positions[is_loaded == loaded]
         within += np.sum((side_positions - np.mean(side_positions)) ** 2)
     total = np.sum((positions - np.mean(positions)) ** 2)
-    return bool(within >= LEAST_WITHIN * total > 0.0)
+    return bool(within >= 0.15 * total > 0.0)

@@ -30,15 +30,6 @@ if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import MotionChunk
     from robot_sysid.motion.prediction import Prediction
 
-# Speed at which exported dry friction has reached 76 % of its size [rad/s]. A wider transition is
-# gentler, but an arm that sticks longer at its reversals shows less: 0.03 costs a millimetre more.
-_SMOOTH_REVERSAL = 0.01
-
-
-UNKNOWN = 0.5
-"""Relative standard error from which on a motion does not show a mass: two such errors reach zero.
-"""
-
 
 def design_motion(
     config: MotionConfig, robot: RobotModel, progress: Progress
@@ -209,7 +200,8 @@ def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
         # Where no motion determines the mass by these torques, the lines on the plan say so.
         is_said = bool(prediction.invisible)
         return "" if is_said else f"this motion does not determine {mass}"
-    largest = LARGE_SHARE if config.aim.target == "payload" else UNKNOWN
+    # Two standard errors of half a mass reach zero.
+    largest = LARGE_SHARE if config.aim.target == "payload" else 0.5
     if share > largest:
         return f"after this motion {mass} is known to {percent(share)} only"
     return ""
@@ -289,9 +281,10 @@ def motor_commands(
     coulomb tanh(qd / 0.01 rad/s) in place of coulomb sign(qd).
     """
     torque = ArmTorque(robot)
+    # A wider transition is gentler, but an arm that sticks longer at its reversals shows less: 0.03
+    # costs a millimetre more.
+    speed = 0.01
     for motion in motion_chunks(plan, rate):
-        smooth = robot.friction.dry(
-            motion.qd, lambda qd: np.tanh(qd / _SMOOTH_REVERSAL)
-        )
+        smooth = robot.friction.dry(motion.qd, lambda qd: np.tanh(qd / speed))
         tau = torque(motion) + smooth - robot.friction.dry(motion.qd)
         yield motion.time, motion.q, motion.qd, tau

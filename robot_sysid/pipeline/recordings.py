@@ -34,9 +34,6 @@ from robot_sysid.signals.resampling import join_measurements, piece_notes, split
 from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import CHUNK, sample_count
 
-# Separates the random numbers of simulated noise from those of the motion, drawn by one seed.
-_NOISE_STREAM = 1
-
 
 def identify_logs(
     config: IdentifyConfig, robot: RobotModel, progress: Progress
@@ -99,7 +96,8 @@ def identify_plant(
     assert arm.plant_model is not None
     plant = load_plant(robot, arm.plant_model, config.model.mesh_dir)
     progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")
-    rng = np.random.default_rng([seed, _NOISE_STREAM])
+    # The 1 separates the random numbers of noise from those of the motion, drawn by one seed.
+    rng = np.random.default_rng([seed, 1])
     simulation = plant_measurements(plant, plan, arm, rate, rng)
     n_chunks = math.ceil(sample_count(plan.duration, rate) / CHUNK)
     chunks = progress.track(simulation, "Collecting measurements", n_chunks)

@@ -16,9 +16,6 @@ from robot_sysid.results.quantities import BEYOND, MOMENT
 from robot_sysid.results.record import Result
 from robot_sysid.results.table import KNOWN
 
-SHARP = 20.0
-"""Mass of what is bolted on, in standard errors, above which weighing it by difference gains
-little: payloads are weighed to 1 to 5 %."""
 # Keys of the options that hold for every log of the same arm.
 _READING = ("columns", "units", "torque_scale", "torque_constants", "topic")
 
@@ -40,7 +37,8 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
             if result.body.errors[0] < KNOWN * result.body.mass:
                 return None
             return step_after("mass not known", model=model, options=arm, folder=folder)
-        if ratios[-1] > SHARP:
+        # Weighing it by difference, to 1 to 5 %, gains little.
+        if ratios[-1] > 20.0:
             return None
         return step_after(
             "part bolted on",

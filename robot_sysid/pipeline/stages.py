@@ -230,10 +230,6 @@ def write_results(
     return written
 
 
-# Standard error of a mass that is small enough whatever the mass is [kg].
-_NEGLIGIBLE_MASS_ERROR = 1e-6
-
-
 def run_self_test(
     config: SelfTestConfig,
     robot: RobotModel,
@@ -291,7 +287,8 @@ def self_test_verdict(estimate: Estimate) -> Verdict:
     parameters are not identifiable, else OK.
     """
     mass_error = estimate.error("m") or 0.0
-    if max(_NEGLIGIBLE_MASS_ERROR, 0.5 * estimate.inertial.mass) < mass_error < np.inf:
+    # A milligram is small enough whatever the mass is.
+    if max(1e-6, 0.5 * estimate.inertial.mass) < mass_error < np.inf:
         return Verdict.TOO_WEAK
     identifiability = estimate.identifiability
     if identifiability.rank < identifiability.n_parameters:
