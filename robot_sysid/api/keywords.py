@@ -29,7 +29,6 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import RobotModel
 from robot_sysid.records.option_fields import (
     Option,
-    default_of,
     given_values,
     options_of,
     record_from,
@@ -104,7 +103,7 @@ def with_keywords(
             _KEYWORDS.setdefault(flag, Option(flag, ""))
         helps = []
         for record in records:
-            for field_name, option in options_of(record).items():
+            for option in options_of(record).values():
                 key = option.key
                 is_left_out = only and key not in only
                 # A log is an argument of its own, which has no flag either.
@@ -113,7 +112,7 @@ def with_keywords(
                 _KEYWORDS[option.flag] = option
                 if key in parameters:
                     continue
-                default = defaults.get(key, default_of(record, field_name))
+                default = defaults.get(key, option.default)
                 parameters[key] = inspect.Parameter(
                     key, inspect.Parameter.KEYWORD_ONLY, default=default
                 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
@@ -129,15 +130,14 @@ class Parser(argparse.ArgumentParser):
         """
         group = self.add_argument_group(title)
         for record in records:
-            for name, option in options.options_of(record).items():
+            for option in options.options_of(record).values():
                 if only and option.key not in only:
                     continue
-                default = options.default_of(record, name)
-                default = (defaults or {}).get(option.key, default)
+                if defaults and option.key in defaults:
+                    option = replace(option, default=defaults[option.key])
                 is_hidden = self._main is not None and option.key not in self._main
                 is_flag = option.flag.startswith("-")
-                owner = group if is_flag else self
-                _add_option(owner, option, default, is_hidden and is_flag)
+                _add_option(group if is_flag else self, option, is_hidden and is_flag)
         return group
 
     def add_console_options(self) -> Parser:
@@ -148,8 +148,9 @@ class Parser(argparse.ArgumentParser):
         return self
 
 
-def default_text(option: options.Option, default: Any) -> str:
+def default_text(option: options.Option) -> str:
     """Return a default as a user would type it, or in words; "" where there is none."""
+    default = option.default
     if option.default_text:
         return option.default_text
     if default is None or isinstance(default, (bool, tuple)):
@@ -157,35 +158,32 @@ def default_text(option: options.Option, default: Any) -> str:
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def _help_text(option: options.Option, default: Any) -> str:
+def _help_text(option: options.Option) -> str:
     """Return an option's help with unit and default, for argparse."""
     text = option.help
     if option.unit:
         text += f" [{option.unit}]"
-    if default_text(option, default):
-        text += f" (default: {default_text(option, default)})"
+    if default_text(option):
+        text += f" (default: {default_text(option)})"
     return text.replace("%", "%%")
 
 
-def _add_option(
-    group: Any, option: options.Option, default: Any, is_hidden: bool
-) -> None:
+def _add_option(group: Any, option: options.Option, is_hidden: bool) -> None:
     """Add an option to a group of a parser.
 
     Args:
         group: group of an argparse parser, which is changed.
-        option: name, help, unit, choices and parser of the option's text.
-        default: shown in the help; a truth value makes the option a switch without a value.
+        option: to add; a truth value for its default makes it a switch without a value.
         is_hidden: whether the help leaves the option out.
     """
     flags = [option.short, option.flag] if option.short else [option.flag]
     settings: dict[str, Any] = {
-        "help": argparse.SUPPRESS if is_hidden else _help_text(option, default),
+        "help": argparse.SUPPRESS if is_hidden else _help_text(option),
         "default": argparse.SUPPRESS,
     }
     if option.flag.startswith("-"):
         settings["dest"] = option.key
-    if isinstance(default, bool):
+    if isinstance(option.default, bool):
         group.add_argument(*flags, action="store_true", **settings)
         return
     if option.choices:

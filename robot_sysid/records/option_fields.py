@@ -19,7 +19,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from keyword import iskeyword
 from numbers import Integral, Real
@@ -58,11 +58,12 @@ _VALUE_FORM = re.compile(r"((?![\[>])\S+)? ?(?:\[(.*)\])? ?(?:(>=?) 0)?")
 
 @dataclass(frozen=True)
 class Option:
-    """One option of the command line, without its name in the record and its default.
+    """One option of the command line, without its name in the record.
 
     Attributes:
         flag: such as "--no-friction".
         help: for the parser's help and the README.
+        default: value where the option is not given.
         unit: of the value, such as "s"; "" where it has none.
         metavar: name of the value in the help; one per value where the option takes several.
         choices: the texts that the option accepts; () where it accepts any.
@@ -78,6 +79,7 @@ class Option:
 
     flag: str
     help: str
+    default: Any = None
     unit: str = ""
     metavar: str | tuple[str, ...] | None = None
     choices: tuple[str, ...] = ()
@@ -139,7 +141,8 @@ def option(
     attributes.setdefault("metavar", name)
     attributes.setdefault("unit", unit or "")
     attributes.setdefault("check", _RANGE_CHECKS.get(sign))
-    return field(default=default, metadata={"option": Option(flag, help, **attributes)})
+    stated = Option(flag, help, default, **attributes)
+    return field(default=default, metadata={"option": stated})
 
 
 def options_of(record: Any) -> Mapping[str, Option]:
@@ -169,18 +172,12 @@ def _options_of_class(record_class: Any) -> Mapping[str, Option]:
     return options
 
 
-def default_of(record: Any, name: str) -> Any:
-    """Return the default of a field of a record or of its class; None where it has none."""
-    default = record.__dataclass_fields__[name].default
-    return None if default is MISSING else default
-
-
 def given_values(record: Any) -> dict[str, Any]:
     """Return key to value of the options of a record that differ from their defaults."""
     values = {}
     for name, stated in options_of(record).items():
         value = getattr(record, name)
-        if value != default_of(record, name):
+        if value != stated.default:
             values[stated.key] = value
     return values
 
@@ -232,7 +229,7 @@ def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record
     for name, stated in options_of(record_class).items():
         if stated.key in values:
             value = values[stated.key]
-            is_default = value is None and default_of(record_class, name) is None
+            is_default = value is None and stated.default is None
             arguments[name] = None if is_default else _checked_value(stated, value)
     return record_class(**arguments)
 
@@ -329,13 +326,13 @@ def suggestion(word: str, valid_words: Iterable[str]) -> str:
 
 def check_positive(value: float) -> str | None:
     """Return a complaint unless a number is positive and finite; None where it is."""
-    fits = value > 0.0 and math.isfinite(value)
+    fits = 0.0 < value < math.inf
     return None if fits else f"must be positive (got {value:g})"
 
 
 def check_not_negative(value: float) -> str | None:
     """Return a complaint unless a number is zero or more and finite; None where it is."""
-    fits = value >= 0.0 and math.isfinite(value)
+    fits = 0.0 <= value < math.inf
     return None if fits else f"must be a number that is not negative (got {value:g})"
 
 

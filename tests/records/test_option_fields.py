@@ -22,7 +22,6 @@ from robot_sysid.records.option_fields import (
     check_not_negative,
     check_positive,
     check_speed_factor,
-    default_of,
     given_values,
     joint_factors,
     joint_values,
@@ -62,7 +61,9 @@ def test_a_record_is_made_from_keys_and_text_becomes_what_the_annotation_names()
     assert parsers == [float, parse_whole_number, float, Path]
     record = record_from(Oven, {"fan": "3", "heat": 90.0, "trays": 0.2, "unrelated": 1})
     assert record == Oven(heat=90.0, fan_speed=3, trays=(0.2,))
-    assert (default_of(record, "heat"), default_of(Oven, "trays")) == (180.0, ())
+    assert [option.default for option in options_of(Oven).values()] == [
+        getattr(Oven, field) for field in options_of(Oven)
+    ]
     oven = Oven(name="big", heat=200.0, recipe=Path("bread.txt"))
     assert given_values(oven) == {"heat": 200.0, "recipe": Path("bread.txt")}
 

@@ -15,7 +15,7 @@ from typing import Any
 from robot_sysid.commands import ConsoleOptions
 from robot_sysid.config import Config
 from robot_sysid.estimate.options import Priors
-from robot_sysid.records.option_fields import Option, default_of, options_of
+from robot_sysid.records.option_fields import Option, options_of
 
 # Values that cannot be made from the kind of value alone.
 _CHOSEN = {
@@ -64,17 +64,17 @@ def samples(config_type: type[Config]) -> Iterator[Sample]:
     for name, record in config_type.records().items():
         for field, option in options_of(record).items():
             if option.key in config_type.option_keys():
-                value = _value(option, default_of(record, field))
+                value = _value(option)
                 yield Sample(name, field, option, value)
 
 
-def _value(option: Option, default: Any) -> Any:
+def _value(option: Option) -> Any:
     if option.key in _CHOSEN:
         return _CHOSEN[option.key]
-    if isinstance(default, bool):
-        return not default
+    if isinstance(option.default, bool):
+        return not option.default
     if option.choices:
-        value = next(choice for choice in option.choices if choice != default)
+        value = next(choice for choice in option.choices if choice != option.default)
     else:
         assert option.parse is not None, option.flag
         # A number that is a share, a speed, a time or a level, or a name.

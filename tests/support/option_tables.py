@@ -20,12 +20,7 @@ from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
-from robot_sysid.records.option_fields import (
-    Option,
-    TrajectoryOptions,
-    default_of,
-    options_of,
-)
+from robot_sysid.records.option_fields import Option, TrajectoryOptions, options_of
 from robot_sysid.simulation import SimulatedArmOptions
 from tests.support.places import ROOT
 
@@ -66,19 +61,18 @@ def table(name: str) -> str:
             is_argument = not option.flag.startswith("-")
             if is_argument or (name == "main" and option.key not in MAIN):
                 continue
-            default = default_of(record, field)
-            shown = default_text(option, default)
+            shown = default_text(option)
             if shown and not option.default_text:
                 shown = f"`{shown}`"
-            form = f"`{field}`" if name == "priors" else _typed_form(option, default)
+            form = f"`{field}`" if name == "priors" else _typed_form(option)
             cells = (form, shown, _meaning(option))
             rows.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
     return "\n".join(rows) + "\n"
 
 
-def _typed_form(option: Option, default: object) -> str:
+def _typed_form(option: Option) -> str:
     text = option.key.upper()
-    if isinstance(default, bool):
+    if isinstance(option.default, bool):
         text = ""
     elif option.metavar:
         names = option.metavar
