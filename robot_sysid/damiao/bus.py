@@ -129,15 +129,6 @@ class GuardedLink:
             pass
 
 
-PRIORITY = 20
-"""Real-time priority of the control loop's thread: below the kernel's own threads (50)."""
-# Real-time priority of this program's other threads.
-#
-# It is above that of other programs, because a thread that is interrupted while it holds Python's
-# lock delays the control loop too.
-_PRIORITY_ASIDE = 10
-
-
 @contextlib.contextmanager
 def undisturbed_processor(live: bool = True) -> Iterator[None]:
     """Keep garbage collection, other threads and other programs from pausing a ``with`` block.
@@ -159,7 +150,10 @@ def undisturbed_processor(live: bool = True) -> Iterator[None]:
     )
     try:
         if takes_priority:
-            _schedule(os.SCHED_FIFO, PRIORITY, _PRIORITY_ASIDE)
+            # Below the kernel's own threads (50). This program's other threads go before other
+            # programs, because one that is interrupted while it holds Python's lock delays the
+            # control loop too.
+            _schedule(os.SCHED_FIFO, 20, 10)
         yield
     finally:
         if takes_priority:
@@ -318,10 +312,6 @@ class RegisterClient:
                 yield frame
 
 
-# How often all motors are requested at once, for the 90th percentile of their answering time.
-_ROUNDS = 20
-
-
 @dataclass(frozen=True, eq=False)
 class InspectedMotor:
     """Answers of one motor (or of several with one CAN id) to an inspection of the bus.
@@ -398,9 +388,9 @@ def inspect_bus(link: GuardedLink) -> Inspection:
         # Measured under the conditions of a run, for which the time matters.
         reply_ids = {can_id: motor.reply_ids[0] for can_id, motor in motors.items()}
         with undisturbed_processor(live=link.clock.live):
-            attempts = [client.seconds_to_refresh(reply_ids) for _ in range(_ROUNDS)]
+            attempts = [client.seconds_to_refresh(reply_ids) for _ in range(20)]
         times = [seconds for seconds in attempts if seconds is not None]
-        if len(times) > _ROUNDS // 2:
+        if len(times) > len(attempts) // 2:
             round_trip = np.percentile(times, 90.0)
     return Inspection(motors, unsolicited, round_trip)
 

@@ -40,10 +40,6 @@ from robot_sysid.records.file_access import read_text, write_atomically
 
 RPM = math.tau / 60.0
 """One revolution per minute [rad/s]."""
-# Relative difference up to which two scaling limits count as equal.
-#
-# The closest limits of two motor types, PMAX of 12.5 and 12.566 rad, differ by five times as much.
-_AGREEMENT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -114,7 +110,8 @@ def matching_types(limits: Sequence[float]) -> tuple[str, ...]:
 
 def limits_agree(expected: Sequence[float], actual: Sequence[float]) -> bool:
     """Tell whether scaling limits (PMAX, VMAX, TMAX) agree within 0.1 % of the expected ones."""
-    return np.allclose(actual, expected, rtol=_AGREEMENT, atol=0.0)
+    # The closest limits of two types, PMAX of 12.5 and 12.566 rad, differ by five times as much.
+    return np.allclose(actual, expected, rtol=1e-3, atol=0.0)
 
 
 MASTER_ID_OFFSET = 0x10

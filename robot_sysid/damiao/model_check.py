@@ -97,14 +97,6 @@ def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
         yield stop(f"{text}; {_SMALLER}")
 
 
-# Error of the feed-forward torque, as a share of the torque that the motion needs (both rms).
-#
-# From this value on it is the torque of another motion. The share is 1 without any torque, 2 with
-# the other sign, and 0.5 where a new load doubles the torque of a joint: this is a judgement
-# between.
-_OTHER_TORQUE = 0.8
-
-
 def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     """Yield a stop for each joint whose motion needs more torque than its motor can make.
 
@@ -130,7 +122,9 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     error = np.sqrt(np.mean((trajectory.tau - at_full_speed) ** 2, axis=0))
     # Torque (n,) that friction alone may explain [N m].
     doubt = torque_doubt(joints) + robot.friction.largest_dry
-    is_foreign = (error > doubt) & (error > _OTHER_TORQUE * needed_rms)
+    # Over the needed torque the error is 1 without any torque, 2 with the other sign, and 0.5 where
+    # a new load doubles the torque of a joint: 0.8 is a judgement between.
+    is_foreign = (error > doubt) & (error > 0.8 * needed_rms)
     for j in np.flatnonzero(is_foreign).tolist():
         yield stop(
             f"{joints[j].label}: the torque that the file feeds forward is that of another motion "

@@ -18,19 +18,6 @@ from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records.messages import Level, Remark
 
-# Highest temperature at which a run may begin [deg C].
-#
-# A judgement: half way from a warm room to the limit, so that motors do not reach it during a run.
-_START_TEMPERATURE = 60.0
-# Least watchdog time in control cycles.
-#
-# A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one. The
-# watchdog has to outlast two such waits in succession.
-_LEAST_WATCHDOG_CYCLES = 2 * (PAUSE + 1)
-# Watchdog time above which the watchdog is no protection at all [s] (a judgement).
-_NO_WATCHDOG = 5.0
-
-
 note = partial(Remark, Level.SAYS, "")
 """Return a finding, by its text, that the user should know."""
 stop = partial(Remark, Level.REFUSES, "")
@@ -207,14 +194,18 @@ def _watchdog_checks(
 
     ``name`` is the motor's name in the message.
     """
-    least = _LEAST_WATCHDOG_CYCLES * settings.period
+    # A motor whose answer is missing gets its next command ``PAUSE`` + 1 cycles after the last one.
+    # The watchdog has to outlast two such waits in succession.
+    least = 2 * (PAUSE + 1) * settings.period
+    # A longer one is no protection at all (a judgement).
+    longest = 5.0
     # The timeout to propose, in tenths of a second.
     proposed = max(0.1, np.ceil(10.0 * least) / 10.0)
     remedy = f"set it with motors setup --watchdog {proposed:g} --store"
     watchdog = f"{name}'s watchdog of {1e3 * timeout:g} ms"
-    if not least <= timeout <= _NO_WATCHDOG:
+    if not least <= timeout <= longest:
         yield stop(
-            f"{watchdog} is not from {1e3 * least:g} to {1e3 * _NO_WATCHDOG:g} ms (0 is none: the "
+            f"{watchdog} is not from {1e3 * least:g} to {1e3 * longest:g} ms (0 is none: the "
             f"arm would go on if this program died); {remedy}"
         )
     # Until then an arm that nobody commands falls or runs far.
@@ -241,7 +232,8 @@ def _state_checks(
             "power-cycle"
         )
     temperature = feedback.temperature[0]
-    limit = min(_START_TEMPERATURE, settings.max_temperature)
+    # A judgement: half way from a warm room to the limit, so that no motor reaches it in the run.
+    limit = min(60.0, settings.max_temperature)
     if temperature > limit:
         yield stop(
             f"{name} is at {temperature} deg C, above {limit:g}; let it cool down"

@@ -36,8 +36,6 @@ KD_MAX = 5.0
 """The greatest damping that a command frame can carry [N m s/rad]."""
 KD_STEP = KD_MAX / 0xFFF
 """The least damping above zero that a command frame can carry [N m s/rad]."""
-# Lower end of the range of each of a command's five fields, as a multiple of the upper end.
-_LOWER_ENDS = -1.0, -1.0, 0.0, 0.0, -1.0
 # Indices of position, velocity and torque among the five fields of a command.
 _MEASURED = [0, 1, 4]
 
@@ -94,7 +92,8 @@ class Scaling:
                 )
         # Ranges (n, 5) of the command's fields: position, velocity, kp, kd, torque.
         self._high = np.insert(self.limits, [2, 2], (KP_MAX, KD_MAX), axis=1)
-        self._low = self._high * _LOWER_ENDS
+        # Stiffness and damping begin at zero.
+        self._low = self._high * (-1.0, -1.0, 0.0, 0.0, -1.0)
         # One quantisation step (n, 5) of each field.
         self._steps = (self._high - self._low) / _COMMAND.max_codes
 
@@ -428,12 +427,6 @@ PLANNING_LIMIT = 0.70
 
 A judgement: the rest is for error frames and for sending one frame in three again.
 """
-# Most bits of a classic 8-byte frame: frame and gap, and the stuff bits at worst.
-_CLASSIC_BITS = 111 + 24
-# Most bits of an 8-byte CAN-FD frame at the nominal bit rate: unstuffed and stuff bits.
-_FD_NOMINAL_BITS = 30 + 4
-# Most bits of an 8-byte CAN-FD frame at the data bit rate: unstuffed and stuff bits.
-_FD_DATA_BITS = 96 + 17
 # Placeholder and condition of the bit rate options in the help text.
 _BIT_RATE = "RATE [bit/s] > 0"
 
@@ -454,9 +447,10 @@ class BusTiming(OptionRecord):
     @property
     def frame_time(self) -> float:
         """Longest time for which one 8-byte frame occupies the bus [s]."""
+        # Bits of the frame, with the gap behind a classic one, and the stuff bits at worst.
         if not self.fd:
-            return _CLASSIC_BITS / self.bitrate
-        return _FD_NOMINAL_BITS / self.bitrate + _FD_DATA_BITS / self.data_bitrate
+            return (111 + 24) / self.bitrate
+        return (30 + 4) / self.bitrate + (96 + 17) / self.data_bitrate
 
 
 def bus_load(n_motors: int, rate: float, timing: BusTiming) -> float:

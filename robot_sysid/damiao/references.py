@@ -109,10 +109,6 @@ def hold_reference(reference: Reference) -> ReferenceFunction:
     return lambda time: at_rest
 
 
-# Share of the peak torque at which a joint is lowered with full speed; less torque, less speed.
-#
-# A judgement: dry friction is of this size, and should not move a joint.
-_FULL_LOAD = 0.05
 LONGEST_LOWERING = 20.0
 """Time after which lowering ends in any case [s]."""
 
@@ -137,7 +133,9 @@ class Lowering:
         self._position = begin.position.copy()
         self._fed = begin.torque
         self._speed = speed
-        self._full_load = _FULL_LOAD * peak
+        # Torque from which a joint is lowered with full speed; less torque, less speed. It is a
+        # judgement: dry friction is of this size, and should not move a joint.
+        self._full_load = 0.05 * peak
         self._range = command_range
         self._torque = np.zeros(len(peak))
         self._time = 0.0
@@ -174,19 +172,16 @@ class Lowering:
         return self._time - self._moved_at > 0.5
 
 
-# Share of a motor's peak torque up to which a torque proves no load (a judgement).
-_DOUBT = 0.06
 # Expected torque above which a joint's load is judged, in units of the torque doubt.
 #
 # With this value a guessed model may be twice too heavy.
 _LOADED = 2.0
-# Measured torque below which a loaded joint counts as unloaded, in units of the torque doubt.
-_BARE = 0.5
 
 
 def torque_doubt(joints: Sequence[DamiaoJoint]) -> Array:
     """Return the torque (n,) that friction alone may explain: 0.06 of each joint's peak [N m]."""
-    return _DOUBT * peak_torques(joints)
+    # A judgement.
+    return 0.06 * peak_torques(joints)
 
 
 # Distance from a pose in which its torque holds the arm [rad]: 2 N m at 20 N m/rad.
@@ -253,7 +248,8 @@ class HoldingCheck:
         # Torque in the direction of the expected one.
         along = np.sign(expected) * tau
         is_wrong = (size > self.doubt) & (along < -self.doubt)
-        is_wrong |= (size > _LOADED * self.doubt) & (along < _BARE * self.doubt)
+        # Below half of the doubt a loaded joint counts as unloaded.
+        is_wrong |= (size > _LOADED * self.doubt) & (along < 0.5 * self.doubt)
         for j in np.flatnonzero(is_wrong & self.is_at_rest).tolist():
             raise HardwareAbort(
                 f"{self.joints[j].label} holds the arm with {tau[j]:.1f} N·m but {self.source} "
@@ -287,29 +283,6 @@ def file_holding(trajectory: DamiaoTrajectory) -> HoldingCheck:
     )
 
 
-# Time constant in which torque that pushes a standing joint against something is removed [s].
-_RELIEF_TIME = 0.3
-# A joint that leaves its path is stiffened and damped by the computer, through the feed-forward
-# torque, which acts one and a half cycles late. The delay removes damping at some frequencies, so
-# the added gains are limited by the motor's own damping kd. With these values no energy goes into a
-# joint of any inertia or flexibility, even if samples are two cycles older; larger ones make light
-# or flexible joints swing.
-# Delay of the feed-forward torque [cycles].
-_DELAY_CYCLES = 1.5
-# Added damping, as a share of the motor's kd.
-_ADDED_DAMPING = 0.25
-# Added stiffness, as a share of the motor's kd divided by the delay.
-_ADDED_STIFFNESS = 0.8
-# At a velocity v [rad/s] away from the path, the added stiffness is the share
-# _STEADY + _LEAVING tanh(v / _SPEED_SCALE) of its full value: more for a joint
-# that leaves than for one that returns, which removes energy.
-_STEADY = 0.6
-_LEAVING = 0.4
-_SPEED_SCALE = 0.3
-# Velocity below which a joint is at rest [rad/s] (a judgement).
-_REST_SPEED = 0.05
-
-
 class CarriedStop:
     """A reference that brakes all joints together and then carries them.
 
@@ -319,7 +292,11 @@ class CarriedStop:
     - When the reference stands, this torque is removed from joints that do not move without it:
       they may press against an obstacle.
     - A joint that leaves its path, under its load or thrown by another joint, is held with added
-      stiffness and damping, as far as its motor's own damping allows.
+      stiffness and damping, as far as its motor's own damping allows: they act through the
+      feed-forward torque, one and a half cycles late, and the delay removes damping at some
+      frequencies. With a quarter of the motor's kd as damping, and 0.8 kd over the delay as
+      stiffness, no energy goes into a joint of any inertia or flexibility, even if samples are two
+      cycles older; larger gains make light or flexible joints swing.
 
     Args:
         settings: gains, deceleration of the fastest joint, and the time for which all joints have
@@ -368,8 +345,8 @@ class CarriedStop:
         self._offset = np.nan_to_num(reference.position - q)
         self._relief = np.where(stuck, 1.0, 0.0)
         # Added stiffness [N m/rad], and the farthest position of each joint on its path [rad].
-        delay = _DELAY_CYCLES * settings.period
-        self._stiffening = _ADDED_STIFFNESS * self._kd / delay
+        delay = 1.5 * settings.period
+        self._stiffening = 0.8 * self._kd / delay
         self._reached = q
         self._has_moved = np.zeros(len(led), dtype=bool)
         self._time = 0.0
@@ -392,9 +369,10 @@ class CarriedStop:
         share = min(time / max(self.duration, 0.1), 1.0)
         torque = self._begin.torque + share * (self._fed - self._begin.torque)
         difference = np.nan_to_num(velocity - self._qd)
-        torque = torque + (self._lift(goal) + _ADDED_DAMPING * self._kd * difference)
+        torque = torque + (self._lift(goal) + 0.25 * self._kd * difference)
         torque = torque - self._relief * self._kp * self._offset
-        is_moving = np.abs(np.nan_to_num(self._qd)) > _REST_SPEED
+        # Slower joints are at rest [rad/s] (a judgement).
+        is_moving = np.abs(np.nan_to_num(self._qd)) > 0.05
         if time < self.duration or np.any(is_moving):
             self._moved_at = time
         self.last = Reference(position, velocity, torque)
@@ -414,7 +392,8 @@ class CarriedStop:
         """Return the torque (n,) [N m] that pulls joints back to paths ending at ``goal`` (n,)."""
         displacement = self._displacement(goal)
         leaving_speed = -np.sign(displacement) * np.nan_to_num(self._qd)
-        share = _STEADY + _LEAVING * np.tanh(leaving_speed / _SPEED_SCALE)
+        # More for a joint that leaves than for one that returns, which removes energy.
+        share = 0.6 + 0.4 * np.tanh(leaving_speed / 0.3)
         return self._stiffening * displacement * share
 
     def _displacement(self, goal: Array) -> Array:
@@ -443,7 +422,8 @@ class CarriedStop:
             return
         # A joint that moves as far carries load, and presses against no obstacle.
         self._has_moved |= np.abs(np.nan_to_num(goal - self._q)) > 0.01
-        less = (1.0 - self._relief) * min(passed / _RELIEF_TIME, 1.0)
+        # Within a time constant of 0.3 s.
+        less = (1.0 - self._relief) * min(passed / 0.3, 1.0)
         self._relief = np.where(self._has_moved, self._relief, self._relief + less)
 
     @property

@@ -48,10 +48,6 @@ from robot_sysid.records import Array
 _DISABLE_SPACING = 2e-3
 # Longest wait for the answer to a single request [s]: adapters take up to 16 ms.
 _CONFIRM_TIMEOUT = 0.02
-# Time for which motors are asked to confirm that they are disabled [s], should a bus fail.
-_CONFIRM_PATIENCE = 0.5
-# How often a motor is commanded to enable, at most.
-_ENABLE_TRIES = 3
 REPLY_SHARE = 0.9
 """Share of a control cycle for which replies are waited for; the rest is for the checks.
 
@@ -255,11 +251,11 @@ class MotorSession:
 
         ``status`` and ``position`` [rad] are those of the motor's last answer. The motor is enabled
         when it says so and two answers in a row agree about the position. HardwareAbort where it
-        reports the same fault twice in a row, or is not enabled after ``_ENABLE_TRIES`` commands.
+        reports the same fault twice in a row, or is not enabled after three commands.
         """
         joint = self.joints[j]
         request = special_frame(ENABLE, joint.can_id)
-        for _ in range(_ENABLE_TRIES):
+        for _ in range(3):
             last_status = status
             last_position = position
             status, position = self._ask(j, request)
@@ -401,12 +397,13 @@ class MotorSession:
         self._confirm()
 
     def _confirm(self) -> None:
-        """Ask motors to disable until each has confirmed it, or ``_CONFIRM_PATIENCE`` is over.
+        """Ask motors to disable until each has confirmed it, or half a second is over.
 
         ``unconfirmed`` is set to the joints whose motors have not confirmed it.
         """
         running = np.ones(self.n_joints, bool)
-        patience = self.clock.now() + _CONFIRM_PATIENCE
+        # A bus that fails may work again by then.
+        patience = self.clock.now() + 0.5
         while np.any(running) and self.clock.now() < patience:
             try:
                 self._link.drain()

@@ -25,12 +25,6 @@ from robot_sysid.records.option_fields import (
     option,
 )
 
-# Makers of arms with these motors use a stiffness of 240 N m/rad and a damping of 5 N m s/rad for
-# motors with a rated torque of 9 N m, 10 and 1.5 for 3 N m; the defaults are between these.
-# Default stiffness divided by the rated torque [1/rad].
-_STIFFNESS = 20.0
-# Default damping divided by the stiffness [s].
-_DAMPING = 0.025
 _EACH = "one for all or one per joint"
 # Arguments of options whose default depends on the type of each motor.
 _BY_TYPE: dict[str, Any] = {"takes_many": True, "default_text": "by motor type"}
@@ -144,12 +138,16 @@ class PlaySettings(OptionRecord):
         n = len(specs)
         rate = self.rate or default_rate(n, timing)
         rated_torque = np.array([spec.rated_torque for spec in specs])
-        stiffness = np.minimum(_STIFFNESS * rated_torque, KP_MAX)
+        # Makers of arms with these motors use a stiffness of 240 N m/rad and a damping of 5 N m
+        # s/rad for motors with a rated torque of 9 N m, 10 and 1.5 for 3 N m; the defaults are
+        # between these.
+        stiffness = np.minimum(20.0 * rated_torque, KP_MAX)
+        damping_per_stiffness = 0.025
         # With more damping, a joint's velocity would settle in less than a cycle.
         most_damping = np.inf if mobility is None else rate / np.diag(mobility)
         # At least 0.4 of the usual, as models often lack rotor inertia, and 0.05 N m s/rad.
-        least_damping = np.maximum(0.4 * _DAMPING * stiffness, 0.05)
-        damping = np.minimum(_DAMPING * stiffness, most_damping)
+        least_damping = np.maximum(0.4 * damping_per_stiffness * stiffness, 0.05)
+        damping = np.minimum(damping_per_stiffness * stiffness, most_damping)
         damping = np.clip(damping, least_damping, KD_MAX)
         # More than any excitation needs.
         torque_error = 2.0 / 3.0 * np.array([spec.peak_torque for spec in specs])

@@ -390,12 +390,6 @@ def excesses(
             )
 
 
-# Length of a window in which velocities are compared with positions [s].
-#
-# Over this time 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
-_WINDOW = 0.1
-
-
 def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | None:
     """Return the first row and the joint of a window over which velocities do not add up to the
     change of position, and by how much they are off [rad/s]; None where there is no such window.
@@ -408,7 +402,8 @@ def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | 
     step = np.diff(time)[:, None]
     qd = trajectory.qd
     # Number of rows, at least four, from the begin of a window to its end; a shorter file has one.
-    rows = max(round(_WINDOW / float(np.median(step))), 4)
+    # Over 0.1 s, 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
+    rows = max(round(0.1 / float(np.median(step))), 4)
     rows = min(rows, len(time) - 1)
     integral, doubt = np.zeros((2, *qd.shape))
     integral[1:] = np.cumsum(0.5 * (qd[1:] + qd[:-1]) * step, axis=0)

@@ -31,20 +31,6 @@ NO_STATUS = -1
 Mask = NDArray[np.bool_]
 """One truth value for each of n joints."""
 
-# Judgements: a slip of 0.15 rad has to be noticed.
-# Distance from the position expected by velocity that is always plausible [rad].
-_LEAST_JUMP = 0.05
-# Largest plausible acceleration [rad/s^2]: 7 N m (a DM4310) on a light joint, 0.035 kg m^2.
-_TOP_ACCELERATION = 200.0
-# Further accepted error of a position, as a share of the change of position that is expected.
-_SPEED_DOUBT = 0.5
-# Change of velocity that is always plausible [rad/s]: by a blow or a stop in a cycle of 4 ms.
-_LEAST_SPEED_CHANGE = 1.0
-# Largest plausible change of reported minus commanded torque, as a share of the peak torque.
-_TORQUE_DOUBT = 0.3
-# Largest plausible change of temperature [deg C]: windings warm up by a degree in seconds.
-_HEAT_CHANGE = 5.0
-
 
 @dataclass(frozen=True)
 class Replies:
@@ -179,28 +165,24 @@ class SampleFilter:
         passed = np.maximum(np.nan_to_num(now.time - previous.time), 0.0)
         expected_change = 0.5 * (now.qd + previous.qd) * passed
         distance = np.abs(now.q - previous.q - expected_change)
-        accelerated = _TOP_ACCELERATION * passed
-        tolerance = _LEAST_JUMP + _SPEED_DOUBT * np.abs(expected_change)
+        # The largest plausible acceleration [rad/s^2]: 7 N m (a DM4310) on 0.035 kg m^2.
+        accelerated = 200.0 * passed
+        # Judgements: a slip of 0.15 rad has to be noticed.
+        tolerance = 0.05 + 0.5 * np.abs(expected_change)
         tolerance += 0.5 * accelerated * passed
         jumps = distance > tolerance
-        most_change = _LEAST_SPEED_CHANGE + 4.0 * self._velocity_step + accelerated
+        # A blow or a stop changes the velocity by 1 rad/s in a cycle of 4 ms.
+        most_change = 1.0 + 4.0 * self._velocity_step + accelerated
         accelerates = np.abs(now.qd - previous.qd) > most_change
         torque_change = np.abs(now.torque_error - previous.torque_error)
-        bends = torque_change > _TORQUE_DOUBT * self._peak
-        heats = np.abs(now.heat - previous.heat) > _HEAT_CHANGE
+        bends = torque_change > 0.3 * self._peak
+        # Windings warm up by a degree [deg C] in seconds.
+        heats = np.abs(now.heat - previous.heat) > 5.0
         return jumps, bends, ~(jumps | accelerates | bends | heats)
 
 
 # Time over which velocity is integrated [s]: long against a cycle, short against a swing.
 _WINDOW = 0.2
-# Error of this scale that is accepted: VMAX of two types differ by a tenth or more (45 and 50).
-_VELOCITY_TOLERANCE = 0.03
-# Difference of position change and integrated velocity that is accepted in a window [rad].
-_LEAST_SLIP = 0.02
-# Share of the path's length in a window by which this difference may be larger.
-_SLIP_SHARE = 0.05
-# Ratio of a cycle's mean velocity to its last one above which slip cannot be judged.
-_COARSE = 1.3
 
 
 class ScaleCheck:
@@ -270,8 +252,8 @@ class VelocityCheck:
         n_joints = len(velocity_step)
         self.explained: Array = np.expm1(fades) / fades
         self._rounding = 0.5 * velocity_step * _WINDOW
-        # Judged from ten windows on.
-        self.scale = ScaleCheck(self._rounding, 10, _VELOCITY_TOLERANCE, self.explained)
+        # Judged from ten windows on. VMAX of two types differ by a tenth or more (45 and 50).
+        self.scale = ScaleCheck(self._rounding, 10, 0.03, self.explained)
         # Time, position and velocity (3, n) of each joint's last sample.
         self._last = np.full((3, n_joints), np.nan)
         # Time and position (2, n) at which each joint's window begins.
@@ -302,11 +284,12 @@ class VelocityCheck:
         mismatch = change - np.clip(
             change, np.minimum(integral, fastest), np.maximum(integral, fastest)
         )
-        # Where a joint slows down within a cycle, its mean speed is known less well. Twice the
+        # Accepted are 0.02 rad and a twentieth of the way. Where a joint slows down within a cycle,
+        # its mean speed is known less well, in the end not well enough to judge a slip. Twice the
         # rounding is an error of one velocity step throughout the window.
-        doubt = _SLIP_SHARE + 0.5 * (self.explained - 1.0)
-        tolerance = _LEAST_SLIP + doubt * path + 2.0 * self._rounding
-        tolerance = np.where(self.explained > _COARSE, np.inf, tolerance)
+        doubt = 0.05 + 0.5 * (self.explained - 1.0)
+        tolerance = 0.02 + doubt * path + 2.0 * self._rounding
+        tolerance = np.where(self.explained > 1.3, np.inf, tolerance)
         for j in np.flatnonzero(np.abs(mismatch) > tolerance)[:1].tolist():
             return j, (
                 f"moves {abs(mismatch[j]) / _WINDOW:.2f} rad/s beside the velocity that it "

@@ -46,65 +46,10 @@ from robot_sysid.simulator import ArmTorque
 
 # Time over which signals are averaged [s]; a window that takes twice as long is discarded.
 _WINDOW = 0.1
-# Least number of control cycles in a window.
-_LEAST_SAMPLES = 3
-# Steps of a window's evaluation in each control cycle: six steps in the fewest cycles.
-_STEPS_PER_CYCLE = 2
-# Velocity of the fastest joint [rad/s] below which dry friction hides the load of the arm.
-_MOVING = 0.05
-# Number of windows with motion, which show how well the model fits, before anything is judged.
-_LEAST_WINDOWS = 15
-# Prior standard deviation of an unknown load at the end [kg] (a judgement).
-_LOAD = 3.0
-# Prior standard deviation of the load's distance from the end [m] (a judgement).
-_LEVER = 0.2
 # Prior standard deviation of a moved zero [rad] (a judgement).
 _SHIFT = 0.3
-# Prior standard deviation of a change of torque in a single joint [doubts] (a judgement).
-_TORQUE = 0.5
-# Prior standard deviation of the share of its torque that a motor lacks (a judgement).
-_SHARE = 0.5
-# Prior standard deviation of a load that is picked up, relative to ``_LOAD`` (a judgement).
-_NEW_LOAD = 1.5
-# Prior standard deviation of a force at the end [N] (a judgement).
-_FORCE = 20.0
-# Standard deviation of the noise that is assumed at the beginning [doubts].
-_NOISE = 0.15
-# Weight of this assumption, in windows.
-_NOISE_WINDOWS = 2.0
-# Least standard deviation of the noise [doubts].
-_LEAST_NOISE = 0.03
-# Factor per window by which the weight of earlier windows in the noise estimate decays.
-_REMEMBER = 0.95
-# Largest square of a window in the noise estimate, in units of the variance so far.
-_OUTLIER = 30.0
-# Standard deviation of the noise that is added for scatter of the torque within a window (by a
-# blow, for instance), relative to the rms scatter.
-_SCATTER = 3.0
-# Variance that x gains in each window, because motors become warm.
-_DRIFT = 1e-6
-# Factor of the noise variance: model errors of about this many windows are correlated.
-_ALIKE = 5.0
 # Number of last windows in which a change may have begun.
 _ONSETS = 14
-# Number of windows after its begin from which a moved zero is judged.
-_LEAST_AGE = 3
-# Time in which a change grows to its full size [s].
-_GROWTH = 1.0
-# Least log likelihood ratio of a moved zero against no change.
-_MARGIN = 12.0
-# Least difference of a moved zero's log likelihood ratio from that of any other change.
-_APART = 8.0
-# Largest ratio of another change's log likelihood ratio to the moved zero's.
-#
-# Where the noise is underestimated, all log likelihood ratios are too large by a factor.
-_OTHERS = 0.55
-# Least shift of a zero that is reported [rad]; people measure zeros with a ruler.
-_LEAST_SHIFT = 0.08
-# Least torque of a shift that is reported [doubts].
-_LEAST_TORQUE = 0.3
-# Step of central differences by position [rad].
-_DIFFERENCE = 0.01
 _SLIPS = (
     "has come about {:.1f} rad off the angle that it reports, as the torques of this motion say: "
     "its gear slips"
@@ -133,9 +78,10 @@ class MovedZeroCheck:
         self._dynamics = LinkDynamics(robot)
         self._links = [*other_links(robot), n - 1]
         factor = link_factor(robot, self._links, 0.01 * LINK, LARGEST)
-        # A load at the end adds to mass and first moment of the last link.
+        # A load at the end adds to mass and first moment of the last link; the prior standard
+        # deviations of an unknown one are 3 kg, 0.2 m from the end (a judgement).
         load = np.zeros((len(factor), 4))
-        load[-10:-6] = _LOAD * np.diag([1.0, _LEVER, _LEVER, _LEVER])
+        load[-10:-6] = 3.0 * np.diag([1.0, 0.2, 0.2, 0.2])
         self._factor = np.column_stack([factor, load])
         self._doubt = torque_doubt(joints) + robot.friction.largest_dry
         # Time [s] and q, qd, tau (3, n) of the cycles of the present window.
@@ -151,9 +97,10 @@ class MovedZeroCheck:
         n_errors = self._factor.shape[1] + 2 * n
         self._mean = np.zeros(n_errors)
         self._covariance = np.eye(n_errors)
-        # Weighted sum of squared noise (n,) [doubts^2] and of its weights.
-        self._squares = np.full(n, _NOISE_WINDOWS * _NOISE**2)
-        self._weight = _NOISE_WINDOWS
+        # Weighted sum of squared noise (n,) [doubts^2] and of its weights: at the beginning two
+        # windows with a standard deviation of 0.15 are assumed.
+        self._weight = 2.0
+        self._squares = np.full(n, self._weight * 0.15**2)
         # Columns of each change: of one parameter, but for the load and the force.
         columns = iter(range(3 * n + 7))
         sizes = [1] * n + [4, 3] + [1] * (2 * n)
@@ -185,7 +132,8 @@ class MovedZeroCheck:
         Returns:
             The joint's index and a sentence about it without its name, or None.
         """
-        for _ in range(_STEPS_PER_CYCLE):
+        # A window's six steps, in the fewest cycles that a window has.
+        for _ in range(2):
             next(self._work, None)
         sample = np.stack([q, qd, tau])
         if np.isfinite(time) and np.all(np.isfinite(sample)):
@@ -194,7 +142,7 @@ class MovedZeroCheck:
             if duration >= _WINDOW:
                 window = self._samples
                 self._samples = []
-                if duration < 2.0 * _WINDOW and len(window) >= _LEAST_SAMPLES:
+                if duration < 2.0 * _WINDOW and len(window) >= 3:
                     # Where cycles were skipped, unfinished steps of the last window are lost.
                     self._work = self._take_in(window)
         return self._finding
@@ -210,7 +158,8 @@ class MovedZeroCheck:
         time = np.mean(times)
         since = times - time
         q, qd, tau = np.mean(signals, axis=0)
-        if np.max(np.abs(qd)) <= _MOVING:
+        # Dry friction hides the load of an arm that is slower [rad/s].
+        if np.max(np.abs(qd)) <= 0.05:
             return
         _, qdd, trend = np.tensordot(since, signals, 1) / (since @ since)
         # Distance of the torques from a straight line over time.
@@ -218,13 +167,14 @@ class MovedZeroCheck:
         scatter = np.sqrt(np.mean(distance**2, axis=0))
         # The mean positions, then with each joint shifted by plus, then by minus the difference.
         n = len(q)
-        step = _DIFFERENCE * np.eye(n)
+        difference = 0.01
+        step = difference * np.eye(n)
         poses = q + np.vstack([np.zeros(n), step, -step])
         still = np.zeros(len(poses))
         torques = self._needed_torque(
             Motion(still, poses, qd + 0.0 * poses, qdd + 0.0 * poses)
         )
-        slopes = (torques[1 : n + 1] - torques[n + 1 :]).T / (2.0 * _DIFFERENCE)
+        slopes = (torques[1 : n + 1] - torques[n + 1 :]).T / (2.0 * difference)
         slopes /= self._doubt[:, None]
         yield
         motion = self._dynamics.motion(q[None], qd[None], qdd[None])
@@ -239,9 +189,12 @@ class MovedZeroCheck:
         friction = np.diag(np.tanh(qd / 0.02)), np.diag(qd)
         errors = np.hstack([links, load, *friction])
         needed = np.diag(torques[0] / self._doubt)
+        # Prior standard deviations (judgements) of a moved zero, of a load that is picked up over
+        # that of an unknown load, of a force [N], of the share of its torque that a motor lacks, of
+        # a torque in a single joint [doubts].
         changes = np.hstack(
-            [_SHIFT * slopes, _NEW_LOAD * load, _FORCE * force]
-            + [_SHARE * needed, _TORQUE * np.eye(n)]
+            [_SHIFT * slopes, 1.5 * load, 20.0 * force]
+            + [0.5 * needed, 0.5 * np.eye(n)]
         )
         residual = (tau - torques[0]) / self._doubt
         yield
@@ -268,20 +221,25 @@ class MovedZeroCheck:
             residual: measured minus modelled torque (n,) [doubts].
             scatter: rms scatter (n,) of the torque within the window [doubts].
         """
-        scattered = (_SCATTER * scatter) ** 2
-        noise = np.maximum(self._squares / self._weight, _LEAST_NOISE**2)
+        # Scatter within a window, by a blow for instance, makes three times as much noise.
+        scattered = (3.0 * scatter) ** 2
+        noise = np.maximum(self._squares / self._weight, 0.03**2)
         innovation = residual - errors @ self._mean
         shared = errors @ self._covariance
         predicted = shared @ errors.T
-        inverse = np.linalg.inv(predicted + np.diag(_ALIKE * noise + scattered))
+        # Model errors of about five windows are correlated.
+        inverse = np.linalg.inv(predicted + np.diag(5.0 * noise + scattered))
         gain = shared.T @ inverse
         self._mean = self._mean + gain @ innovation
-        drift = _DRIFT * np.eye(len(self._mean))
+        # In each window, because motors become warm.
+        drift = 1e-6 * np.eye(len(self._mean))
         self._covariance = self._covariance - gain @ shared + drift
         unexplained = innovation**2 - np.diag(predicted) - scattered
-        noise_squares = np.clip(unexplained, 0.0, _OUTLIER * noise)
-        self._squares = _REMEMBER * self._squares + noise_squares
-        self._weight = _REMEMBER * self._weight + 1.0
+        # An outlier counts as 30 times the variance so far.
+        noise_squares = np.clip(unexplained, 0.0, 30.0 * noise)
+        # Earlier windows count less and less.
+        self._squares = 0.95 * self._squares + noise_squares
+        self._weight = 0.95 * self._weight + 1.0
         newest = 1 + self._windows % _ONSETS
         self._windows += 1
         self._begin[newest] = time - 0.5 * _WINDOW
@@ -299,9 +257,9 @@ class MovedZeroCheck:
     def _growth(self, time: float) -> Array:
         """Return the share (onsets,) of its full size that a change has at ``time`` [s].
 
-        A change before the run (index 0) has its full size.
+        It grows within a second; a change before the run (index 0) has its full size.
         """
-        grown = np.minimum((time - self._begin) / _GROWTH, 1.0)
+        grown = np.minimum(time - self._begin, 1.0)
         grown[0] = 1.0
         return grown
 
@@ -327,11 +285,13 @@ class MovedZeroCheck:
             time: mean time of the window [s].
             slopes: torque (n, n) of joint i per shift of joint j's zero [doubts/rad].
         """
-        if self._windows < _LEAST_WINDOWS:
+        # These windows show how well the model fits.
+        if self._windows < 15:
             return None
         n = len(slopes)
         gains = self._gains()
-        gains[1:][self._age[1:] < _LEAST_AGE, :n] = 0.0
+        # A moved zero is judged from three windows on.
+        gains[1:][self._age[1:] < 3, :n] = 0.0
         if self._has_changed:
             # A change has been found during the run, so none is attributed to the time before it.
             gains[0] = 0.0
@@ -342,15 +302,18 @@ class MovedZeroCheck:
         variance = 1.0 / (1.0 + self._information[onset, joint, joint])
         unit = _SHIFT * self._growth(time)[onset]
         shift = unit * abs(self._score[onset, joint]) * variance
-        is_sure = best[joint] > _MARGIN
+        # Log likelihood ratio against no change from which a change is certain.
+        margin = 12.0
+        is_sure = best[joint] > margin
+        # Where the noise is underestimated, all log likelihood ratios are too large by a factor.
         others = np.max(np.delete(best, joint))
-        is_sure &= others < min(best[joint] - _APART, _OTHERS * best[joint])
-        # Large enough by two standard errors.
-        is_sure &= shift > _LEAST_SHIFT + 2.0 * unit * np.sqrt(variance)
-        is_sure &= shift * np.max(np.abs(slopes[:, joint])) > _LEAST_TORQUE
+        is_sure &= others < min(best[joint] - 8.0, 0.55 * best[joint])
+        # Large enough by two standard errors; people measure zeros with a ruler.
+        is_sure &= shift > 0.08 + 2.0 * unit * np.sqrt(variance)
+        is_sure &= shift * np.max(np.abs(slopes[:, joint])) > 0.3
         if is_sure:
             return joint, (_SLIPS if onset > 0 else _MOVED).format(shift)
         # The onset in whose place the next window comes.
         oldest = 1 + self._windows % _ONSETS
-        self._has_changed |= bool(np.max(gains[oldest]) > _MARGIN)
+        self._has_changed |= bool(np.max(gains[oldest]) > margin)
         return None

@@ -37,49 +37,15 @@ from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
 
-# Added to the limit of velocity errors [velocity steps]: each of the two may be off by one.
-_STEPS = 2.0
-# Cycles without an answer per unanswered command that is allowed: a motor whose answer is missing
-# is sent nothing for four cycles, see ``session.PAUSE``, so commands alone would count too slowly.
-_SILENT_CYCLES = 2
-# How far a standing joint may sag, in units of rated torque / stiffness: an arm half a radian from
-# the first point, or with a new load, needs half of this.
-_SAG = 2.0
-# Factor of that limit in the direction of the feed-forward torque, in which no load pulls.
-_PUSHED = 0.5
 _MOVES = (
     "while it should stand still: a motor turns the other way than its joint, two ids are swapped, "
     "or the file's torque lacks gravity or is for another pose or arm; see 'motors map'"
 )
-_MEMORY = 0.9  # Factor per cycle by which counts of surplus answers and foreign commands decay.
-_FEW = 2.5  # Decayed count above which the run stops: a single wrong one is a damaged frame.
-_OTHER_TORQUE = 0.15  # Accepted error of a reported torque [share of the peak torque].
-_LEAST_TORQUES = 25  # Least number of torques from which their scale is judged.
-_TORQUE_TOLERANCE = 0.15  # Accepted error of it: TMAX of two types differ by a fifth.
-_STRONG = (
-    0.9  # Torque that a motor may fail to make, and that is not judged [peak torques].
-)
-_SLOW = 0.1  # Velocity above which late samples would make a commanded torque wrong [rad/s].
-_SCALING_CYCLES = 50  # Cycles from one judgement of the scales to the next.
-_EFFORT_WAY = 0.05  # Position error that makes the limit of a sudden effort [rad].
-_LEAST_EFFORT = 0.1  # Least such limit [share of the peak torque].
-_MOST_EFFORT = 0.25  # Largest such limit [share of the peak torque].
-_STILL_EFFORT = 0.03  # Least such limit of a standing joint [share of the peak torque].
-_MOMENT = 0.25  # Time over which effort and feed-forward torque are averaged [s].
-_LOADED_DOUBTS = 2.0  # Feed-forward torque from which loads are judged [doubts].
-_OPPOSITE_DOUBTS = 0.5  # Opposite load that stops the run [doubts].
-_MODEL_SHARE = 0.5  # Relative error of a model's change of feed-forward torque.
 # Rows of what is watched of each joint: torque reported against torque commanded; position,
 # velocity and torque against the path; effort against the effort of the last moments. Then the
 # number of cycles in a row that have to be beyond the limit: one may be a damaged frame.
 _REPORTED, _PATH, _SPEED, _TORQUE, _EFFORT = range(5)
 _CYCLES = np.array([[3], [1], [2], [2], [3]])
-_STILL_STEPS = 20.0  # Change of command at which a position is frozen [steps].
-_STILL_CYCLES = 3  # Number of cycles in which a frozen position does not change.
-_FROZEN_DOUBTS = 2.0  # Change of torque that overcomes dry friction [doubts].
-_MOMENTS = 25  # Number of last cycles in which a blocked joint is looked for.
-_LED_BY = 0.015  # Least change of command by which a joint is judged as blocked [rad].
-_CAME_SHARE = 0.3  # Share of its command that a blocked joint moves at most.
 
 
 class Observer:
@@ -118,18 +84,21 @@ class Observer:
         self._doubt = torque_doubt(joints)
         rated = np.array([j.spec.rated_torque for j in joints])
         kp = np.maximum(settings.kp, 1e-9)
-        self._sag = np.minimum(_SAG * rated / kp, settings.max_tracking_error)
-        way = _EFFORT_WAY * kp
-
-        self._still_limit = np.maximum(way, _STILL_EFFORT * peak_torque)
+        # How far a standing joint may sag: an arm half a radian from the first point, or with a new
+        # load, needs half of this.
+        self._sag = np.minimum(2.0 * rated / kp, settings.max_tracking_error)
+        # The limit of a sudden effort is that of a position error of 0.05 rad.
+        way = 0.05 * kp
+        self._still_limit = np.maximum(way, 0.03 * peak_torque)
         # Limits (5, n) of what is watched, for an arm that moves.
         self._limits = np.array(
             [
-                _OTHER_TORQUE * peak_torque + 4.0 * torque_step,
+                0.15 * peak_torque + 4.0 * torque_step,
                 np.full(n_joints, settings.max_tracking_error),
-                settings.max_speed_error + _STEPS * self._velocity_step,
+                # Both velocities may be off by one step.
+                settings.max_speed_error + 2.0 * self._velocity_step,
                 settings.max_torque_error,
-                np.clip(way, _LEAST_EFFORT * peak_torque, _MOST_EFFORT * peak_torque),
+                np.clip(way, 0.1 * peak_torque, 0.25 * peak_torque),
             ]
         )
         # Number of cycles in a row (5, n) in which each was beyond its limit.
@@ -137,12 +106,13 @@ class Observer:
         # kp is above 0 here, because ``VelocityCheck`` divides by these values.
         fades = settings.period * kp / np.array(settings.kd)
         self._velocity_check = VelocityCheck(self._velocity_step, fades)
-        # Error of a single torque: by rounding, or half a percent of the peak torque.
+        # Error of a single torque: by rounding, or half a percent of the peak torque. Judged from
+        # 25 torques on. TMAX of two types differ by a fifth.
         self._torque_scale = ScaleCheck(
             np.maximum(4.0 * torque_step, 0.005 * peak_torque),
-            _LEAST_TORQUES,
-            _TORQUE_TOLERANCE,
-            np.ones(n_joints),
+            least=25,
+            tolerance=0.15,
+            explained=np.ones(n_joints),
         )
         self._zero_check = holding.watch and holding.watch()
         # Means (2, n) of effort and of feed-forward torque over the last moments; NaN before.
@@ -162,8 +132,9 @@ class Observer:
         # Commanded position and torque when an answer last differed from the one before.
         self._still_since = np.full((2, n_joints), np.nan)
         self._slip: tuple[int, str] | None = None
-        # Commanded and reported positions of the last cycles, the newest first.
-        self._moments = np.full((_MOMENTS, 2, n_joints), np.nan)
+        # Commanded and reported positions of the last 25 cycles, in which a blocked joint is looked
+        # for, the newest first.
+        self._moments = np.full((25, 2, n_joints), np.nan)
 
     def update(self, replies: Replies) -> None:
         """Count missing, doubted and surplus answers, and foreign commands, of a cycle's replies.
@@ -175,8 +146,9 @@ class Observer:
         self.silent = np.where(replies.answered, 0, self.silent + 1)
         self._damaged = np.where(replies.answered, 0, self._damaged + replies.doubted)
         self.total_missed += unanswered
-        self._surplus = _MEMORY * self._surplus + replies.surplus
-        self._foreign = _MEMORY * self._foreign + replies.foreign
+        # Counts decay: a single wrong one is a damaged frame.
+        self._surplus = 0.9 * self._surplus + replies.surplus
+        self._foreign = 0.9 * self._foreign + replies.foreign
         feedback = replies.feedback
         is_faulty = (feedback.status != ENABLED) & (feedback.status != NO_STATUS)
         # Where two motors answer on one id, the status may be the other motor's: see _check_states.
@@ -219,7 +191,8 @@ class Observer:
         if not rising:
             self._check_opposite_load()
         values = np.array([effort, acted.torque])
-        share = 1.0 if rising else min(self._settings.period / _MOMENT, 1.0)
+        # Over a quarter of a second.
+        share = 1.0 if rising else min(self._settings.period / 0.25, 1.0)
         means = np.where(np.isnan(self._means), values, self._means)
         changed = means + share * (values - means)
         self._means = np.where(np.isnan(values), means, changed)
@@ -245,14 +218,16 @@ class Observer:
         """Stop for a motor that gets commands of another program, answers too often, is not
         enabled, does not answer, is too hot, or jumped.
         """
+        # Decayed count of what may be damaged frames.
+        few = 2.5
         self._raise_first(
-            self._foreign > _FEW,
+            self._foreign > few,
             lambda j: (
                 "gets commands of another program: end it; one master moves an arm"
             ),
         )
         self._raise_first(
-            self._surplus > _FEW,
+            self._surplus > few,
             lambda j: (
                 "answers more often than it is asked: a second motor has its id, or another "
                 "program commands it"
@@ -264,8 +239,10 @@ class Observer:
             replies.answered & (feedback.status != ENABLED),
             lambda j: f"reports {status_text(feedback.status[j])}",
         )
+        # A motor whose answer is missing is sent nothing for four cycles, see ``session.PAUSE``, so
+        # commands alone would count too slowly.
         silent = self.missed >= settings.max_missed
-        silent |= self.silent >= _SILENT_CYCLES * settings.max_missed
+        silent |= self.silent >= 2 * settings.max_missed
         self._raise_first(
             silent & (self._damaged >= settings.max_missed),
             lambda j: (
@@ -292,18 +269,20 @@ class Observer:
         )
 
     def _check_scales(self, commanded: Array, tau: Array, qd: Array) -> None:
-        """Stop for a slip; every ``_SCALING_CYCLES`` cycles also for a wrong scale.
+        """Stop for a slip; every 50 cycles also for a wrong scale.
 
         ``commanded`` (n,) and ``tau`` (n,) are the commanded and the reported torques [N m], ``qd``
         (n,) the velocities [rad/s].
         """
-        can_follow = np.abs(commanded) < _STRONG * self._peak
-        usable = np.isfinite(tau) & can_follow & (np.abs(qd) < _SLOW)
+        # A motor may fail to make more, and at higher velocities [rad/s] late samples would make
+        # a commanded torque wrong.
+        can_follow = np.abs(commanded) < 0.9 * self._peak
+        usable = np.isfinite(tau) & can_follow & (np.abs(qd) < 0.1)
         self._torque_scale.add(commanded, tau, usable)
         if self._slip is not None:
             self._raise(*self._slip)
         self._cycles += 1
-        if self._cycles % _SCALING_CYCLES == 0:
+        if self._cycles % 50 == 0:
             for check, sentence in (
                 (self._torque_scale, _TORQUE_SCALE),
                 (self._velocity_check.scale, _VELOCITY_SCALE),
@@ -331,8 +310,7 @@ class Observer:
         # Change of commanded position and of commanded torque while the answers stayed the same.
         led_by = np.abs(acted.position - self._still_since[0])
         turned_by = np.abs(commanded - self._still_since[1])
-        is_led = led_by > _STILL_STEPS * self._position_step
-        is_led &= self._still >= _STILL_CYCLES
+        is_led = (led_by > 20.0 * self._position_step) & (self._still >= 3)
         difference = np.abs(commanded - feedback.torque)
         does_not_follow = difference > 0.5 * self._limits[_REPORTED]
         repeats = is_led & does_not_follow
@@ -344,7 +322,8 @@ class Observer:
                 "its answers are stale"
             ),
         )
-        frozen = is_led & ~does_not_follow & (turned_by > _FROZEN_DOUBTS * self._doubt)
+        # Twice the doubt overcomes dry friction.
+        frozen = is_led & ~does_not_follow & (turned_by > 2.0 * self._doubt)
         self.stuck |= frozen
         self.to_switch_off |= frozen
         self._raise_first(
@@ -360,8 +339,8 @@ class Observer:
         """Stop for a joint whose load is opposite to its feed-forward torque."""
         effort, fed = self._means
         carried = fed + effort
-        is_judged = np.abs(fed) > _LOADED_DOUBTS * self._doubt
-        is_opposite = np.sign(fed) * carried < -_OPPOSITE_DOUBTS * self._doubt
+        is_judged = np.abs(fed) > 2.0 * self._doubt
+        is_opposite = np.sign(fed) * carried < -0.5 * self._doubt
         self._raise_first(
             is_judged & is_opposite,
             lambda j: (
@@ -379,7 +358,8 @@ class Observer:
             reference_q: positions (n,) at which the joints should stand [rad].
             fed: feed-forward torque (n,) [N m].
         """
-        return np.where(self.is_pushed(q, reference_q, fed), _PUSHED, 1.0) * self._sag
+        # No load pulls in the direction of the feed-forward torque.
+        return np.where(self.is_pushed(q, reference_q, fed), 0.5, 1.0) * self._sag
 
     def is_pushed(self, q: Array, reference_q: Array, fed: Array) -> Mask:
         """Return whether each joint (n,) has moved in the direction of its feed-forward torque.
@@ -417,9 +397,9 @@ class Observer:
         limits = self._limits.copy()
         if standing:
             limits[_PATH] = self.standing_limit(feedback.position, acted.position, fed)
-        # A wrong model gets a change of the feed-forward torque wrong.
+        # A wrong model gets half of a change of the feed-forward torque wrong.
         mean_effort, mean_fed = self._means
-        limits[_EFFORT] += _MODEL_SHARE * np.nan_to_num(np.abs(fed - mean_fed))
+        limits[_EFFORT] += 0.5 * np.nan_to_num(np.abs(fed - mean_fed))
         # A standing joint has no friction that reverses, so its limit is lower.
         stands = np.abs(acted.velocity) <= self._velocity_step
         still_limit = np.minimum(limits[_EFFORT], self._still_limit)
@@ -453,12 +433,14 @@ class Observer:
 
     def _blocked_joint(self) -> int | None:
         """Return the index of the joint that moved least for its command, if blocked; else None."""
-        # Changes (_MOMENTS, n) of command and of position from each of the last cycles until now.
+        # Changes (25, n) of command and of position from each of the last cycles until now.
         led_by, came_by = np.abs(self._moments[0] - self._moments).transpose(1, 0, 2)
-        moved_share = came_by / np.maximum(led_by, _LED_BY)
-        share = np.where(led_by > _LED_BY, moved_share, np.inf)
+        # Least change of command by which a joint is judged [rad].
+        least = 0.015
+        moved_share = came_by / np.maximum(led_by, least)
+        share = np.where(led_by > least, moved_share, np.inf)
         joint = int(np.argmin(np.min(share, axis=0)))
-        return joint if np.min(share[:, joint]) < _CAME_SHARE else None
+        return joint if np.min(share[:, joint]) < 0.3 else None
 
     def _raise_first(self, mask: Mask, describe: Callable[[int], str]) -> None:
         """Raise HardwareAbort for the first joint in a mask (n,); ``describe`` gets its index."""
