@@ -267,8 +267,6 @@ def _lerobot_titles(names: Any, feature: str) -> list[str]:
     return titles
 
 
-ALOHA_RATE = 50.0
-"""Rows per second of ALOHA's recorder [Hz]; its files hold no time."""
 # Arrays of ALOHA's recorder with a column per joint.
 _ALOHA_ARRAYS = (
     "observations/qpos",
@@ -322,6 +320,7 @@ def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     for name, values in arrays.items():
         titles = [f"{joint} {name.rpartition('/')[2]}" for joint in joints]
         columns.update(zip(titles, values.T))
-    layout = f"ALOHA HDF5, without time stamps: rows taken to be {ALOHA_RATE:g} Hz"
+    # ALOHA's files hold no time.
+    layout = "ALOHA HDF5, without time stamps: rows taken to be 50 Hz"
     table = arrays_table(path, layout, columns)
-    return replace(table, choices=ColumnChoices(rate=ALOHA_RATE))
+    return replace(table, choices=ColumnChoices(rate=50.0))

@@ -45,29 +45,8 @@ _TOLERANCES = {
     ),
     BACKWARDS: (0.0, "cut the log where a second recording begins"),
 }
-# Least number of usable rows for which the other checks are run.
-_FEWEST_ROWS = 10
-# A longer sampling period is in the wrong unit of time [s]: 1 to 1000 Hz are usual.
-_LONGEST_PERIOD = 0.5
-# A shorter sampling period is in the wrong unit of time [s].
-_SHORTEST_PERIOD = 1e-5
-# Rate below which a note is made [Hz]: 100 do for a slow arm, 30 hardly ever (docs/logs.md).
-_SLOW_RATE = 50.0
-# Difference of a joint's time stamp from the row's above which it is of another clock [s]: a few
-# sampling periods of the slowest logs.
-_OTHER_CLOCK = 0.1
-# Speed that no arm's joint reaches [rad/s]; a log in degrees passes it at half a radian per second.
-_FAST = 30.0
-# Share of steps faster than _FAST above which positions are not in radians.
-_OFTEN = 0.01
 # Options, one of which lets positions pass that look like degrees.
 _ANGLE_OPTIONS = (("--units", "deg"), ("--units", "rad"))
-# Speed within one step that no joint reaches [rad/s]; above _FAST, as noise adds to it.
-_JUMP_SPEED = 100.0
-# Change of position in one step that an encoder's noise does not reach [rad].
-_JUMP = 0.5
-# Range of positions below which a joint does not move [rad].
-_AT_REST = 0.01
 
 
 def check_log(
@@ -88,7 +67,8 @@ def check_log(
     with prefix_input_errors(name):
         for anomaly in _TOLERANCES:
             notes += require_few(anomaly, rows)
-        if len(rows.lines) < _FEWEST_ROWS:
+        # With fewer, the other checks mean nothing.
+        if len(rows.lines) < 10:
             usable_rows = count_text(len(rows.lines), "usable row")
             raise InputError(f"the log has only {usable_rows}; record longer")
         notes += clock_notes(rows)
@@ -122,12 +102,14 @@ def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
 def clock_notes(rows: LogRows) -> Iterator[str]:
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
     period = sampling_period(rows.samples.time)
-    if not _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
+    # Rates of 1 to 1000 Hz are usual.
+    if not 1e-5 <= period <= 0.5:
         raise InputError(
             f"time steps of {period:.6g} s are not those of a recording; pass --units ms, us or "
             "ns, or write 'time = 60 * TITLE' in --columns FILE"
         )
-    if period * _SLOW_RATE > 1.0:
+    # 100 samples per second do for a slow arm, 30 hardly ever (docs/logs.md).
+    if period * 50.0 > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
     step = np.diff(rows.samples.time)
     # Between recordings, such as the episodes of a data set, no sample is missing.
@@ -147,7 +129,8 @@ def require_one_clock(rows: LogRows) -> None:
     if stamps is None:
         return
     difference = np.max(np.abs(stamps - rows.samples.time[:, None]))
-    if np.any(np.diff(stamps, axis=0) < 0.0) or difference > _OTHER_CLOCK:
+    # A few sampling periods of the slowest logs.
+    if np.any(np.diff(stamps, axis=0) < 0.0) or difference > 0.1:
         raise InputError(
             f"joints' own time stamps run backwards, or are of another clock (up to "
             f"{difference:.3g} s off the row's); keep them out with 'joint_time = none' in the "
@@ -166,8 +149,9 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
         q = rows.samples.q[:, joint]
         largest = np.max(np.abs(q))
         speed = np.abs(np.diff(q)) / step
-        # Two turns either way are more than an arm's joints have.
-        if largest <= 4.0 * np.pi and np.mean(speed > _FAST) <= _OFTEN:
+        # Two turns either way are more than an arm's joints have. None reaches 30 rad/s; a log in
+        # degrees does at half a radian per second.
+        if largest <= 4.0 * np.pi and np.mean(speed > 30.0) <= 0.01:
             continue
         rate = (len(time) - 1) / (time[-1] - time[0])
         raise InputError(
@@ -182,7 +166,8 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
 
 def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
     """Raise InputError for single positions that no joint can reach within one step."""
-    threshold = np.maximum(_JUMP, _JUMP_SPEED * np.diff(rows.samples.time))
+    # An encoder's noise does not reach half a radian; it adds to the speed of a joint.
+    threshold = np.maximum(0.5, 100.0 * np.diff(rows.samples.time))
     for name, q in zip(robot.joint_names, rows.samples.q.T):
         step = np.abs(np.diff(q))
         # What repeats its value for a while is left out (``diagnosis.limited_in_time``).
@@ -197,13 +182,14 @@ def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
 def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     """Yield a note on joints that do not move; refuse an arm at rest."""
     travel = np.ptp(rows.samples.q, axis=0)
-    if np.all(travel < _AT_REST):
+    is_at_rest = travel < 0.01
+    if np.all(is_at_rest):
         unit = position_unit(robot.is_slide[np.argmax(travel)])
         raise InputError(
             f"the arm is at rest, no joint moves by more than {travel.max():.2g} {unit}; record a "
             "motion (if these are other units, see --units)"
         )
-    unmoved = [*compress(robot.joint_names, travel < _AT_REST)]
+    unmoved = [*compress(robot.joint_names, is_at_rest)]
     if unmoved:
         yield f"joints that do not move in this log: {', '.join(unmoved)}"
 

@@ -48,9 +48,6 @@ from robot_sysid.logs.table import (
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records.file_access import refuse_special_file
 
-# Messages of a topic from which its joints are listed: a second or more, in which each publisher of
-# the topic has sent one.
-_FIRST_MESSAGES = 200
 Message = tuple[int, Sample]
 """(time of the header, or else of recording [ns since 1970], sample)."""
 
@@ -183,7 +180,8 @@ def _read_topic(
 
     Joints and quantities are those of its first messages; nothing is yielded where these hold none.
     """
-    messages = list(islice(_read_messages(bag, name), _FIRST_MESSAGES))
+    # A second or more, in which each publisher of the topic has sent one.
+    messages = list(islice(_read_messages(bag, name), 200))
     # A dictionary keeps the keys in the order in which they come first.
     sent: dict[Key, float] = {}
     for _, sample in messages:

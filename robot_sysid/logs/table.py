@@ -155,12 +155,6 @@ MISSING = "have empty or NaN cells"
 REPEATED = "repeat the time stamp before them"
 BACKWARDS = "run backwards in time"
 _TURN = 2.0 * np.pi
-# A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
-_WRAP_TOLERANCE = 0.5
-# Largest absolute position, speed or torque in SI units; larger numbers are faults of a file.
-_IMPOSSIBLE = 1e7
-# Largest absolute time [s], even of a clock of nanoseconds that is read as seconds.
-_IMPOSSIBLE_TIME = 1e24
 
 
 Anomaly = tuple[int, str]
@@ -204,11 +198,13 @@ def read_rows(
     """
     cells, complaint = _read_cells(table, columns, progress)
     lines = cells[:, 0].astype(np.int64)
-    is_impossible = np.abs(cells[:, 1]) > _IMPOSSIBLE_TIME
+    # Larger numbers are faults of a file: times [s], even of a clock of nanoseconds that is read as
+    # seconds, and positions and torques in SI units.
+    is_impossible = np.abs(cells[:, 1]) > 1e24
     is_foreign = ~is_impossible
     # Positions and torques; one column at a time, to bound memory.
     for column in cells.T[2 : 2 + 2 * len(columns.position)]:
-        is_impossible |= np.abs(column) > _IMPOSSIBLE
+        is_impossible |= np.abs(column) > 1e7
         is_foreign &= np.isnan(column)
     is_usable = np.isfinite(cells).all(axis=1) & ~is_impossible
     missing = np.flatnonzero(~(is_usable | is_impossible | is_foreign))
@@ -239,7 +235,8 @@ def read_rows(
         # Full turns by which the position jumps against the row before.
         step = np.diff(q[:, joint])
         turns = np.round(step / _TURN)
-        turns[np.abs(step - turns * _TURN) > _WRAP_TOLERANCE] = 0.0
+        # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
+        turns[np.abs(step - turns * _TURN) > 0.5] = 0.0
         q[1:, joint] -= _TURN * np.cumsum(turns)
     command = None
     if columns.commanded:

@@ -6,7 +6,7 @@ velocity of the two nearest points along the normal, per unit joint rate.
 
 Links next to each other that overlap at rest, and links that overlap whatever the joints between
 them do, do so by design of the model and are ignored. Any other pair that touches at rest may never
-get deeper; two bodies that are more than ``DEEPEST_TOUCH`` inside each other at rest collide. A
+get deeper; two bodies that are more than 1 mm inside each other at rest collide. A
 pair that is apart at rest must keep half of its distance there, at most the clearance.
 
 How fast two bodies can approach each other is bounded in every posture: only joints between them
@@ -43,12 +43,6 @@ HORIZON = 0.05
 """How much farther than the clearance a pair is still reported [m]."""
 KEPT_SHARE = 0.5
 """Share of its distance at rest that a pair must keep, where this is less than the clearance."""
-DEEPEST_TOUCH = 1e-3
-"""How deep two bodies may be inside each other at rest to count as touching, as parked arms do [m];
-deeper they collide, and no motion may start there."""
-# Number of positions, evenly spread over a joint's range, at which the distance of the bodies on
-# its two sides is computed.
-_NEIGHBOUR_POSTURES = 361
 
 
 @dataclass(frozen=True)
@@ -109,7 +103,7 @@ class Clearance:
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most;
             one row per pair of links (``approach_rates``).
         collisions: descriptions of the pairs of bodies that are inside each other at rest, but not
-            by design and deeper than ``DEEPEST_TOUCH``.
+            by design and deeper than 1 mm.
 
     Raises:
         InputError: a body is outside a half-space at rest.
@@ -285,7 +279,8 @@ class Clearance:
             required = min(clearance, KEPT_SHARE * distance)
             if (a, b) in by_design:
                 required = -np.inf
-            elif distance < -DEEPEST_TOUCH:
+            # Parked arms touch; no motion may start where bodies collide.
+            elif distance < -1e-3:
                 required = clearance
                 collisions.append(
                     f"{self._label(a, b)} ({-1e3 * distance:.2g} mm deep)"
@@ -332,8 +327,9 @@ class Clearance:
         # Links next to each other are always near; to know that this is harmless saves most tests.
         is_harmless = np.zeros(self._required.shape, dtype=bool)
         for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
-            q = np.tile(start, (_NEIGHBOUR_POSTURES, 1))
-            q[:, joint] = np.linspace(low, high, _NEIGHBOUR_POSTURES)
+            positions = np.linspace(low, high, 361)
+            q = np.tile(start, (len(positions), 1))
+            q[:, joint] = positions
             near = self._near(q)
             links = np.sort(self._link_of_body[near.bodies], axis=1)
             is_neighbour = np.all(links == (joint, joint + 1), axis=1)

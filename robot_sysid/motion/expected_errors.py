@@ -37,12 +37,6 @@ from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import sample_times
 
-HIGHEST_RATE_HZ = 200.0
-"""Highest rate at which a motion is simulated and processed [Hz], far above its band. The noise of
-a sample is scaled to the lower rate."""
-MOST_SAMPLES = 200_000
-"""Largest number of samples that are simulated and processed; of a longer motion the first ones.
-The errors are then those of a recording of that part."""
 TYPICAL_LOAD = 0.025
 """Mass of a payload before it is known, as a share of the arm's moving mass: about a tenth of what
 arms of this mass are rated for."""
@@ -207,7 +201,8 @@ def expected_fit(
     """
     loaded = aim.target == "payload"
     arm = _arm_terms(problem, options, loaded)
-    rate = min(sample_rate, HIGHEST_RATE_HZ)
+    # Far above the band of a motion [Hz]; the noise of a sample is scaled to the lower rate.
+    rate = min(sample_rate, 200.0)
     processed = _processed_motion(problem, plan, rate, options)
     recordings = _payload_recordings(processed) if loaded else (processed,)
     point = replace(arm.start(), friction=arm.model)
@@ -239,7 +234,8 @@ def _processed_motion(
     Raises:
         InputError: the motion cannot be processed as a log.
     """
-    times = sample_times(min(plan.duration, MOST_SAMPLES / rate), rate)
+    # Of a long motion the first samples: the errors are those of a recording of that part.
+    times = sample_times(min(plan.duration, 200_000 / rate), rate)
     chunks = simulate_inverse(problem.robot, map(plan.evaluate, times))
     samples = replace(join_measurements(chunks), qd=None, qdd=None)
     pieces = [Piece("", samples)]

@@ -25,17 +25,10 @@ from robot_sysid.trajectory import SineTrajectory, motion_chunks, sample_times
 
 LEAST_RATE_HZ = 1000.0
 """Lowest rate at which a motion is checked [Hz]."""
-FEW_RATE_HZ = 100.0
-"""Rate of a first coarse check [Hz]: most motions that break a limit break it at these samples."""
-CLEARANCE_RESOLUTION = 1e-3
-"""Largest error of the reported slack of the tightest pair [m]."""
 TOUCH = 1e-6
 """By how much a clearance may be missed [m]: MuJoCo's tolerance for distances of convex shapes. The
 approach is a sum with rounding errors, so a motion that just keeps a clearance may miss it by
 1e-9 m."""
-FINEST_RATE_HZ = 4000.0
-"""Highest rate of collision tests, where bodies are near each other [Hz]: a body at 2 m/s moves
-0.5 mm between two tests."""
 
 
 class Excess(NamedTuple):
@@ -133,7 +126,7 @@ def keeps_limits(
     checked between the samples too.
     """
     # Most motions that break a limit break it at the samples of the lower rate too.
-    for rate in (FEW_RATE_HZ, sample_rate):
+    for rate in (100.0, sample_rate):
         largest, _ = _peaks(problem, plan, rate)
         # NaN keeps no limit.
         if not np.all(largest <= (1.0 + ROUNDING) * problem.limits.columns):
@@ -170,17 +163,19 @@ def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:
     """Return the pair with the least slack along a motion, and the time of that configuration.
 
     A slack below -TOUCH anywhere along the motion is found, and the search ends after the stretch
-    of the motion with it. Up to there no slack is smaller than the one returned by more than
-    ``CLEARANCE_RESOLUTION``.
+    of the motion with it. Up to there no slack is smaller than the one returned by more than 1 mm.
     """
     least = np.inf
-    for time in sample_times(plan.duration, FINEST_RATE_HZ):
+    # The highest rate of tests, where bodies are near each other [Hz]: at 2 m/s a body moves 0.5 mm
+    # between two of them.
+    rate = 4000.0
+    for time in sample_times(plan.duration, rate):
         # Up to the first sample of the next stretch.
-        end = min(time[-1] + 1.0 / FINEST_RATE_HZ, plan.duration)
+        end = min(time[-1] + 1.0 / rate, plan.duration)
         motion = plan.evaluate(np.append(time, end))
         # How far the pairs of each row of ``rates`` may have approached since the first sample.
         speed = np.abs(motion.qd) @ obstacles.rates.T
-        steps = np.maximum(speed[1:], speed[:-1]) / FINEST_RATE_HZ
+        steps = np.maximum(speed[1:], speed[:-1]) / rate
         path = np.vstack((0.0 * speed[:1], np.cumsum(steps, axis=0)))
         # Every 64th sample first.
         tested = np.append(np.arange(0, len(time), 64), len(time))
@@ -192,7 +187,7 @@ def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:
                 tightest = motion.q[tested[best]], motion.time[tested[best]]
             # Slack above the floor may be used up untested: no contact and no lower minimum is
             # missed by it.
-            floor = least - CLEARANCE_RESOLUTION
+            floor = least - 1e-3
             if least >= -TOUCH:
                 floor = max(-TOUCH, floor)
             approach = np.diff(path[tested], axis=0)

@@ -25,9 +25,6 @@ from robot_sysid.records.option_fields import (
 if TYPE_CHECKING:
     from robot_sysid.motion.problem import ExcitationProblem
 
-LONGEST_CHECKED = 3600.0
-"""Length of a motion beyond which it is not designed, and its limits are not checked [s]."""
-
 
 @dataclass(frozen=True)
 class MotionRequest:
@@ -106,10 +103,11 @@ def _require_possible(request: MotionRequest, duration: float) -> None:
     """
     duration = duration / request.trajectory.speed
     require_countable(duration, request.trajectory.sample_rate)
-    if request.is_checked and duration > LONGEST_CHECKED:
+    longest = 3600.0
+    if request.is_checked and duration > longest:
         raise InputError(
             f"a motion of {duration:.3g} s takes too long to check against all limits; make it at "
-            f"most {LONGEST_CHECKED:g} s long"
+            f"most {longest:g} s long"
         )
 
 

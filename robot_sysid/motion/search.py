@@ -47,39 +47,15 @@ from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import SineTrajectory, TrajectoryOptions
 
-LONGEST_FADE = 1.5
-"""Longest time in which a designed trajectory leaves its start, and in which it returns [s]. To
-leave by 1 rad in this time takes 7.5 / 1.5^2 = 3.3 rad/s^2, a quarter of the acceleration of a
-sinusoid of 1 rad at 0.6 Hz."""
-LONGEST_PERIOD = 60.0
-"""Longest period of a designed trajectory [s]; a longer trajectory repeats itself, so that the time
-of a search grows only in proportion to its duration."""
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
 those at 1 kHz; with 10 points 0.1 %, with 5 points 0.8 % (Kinova)."""
 INFORMATION_POINTS = slice(1, None, 3)
 """Grid points at which the information is computed: 8 per period change no criterion by over
 0.2 %."""
-STARTS = 2
-"""Number of the best random trajectories that are improved by one round; only the best of these
-gets more rounds."""
-LEAST_GAIN = 0.01
-"""Relative gain of a round in the mean standard deviation below which a search ends. On most public
-arms another minute of search would then gain at most 5 %."""
-LARGEST_LEAD = 0.05
-"""How much better (relative, in the mean standard deviation) the motion that breaks limits may be
-than the best one that keeps them when a search ends; it goes on while the lead is larger."""
 REPAIRS = (1.0, *(1.0 - 1e-3 * 2.0 ** np.arange(10)), 0.2, 0.1)
 """Factors by which a motion that breaks a limit is scaled down, tried in turn until it keeps all
 limits."""
-EXTRA_SLACK = 0.003
-"""Distance that the search keeps in addition to the required one [m].
-
-A pair that approaches at 9 cm/s comes 3 mm nearer in half a step of the grid, 0.033 s.
-"""
-SHRINK_FACTORS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001)
-"""Factors by which a random motion is scaled, tried in turn until it keeps torque limits and
-touches nothing."""
 SEARCHING = "Searching for the best motion"
 """Label of the search's progress."""
 clock = time.monotonic
@@ -118,7 +94,9 @@ class Design:
         self.problem = problem
         self.options = options
         self.duration = motion.duration
-        base = math.ceil(self.duration / LONGEST_PERIOD) / self.duration
+        # A trajectory of more than a minute repeats itself, so that the time of a search grows only
+        # in proportion to its duration.
+        base = math.ceil(self.duration / 60.0) / self.duration
         # At least three. A quotient that rounding puts just below a whole number counts as that.
         count = max(3, math.floor(TOP_FREQUENCY_HZ / base + 1e-9))
         self.size = 2 * count + 1
@@ -127,7 +105,9 @@ class Design:
         frequency = base * np.concatenate(([0.0], number, number))
         phase = 0.5 * np.pi * np.repeat((1.0, 0.0, 1.0), (1, count, count))
         self._waves = frequency, phase
-        self._fade = min(LONGEST_FADE, 0.25 * self.duration)
+        # To leave the start by 1 rad in 1.5 s takes 7.5 / 1.5^2 = 3.3 rad/s^2, a quarter of the
+        # acceleration of a sinusoid of 1 rad at 0.6 Hz.
+        self._fade = min(1.5, 0.25 * self.duration)
         top = self.top_frequency_hz = count * base
         points = math.ceil(GRID_PER_CYCLE * top * self.duration)
         # In these units a step changes the speed equally in all harmonics: L-BFGS needs fewer.
@@ -247,7 +227,8 @@ def penalised_objective(
     multipliers = candidate.multipliers
     motion = design.motion(x)
     value, gradients = design.criterion.with_gradient(motion[:, INFORMATION_POINTS])
-    constraints, by_position = constraints_of(design.problem, motion, EXTRA_SLACK)
+    # A pair that approaches at 9 cm/s comes 3 mm nearer in half a step of the grid, 0.033 s.
+    constraints, by_position = constraints_of(design.problem, motion, extra_slack=0.003)
     active = np.maximum(0.0, multipliers + constraints)
     penalty = 0.5 * np.sum(active**2 - multipliers**2)
     # Gradients (3, N, n) by q, qd and qdd on the grid: of the penalty, then of the criterion too.
@@ -334,8 +315,10 @@ def design_excitation(
     """
     progress = progress or Progress()
     options = design.options
-    # Nobody knows how many rounds follow the first: each counts half of the one before it.
-    n_steps = options.draws + (STARTS + 2) * options.iterations
+    # The two best random trajectories are improved by one round; only the best of these gets more
+    # rounds. Nobody knows how many follow the first: each counts half of the one before it.
+    n_starts = 2
+    n_steps = options.draws + (n_starts + 2) * options.iterations
     begin = clock()
     done = 0.0
 
@@ -365,7 +348,7 @@ def design_excitation(
         for draw in sorted(draws, key=attrgetter("score"))
     )
     feasible = (start for start in starts if np.isfinite(start.feasible_score))
-    candidates = list(islice(feasible, STARTS))
+    candidates = list(islice(feasible, n_starts))
     if not candidates:
         raise InputError(_infeasibility(draws))
     try:
@@ -379,7 +362,9 @@ def design_excitation(
             # A round may only adapt the multipliers: the motion that breaks limits then leads, and
             # the next round turns that lead into a gain.
             lead = best.feasible_score - best.score
-            if gain < LEAST_GAIN and lead < LARGEST_LEAD:
+            # Relative, in the mean standard deviation. On most public arms another minute of search
+            # would then gain at most 5 %.
+            if gain < 0.01 and lead < 0.05:
                 break
     except (KeyboardInterrupt, TimeoutError):
         progress.note(
@@ -426,8 +411,8 @@ class Draw:
 
 
 def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
-    """Return the largest multiple of a random trajectory, by ``SHRINK_FACTORS``, that keeps all
-    limits on the grid; where none does, the score is infinite and the coefficients are zero.
+    """Return the largest multiple of a random trajectory that keeps all limits on the grid; where
+    none of those that are tried does, the score is infinite and the coefficients are zero.
 
     Args:
         design: the arm, its limits and the criterion.
@@ -435,7 +420,7 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
         number: of the trajectory, which depends on both numbers alone.
     """
     full = _draw_within_motion_limits(design, np.random.default_rng([seed, number]))
-    for factor in SHRINK_FACTORS:
+    for factor in (1.0, 0.8, 0.6, 0.4, 0.2, 0.1, 0.04, 0.01, 0.003, 0.001):
         x = factor * full
         motion = design.motion(x)
         value, _ = constraints_of(design.problem, motion)

@@ -17,14 +17,6 @@ from robot_sysid.records import Array
 from robot_sysid.records.messages import torque_unit
 from robot_sysid.trajectory import TORQUE_MARGIN
 
-N_POSES = 3000
-"""Number of random poses tried as a start."""
-CREEP = 1e-3
-"""Speed at which there is dry friction and hardly anything else [rad/s or m/s]."""
-
-GENTLE = 0.6
-"""Speed that no joint exceeds between poses, however fast it could be [rad/s or m/s]."""
-
 
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
     """Return the problem with a start where the arm touches nothing and its motors can hold it.
@@ -79,7 +71,7 @@ def gentle_problem(problem: ExcitationProblem) -> ExcitationProblem:
     same frequencies need no more.
     """
     limits = problem.limits
-    velocity = np.minimum(limits.velocity, GENTLE)
+    velocity = np.minimum(limits.velocity, 0.6)
     acceleration = limits.acceleration * velocity / limits.velocity
     # The arm may need twice what its model says.
     torque = 0.5 * limits.torque
@@ -97,9 +89,10 @@ def contact_on_the_way(problem: ExcitationProblem, start: Array) -> str | None:
 
 def _torque_share(problem: ExcitationProblem, poses: Array) -> Array:
     """Return the largest share (N, n) of each joint's torque limit that holding poses (N, n), or
-    moving through them either way at the speed ``CREEP``, takes.
+    moving through them either way, takes.
     """
-    torque = [problem.torque_at(poses, speed) for speed in (0.0, CREEP, -CREEP)]
+    # At a speed [rad/s or m/s] at which there is dry friction and hardly anything else.
+    torque = [problem.torque_at(poses, speed) for speed in (0.0, 1e-3, -1e-3)]
     return np.max(np.abs(torque), axis=0) / problem.limits.torque
 
 
@@ -112,8 +105,9 @@ def _held_poses(problem: ExcitationProblem) -> Array:
     lower = problem.limits.lower
     upper = problem.limits.upper
     rng = np.random.default_rng(0)
-    anywhere = rng.uniform(lower, upper, (N_POSES, problem.n_joints))
-    nearness = np.linspace(1.0 / N_POSES, 1.0, N_POSES)[:, None]
+    count = 3000
+    anywhere = rng.uniform(lower, upper, (count, problem.n_joints))
+    nearness = np.linspace(1.0 / count, 1.0, count)[:, None]
     poses = problem.rest + nearness * (anywhere - problem.rest)
     # A tenth of the torque limits is left to accelerate.
     is_held = np.all(_torque_share(problem, poses) < 0.9, axis=1)

@@ -44,40 +44,13 @@ from robot_sysid.simulation.playback import STEP, ServoParameters, servos_in_mod
 
 LINK_ERROR = 0.01 * LINK * EXPECTED_SCALES[0]
 """Relative standard deviation of the links' masses."""
-OWN_GAIN = 0.5
-"""Standard deviation of the logarithm of a joint's gain over the model's about that of the others:
-servos of one arm are of one kind, and set alike."""
-UNKNOWN_GAIN = 1.5
-"""The same of all gains together, and of one about the others where the model has none."""
-FREE_GAIN = 1e3
-"""The same of a gain that the data alone determines."""
 LARGEST_ERROR = 0.4
 """Relative standard error up to which a number is identified, and up to which a joint's resistance
 at 1 rad/s is known well enough for its numbers to be written."""
-CREEP = 0.1
-"""Speed below which dry friction creeps, in MuJoCo as on arms, and looks like damping [rad/s]."""
-FAST_PRIOR = 1.0
-"""Standard deviation of the logarithm of a fast servo's numbers about the model's."""
-DELAY_UNIT = 0.004
-"""Unit of the delay in the rollouts' fit [s]."""
-LARGEST_TURN = 1.2
-"""Largest angle [rad] by which the oscillation of a servo without damping may turn between two
-samples: differences of faster motion are no derivatives, and its equations are wrong."""
 GRID = 0.005
 """Distance between ``DELAYS`` [s]."""
 DELAYS = np.arange(0.0, MAX_DELAY, GRID)
 """Delays that are tried before the best of them is refined [s]."""
-LEAST_PERIOD = 0.01
-"""Sampling periods below it resolve no faster motion, which the low-pass hides [s]."""
-LEAST_DELAY_ERROR = 1e-4
-"""Error of the equations' delay beside that of noise [s]: of friction that creeps."""
-PERIOD_SHARE = 0.02
-"""Further error of that delay, of sampling, in sampling periods."""
-# Samples over which errors of the equations are correlated: those of friction near standstill and
-# of smoothed accelerations last about as long as a start or a stop.
-_CORRELATED_SAMPLES = 10.0
-# The same of the position errors of rollouts, which last until the servo brings them back.
-_CORRELATED_ROLLOUTS = 30.0
 # Relative errors of a fast servo's numbers beside those of noise: of the links, which fix the scale
 # and add up to about two single ones, and of friction that a stiff servo hides.
 _LEAST_ERRORS = (2.0 * LINK_ERROR, 2.0 * LINK_ERROR, 2.0, 2.0 * LINK_ERROR)
@@ -159,7 +132,9 @@ def fit_joint(
         noise = rms(residual[is_used]) + 1e-9
         # Samples with a larger residual are left out.
         limit = 5.0 * noise
-        weight = 1.0 / (noise * np.sqrt(_CORRELATED_SAMPLES))
+        # Errors of about ten samples are correlated: those of friction near standstill and of
+        # smoothed accelerations last about as long as a start or a stop.
+        weight = 1.0 / (noise * np.sqrt(10.0))
         data = weight * columns[is_used]
         rows = np.vstack((data, np.diag(1.0 / deviation)))
         known = np.append(weight * error[is_used], mean / deviation[:-1])
@@ -214,7 +189,8 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
     from scipy.optimize import minimize_scalar
 
     columns, link_columns = loop_columns(robot, pieces)
-    is_moving = np.abs(columns[:, :, 1]) > CREEP
+    # Slower, dry friction creeps, in MuJoCo as on arms, and looks like damping [rad/s].
+    is_moving = np.abs(columns[:, :, 1]) > 0.1
     moves = np.any(is_moving, axis=0)
     in_model = servos_in_model(robot).numbers
     inertia = robot.mj_model.dof_M0[robot.dof_index] - robot.armature
@@ -225,7 +201,9 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
     values = np.zeros((len(moves), 4))
     covariances = np.zeros((len(moves), 5, 5))
 
-    gain_error = np.full(len(moves), FREE_GAIN)
+    # Standard deviation of the logarithm of a joint's gain over the model's: at first the data
+    # alone determines it.
+    gain_error = np.full(len(moves), 1e3)
 
     def fit_joints(delay: float) -> float:
         """Set values and covariances of the joints that move; return the log of what they leave."""
@@ -256,11 +234,13 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
         options={"xatol": 1e-5},
     ).x
     fit_joints(delay)
-    gain_error[:] = UNKNOWN_GAIN
+    # That of all gains together, and of one about the others where the model has none.
+    gain_error[:] = 1.5
     has_scale = np.sqrt(covariances[:, 0, 0]) < LARGEST_ERROR * values[:, 0]
     if np.any(has_scale):
         gain *= np.median(1.0 / (values[:, 0] * gain)[has_scale])
-        gain_error[has_gain] = OWN_GAIN
+        # Servos of one arm are of one kind, and set alike.
+        gain_error[has_gain] = 0.5
     fit_joints(delay)
     information = np.sum(1.0 / covariances[moves, 4, 4])
     covariances = covariances[:, :4, :4]
@@ -272,8 +252,11 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
     slopes = found[:, None, None] * np.eye(4)
     slopes[:, :, 0] = -(numbers * found).T
     variance = np.einsum("kij,kjl,kil->ik", slopes, covariances, slopes)
-    turn = max(period, LEAST_PERIOD) * np.sqrt(found / (numbers[3] + inertia))
-    is_fast = moves & (turn > LARGEST_TURN)
+    # Angle [rad] by which the oscillation of a servo without damping turns between two samples:
+    # differences of faster motion are no derivatives, and its equations are wrong. Periods below
+    # 10 ms resolve no faster motion, which the low-pass hides.
+    turn = max(period, 0.01) * np.sqrt(found / (numbers[3] + inertia))
+    is_fast = moves & (turn > 1.2)
     # Over the gain, by which all numbers of the joint are off alike.
     at_speed = np.array([0.0, 1.0, 1.0, 0.0])
     doubt = np.sqrt(at_speed @ covariances @ at_speed)
@@ -283,9 +266,8 @@ def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
         delay=delay,
         is_fast=is_fast,
         is_known=is_fast | (doubt < LARGEST_ERROR * (values @ at_speed)),
-        delay_error=np.hypot(
-            LEAST_DELAY_ERROR + PERIOD_SHARE * period, information**-0.5
-        ),
+        # Beside that of noise, those of friction that creeps [s] and of sampling.
+        delay_error=np.hypot(1e-4 + 0.02 * period, information**-0.5),
     )
 
 
@@ -306,23 +288,29 @@ def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
         return fit
     in_model = servos_in_model(problem.rollouts.robot).numbers
     start = np.where(in_model > 0.0, in_model, np.maximum(fit.numbers, 1e-4))[:, fast]
+    # Of the delay [s].
+    unit = 0.004
 
     def fit_at(factors: Array) -> ServoFit:
         """Return the fit with the numbers and the delay that factors stand for."""
         numbers = fit.numbers.copy()
         numbers[:, fast] = start * factors[:-1].reshape(4, -1)
-        return replace(fit, numbers=numbers, delay=DELAY_UNIT * (factors[-1] - 1.0))
+        return replace(fit, numbers=numbers, delay=unit * (factors[-1] - 1.0))
 
     def residuals(factors: Array, scale: Array) -> Array:
-        """Return the position errors over their scale, then the prior's residuals."""
-        errors = problem.errors(fit_at(factors).servos) / scale
-        return np.append(errors, np.log(factors[:-1]) / FAST_PRIOR)
+        """Return the position errors over their scale, then the prior's residuals.
 
-    factors = np.append(np.ones(start.size), 1.0 + fit.delay / DELAY_UNIT)
+        The logarithms of a fast servo's numbers about the model's have a standard deviation of one.
+        """
+        errors = problem.errors(fit_at(factors).servos) / scale
+        return np.append(errors, np.log(factors[:-1]))
+
+    factors = np.append(np.ones(start.size), 1.0 + fit.delay / unit)
     least = np.append(np.full(start.size, 0.01), 1.0)
     for _ in range(2):
         squares = problem.errors(fit_at(factors).servos) ** 2
-        scale = np.sqrt(_CORRELATED_ROLLOUTS * np.mean(squares, axis=(0, 1)))
+        # Errors of about thirty samples are correlated: they last until the servo brings them back.
+        scale = np.sqrt(30.0 * np.mean(squares, axis=(0, 1)))
         fitted = least_squares(
             residuals,
             factors,
@@ -342,5 +330,5 @@ def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
     errors = fit.errors.copy()
     errors[:, fast] = relative * refined.numbers[:, fast]
     # A servo at its limit is not damped exactly in the middle of a step.
-    delay_error = np.hypot(0.5 * STEP, DELAY_UNIT * deviation[-1])
+    delay_error = np.hypot(0.5 * STEP, unit * deviation[-1])
     return replace(refined, errors=errors, delay_error=float(delay_error))

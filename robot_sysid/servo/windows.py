@@ -28,17 +28,11 @@ from robot_sysid.simulation.playback import (
     interpolate,
 )
 
-SMOOTHING_TIME = 0.022
-"""Standard deviation of the Gaussian low-pass of positions and commands [s]."""
-LEAST_WIDTH = 1.1
-"""Least one [sampling periods]: the derivatives of a narrower Gaussian are wrong."""
 MAX_DELAY = 0.2
 """Longest time by which positions may follow their commands [s]: that of a soft servo, damping over
 gain (0.14 s at a kd of 2.75 and a kp of 20), or ten cycles of a slow bus of 50 Hz."""
 WINDOW = 1.0
 """Length of a window [s]."""
-FLOOR = 5e-4
-"""Error that encoder steps hide: a third of a step of 4096 a turn [rad or m]."""
 
 
 class ServoProblem:
@@ -102,7 +96,9 @@ class ServoProblem:
         are clearly larger, window by window (n,).
         """
         old, new = (np.mean(self.errors(s) ** 2, axis=1) for s in (before, after))
-        pairs = zip(old.T + FLOOR**2, new.T + FLOOR**2)
+        # Encoder steps hide a third of a step of 4096 a turn [rad or m].
+        hidden = 5e-4**2
+        pairs = zip(old.T + hidden, new.T + hidden)
         is_worse = np.array([is_clearly_lower(*pair) for pair in pairs])
         return np.sqrt(np.mean(old, axis=0)), np.sqrt(np.mean(new, axis=0)), is_worse
 
@@ -133,7 +129,9 @@ def low_pass(time: Array, values: Array, order: int = 0) -> Array:
     """
     from scipy.ndimage import gaussian_filter1d
 
-    width = max(SMOOTHING_TIME / sampling_period(time), LEAST_WIDTH)
+    # A standard deviation of 22 ms; in sampling periods at least 1.1, as the derivatives of a
+    # narrower Gaussian are wrong.
+    width = max(0.022 / sampling_period(time), 1.1)
     # Cut off at seven widths: nearer to the middle, a constant would have a second derivative.
     return gaussian_filter1d(values, width, 0, order, mode="nearest", truncate=7.0)
 

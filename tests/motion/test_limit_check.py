@@ -13,12 +13,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
 from robot_sysid.motion.clearance import Closest
-from robot_sysid.motion.limit_check import (
-    CLEARANCE_RESOLUTION,
-    check_limits,
-    first_contact,
-    keeps_limits,
-)
+from robot_sysid.motion.limit_check import check_limits, first_contact, keeps_limits
 from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Motion
 from robot_sysid.trajectory import SineTrajectory
@@ -75,7 +70,7 @@ def test_clearance_equals_that_of_dense_samples(seed, size):
     least = np.min(problem.obstacles.slack(often.q)[0])
     fastest = np.max(problem.obstacles.rates @ np.max(np.abs(often.qd), axis=0))
     check = check_limits(problem, plan)
-    assert check.closest.slack <= least + CLEARANCE_RESOLUTION + 1e-6
+    assert check.closest.slack <= least + 1e-3 + 1e-6
     # Between two of these samples nothing moves farther than this.
     assert check.closest.slack >= least - 0.0025 * fastest
     assert (first_contact(problem, plan) is not None) == (check.closest.slack < 0.0)
