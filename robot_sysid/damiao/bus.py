@@ -15,22 +15,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Protocol
 
 import numpy as np
 
 from robot_sysid.damiao.protocol import (
-    ESC_ID,
-    MST_ID,
-    NAMES,
     READ,
     REFRESH,
-    REQUIRED,
     SCALING,
     WRITE,
     Feedback,
     Frame,
+    Register,
     Scaling,
     bytes_from_value,
     decode_feedback,
@@ -177,10 +173,6 @@ def _schedule(policy: int, priority: int, aside: int) -> None:
             )
 
 
-# How often a request is sent: a frame may be lost where another program just used the bus.
-_TRIES = 3
-
-
 @dataclass(frozen=True)
 class RegisterClient:
     """Reads and writes registers of motors over a link.
@@ -210,12 +202,12 @@ class RegisterClient:
         replies = self.answers(request, limit=1)
         if not replies:
             raise HardwareAbort(
-                f"motor {can_id} did not answer to writing {NAMES[register]}"
+                f"motor {can_id} did not answer to writing {Register(register).name}"
             )
         stored, _ = replies[0]
         if bytes_from_value(register, stored) != raw:
             raise HardwareAbort(
-                f"motor {can_id} refused {NAMES[register]} = {value:g} and keeps {stored:g}"
+                f"motor {can_id} refused {Register(register).name} = {value:g} and keeps {stored:g}"
             )
 
     def refresh(self, can_id: int, master_id: int) -> Frame | None:
@@ -223,13 +215,13 @@ class RegisterClient:
 
         ``master_id`` is the arbitration id of the motor's replies. The request has no other effect.
         """
-        # Feedback has the low four bits of the motor's CAN id in its first byte.
-        request = register_frame(REFRESH, can_id)
-        for _ in range(_TRIES):
-            for frame in self._frames_after(request):
-                if frame.id == master_id and frame.data[0] & 0xF == can_id & 0xF:
-                    return frame
-        return None
+
+        def is_feedback(frame: Frame) -> bool:
+            """Tell whether a frame has the low four bits of the CAN id in its first byte."""
+            return frame.id == master_id and frame.data[0] & 0xF == can_id & 0xF
+
+        frames = self._ask(register_frame(REFRESH, can_id), is_feedback, limit=1)
+        return frames[0] if frames else None
 
     def state_of(self, motor: InspectedMotor) -> Feedback | None:
         """Request a motor's state, fields (1,), and return it; None without answer.
@@ -268,48 +260,43 @@ class RegisterClient:
     ) -> list[tuple[float, int]]:
         """Return value and arbitration id of each reply to a register request.
 
-        Motors that share an id send several.
-
-        ``limit`` is the number of replies after which no more are waited for; None waits until the
-        timeout. Without any reply the request is sent again, up to three times in all; then the
-        list is empty.
+        Motors that share an id send several; ``limit`` is as in ``_ask``.
         """
-        for _ in range(_TRIES):
-            replies = list(islice(self._replies(request), limit))
-            if replies:
-                return replies
-        return []
-
-    def _replies(self, request: Frame) -> Iterator[tuple[float, int]]:
-        """Send a request about a register; yield value and id of its replies until the timeout.
-
-        Requests and replies have the CAN id (two bytes), operation, register and value (four).
-        """
+        # Requests and replies have the CAN id (two bytes), operation, register and value (four).
+        # Most firmware answers a write with 0x55 (WRITE), some with 0x33 (READ).
         can_id = request.data[:2]
-        operation = request.data[2]
         register = request.data[3]
-        heads = [can_id + bytes([READ, register])]
-        if operation == WRITE:
-            # Most firmware answers a write with 0x55 (WRITE), some with 0x33 (READ).
-            heads.append(can_id + bytes([WRITE, register]))
-        for frame in self._frames_after(request):
-            if frame.data[:4] in heads:
-                value = value_from_bytes(register, frame.data[4:8])
-                yield value, frame.id
+        heads = [can_id + bytes([kind, register]) for kind in (READ, request.data[2])]
+        frames = self._ask(request, lambda frame: frame.data[:4] in heads, limit)
+        return [(value_from_bytes(register, f.data[4:8]), f.id) for f in frames]
 
-    def _frames_after(self, request: Frame) -> Iterator[Frame]:
-        """Send a request and yield the 8-byte frames that then come.
+    def _ask(
+        self, request: Frame, is_answer: Callable[[Frame], bool], limit: int | None
+    ) -> list[Frame]:
+        """Send a request and return the 8-byte frames that answer it.
 
-        It ends at the timeout. Frames that have come earlier are discarded, and so are echoes of
-        this program's own frames.
+        Frames that have come earlier are discarded, and so are echoes of this program's own frames.
+        Without any answer the request is sent again, up to three times in all, as a frame may be
+        lost where another program just used the bus; then the list is empty.
+
+        Args:
+            request: frame to send.
+            is_answer: tells whether a frame is an answer.
+            limit: number of answers after which no more are waited for; None waits until the
+                timeout.
         """
-        self.link.drain()
-        self.link.send(request)
-        # Twice the delay of a slow adapter (16 ms).
-        until = self.link.clock.now() + 0.03
-        while (frame := self.link.receive(until)) is not None:
-            if not frame.echo and len(frame.data) == 8:
-                yield frame
+        answers: list[Frame] = []
+        for _ in range(3):
+            self.link.drain()
+            self.link.send(request)
+            # Twice the delay of a slow adapter (16 ms).
+            until = self.link.clock.now() + 0.03
+            while len(answers) != limit and (frame := self.link.receive(until)):
+                if not frame.echo and len(frame.data) == 8 and is_answer(frame):
+                    answers.append(frame)
+            if answers:
+                break
+        return answers
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +323,7 @@ class InspectedMotor:
     @property
     def master_id(self) -> int:
         """Reply id in register MST_ID, or else the arbitration id of the motor's first reply."""
-        return int(self.registers.get(MST_ID, self.reply_ids[0]))
+        return int(self.registers.get(Register.MST_ID, self.reply_ids[0]))
 
     @property
     def limits(self) -> tuple[float, ...]:
@@ -397,12 +384,12 @@ def inspect_bus(link: GuardedLink) -> Inspection:
 
 def _inspect_motor(client: RegisterClient, can_id: int) -> InspectedMotor | None:
     """Return registers and state of the motor with a CAN id; None where nothing answers."""
-    answers = client.answers(register_frame(READ, can_id, ESC_ID))
+    answers = client.answers(register_frame(READ, can_id, Register.ESC_ID))
 
     if not answers:
         return None
-    registers = {}
-    for number in REQUIRED:
+    registers: dict[int, float] = {}
+    for number in Register:
         value = client.read(can_id, number)
         if value is not None:
             registers[number] = value

@@ -147,9 +147,9 @@ def _condition_checks(
     registers = motor.registers
     if len(motor.reply_ids) > 1:
         yield stop(f"{len(motor.reply_ids)} motors answer to the id of {name}")
-    missing = set(protocol.REQUIRED) - set(registers)
+    missing = set(protocol.Register) - set(registers)
     if missing:
-        names = ", ".join(protocol.NAMES[number] for number in sorted(missing))
+        names = ", ".join(number.name for number in sorted(missing))
         yield stop(f"{name} does not answer for {names}; try again")
         return
     stored_id = motor.master_id
@@ -176,13 +176,13 @@ def _condition_checks(
                 f"{difference}; if the motor is right, give --accept-register-limits"
             )
 
-    mode = int(registers[protocol.CTRL_MODE])
+    mode = int(registers[protocol.Register.CTRL_MODE])
     if mode != protocol.MIT_MODE:
         yield stop(
             f"{name} is in mode {mode} ({protocol.MODES.get(mode, 'unknown')}); set CTRL_MODE to 1 "
             "(MIT)"
         )
-    watchdog = registers[protocol.TIMEOUT] * protocol.TIMEOUT_UNIT
+    watchdog = registers[protocol.Register.TIMEOUT] * protocol.TIMEOUT_UNIT
     yield from _watchdog_checks(name, watchdog, plan.settings)
     yield from _state_checks(name, motor.feedback, plan.settings)
 

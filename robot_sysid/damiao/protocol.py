@@ -16,6 +16,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -325,21 +326,29 @@ def is_motion(frame: Frame) -> bool:
     return frame.id != REGISTER_ID and not is_harmless
 
 
-MST_ID = 7
-"""Register: master id, the arbitration id of the motor's replies."""
-ESC_ID = 8
-"""Register: CAN id of frames to the motor."""
-TIMEOUT = 9
-"""Register: time without a command after which the watchdog stops the motor, in TIMEOUT_UNIT."""
-CTRL_MODE = 10
-"""Register: control mode, a key of ``MODES``."""
-PMAX = 21
-"""Register: scaling limit of position [rad]."""
-VMAX = 22
-"""Register: scaling limit of velocity [rad/s]."""
-TMAX = 23
-"""Register: scaling limit of torque [N m]."""
+class Register(IntEnum):
+    """Numbers of a motor's registers, by the maker's names.
 
+    All of them have to be known before anything is played; a recording's head has them.
+    """
+
+    # Master id, the arbitration id of the motor's replies.
+    MST_ID = 7
+    # CAN id of frames to the motor.
+    ESC_ID = 8
+    # Time without a command after which the watchdog stops the motor, in TIMEOUT_UNIT.
+    TIMEOUT = 9
+    # Control mode, a key of ``MODES``.
+    CTRL_MODE = 10
+    # Scaling limits of position [rad], velocity [rad/s] and torque [N m].
+    PMAX = 21
+    VMAX = 22
+    TMAX = 23
+
+
+SCALING = (Register.PMAX, Register.VMAX, Register.TMAX)
+"""Registers of the scaling limits, in the order of ``Scaling.limits``; they hold a float, all other
+registers an unsigned integer."""
 TIMEOUT_UNIT = 50e-6
 """Time of one unit of the watchdog register TIMEOUT [s]."""
 MIT_MODE = 1
@@ -347,22 +356,10 @@ MIT_MODE = 1
 MODES = {1: "MIT", 2: "POS_VEL", 3: "VEL", 4: "POS_FORCE"}
 """Name of each control mode, by the value of register CTRL_MODE."""
 
-NAMES = {
-    MST_ID: "MST_ID", ESC_ID: "ESC_ID", TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", PMAX: "PMAX",
-    VMAX: "VMAX", TMAX: "TMAX",
-}  # fmt: skip
-"""The maker's name of each register, by its number."""
-INTEGERS = (MST_ID, ESC_ID, TIMEOUT, CTRL_MODE)
-"""Registers that hold an unsigned integer; all other registers hold a float."""
-SCALING = (PMAX, VMAX, TMAX)
-"""Registers of the scaling limits, in the order of ``Scaling.limits``."""
-REQUIRED = (*INTEGERS, *SCALING)
-"""Registers that have to be known before anything is played; a recording's head has them."""
-
 
 def value_from_bytes(number: int, raw: bytes) -> float:
     """Return the value of register ``number`` from its four little-endian bytes ``raw``."""
-    return float(struct.unpack("<I" if number in INTEGERS else "<f", raw)[0])
+    return float(struct.unpack("<f" if number in SCALING else "<I", raw)[0])
 
 
 def bytes_from_value(number: int, value: float) -> bytes:
@@ -371,19 +368,19 @@ def bytes_from_value(number: int, value: float) -> bytes:
     InputError where the value does not fit into the register.
     """
     try:
-        if number in INTEGERS:
-            return struct.pack("<I", int(value))
-        return struct.pack("<f", value)
+        if number in SCALING:
+            return struct.pack("<f", value)
+        return struct.pack("<I", int(value))
     except (struct.error, OverflowError, ValueError):
         raise InputError(
-            f"{NAMES[number]} = {value:g} does not fit into its register"
+            f"{Register(number).name} = {value:g} does not fit into its register"
         ) from None
 
 
 def register_text(number: int, value: float) -> str:
     """Return "NAME=value" of register ``number``, as written into a recording's header."""
-    text = str(int(value)) if number in INTEGERS else f"{value:.9g}"
-    return f"{NAMES[number]}={text}"
+    text = f"{value:.9g}" if number in SCALING else str(int(value))
+    return f"{Register(number).name}={text}"
 
 
 DISABLED = 0

@@ -22,24 +22,21 @@ import numpy as np
 from robot_sysid.damiao.bus import SimulatedClock
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting
 from robot_sysid.damiao.protocol import (
-    CTRL_MODE,
     DISABLE,
     DISABLED,
     ENABLE,
     ENABLED,
-    ESC_ID,
     LOST_COMMUNICATION,
     MIT_MODE,
-    MST_ID,
     READ,
     REFRESH,
     REGISTER_ID,
     SCALING,
-    TIMEOUT,
     TIMEOUT_UNIT,
     BusTiming,
     Frame,
     MitCommand,
+    Register,
     Scaling,
     bytes_from_value,
     decode_mit,
@@ -93,7 +90,7 @@ class SimulatedMotor:
     @property
     def can_id(self) -> int:
         """CAN id of the motor, from its register."""
-        return int(self.registers[ESC_ID])
+        return int(self.registers[Register.ESC_ID])
 
     @property
     def driving(self) -> bool:
@@ -102,7 +99,7 @@ class SimulatedMotor:
 
     def tick(self, time: float) -> bool:
         """Stop the motor if its watchdog has expired at ``time`` [s]; return whether it stopped."""
-        timeout = self.registers[TIMEOUT] * TIMEOUT_UNIT
+        timeout = self.registers[Register.TIMEOUT] * TIMEOUT_UNIT
         if self.driving and 0.0 < timeout < time - self.fed_at:
             self.fail(LOST_COMMUNICATION)
             return True
@@ -124,7 +121,7 @@ class SimulatedMotor:
             data = self._command_answer(frame.data, time)
         if data is None:
             return None
-        return Frame(int(self.registers[MST_ID]), data)
+        return Frame(int(self.registers[Register.MST_ID]), data)
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         """Feed the watchdog at ``time`` [s], obey a command's 8 bytes, return the answer's data."""
@@ -134,7 +131,7 @@ class SimulatedMotor:
             return self._feedback()
         # The answer to a command is the state before it acts.
         answer = self._feedback()
-        if self.driving and self.registers[CTRL_MODE] == MIT_MODE:
+        if self.driving and self.registers[Register.CTRL_MODE] == MIT_MODE:
             frame = np.frombuffer(data, np.uint8)
             command = decode_mit(frame, self._scaling)
             self.command = np.ravel(command).tolist()
@@ -195,10 +192,10 @@ def simulated_motor(
     """
     peak = joint.spec.peak_torque
     registers: dict[int, float] = {
-        MST_ID: joint.master_id,
-        ESC_ID: joint.can_id,
-        CTRL_MODE: MIT_MODE,
-        TIMEOUT: round(watchdog / TIMEOUT_UNIT),
+        Register.MST_ID: joint.master_id,
+        Register.ESC_ID: joint.can_id,
+        Register.CTRL_MODE: MIT_MODE,
+        Register.TIMEOUT: round(watchdog / TIMEOUT_UNIT),
     }
     registers.update(zip(SCALING, np.array(joint.spec.limits, np.float32).tolist()))
     # Shorted windings brake strongly: a full peak torque sinks at about 2 rad/s.

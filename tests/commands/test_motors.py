@@ -19,7 +19,7 @@ from robot_sysid import parser
 from robot_sysid.cli import main
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.joints import write_joint_map
-from robot_sysid.damiao.protocol import DISABLED, TIMEOUT
+from robot_sysid.damiao.protocol import DISABLED, Register
 from tests.support import arms
 from tests.support.command_line import fail, succeed
 from tests.support.command_line import run_motors as run
@@ -72,7 +72,7 @@ def no_real_time(monkeypatch):
 
 
 def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
-    bus.motors[1].registers[TIMEOUT] = 100000.0
+    bus.motors[1].registers[Register.TIMEOUT] = 100000.0
     out = succeed(capsys, "check", trajectory, *CAN0)
     assert "ready to play" in out
     assert re.search(

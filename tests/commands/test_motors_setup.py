@@ -37,7 +37,7 @@ def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
 
 def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     motor = bus.motors[0]
-    motor.registers[protocol.CTRL_MODE] = 2.0
+    motor.registers[protocol.Register.CTRL_MODE] = 2.0
     options = (
         "--motor",
         1,
@@ -58,10 +58,10 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     values = [
         motor.registers[n]
         for n in (
-            protocol.ESC_ID,
-            protocol.MST_ID,
-            protocol.CTRL_MODE,
-            protocol.TIMEOUT,
+            protocol.Register.ESC_ID,
+            protocol.Register.MST_ID,
+            protocol.Register.CTRL_MODE,
+            protocol.Register.TIMEOUT,
         )
     ]
     assert values == [5.0, 21.0, 1.0, 4000.0] and motor.stored == motor.registers
@@ -71,7 +71,7 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
 def test_nothing_is_stored_unless_asked_for(capsys, bus):
     succeed(capsys, "setup", *CAN0, "--motor", 1, "--watchdog", "0.2")
     assert (
-        bus.motors[0].registers[protocol.TIMEOUT] == 4000.0
+        bus.motors[0].registers[protocol.Register.TIMEOUT] == 4000.0
         and bus.motors[0].stored == {}
     )
     assert not any(f.id == REGISTER_ID and f.data[2] == STORE for f in bus.wire.sent)
@@ -82,7 +82,7 @@ def test_nothing_is_stored_unless_asked_for(capsys, bus):
 )
 def test_an_enabled_motor_is_never_changed(capsys, bus, change):
     bus.motors[0].status = ENABLED
-    bus.motors[0].registers[protocol.TIMEOUT] = 0.0
+    bus.motors[0].registers[protocol.Register.TIMEOUT] = 0.0
     registers = dict(bus.motors[0].registers)
     err = fail(capsys, 3, "setup", *CAN0, "--motor", 1, *change)
     assert "motor 1 is enabled" in err
@@ -141,8 +141,8 @@ def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
 ):
     """As they come from the factory: all answer on 0, and one's answers are another's commands."""
     for motor in bus.motors:
-        motor.registers[protocol.MST_ID] = 0.0
-    bus.motors[1].registers[protocol.MST_ID] = 0x101
+        motor.registers[protocol.Register.MST_ID] = 0.0
+    bus.motors[1].registers[protocol.Register.MST_ID] = 0x101
     succeed(capsys, "setup", *CAN0, "--motor", 1, *options)
 
 

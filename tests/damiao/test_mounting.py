@@ -13,7 +13,7 @@ from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.preflight import bus_checks, stops
-from robot_sysid.damiao.protocol import DISABLED, ENABLED, TIMEOUT
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, Register
 from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
@@ -76,7 +76,7 @@ def test_other_motors_are_left_limp(tmp_path, gripper):
 def test_a_motor_that_another_program_has_enabled_is_refused(tmp_path, gripper):
     """Left alone it would go on driving while the run says that all motors are disabled."""
     gripper.status = ENABLED
-    gripper.registers[TIMEOUT] = 9e4
+    gripper.registers[Register.TIMEOUT] = 9e4
     run = rig(tmp_path, extra_motors=[gripper]).run()
     words = "motor 8 is not in the trajectory, and is enabled by another program"
     assert words in str(run.error)

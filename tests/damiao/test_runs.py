@@ -140,11 +140,11 @@ WRONG = (
     (fault("lost_replies", 10), "motor 11 does not answer"),
     (fault("status", 11, ENABLED), "motor 12 is enabled already"),
     (
-        lambda rig: rig.motors[12].registers.update({protocol.MST_ID: 0x21}),
+        lambda rig: rig.motors[12].registers.update({protocol.Register.MST_ID: 0x21}),
         "answers on 0x21 (MST_ID 0x21) but the trajectory expects 0x1d",
     ),
     (
-        lambda rig: rig.motors[13].registers.pop(protocol.CTRL_MODE),
+        lambda rig: rig.motors[13].registers.pop(protocol.Register.CTRL_MODE),
         "answer for CTRL_MODE; try again",
     ),
 )
@@ -152,7 +152,7 @@ WRONG = (
 
 def test_every_motor_that_is_not_as_expected_is_named_with_what_is_wrong(rig):
     run = rig(14, motion=swing(14), faults=[cause for cause, _ in WRONG])
-    run.motors[11].registers[protocol.TIMEOUT] = 6e4
+    run.motors[11].registers[protocol.Register.TIMEOUT] = 6e4
     run.states_before = run.states()
     run.run()
     texts = stops(run.checks)

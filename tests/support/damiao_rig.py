@@ -102,9 +102,13 @@ class FaultyMotor(SimulatedMotor):
         if data[2] == protocol.STORE:
             self.stored = dict(self.registers)
             return data
-        if number in protocol.REQUIRED:
+        if number in WRITABLE:
             self.registers[number] = protocol.value_from_bytes(number, data[4:8])
         return data[:4] + protocol.bytes_from_value(number, self.registers[number])
+
+
+# Registers that the motors write.
+WRITABLE = tuple(protocol.Register)
 
 
 def motor(joint, watchdog=0.1):
@@ -114,7 +118,11 @@ def motor(joint, watchdog=0.1):
     return FaultyMotor(**vars(sound))
 
 
-REGISTERS = {"tmax": protocol.TMAX, "vmax": protocol.VMAX, "mode": protocol.CTRL_MODE}
+REGISTERS = {
+    "tmax": protocol.Register.TMAX,
+    "vmax": protocol.Register.VMAX,
+    "mode": protocol.Register.CTRL_MODE,
+}
 
 
 def fault(name, joint, value=1):
@@ -125,7 +133,9 @@ def fault(name, joint, value=1):
         if name == "status":
             hit.fail(int(value))
         elif name == "watchdog":
-            hit.registers[protocol.TIMEOUT] = round(value / protocol.TIMEOUT_UNIT)
+            hit.registers[protocol.Register.TIMEOUT] = round(
+                value / protocol.TIMEOUT_UNIT
+            )
         elif name in REGISTERS:
             hit.registers[REGISTERS[name]] = float(value)
         elif name == "jammed":

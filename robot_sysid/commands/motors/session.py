@@ -136,11 +136,13 @@ def motor_table(
     rows: list[tuple[str, ...]] = [_HEADINGS]
     for motor in motors:
         registers = motor.registers
-        mode = int(registers.get(protocol.CTRL_MODE, 0))
+        mode = int(registers.get(protocol.Register.CTRL_MODE, 0))
         replies = "/".join(f"{i:#x}" for i in sorted(set(motor.reply_ids)))
         if len(motor.reply_ids) != 1:
             replies += f" (x{len(motor.reply_ids)})"
-        watchdog = 1e3 * protocol.TIMEOUT_UNIT * registers.get(protocol.TIMEOUT, 0.0)
+        watchdog = (
+            1e3 * protocol.TIMEOUT_UNIT * registers.get(protocol.Register.TIMEOUT, 0.0)
+        )
         measured, heat, status = ["?"] * 3, "?", "does not tell"
         state = motor.feedback
         if state is not None:

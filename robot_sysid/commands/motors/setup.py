@@ -22,14 +22,11 @@ from robot_sysid.damiao.bus import (
 from robot_sysid.damiao.joints import id_problems
 from robot_sysid.damiao.protocol import (
     CLEAR_ERROR,
-    CTRL_MODE,
     ENABLED,
-    ESC_ID,
     MIT_MODE,
-    MST_ID,
     STORE,
-    TIMEOUT,
     TIMEOUT_UNIT,
+    Register,
     is_fault,
     is_motion,
     register_frame,
@@ -87,7 +84,10 @@ class MotorSetup:
         self._client = RegisterClient(link)
         self._name = motor.name
         # Present ids of the motor, by their registers.
-        self._ids = {ESC_ID: motor.can_id, MST_ID: motor.master_id}
+        self._ids: dict[int, int] = {
+            Register.ESC_ID: motor.can_id,
+            Register.MST_ID: motor.master_id,
+        }
 
     def apply(self, options: SetupOptions) -> Iterator[str]:
         """Make the changes, in an order in which the motor stays reachable; yield a line for each.
@@ -101,17 +101,17 @@ class MotorSetup:
         if options.watchdog is not None:
             ticks = round(options.watchdog / TIMEOUT_UNIT)
         values: dict[int, float | None] = {
-            CTRL_MODE: MIT_MODE if options.mit else None,
-            TIMEOUT: ticks,
-            MST_ID: options.new_master_id,
-            ESC_ID: options.new_id,
+            Register.CTRL_MODE: MIT_MODE if options.mit else None,
+            Register.TIMEOUT: ticks,
+            Register.MST_ID: options.new_master_id,
+            Register.ESC_ID: options.new_id,
         }
         for register, value in values.items():
             if value is not None:
                 yield self._write_register(register, value)
         if options.store:
             self._require_disabled()
-            can_id = self._ids[ESC_ID]
+            can_id = self._ids[Register.ESC_ID]
             self._link.send(register_frame(STORE, can_id, register=1))
             # Longer than a motor takes to write its flash memory (a judgement).
             self._link.clock.sleep_until(self._link.clock.now() + 0.05)
@@ -123,7 +123,7 @@ class MotorSetup:
         HardwareAbort where the motor is enabled, or refuses the value.
         """
         self._require_disabled()
-        can_id = self._ids[ESC_ID]
+        can_id = self._ids[Register.ESC_ID]
         old = self._client.read(can_id, register)
         self._client.write(can_id, register, value)
         if register in self._ids:
@@ -137,7 +137,7 @@ class MotorSetup:
         HardwareAbort where the motor still reports an error.
         """
         text = status_text(self._status())
-        can_id = self._ids[ESC_ID]
+        can_id = self._ids[Register.ESC_ID]
         self._link.send(special_frame(CLEAR_ERROR, can_id))
         status = self._status()
         new_text = status_text(status)
@@ -157,7 +157,9 @@ class MotorSetup:
 
         It is the upper half of the first byte of a feedback frame.
         """
-        frame = self._client.refresh(self._ids[ESC_ID], self._ids[MST_ID])
+        frame = self._client.refresh(
+            self._ids[Register.ESC_ID], self._ids[Register.MST_ID]
+        )
         if frame is None:
             raise HardwareAbort(
                 f"{self._name} does not tell its state; nothing more is done"
