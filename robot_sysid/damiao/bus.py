@@ -84,40 +84,31 @@ class Link(Protocol):
         """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
 
 
+@dataclass(frozen=True)
 class GuardedLink:
     """A link that refuses harmful frames.
 
-    Args:
+    Attributes:
         link: link on which frames are sent and received.
         clock: clock of the link.
         fd: whether frames are sent as CAN-FD, whatever ``Frame.fd`` says.
         refuses: tells of each frame to be sent whether it must not be.
-
-    Attributes:
-        clock: as given.
     """
 
-    def __init__(
-        self,
-        link: Link,
-        clock: SystemClock,
-        fd: bool = False,
-        refuses: Callable[[Frame], bool] = is_harmful,
-    ) -> None:
-        self._refuses = refuses
-        self._link = link
-        self._fd = fd
-        self.clock = clock
+    link: Link
+    clock: SystemClock
+    fd: bool = False
+    refuses: Callable[[Frame], bool] = is_harmful
 
     def send(self, frame: Frame) -> None:
         """Send a frame; SysidError for one that is refused, LinkError where the bus fails."""
-        if self._refuses(frame):
+        if self.refuses(frame):
             raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
-        self._link.send(frame._replace(fd=self._fd))
+        self.link.send(frame._replace(fd=self.fd))
 
     def receive(self, until: float) -> Frame | None:
         """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
-        return self._link.receive(until)
+        return self.link.receive(until)
 
     def drain(self) -> None:
         """Discard all frames that have already arrived."""

@@ -10,6 +10,7 @@ with what the motors can do.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -32,27 +33,28 @@ from robot_sysid.simulator import ArmTorque
 _SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
 
 
+@dataclass(frozen=True)
 class PlayedPath:
     """The way of a motor trajectory as a motion plan: straight lines between its rows.
 
-    Args:
-        plan: plan of the run.
-
     Attributes:
-        duration: time of the last row [s].
+        plan: plan of the run.
     """
 
-    def __init__(self, plan: Plan) -> None:
-        self._trajectory = plan.trajectory
-        self._speed = plan.settings.speed
-        self.duration = plan.duration
+    plan: Plan
+
+    @property
+    def duration(self) -> float:
+        """Time of the last row [s]."""
+        return self.plan.duration
 
     def evaluate(self, time: Array) -> Motion:
         """Return position and slope (K, n) at times (K,) [s], with zero acceleration."""
-        trajectory = self._trajectory
-        file_time = trajectory.time[0] + self._speed * time
+        trajectory = self.plan.trajectory
+        speed = self.plan.settings.speed
+        file_time = trajectory.time[0] + speed * time
         q = trajectory.sampled(file_time)[0]
-        slope = self._speed * trajectory.slopes[trajectory.rows_at(file_time)]
+        slope = speed * trajectory.slopes[trajectory.rows_at(file_time)]
         return Motion(time, q, slope, np.zeros_like(q))
 
 
@@ -111,7 +113,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     joints = trajectory.joints
     available = peak_torques(joints)
     peaks = np.abs(needed).max(axis=0)
-    for j in np.flatnonzero(peaks > available).tolist():
+    for j in np.flatnonzero(peaks > available):
         yield stop(
             f"{joints[j].label}: the motion needs {peaks[j]:.1f} N·m and its motor makes "
             f"{available[j]:g} at most; {CANNOT_FOLLOW}, {WEIGH_FIRST}"
@@ -125,7 +127,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     # Over the needed torque the error is 1 without any torque, 2 with the other sign, and 0.5 where
     # a new load doubles the torque of a joint: 0.8 is a judgement between.
     is_foreign = (error > doubt) & (error > 0.8 * needed_rms)
-    for j in np.flatnonzero(is_foreign).tolist():
+    for j in np.flatnonzero(is_foreign):
         yield stop(
             f"{joints[j].label}: the torque that the file feeds forward is that of another motion "
             f"or arm: it is off by {error[j]:.1f} N·m where {robot.path.name} needs "

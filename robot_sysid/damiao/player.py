@@ -33,7 +33,7 @@ from robot_sysid.damiao.references import (
     hold_reference,
     transfer_reference,
 )
-from robot_sysid.damiao.safety.guards import Mask, Replies
+from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.damiao.safety.observer import Observer
 from robot_sysid.damiao.session import REPLY_SHARE, MotorSession
 from robot_sysid.damiao.settings import PlaySettings
@@ -144,8 +144,6 @@ class Player:
             session.joints, settings, session.steps, session.peak_torque, holding
         )
         self._timer: CycleTimer
-        self._kp = np.array(settings.kp)
-        self._kd = np.array(settings.kd)
         # Factor, from 0 to 1, of stiffness and feed-forward torque.
         self._gain = 0.0
         # Whether the joints should stand still, and whether the gains rise, in this phase.
@@ -301,16 +299,15 @@ class Player:
             raise HardwareAbort(f"cannot record: {error_text(self._recorder.failure)}")
 
     def _exchange(
-        self, reference: Reference, joints: Mask | None = None, braking: bool = False
+        self, reference: Reference, braking: bool = False
     ) -> tuple[Replies, MitCommand]:
         """Command a reference, and pass the arm's state to observer and follower.
 
         Returns the replies, and the command that was in force when they were sampled. Reference and
         command, the time of the replies, and the positions and torques of the arm are stored. The
-        gain, which scales stiffness and torque, rises to 1 in the first cycles of a run. ``joints``
-        (n,) are whether each joint is commanded; None means all. If ``braking``, a command beyond
-        the bounds is limited to them, not refused, and motors whose answers are missing are
-        commanded too.
+        gain, which scales stiffness and torque, rises to 1 in the first cycles of a run. Failed
+        motors get no command. If ``braking``, a command beyond the bounds is limited to them,
+        not refused, and motors whose answers are missing are commanded too.
         """
         # A share of the ramp: short, so that the arm does not sink; then the standing arm is
         # observed.
@@ -319,28 +316,35 @@ class Player:
         rise = 1.0 / n_steps if n_steps > 4.0 else 1.0
         self._gain = min(self._gain + rise, 1.0)
         position, velocity, torque = reference
-        command = MitCommand(
-            position, velocity, self._gain * self._kp, self._kd, self._gain * torque
-        )
+        kp = self._gain * np.array(self._settings.kp)
+        kd = np.array(self._settings.kd)
+        command = MitCommand(position, velocity, kp, kd, self._gain * torque)
         # A motor makes no torque before its first command.
         zero = 0.0 * torque
         acted = self._command or command._replace(kp=zero, kd=zero, torque=zero)
         until = self._clock.now() + REPLY_SHARE * self._settings.period
-        replies = self._session.exchange(command, until, joints, braking)
+        # A motor that does not answer may still obey.
+        driven = ~self._observer.failed
+        replies = self._session.exchange(command, until, driven, braking)
         self._observer.update(replies)
         self._reference = reference
         self._command = replies.command
         q, qd = self._session.believed_motion
         motor_torque = acted.motor_torque(q, qd)
         if self._follower is not None:
-            is_trusted = self._observer.trusted_joints
-            trusted_q, trusted_qd = np.where(is_trusted, [q, qd], np.nan)
+            trusted_q, trusted_qd = self._trusted_motion
             self._follower.follow(trusted_q, trusted_qd, motor_torque)
         if np.any(replies.answered):
             self._heard_at = self._clock.now()
         if self._standing and np.all(np.isfinite(q)):
             self._standing_states.append(np.stack([q, motor_torque]))
         return replies, acted
+
+    @property
+    def _trusted_motion(self) -> Array:
+        """Believed positions and velocities (2, n) [rad, rad/s]; NaN where they are not trusted."""
+        motion = self._session.believed_motion
+        return np.where(self._observer.trusted_joints, motion, np.nan)
 
     def _stop_gently(self) -> None:
         """Brake the motors that still answer, and hold the arm until it is at rest.
@@ -374,8 +378,7 @@ class Player:
         """
         observer = self._observer
         settings = self._settings
-        is_trusted = observer.trusted_joints
-        q, qd = np.where(is_trusted, self._session.believed_motion, np.nan)
+        q, qd = self._trusted_motion
         limit: Array | float = settings.max_tracking_error
         if self._standing:
             limit = observer.standing_limit(q, reference.position, reference.torque)
@@ -419,13 +422,10 @@ class Player:
             is_done = self._follower is not None and self._follower.is_done
             if hopeless or self._stop.insisted or is_done:
                 return
-            # A bus that fails now may work again in the next cycle. A motor that does not answer
-            # may still obey, so only failed ones are left out.
+            # A bus that fails now may work again in the next cycle.
             with contextlib.suppress(BaseException):
                 target = reference(deadline - origin)
-                replies, acted = self._exchange(
-                    target, ~self._observer.failed, braking=True
-                )
+                replies, acted = self._exchange(target, braking=True)
                 if self._recorder:
                     time = self._clock.now() - self._origin
                     self._recorder.write(

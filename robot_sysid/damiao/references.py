@@ -389,15 +389,7 @@ class CarriedStop:
         return position, self._velocity * share_left
 
     def _lift(self, goal: Array) -> Array:
-        """Return the torque (n,) [N m] that pulls joints back to paths ending at ``goal`` (n,)."""
-        displacement = self._displacement(goal)
-        leaving_speed = -np.sign(displacement) * np.nan_to_num(self._qd)
-        # More for a joint that leaves than for one that returns, which removes energy.
-        share = 0.6 + 0.4 * np.tanh(leaving_speed / 0.3)
-        return self._stiffening * displacement * share
-
-    def _displacement(self, goal: Array) -> Array:
-        """Return the displacement (n,) [rad] that moves the joints back to their paths.
+        """Return the torque (n,) [N m] that pulls the joints back to their paths.
 
         A joint's path leads from its farthest position so far, not beyond its ``goal`` (n,) [rad],
         to the goal. The farthest positions are updated. Unknown positions (NaN) are ignored.
@@ -408,7 +400,11 @@ class CarriedStop:
         self._reached = np.where(moves_down, lowest_reached, highest_reached)
         lowest = np.fmin(self._reached, goal)
         highest = np.fmax(self._reached, goal)
-        return np.nan_to_num(np.clip(self._q, lowest, highest) - self._q)
+        displacement = np.nan_to_num(np.clip(self._q, lowest, highest) - self._q)
+        leaving_speed = -np.sign(displacement) * np.nan_to_num(self._qd)
+        # More for a joint that leaves than for one that returns, which removes energy.
+        share = 0.6 + 0.4 * np.tanh(leaving_speed / 0.3)
+        return self._stiffening * displacement * share
 
     def _relieve(self, time: float, goal: Array) -> None:
         """Raise ``_relief`` (n,), the share of the offset's torque that is removed, towards 1.

@@ -236,9 +236,8 @@ class MotorSession:
             self._ask(j, register_frame(REFRESH, joint.can_id))
             for j, joint in enumerate(self.joints)
         ]
-        position = np.empty(self.n_joints)
-        for j, answer in enumerate(answers):
-            position[j] = self._enable_one(j, *answer)
+        positions = [self._enable_one(j, *answer) for j, answer in enumerate(answers)]
+        position = np.array(positions)
         now = self.clock.now()
         self._filter.start(now, position)
         self._bounds = self._bounds.including(position)
@@ -378,7 +377,7 @@ class MotorSession:
 
     def switch_off(self, joints: Mask) -> None:
         """Command the motors of joints (n,) to disable, once, whatever the bus raises."""
-        for j in np.flatnonzero(joints).tolist():
+        for j in np.flatnonzero(joints):
             with contextlib.suppress(BaseException):
                 self._link.send(special_frame(DISABLE, self.joints[j].can_id))
 

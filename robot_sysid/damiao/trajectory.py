@@ -339,15 +339,12 @@ class Bounds(NamedTuple):
 
 def user_bounds(limits: LimitOptions, n_joints: int) -> Bounds:
     """Return the limits of velocity, acceleration and torque that a user gives for n joints."""
-    velocity, acceleration, torque = (
-        joint_values(np.inf if limit is None else limit, n_joints, flag)
-        for limit, flag in (
-            (limits.max_velocity, "--max-velocity"),
-            (limits.max_acceleration, "--max-acceleration"),
-            (limits.max_torque, "--max-torque"),
-        )
-    )
-    return Bounds("your", velocity=velocity, acceleration=acceleration, torque=torque)
+    values = {}
+    for name in ("velocity", "acceleration", "torque"):
+        limit = getattr(limits, f"max_{name}")
+        limit = np.inf if limit is None else limit
+        values[name] = joint_values(limit, n_joints, f"--max-{name}")
+    return Bounds("your", **values)
 
 
 def excesses(
@@ -381,7 +378,7 @@ def excesses(
         limit = bound + 0.0 * largest
         # Registers hold float32.
         slack = rounding + 1e-6 * np.abs(limit)
-        for j in np.flatnonzero(largest > limit + slack).tolist():
+        for j in np.flatnonzero(largest > limit + slack):
             row = np.argmax(values[:, j])
             moment = (trajectory.time[row] - trajectory.time[0]) / speed
             yield (
@@ -403,8 +400,7 @@ def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | 
     qd = trajectory.qd
     # Number of rows, at least four, from the begin of a window to its end; a shorter file has one.
     # Over 0.1 s, 1e-4 rad of rounding are 1e-3 rad/s, and a swing takes longer.
-    rows = max(round(0.1 / float(np.median(step))), 4)
-    rows = min(rows, len(time) - 1)
+    rows = min(max(round(0.1 / np.median(step)), 4), len(time) - 1)
     integral, doubt = np.zeros((2, *qd.shape))
     integral[1:] = np.cumsum(0.5 * (qd[1:] + qd[:-1]) * step, axis=0)
     # Half a row, and a fifth more.
@@ -413,6 +409,6 @@ def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | 
     duration = (time[rows:] - time[:-rows])[:, None]
     difference = drift[rows:] - drift[:-rows]
     tolerance = doubt[rows:] - doubt[:-rows] + ROUNDING * (4.0 + duration)
-    for k, j in np.argwhere(np.abs(difference) > tolerance)[:1].tolist():
+    for k, j in np.argwhere(np.abs(difference) > tolerance)[:1]:
         return k, j, difference[k, j] / duration[k, 0]
     return None

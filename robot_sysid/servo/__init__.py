@@ -131,7 +131,7 @@ class ServoIdentification:
         actuators = chain_actuators(self.robot)
         joint_changes = []
         actuator_changes = []
-        for k in np.flatnonzero(self.is_new).tolist():
+        for k in np.flatnonzero(self.is_new):
             numbers = dict(zip(UNITS, self.fit.numbers[:, k]))
             stiffness = numbers.pop("gain")
             kv = actuators.damping_share[k] * numbers["damping"]

@@ -290,7 +290,7 @@ class VelocityCheck:
         doubt = 0.05 + 0.5 * (self.explained - 1.0)
         tolerance = 0.02 + doubt * path + 2.0 * self._rounding
         tolerance = np.where(self.explained > 1.3, np.inf, tolerance)
-        for j in np.flatnonzero(np.abs(mismatch) > tolerance)[:1].tolist():
+        for j in np.flatnonzero(np.abs(mismatch) > tolerance)[:1]:
             return j, (
                 f"moves {abs(mismatch[j]) / _WINDOW:.2f} rad/s beside the velocity that it "
                 "reports: its gear or its encoder slips, or one of the two has another sign"

@@ -31,7 +31,6 @@ viscous friction (n).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import islice
 
 import numpy as np
 
@@ -102,9 +101,8 @@ class MovedZeroCheck:
         self._weight = 2.0
         self._squares = np.full(n, self._weight * 0.15**2)
         # Columns of each change: of one parameter, but for the load and the force.
-        columns = iter(range(3 * n + 7))
         sizes = [1] * n + [4, 3] + [1] * (2 * n)
-        self._changes = [list(islice(columns, size)) for size in sizes]
+        self._changes = np.split(np.arange(3 * n + 7), np.cumsum(sizes)[:-1])
         # Arrays by onset: index 0 is a change before the run, the others are a ring buffer of the
         # last windows. First the time of the begin [s] and the number of windows since.
         n_onsets = 1 + _ONSETS
@@ -153,8 +151,7 @@ class MovedZeroCheck:
         ``window`` has the time [s] and q, qd, tau (3, n) of each cycle. ``_finding`` is set at the
         last step. An arm at rest shows nothing.
         """
-        times = np.array([time for time, _ in window])
-        signals = np.array([signal for _, signal in window])
+        times, signals = map(np.array, zip(*window))
         time = np.mean(times)
         since = times - time
         q, qd, tau = np.mean(signals, axis=0)

@@ -142,9 +142,9 @@ class Observer:
         A motor that reports a fault is noted in ``failed``, and a slip for the next ``check``.
         """
         unanswered = replies.requested & ~replies.answered
-        self.missed = np.where(replies.answered, 0, self.missed + unanswered)
-        self.silent = np.where(replies.answered, 0, self.silent + 1)
-        self._damaged = np.where(replies.answered, 0, self._damaged + replies.doubted)
+        damaged = self._damaged + replies.doubted
+        counts = [self.missed + unanswered, self.silent + 1, damaged]
+        self.missed, self.silent, self._damaged = np.where(replies.answered, 0, counts)
         self.total_missed += unanswered
         # Counts decay: a single wrong one is a damaged frame.
         self._surplus = 0.9 * self._surplus + replies.surplus
@@ -420,7 +420,7 @@ class Observer:
         # A missing answer tells nothing.
         is_within = replies.answered & (errors <= limits)
         self._beyond = np.where(is_within, 0, self._beyond + (errors > limits))
-        for k, j in np.argwhere(self._beyond >= _CYCLES)[:1].tolist():
+        for k, j in np.argwhere(self._beyond >= _CYCLES)[:1]:
             text = _BEYOND[k].format(errors[k, j], limits[k, j], tau[j], reachable[j])
             if k in (_PATH, _SPEED) and standing:
                 text += f", {_MOVES}"
@@ -444,7 +444,7 @@ class Observer:
 
     def _raise_first(self, mask: Mask, describe: Callable[[int], str]) -> None:
         """Raise HardwareAbort for the first joint in a mask (n,); ``describe`` gets its index."""
-        for j in np.flatnonzero(mask)[:1].tolist():
+        for j in np.flatnonzero(mask)[:1]:
             self._raise(j, describe(j))
 
     def _raise(self, joint: int, description: str) -> None:
