@@ -18,6 +18,7 @@ import tempfile
 from collections import defaultdict
 from pathlib import Path
 
+from robot_sysid.records.messages import Progress
 from tests.support.command_line import files_in
 from tests.support.places import GUESS, ROOT, TRUTH
 
@@ -54,7 +55,7 @@ def _search(path: Path) -> None:
     few = {"draws": 30, "rounds": 3, "iterations": 20}
     problem = make_design(TUBES_AND_POST, **few)
     with one_thread():
-        plan = design_excitation(problem, np.random.default_rng(1))
+        plan = design_excitation(problem, np.random.default_rng(1), Progress())
     save_trajectory(path, plan, problem.problem.joint_names)
 
 

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 
+from robot_sysid.records.messages import Progress
 from tests.support.places import EXAMPLE
 
 sys.path.insert(0, str(EXAMPLE))
@@ -30,7 +31,7 @@ def designed_plan(robot, seed=1):
     problem = build_problem(robot, LimitOptions())
     knowledge = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, ExcitationOptions(), TrajectoryOptions(), knowledge)
-    return design_excitation(design, np.random.default_rng(seed))
+    return design_excitation(design, np.random.default_rng(seed), Progress())
 
 
 def friction_errors(study, estimate):

@@ -46,6 +46,7 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
+from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, sample_count
 from tests.support.places import GUESS, MODELS
 
@@ -164,7 +165,7 @@ def lines(path, runs, exact):
     motion = TrajectoryOptions(sample_rate=RATE)
     options = ExcitationOptions()
     design = Design(problem, options, motion, prior_knowledge(problem, OPTIONS, "link"))
-    plan = design_excitation(design, np.random.default_rng(1))
+    plan = design_excitation(design, np.random.default_rng(1), Progress())
     predicted = expected_fit(problem, plan, RATE, OPTIONS, AimOptions())
     covariance = predicted.covariance[:10, :10]
     if exact:

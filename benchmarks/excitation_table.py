@@ -27,6 +27,7 @@ from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import (
     TrajectoryOptions,
     generate_excitation_trajectory,
@@ -138,7 +139,7 @@ def line(path, joint, seeds):
     began = time.process_time()
     ratios = []
     for seed in seeds:
-        plan = design_excitation(design, np.random.default_rng(seed))
+        plan = design_excitation(design, np.random.default_rng(seed), Progress())
         ratios.append(left_by(design, plan))
     spent = (time.process_time() - began) / len(seeds)
     best = np.median(ratios, axis=0)

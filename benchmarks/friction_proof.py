@@ -30,6 +30,7 @@ from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.motion.trajectories import at_speed
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
+from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions
 from tests.support.places import MODELS
 
@@ -108,7 +109,10 @@ def plans(robot):
     options = ExcitationOptions(kind="optimal", draws=DRAWS)
     knowledge = prior_knowledge(problem, EstimationOptions(), "arm")
     design = Design(problem, options, TrajectoryOptions(duration=30.0), knowledge)
-    sines = [design_excitation(design, np.random.default_rng(seed)) for seed in SINES]
+    sines = [
+        design_excitation(design, np.random.default_rng(seed), Progress())
+        for seed in SINES
+    ]
     return [at_speed(sines[0], 0.2), *sines]
 
 

@@ -30,6 +30,7 @@ from robot_sysid.motion.search import (
     draw_trajectory,
 )
 from robot_sysid.parser import load_robot_model
+from robot_sysid.records.messages import Progress
 from robot_sysid.simulator import ArmTorque, simulate_inverse
 from robot_sysid.solver import LastLinkTerms, identify_parameters
 from robot_sysid.trajectory import (
@@ -193,7 +194,7 @@ def test_every_arm_gets_a_trajectory_it_can_run(model, joint):
     problem = build_problem(robot, LimitOptions())
     knowledge = prior_knowledge(problem, EstimationOptions(), "link")
     design = Design(problem, options, TrajectoryOptions(), knowledge)
-    plan = design_excitation(design, np.random.default_rng(1))
+    plan = design_excitation(design, np.random.default_rng(1), Progress())
     assert keeps_limits(problem, plan)
     assert list(violations(robot, plan)) == []
     assert witness.new_contacts(robot, plan, 1000.0) == set()

@@ -341,7 +341,7 @@ class Inspection:
 
     motors: Mapping[int, InspectedMotor]
     unsolicited: int
-    round_trip: float | None = None
+    round_trip: float | None
 
 
 def inspect_bus(link: GuardedLink) -> Inspection:

@@ -31,12 +31,7 @@ from robot_sysid.damiao.settings import (
     PlaySettings,
     RecordingOptions,
 )
-from robot_sysid.damiao.simulated import (
-    DEFAULT_WATCHDOG,
-    SimulatedArm,
-    SimulatedLink,
-    simulated_motor,
-)
+from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink, simulated_motor
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
@@ -188,20 +183,19 @@ class MotorRun:
         )
 
     @contextlib.contextmanager
-    def open_simulated(self, plan: Plan, *timestep: float) -> Iterator[GuardedLink]:
+    def open_simulated(self, plan: Plan) -> Iterator[GuardedLink]:
         """Yield a link to a simulated arm of the model that stands at the plan's first point.
 
-        Its clock only advances when waited for. ``timestep`` is one value, the time step of the
-        physics [s], or no argument for the default. InputError without a model.
+        Its clock only advances when waited for. InputError without a model.
         """
         if self.robot is None:
             raise InputError("a simulated arm needs a model; add --model")
         from robot_sysid.simulation.plant import ArmStepper
 
-        # Long enough for slow cycles, too.
-        watchdog = max(DEFAULT_WATCHDOG, 12.0 * plan.settings.period)
+        # As docs/damiao.md recommends for real motors, and long enough for slow cycles, too.
+        watchdog = max(0.1, 12.0 * plan.settings.period)
         motors = [simulated_motor(joint, watchdog) for joint in plan.trajectory.joints]
-        stepper = ArmStepper(self.robot, plan.trajectory.q[0], *timestep)
+        stepper = ArmStepper(self.robot, plan.trajectory.q[0])
         clock = SimulatedClock()
         arm = SimulatedArm(stepper, motors)
         wire = SimulatedLink(clock, arm, self.timing, echo=True)

@@ -303,16 +303,15 @@ def write_joint_map(path: Path, rows: Iterable[DamiaoJoint]) -> None:
 
 
 def map_joints(
-    joints: Sequence[DamiaoJoint],
-    rows: Sequence[DamiaoJoint],
-    names: Sequence[str] = (),
+    joints: Sequence[DamiaoJoint], rows: Sequence[DamiaoJoint], names: Sequence[str]
 ) -> tuple[DamiaoJoint, ...]:
     """Return the joints of a trajectory, base to terminal, with ids and mounting of a joint map.
 
     Args:
         joints: joints of the trajectory, base to terminal; only their motor types are used.
         rows: joints of the map; without ``names`` one per joint, in the order of ``joints``.
-        names: joint names of the model, base to terminal, which select rows of the map by name.
+        names: joint names of the model, base to terminal, which select rows of the map by name; or
+            nothing.
 
     Raises:
         InputError: the map does not cover the joints.

@@ -286,18 +286,14 @@ class MotorSession:
         return int(feedback.status[j]), feedback.position[j]
 
     def exchange(
-        self,
-        command: MitCommand,
-        until: float,
-        joints: Mask | None = None,
-        braking: bool = False,
+        self, command: MitCommand, until: float, joints: Mask, braking: bool
     ) -> Replies:
         """Command joints and return their replies, each the state before its command acted.
 
         Args:
             command: command of all n joints, fields (n,), in joint space.
             until: time in the clock at which replies are no longer waited for [s].
-            joints: whether each joint (n,) is commanded; None for all.
+            joints: whether each joint (n,) is commanded.
             braking: whether joints are commanded even if answers are missing, see
                 ``Outstanding``, and commands are limited to the bounds instead of refused.
 
@@ -309,25 +305,21 @@ class MotorSession:
         self._takes_any_answer = braking
         self._outstanding.surplus[:] = 0
         self._foreign[:] = 0
-        motors = np.ones(self.n_joints, bool) if joints is None else joints
         # Answers that have come since the last exchange are counted, but not used.
         while (frame := self._link.receive(self.clock.now())) is not None:
             self._answering_joint(frame)
         now = self.clock.now()
-        last = np.where(
-            np.isnan(self.sent_position), command.position, self.sent_position
-        )
         # At most 0.2 s. It includes time that the last command did not use: after a cycle that
         # began late, the next one follows in less time than there is between two positions of the
         # trajectory.
         elapsed = np.minimum(now - self._moved_until, 0.2)
-        bounds = last, elapsed, self._filter.last.q
+        bounds = self.sent_position, elapsed, self._filter.last.q
         if braking:
             command = self._bounds.confine(command, *bounds)
         else:
             self._bounds.require(self._labels, command, *bounds)
         packed = encode_mit(self._mounting.command(command), self.scaling)
-        commanded = motors if braking else self._outstanding.may_be_commanded(motors)
+        commanded = joints if braking else self._outstanding.may_be_commanded(joints)
         # Replies are sampled before this command acts, while the last one is in force.
         acted = self._command
         self._put_in_force(packed, commanded, now)
@@ -368,7 +360,7 @@ class MotorSession:
             *(np.where(commanded, *pair) for pair in zip(new, old))
         )
         moved = np.abs(new.position - self.sent_position)
-        used = np.nan_to_num(moved / self._bounds.command_range.speed)
+        used = moved / self._bounds.command_range.speed
         # One command leaves at most 0.02 s for the next one to move in: as much as it may be late,
         # by ``PlaySettings.max_lateness``.
         moved_until = np.clip(self._moved_until + used, now - 0.02, now)

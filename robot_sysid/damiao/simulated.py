@@ -49,8 +49,6 @@ from robot_sysid.records import Array
 if TYPE_CHECKING:
     from robot_sysid.simulation.plant import ArmStepper
 
-DEFAULT_WATCHDOG = 0.1
-"""Default watchdog time of simulated motors [s], as docs/damiao.md recommends for real ones."""
 # Command without effect: position, velocity, kp, kd and torque are zero.
 _NOTHING = (0.0,) * 5
 
@@ -183,9 +181,7 @@ def _scaling_of(*limits: float) -> Scaling:
     return Scaling([limits])
 
 
-def simulated_motor(
-    joint: DamiaoJoint, watchdog: float = DEFAULT_WATCHDOG
-) -> SimulatedMotor:
+def simulated_motor(joint: DamiaoJoint, watchdog: float) -> SimulatedMotor:
     """Return a simulated motor of a joint, with the factory's registers but for ids and watchdog.
 
     ``watchdog`` is the time without a command after which the motor stops [s].

@@ -59,7 +59,7 @@ class DamiaoExportReport:
 
     joints: tuple[DamiaoJoint, ...]
     clamped_percent: Array
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.logs.joint_names import NO_MATCH, JointMatch
+from robot_sysid.logs.joint_names import JointMatch
 from robot_sysid.logs.titles import (
     QUANTITIES,
     TIME_UNITS,
@@ -217,8 +217,8 @@ class ColumnMap:
     joint_time: tuple[Column, ...]
     titles: Sequence[str]
     angle_declared: bool
-    commanded: bool = False
-    joint_match: JointMatch = NO_MATCH
+    commanded: bool
+    joint_match: JointMatch
 
     def groups(self) -> tuple[tuple[Column, ...], ...]:
         """Return the columns of position, torque, velocity and joint time; () for a missing one."""
@@ -252,8 +252,8 @@ def recognise_columns(
     robot: RobotModel,
     choices: ColumnChoices,
     first_row: Sequence[str],
-    currents: bool = False,
-    commanded: bool = False,
+    currents: bool,
+    commanded: bool,
 ) -> ColumnMap:
     """Return the column of each quantity of each joint.
 

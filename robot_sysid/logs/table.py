@@ -46,8 +46,8 @@ class Block:
 
     lines: Lines
     cells: Array
-    complaint: str = ""
-    share_read: float = 1.0
+    complaint: str
+    share_read: float
 
 
 Chunk = Sequence[Array]
@@ -71,7 +71,7 @@ def chunk_blocks(
         lines = count + 1 + np.arange(len(cells))
         count += len(cells)
         if len(cells):
-            yield Block(lines, cells[:, list(columns)], share_read=count / n_rows)
+            yield Block(lines, cells[:, list(columns)], "", count / n_rows)
 
 
 @dataclass(frozen=True)

@@ -119,8 +119,8 @@ class ExcitationProblem:
     obstacles: Clearance
     rows: tuple[int, ...]
     sigma: Array
-    notes: tuple[str, ...] = ()
-    unguarded: tuple[str, ...] = ()
+    notes: tuple[str, ...]
+    unguarded: tuple[str, ...]
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -249,7 +249,7 @@ def first_candidate(design: Design, x: Array) -> Candidate:
 
 
 def improve(
-    design: Design, candidate: Candidate, tick: Callable[[], None] = lambda: None
+    design: Design, candidate: Candidate, tick: Callable[[], None]
 ) -> Candidate:
     """Return the candidate after one more round: minimisation, new multipliers, repair.
 
@@ -297,7 +297,7 @@ def _update_feasible(design: Design, candidate: Candidate) -> Candidate:
 
 
 def design_excitation(
-    design: Design, rng: np.random.Generator, progress: Progress | None = None
+    design: Design, rng: np.random.Generator, progress: Progress
 ) -> SineTrajectory:
     """Search for the trajectory that makes the predicted uncertainty smallest; it keeps all limits.
 
@@ -307,13 +307,12 @@ def design_excitation(
     Args:
         design: the arm, its limits and what is minimised.
         rng: source of randomness; a seed is drawn from it.
-        progress: is advanced after every trajectory and iteration; None to show nothing.
+        progress: is advanced after every trajectory and iteration.
 
     Raises:
         InputError: no drawn trajectory keeps all limits; names the limit that is in the way.
         KeyboardInterrupt: interrupted among the random trajectories.
     """
-    progress = progress or Progress()
     options = design.options
     # The two best random trajectories are improved by one round; only the best of these gets more
     # rounds. Nobody knows how many follow the first: each counts half of the one before it.

@@ -102,7 +102,7 @@ class ServoIdentification:
     before: Array
     after: Array
     goal: float
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
 
     @property
     def quantities(self) -> Iterator[Quantity]:

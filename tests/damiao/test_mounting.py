@@ -58,7 +58,7 @@ def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(tmp_path)
 @pytest.fixture
 def gripper():
     """A motor outside the trajectory."""
-    motor = simulated_motor(DamiaoJoint("DM4310", 8, 0x18))
+    motor = simulated_motor(DamiaoJoint("DM4310", 8, 0x18), watchdog=0.1)
     motor.position = 0.3
     return motor
 
@@ -133,12 +133,12 @@ def test_the_recording_of_the_example_gives_the_true_link_back(monkeypatch):
 def test_a_map_that_lacks_a_joint_of_the_model_is_refused(tmp_path):
     joints = damiao_joints(["DM4340"] * 2, 2)
     rows = [map_line("a", 1, 17, 1), map_line("b", 2, 18, -1)]
-    assert [j.direction for j in map_joints(joints, rows)] == [1, -1]
+    assert [j.direction for j in map_joints(joints, rows, ())] == [1, -1]
     assert [j.name for j in map_joints(joints, rows, ["b", "a"])] == ["b", "a"]
     with pytest.raises(InputError, match="no line for c; it has a, b"):
         map_joints(joints, rows, ["a", "c"])
     with pytest.raises(InputError, match="joint map: 2, of the trajectory: 1;"):
-        map_joints(joints[:1], rows)
+        map_joints(joints[:1], rows, ())
 
 
 def test_holding_torques_are_compared_with_the_models_gravity(three_joint_arm):

@@ -121,7 +121,8 @@ def test_feedback_survives_within_half_a_step(names, seed):
     truth = rng.uniform(-1.3, 1.3, (3, len(names))) * scaling.limits.T
     joints = damiao_joints(names, len(names))
     packed = [
-        simulated_motor(joint)._pack(*sample) for joint, sample in zip(joints, truth.T)
+        simulated_motor(joint, 0.1)._pack(*sample)
+        for joint, sample in zip(joints, truth.T)
     ]
     frames = np.array([list(data) for data in packed], np.uint8)
     feedback = decode_feedback(frames, scaling)

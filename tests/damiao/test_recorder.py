@@ -24,7 +24,7 @@ from tests.support.recordings import read_recording
 def recorder_for(path, types=("DM4340",), overwrite=False):
     """A recorder that writes at once, for motors of these types."""
     joints = damiao_joints(types, len(types))
-    registers = [simulated_motor(joint).registers for joint in joints]
+    registers = [simulated_motor(joint, 0.1).registers for joint in joints]
     still = np.zeros((2, len(types)))
     trajectory = DamiaoTrajectory(
         Path("swing.csv"), joints, np.arange(2.0), still, still, still

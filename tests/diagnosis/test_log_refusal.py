@@ -33,7 +33,9 @@ CORRECTIONS = [s.reading.columns for s in steps(ROBOT, range(3)) if s.check != "
 
 def columns_of(titles, path):
     choices = read_columns_file(path, NAMES)
-    return recognise_columns(["time", *titles], ROBOT, choices, first_row=())
+    return recognise_columns(
+        ["time", *titles], ROBOT, choices, (), currents=False, commanded=False
+    )
 
 
 def refusal(titles, correction, folder, text="", payload=(), **attributes):

@@ -24,7 +24,9 @@ def recognise(
 ) -> column_map.ColumnMap:
     choices = choices or column_map.ColumnChoices()
     robot = arm_of(joints, is_slide=is_slide)
-    return column_map.recognise_columns(titles.split(","), robot, choices, first_row)
+    return column_map.recognise_columns(
+        titles.split(","), robot, choices, first_row, currents=False, commanded=False
+    )
 
 
 def where(columns: column_map.ColumnMap) -> tuple[list[int], list[int]]:

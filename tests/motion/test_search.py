@@ -25,6 +25,7 @@ from robot_sysid.motion.search import (
     design_excitation,
     draw_trajectory,
 )
+from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
 from tests.support import arms, witness
 from tests.support.arms import SEEDS
@@ -57,7 +58,7 @@ def run_search(design, seed, progress=None, clock=search.clock):
     """Return the trajectory of a search with the seed, a progress listener and a clock."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "clock", clock)
-        return design_excitation(design, default_rng(seed), progress)
+        return design_excitation(design, default_rng(seed), progress or Progress())
 
 
 def assert_obeys(xml, seed, **changes):
@@ -99,7 +100,7 @@ def test_rounds_keep_the_best_feasible_trajectory():
     assert np.linalg.norm(candidate.feasible_x) < np.linalg.norm(candidate.x)
     scores = [candidate.feasible_score]
     for _ in range(2):
-        candidate = search.improve(design, candidate)
+        candidate = search.improve(design, candidate, tick=lambda: None)
         scores.append(candidate.feasible_score)
         assert keeps_limits(design.problem, design.trajectory(candidate.feasible_x))
     assert scores[0] >= scores[1] >= scores[2]
@@ -248,7 +249,7 @@ def test_the_limit_that_no_draw_keeps_is_named():
     motion = TrajectoryOptions(duration=DURATION)
     design = Design(problem, options(), motion, known_arm(problem))
     with pytest.raises(InputError, match=r"6 of 6 .* torque limit of joint joint"):
-        design_excitation(design, default_rng(0))
+        design_excitation(design, default_rng(0), Progress())
 
 
 def test_an_arm_that_rests_at_its_limits_has_a_motion():

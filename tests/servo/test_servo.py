@@ -47,7 +47,7 @@ def identification(robot, error=0.1):
     origin = DataOrigin("log log.csv", 10.0, 50.0)
     after = np.full(2, error)
     errors = np.ones(2), after, 0.5
-    return servo.ServoIdentification(robot, fit, true, origin, *errors)
+    return servo.ServoIdentification(robot, fit, true, origin, *errors, ())
 
 
 def run(robot, folder, monkeypatch, error=0.1, accept=(), **options):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import gc
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
-from robot_sysid.damiao.execution import MotorRun, run
+from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import bus_checks
@@ -31,6 +31,8 @@ from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
+from robot_sysid.simulation import plant
+from robot_sysid.simulation.plant import ArmStepper
 from tests.support.clocks import ScriptedClock
 from tests.support.links import RememberingLink, SlowAdapter
 from tests.support.recordings import read_recording
@@ -185,9 +187,7 @@ def trajectory_file(folder, motion, motor_type="DM4340"):
 
 def with_coarse_physics(monkeypatch):
     """Let simulated arms of models take steps of 4 ms; a step of the usual size takes as long."""
-    open_simulated = MotorRun.open_simulated
-    coarse = lambda run, plan: open_simulated(run, plan, 4e-3)  # noqa: E731
-    monkeypatch.setattr(MotorRun, "open_simulated", coarse)
+    monkeypatch.setattr(plant, "ArmStepper", partial(ArmStepper, timestep=4e-3))
 
 
 def only_asks(sent):

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, SimulatedArm, simulated_motor
+from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
 from tests.support.damiao_rig import FaultyMotor
 
 JAM_DAMPING = 1e5
@@ -48,7 +48,7 @@ class BenchMotor(FaultyMotor):
         return self.last_answer
 
 
-def bench_motor(joint, watchdog=DEFAULT_WATCHDOG):
+def bench_motor(joint, watchdog=0.1):
     """Return a joint's motor in which nothing is wrong yet, with a watchdog of a time [s]."""
     return BenchMotor(**vars(simulated_motor(joint, watchdog)))
 

@@ -47,10 +47,11 @@ class Bench:
         """Let time [s] pass."""
         self.clock.sleep_until(self.clock.now() + seconds)
 
-    def exchange(self, q=0.0, kp=20.0, seconds=0.004, **options):
-        """Command all joints to q [rad] and return their replies of so many seconds."""
+    def exchange(self, q=0.0, kp=20.0, seconds=0.004, joints=None):
+        """Command joints, or all, to q [rad] and return their replies of so many seconds."""
         until = self.clock.now() + seconds
-        return self.session.exchange(self.command(q, kp), until, **options)
+        joints = np.full(len(self.motors), True) if joints is None else joints
+        return self.session.exchange(self.command(q, kp), until, joints, braking=False)
 
     def command(self, q=0.0, kp=20.0):
         n = len(self.motors)

@@ -21,7 +21,7 @@ from typing import Any
 from robot_sysid.damiao.adapters import BusLink, read_in_pieces
 from robot_sysid.damiao.bus import Link, SystemClock, undisturbed_processor
 from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.simulated import DEFAULT_WATCHDOG, SimulatedArm, simulated_motor
+from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.plant import ArmStepper
@@ -99,7 +99,7 @@ _SAME_CYCLE = 2e-4
 """Time to wait for another frame of the same control cycle before the physics are advanced [s]."""
 _LONGEST_CYCLE = 4e-3
 """Delay of the physics after which they are advanced even if more frames are waiting [s]."""
-_MOST_BEHIND = DEFAULT_WATCHDOG
+_MOST_BEHIND = 0.1
 """Delay of the physics after which time is skipped [s]: the watchdogs have expired by then."""
 
 
@@ -177,7 +177,7 @@ def main() -> None:
     parser.add_argument("trajectory", type=Path)
     parser.add_argument("--model", type=Path)
     parser.add_argument("--joint")
-    parser.add_argument("--watchdog", type=float, default=DEFAULT_WATCHDOG)
+    parser.add_argument("--watchdog", type=float, default=0.1)
     parser.add_argument("--frames", type=Path)
     options, _ = parser.parse_known_args()
     played = read_damiao_trajectory(options.trajectory)

@@ -188,6 +188,7 @@ def test_a_joint_that_slows_down_within_a_cycle_is_not_taken_for_one_of_another_
 
 JOINTS = damiao_joints(["DM4340", "DM4310"], 2)
 SCALING = Scaling([joint.spec.limits for joint in JOINTS])
+BOTH = np.array([True, True])
 LOWER = np.array([-0.5, -1.0])
 UPPER = np.array([0.7, 1.0])
 SPEED = np.array([1.0, 2.0])
@@ -268,7 +269,7 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
             np.array([4.5, 1.5]), np.array(torque),
         )  # fmt: skip
         try:
-            session.exchange(requested, clock.now() + 0.004, braking=braking)
+            session.exchange(requested, clock.now() + 0.004, BOTH, braking)
         except SysidError:
             assert len(link.sent) == n_sent_before and not braking
             continue
@@ -342,7 +343,7 @@ def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
     far = MitCommand(
         np.full(2, 90.0), np.full(2, 90.0), np.zeros(2), np.ones(2), np.zeros(2)
     )
-    session.exchange(far, clock.now() + 0.004, braking=True)
+    session.exchange(far, clock.now() + 0.004, BOTH, braking=True)
     assert len(link.sent) == n_sent + 2
     np.testing.assert_array_equal(session.command_range.upper, SCALING.limits[:, 0])
     np.testing.assert_array_equal(session.command_range.speed, SCALING.limits[:, 1])
