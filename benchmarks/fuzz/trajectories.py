@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damaged_json, damaged_table
+from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.preflight import plan_checks
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import (
@@ -62,7 +63,7 @@ def _table() -> str:
         SineTrajectory(*np.zeros((1, 2)), *0.1 * np.ones((3, 2, 1)), 1.0, 0.25), 20.0
     )
     motion = ((m.time, m.q, m.qd, 0.0 * m.q) for m in chunks)
-    export_damiao_trajectory(motion, ["DM4340", "DM4310"], file)
+    export_damiao_trajectory(motion, damiao_joints(["DM4340", "DM4310"], 2), file)
     return file.getvalue()
 
 

@@ -313,11 +313,12 @@ class MotorSession:
         # began late, the next one follows in less time than there is between two positions of the
         # trajectory.
         elapsed = np.minimum(now - self._moved_until, 0.2)
-        bounds = self.sent_position, elapsed, self._filter.last.q
+        q = self._filter.last.q
+        allowed = self._bounds.confine(command, self.sent_position, elapsed, q)
         if braking:
-            command = self._bounds.confine(command, *bounds)
+            command = allowed
         else:
-            self._bounds.require(self._labels, command, *bounds)
+            self._bounds.require(self._labels, command, allowed, q)
         packed = encode_mit(self._mounting.command(command), self.scaling)
         commanded = joints if braking else self._outstanding.may_be_commanded(joints)
         # Replies are sampled before this command acts, while the last one is in force.

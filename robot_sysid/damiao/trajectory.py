@@ -24,13 +24,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.damiao.joints import (
-    MASTER_ID_OFFSET,
-    RPM,
-    DamiaoJoint,
-    damiao_joints,
-    motor_spec,
-)
+from robot_sysid.damiao.joints import MASTER_ID_OFFSET, RPM, DamiaoJoint, motor_spec
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
@@ -119,34 +113,24 @@ class DamiaoTrajectory:
 
 def export_damiao_trajectory(
     motion_chunks: Iterable[MotionChunk],
-    motor_types: Sequence[str],
+    joints: tuple[DamiaoJoint, ...],
     path_or_file: str | os.PathLike[str] | TextIO,
-    can_ids: Sequence[int] | None = None,
-    master_ids: Sequence[int] | None = None,
-    joint_names: Sequence[str] = (),
 ) -> DamiaoExportReport:
     """Write a trajectory for Damiao motors, clamped to the limits of their frames; return a report.
 
     Args:
         motion_chunks: successive pieces of the motion in joint space: time, position, velocity and
             torque. They are written one after the other.
-        motor_types: type of each of the n motors, base to terminal.
+        joints: the n joints with their motors, base to terminal.
         path_or_file: open text file, or a path, which gets its file when everything is written.
-        can_ids: CAN id of each motor; by default 1 to n.
-        master_ids: id of each motor's replies; by default its CAN id + 0x10.
-        joint_names: name of each joint, for messages; by default none.
 
     Raises:
-        InputError: motor types or ids do not fit the n joints, there are no samples, or a value is
-            not finite.
+        InputError: there are no samples, or a value is not finite.
     """
     chunks = iter(motion_chunks)
     first = next(chunks, None)
     if first is None or len(first[0]) == 0:
         raise InputError("the trajectory to export has no samples")
-    joints = damiao_joints(
-        motor_types, np.shape(first[1])[1], can_ids, master_ids, joint_names
-    )
     # Greatest position, velocity and torque (3, 1, n) that frames can carry.
     limits = np.array([joint.spec.limits for joint in joints]).T[:, None]
     n_rows = 0

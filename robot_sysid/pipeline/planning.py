@@ -257,16 +257,18 @@ def motor_writer(
     """
     if not motors.export_damiao:
         return None
+    from robot_sysid.damiao.joints import damiao_joints
     from robot_sysid.damiao.trajectory import export_damiao_trajectory
 
-    return partial(
-        export_damiao_trajectory,
-        motor_commands(robot, plan, rate),
+    joints = damiao_joints(
         motors.motor_type,
-        can_ids=motors.can_id,
-        master_ids=motors.master_id,
-        joint_names=robot.joint_names,
+        robot.n_joints,
+        motors.can_id,
+        motors.master_id,
+        robot.joint_names,
     )
+    commands = motor_commands(robot, plan, rate)
+    return partial(export_damiao_trajectory, commands, joints)
 
 
 def motor_commands(

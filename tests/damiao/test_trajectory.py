@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from robot_sysid.damiao.joints import MOTORS
+from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.trajectory import (
     NO_LIMITS,
     excesses,
@@ -29,9 +29,14 @@ def motion(samples=5, joints=2, dt=0.001, scale=1.0):
     return time, scale * np.sin(phase), scale * np.cos(phase), scale * np.sin(2 * phase)
 
 
-def export_motion(chunks, types, **options):
+def export(chunks, types, path, **ids):
+    joints = damiao_joints(types, len(types), **ids)
+    return export_damiao_trajectory(chunks, joints, path)
+
+
+def export_motion(chunks, types):
     text = io.StringIO()
-    report = export_damiao_trajectory(chunks, types, text, **options)
+    report = export(chunks, types, text)
     return report, text.getvalue()
 
 
@@ -67,7 +72,7 @@ def test_what_is_written_is_read_back_within_the_printed_digits(data, tmp_path_f
     values = data.draw(share) * limits[:, None, :]
     time = np.arange(samples) / rate
     path = tmp_path_factory.mktemp("csv") / "damiao_trajectory.csv"
-    report = export_damiao_trajectory([(time, *values)], types, path)
+    report = export([(time, *values)], types, path)
     inside = np.clip(values, -limits[:, None, :], limits[:, None, :])
     got_time, *got = reread(path)
     np.testing.assert_allclose(got_time, time, rtol=0, atol=5.1e-7)
@@ -88,9 +93,8 @@ def test_the_chunk_size_changes_nothing(cuts):
 
 def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
     path = tmp_path / "t.csv"
-    export_damiao_trajectory(
-        [motion()], ["DM4340", "DM4310"], path, can_ids=[5, 3], master_ids=[0x15, 0x33]
-    )
+    types = ["DM4340", "DM4310"]
+    export([motion()], types, path, can_ids=[5, 3], master_ids=[0x15, 0x33])
     lines = path.read_text().splitlines()
     assert lines[0] == "# motor_type=DM4340,can_id=5,mode=MIT"
     assert lines[1] == "# motor_type=DM4310,can_id=3,mode=MIT,master_id=51"
@@ -106,7 +110,7 @@ def test_values_that_are_not_finite_are_refused(where, tmp_path):
     chunk = [np.array(x) for x in motion()]
     chunk[where][2, 1] = np.nan
     with pytest.raises(InputError, match="not finite"):
-        export_damiao_trajectory([tuple(chunk)], ["DM4340"] * 2, tmp_path / "t.csv")
+        export([tuple(chunk)], ["DM4340"] * 2, tmp_path / "t.csv")
     assert list(tmp_path.iterdir()) == []
 
 

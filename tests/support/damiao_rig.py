@@ -181,7 +181,9 @@ def two_motor_arm(watchdog=0.1):
 def trajectory_file(folder, motion, motor_type="DM4340"):
     """A motion as a trajectory file for motors of one type, read back."""
     path = folder / "damiao_trajectory.csv"
-    export_damiao_trajectory([motion], [motor_type] * motion[1].shape[1], path)
+    n_joints = motion[1].shape[1]
+    joints = damiao_joints([motor_type] * n_joints, n_joints)
+    export_damiao_trajectory([motion], joints, path)
     return read_damiao_trajectory(path)
 
 

@@ -176,7 +176,8 @@ def exported_trajectory(setup):
     tau = np.asarray(ArmTorque(robot)(Motion(time_, q, qd, qdd)))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "damiao_trajectory.csv"
-        export_damiao_trajectory([(time_, q, qd, tau)], MOTOR_TYPES, path)
+        joints = damiao_joints(MOTOR_TYPES, len(MOTOR_TYPES))
+        export_damiao_trajectory([(time_, q, qd, tau)], joints, path)
         return read_damiao_trajectory(path)
 
 

@@ -342,24 +342,17 @@ class CommandBounds:
         return replace(self, command_range=widened)
 
     def require(
-        self,
-        labels: Sequence[str],
-        command: MitCommand,
-        last: Array,
-        elapsed: Array,
-        q: Array,
+        self, labels: Sequence[str], command: MitCommand, allowed: MitCommand, q: Array
     ) -> None:
         """Raise HardwareAbort for the first joint whose command is beyond its bounds.
 
         Args:
             labels: names of the n joints, for messages.
             command: command that is to be sent, fields (n,), in joint space.
-            last: (n,) positions commanded last [rad].
-            elapsed: (n,) time since the last command [s].
+            allowed: this command, limited to the bounds by ``confine``.
             q: (n,) last believed positions [rad]; NaN where a joint has never answered.
 
         """
-        allowed = self.confine(command, last, elapsed, q)
         # A joint that has never answered has an unknown position error: only its torque counts.
         with np.errstate(over="ignore"):
             asked, makes = (
@@ -401,11 +394,17 @@ class CommandBounds:
     def confine(
         self, command: MitCommand, last: Array, elapsed: Array, q: Array
     ) -> MitCommand:
-        """Return the command limited to the bounds; arguments as for ``require``.
+        """Return the command limited to the bounds.
 
         Stiffness is reduced where it alone would exceed the torque bound, the feed-forward torque
         where the sum would. Damping stays. A position that is not finite becomes the last one, a
         velocity or torque that is NaN becomes 0.
+
+        Args:
+            command: command, fields (n,), in joint space.
+            last: (n,) positions commanded last [rad].
+            elapsed: (n,) time since the last command [s].
+            q: (n,) last believed positions [rad]; NaN where a joint has never answered.
         """
         within = self.command_range
         top_speed = within.speed

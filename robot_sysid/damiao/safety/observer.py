@@ -115,8 +115,11 @@ class Observer:
             explained=np.ones(n_joints),
         )
         self._zero_check = holding.watch and holding.watch()
-        # Means (2, n) of effort and of feed-forward torque over the last moments; NaN before.
-        self._means = np.full((2, n_joints), np.nan)
+        # (2, n) each, NaN before the first cycle: means of effort and of feed-forward torque over
+        # the last moments; position and velocity of the last answer; commanded position and torque
+        # when an answer last differed from the one before.
+        unknown = np.full((2, n_joints), np.nan)
+        self._means = self._last = self._still_since = unknown
         self._cycles = 0
         self.missed, self.silent, self.total_missed = np.zeros((3, n_joints), int)
         # Cycles in a row with doubted answers only.
@@ -127,10 +130,6 @@ class Observer:
         self.worst_tracking = np.zeros(n_joints)
         self.failed, self.stuck, self.to_switch_off = np.zeros((3, n_joints), bool)
         self._stale = np.zeros(n_joints, bool)
-        # Position and velocity of the last answer.
-        self._last = np.full((2, n_joints), np.nan)
-        # Commanded position and torque when an answer last differed from the one before.
-        self._still_since = np.full((2, n_joints), np.nan)
         self._slip: tuple[int, str] | None = None
         # Commanded and reported positions of the last 25 cycles, in which a blocked joint is looked
         # for, the newest first.
