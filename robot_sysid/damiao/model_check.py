@@ -144,6 +144,7 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
         joints: joints of the arm with their motors, base to terminal.
     """
     arm = ArmTorque(robot)
+    doubt = torque_doubt(joints) + robot.friction.largest_dry
 
     def holding_torque(q: Array) -> Array:
         """Return the torque (n,) that holds the arm at rest in a pose q (n,) [N m]."""
@@ -153,7 +154,7 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
     return HoldingCheck(
         joints,
         holding_torque,
-        torque_doubt(joints) + robot.friction.largest_dry,
+        doubt,
         source=f"the model {robot.path.name} needs",
-        watch=partial(MovedZeroCheck, robot, joints),
+        watch=partial(MovedZeroCheck, robot, doubt),
     )

@@ -193,7 +193,7 @@ class MeasurementRecorder:
         acted: MitCommand,
         mark: str = "",
     ) -> None:
-        """Write a cycle as a row of the file.
+        """Write a cycle as a row of the file, with its cells in the order of the titles.
 
         Args:
             time: time since the trajectory began [s].
@@ -202,36 +202,31 @@ class MeasurementRecorder:
             acted: command in force when the replies were sampled, in joint space.
             mark: begin of the line; "# ..." makes it a comment.
         """
-        self._aside(
-            lambda: self._file.write(mark + self._row(time, origin, replies, acted))
-        )
 
-    def _row(
-        self, time: float, origin: float, replies: Replies, acted: MitCommand
-    ) -> str:
-        """Return the line of a cycle in the file; arguments as for ``write``.
+        def write_row() -> None:
+            """Write the time, position, velocity and torque of each joint, and ``_EXTRA``."""
+            feedback = replies.feedback
+            centre = self._centring.torques(replies, acted)
+            # Rows of these tables are joints.
+            measured = np.column_stack(
+                [feedback.position, feedback.velocity, feedback.torque + centre]
+            )
+            stamps = replies.time - origin
+            commanded = np.column_stack(
+                [stamps, acted.position, acted.velocity, acted.torque, centre]
+            )
+            temperatures = feedback.temperature_mos, feedback.temperature_rotor
+            cells = [f"{time:.6f}"]
+            for values in measured:
+                cells += _numbers(values)
+            for j, values in enumerate(commanded):
+                cells += _numbers(values)
+                cells.append(str(int(replies.doubted[j])))
+                for codes in (feedback.status, *temperatures):
+                    cells.append(str(codes[j]) if replies.answered[j] else "")
+            self._file.write(mark + ",".join(cells) + "\n")
 
-        Its cells are in the order of the titles: the time, position, velocity and torque of each
-        joint, ``_EXTRA`` of each joint.
-        """
-        feedback = replies.feedback
-        centre = self._centring.torques(replies, acted)
-        # Rows of these tables are joints.
-        measured = np.column_stack(
-            [feedback.position, feedback.velocity, feedback.torque + centre]
-        )
-        command = acted.position, acted.velocity, acted.torque, centre
-        commanded = np.column_stack([replies.time - origin, *command])
-        state = (feedback.status, feedback.temperature_mos, feedback.temperature_rotor)
-        cells = [f"{time:.6f}"]
-        for values in measured:
-            cells += _numbers(values)
-        for j, values in enumerate(commanded):
-            cells += _numbers(values)
-            cells.append(str(int(replies.doubted[j])))
-            for codes in state:
-                cells.append(str(codes[j]) if replies.answered[j] else "")
-        return ",".join(cells) + "\n"
+        self._aside(write_row)
 
 
 def _head(plan: Plan, registers: Sequence[Mapping[int, float]]) -> list[str]:

@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_sysid.damiao import protocol
+from robot_sysid.damiao import protocol, recorder
 from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.preflight import stops
 from robot_sysid.damiao.protocol import DISABLED, ENABLED, Frame, is_special
-from robot_sysid.damiao.recorder import MeasurementRecorder
 from robot_sysid.damiao.references import trajectory_reference
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import Permissions
@@ -364,7 +363,7 @@ def send_signal(name):
 
 def disk_full(rig):
     rig.patch.setattr(
-        MeasurementRecorder, "_row", raising(OSError(28, "No space left on device"))
+        recorder, "_numbers", raising(OSError(28, "No space left on device"))
     )
 
 

@@ -34,8 +34,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from robot_sysid.damiao.joints import DamiaoJoint
-from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimate.links import LARGEST, link_factor
@@ -68,10 +66,10 @@ class MovedZeroCheck:
 
     Args:
         robot: model of the arm with n joints.
-        joints: joints of the arm with their motors, base to terminal.
+        doubt: torque (n,) that friction alone may explain [N m].
     """
 
-    def __init__(self, robot: RobotModel, joints: Sequence[DamiaoJoint]) -> None:
+    def __init__(self, robot: RobotModel, doubt: Array) -> None:
         n = robot.n_joints
         self._needed_torque = ArmTorque(robot)
         self._dynamics = LinkDynamics(robot)
@@ -82,7 +80,7 @@ class MovedZeroCheck:
         load = np.zeros((len(factor), 4))
         load[-10:-6] = 3.0 * np.diag([1.0, 0.2, 0.2, 0.2])
         self._factor = np.column_stack([factor, load])
-        self._doubt = torque_doubt(joints) + robot.friction.largest_dry
+        self._doubt = doubt
         # Time [s] and q, qd, tau (3, n) of the cycles of the present window.
         self._samples: list[tuple[float, Array]] = []
         # Remaining steps of the last window's evaluation.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.safety import moved_zeros
+from robot_sysid.damiao.references import torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.parser import load_robot_model
@@ -48,9 +48,14 @@ def play_motion(
     return Measurement(time, q, qd, tau)
 
 
+def doubt_of(robot):
+    """Torque that friction alone may explain [N m]."""
+    return torque_doubt(ZERO_JOINTS) + robot.friction.largest_dry
+
+
 def finding(robot, run):
     """When a run is found wrong [s], the joint, and the words; None where it never is."""
-    check = MovedZeroCheck(robot, ZERO_JOINTS)
+    check = MovedZeroCheck(robot, doubt_of(robot))
     for time, q, qd, tau in zip(run.time, run.q, run.qd, run.tau):
         finding_now = check(time, q, qd, tau)
         if finding_now is not None:
@@ -114,7 +119,7 @@ def test_an_arm_that_stands_says_nothing(arm):
 
 def test_cycles_without_an_answer_are_left_out(arm):
     run = play_motion(arm, 0, 0.15, shift=0.3)
-    check = MovedZeroCheck(arm, ZERO_JOINTS)
+    check = MovedZeroCheck(arm, doubt_of(arm))
     silent = np.full(3, np.nan)
     for cycle, (time, q, qd, tau) in enumerate(zip(run.time, run.q, run.qd, run.tau)):
         finding_now = check(time, silent if cycle % 7 == 0 else q, qd, tau)
@@ -138,20 +143,17 @@ LOGS = (
 
 @pytest.mark.skipif(not DATA.exists(), reason="logs of real arms are not here")
 @pytest.mark.parametrize(("log", "model", "peak"), LOGS)
-def test_a_real_arm_that_nothing_happens_to_is_left_alone(
-    log, model, peak, monkeypatch
-):
+def test_a_real_arm_that_nothing_happens_to_is_left_alone(log, model, peak):
     """With friction and rotors that no model has, and with a table of links that is wrong."""
-    monkeypatch.setattr(
-        moved_zeros, "torque_doubt", lambda joints: 0.06 * np.array(joints)
-    )
     table = np.loadtxt(DATA / log, delimiter=",", skiprows=1)
     time = table[:, 0]
     q, tau = np.split(table[:, 1:], 2, axis=1)
     smoother = np.hanning(2 * round(0.04 / np.median(np.diff(time))) + 1)
     smooth = [np.convolve(column, smoother / smoother.sum(), "same") for column in q.T]
     qd = np.gradient(np.array(smooth), time, axis=1).T
-    check = MovedZeroCheck(load_robot_model(DATA / model), peak)
+    robot = load_robot_model(DATA / model)
+    doubt = 0.06 * np.array(peak) + robot.friction.largest_dry
+    check = MovedZeroCheck(robot, doubt)
     inside = slice(len(smoother), -len(smoother))
     cycles = zip(time[inside], q[inside], qd[inside], tau[inside])
     assert not any(check(*cycle) for cycle in cycles)
