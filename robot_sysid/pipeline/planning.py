@@ -27,6 +27,7 @@ from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
 if TYPE_CHECKING:
+    from robot_sysid.damiao.joints import DamiaoJoint
     from robot_sysid.damiao.trajectory import MotionChunk
     from robot_sysid.motion.prediction import Prediction
 
@@ -44,17 +45,16 @@ def design_motion(
     """
     limits = config.limits
     motors = config.motors
-    if motors.export_damiao:
-        from robot_sysid.damiao.joints import motor_spec
-
+    joints = motor_joints(motors, robot)
+    if joints:
         # The motors of the export keep their torque limits, too.
         max_torque = joint_values(
             limits.max_torque or np.inf, robot.n_joints, "--max-torque"
         )
-        for joint, motor_type in enumerate(motors.motor_type):
-            spec = motor_spec(motor_type)
+        for k, joint in enumerate(joints):
+            spec = joint.spec
             # The last limit is TMAX, which no command of torque can exceed.
-            max_torque[joint] = min(max_torque[joint], spec.peak_torque, spec.limits[2])
+            max_torque[k] = min(max_torque[k], spec.peak_torque, spec.limits[2])
         limits = replace(limits, max_torque=tuple(max_torque.tolist()))
     request = MotionRequest(
         config.trajectory,
@@ -83,13 +83,14 @@ def predict_plan(
     problem = checked.problem
     plan = checked.plan
     check = checked.check
-    rate = config.trajectory.sample_rate
     assert problem is not None and check is not None
     prediction = None
     lines = [*limit_lines(problem, plan, check)]
-    options = config.estimation
+    rate = config.trajectory.sample_rate
     try:
-        prediction = expected_errors.predict(problem, plan, rate, options, config.aim)
+        prediction = expected_errors.predict(
+            problem, plan, rate, config.estimation, config.aim
+        )
         lines += error_lines(prediction)
     except InputError as error:
         lines.append(f"What errors it will leave cannot be predicted: {error}")
@@ -238,14 +239,22 @@ def draft_plan(
     return path, samples_path
 
 
-def require_motors(motors: MotorOptions, robot: RobotModel) -> None:
-    """Raise InputError where an export for motors is wanted that is impossible for this arm."""
-    if motors.export_damiao:
-        from robot_sysid.damiao.joints import damiao_joints
+def motor_joints(motors: MotorOptions, robot: RobotModel) -> tuple[DamiaoJoint, ...]:
+    """Return the joints of an arm with their motors; none where no option asks for an export.
 
-        damiao_joints(
-            motors.motor_type, robot.n_joints, motors.can_id, motors.master_id
-        )
+    InputError where the export is impossible for this arm.
+    """
+    if not motors.export_damiao:
+        return ()
+    from robot_sysid.damiao.joints import damiao_joints
+
+    return damiao_joints(
+        motors.motor_type,
+        robot.n_joints,
+        motors.can_id,
+        motors.master_id,
+        robot.joint_names,
+    )
 
 
 def motor_writer(
@@ -255,20 +264,12 @@ def motor_writer(
 
     It can be called once only. None where no option asks for an export.
     """
-    if not motors.export_damiao:
+    joints = motor_joints(motors, robot)
+    if not joints:
         return None
-    from robot_sysid.damiao.joints import damiao_joints
     from robot_sysid.damiao.trajectory import export_damiao_trajectory
 
-    joints = damiao_joints(
-        motors.motor_type,
-        robot.n_joints,
-        motors.can_id,
-        motors.master_id,
-        robot.joint_names,
-    )
-    commands = motor_commands(robot, plan, rate)
-    return partial(export_damiao_trajectory, commands, joints)
+    return partial(export_damiao_trajectory, motor_commands(robot, plan, rate), joints)
 
 
 def motor_commands(

@@ -29,8 +29,8 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.planning import (
     design_motion,
     draft_plan,
+    motor_joints,
     motor_writer,
-    require_motors,
     write_plan,
 )
 from robot_sysid.pipeline.run_words import step_after_run
@@ -103,7 +103,8 @@ def load_arm(config: Config, progress: Progress) -> RobotModel:
     progress.note(*robot.notes)
     progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
     if isinstance(config, MotionConfig):
-        require_motors(config.motors, robot)
+        # Refuses an export that is impossible for this arm.
+        motor_joints(config.motors, robot)
     return robot
 
 

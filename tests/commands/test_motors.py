@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import re
 import shlex
 import signal
@@ -31,6 +30,7 @@ from tests.support.damiao_rig import (
     trajectory_file,
     with_coarse_physics,
 )
+from tests.support.realtime_arm import NEEDS_TERMINALS
 from tests.support.recordings import read_recording
 
 CAN0 = ("--channel", "can0")
@@ -329,7 +329,7 @@ def simulator(trajectory, model, watchdog="2"):
 
 
 @pytest.mark.realtime
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+@NEEDS_TERMINALS
 def test_two_processes_over_a_pseudo_terminal(trajectory, model, tmp_path):
     """What the user does: simulate in one terminal, play and stop it in the other."""
     with simulator(trajectory, model, watchdog="5") as device:
@@ -351,7 +351,7 @@ def small_files_only():
 
 
 @pytest.mark.realtime
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+@NEEDS_TERMINALS
 @pytest.mark.parametrize("trouble", ["output closed", "disk full", "output held"])
 def test_nothing_that_prints_or_records_stands_in_the_way_of_braking(
     model, tmp_path, trouble

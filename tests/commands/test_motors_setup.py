@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from robot_sysid.damiao import protocol
 from robot_sysid.damiao.joints import read_joint_map
 from robot_sysid.damiao.protocol import (
     DISABLED,
@@ -12,6 +11,7 @@ from robot_sysid.damiao.protocol import (
     ENABLED,
     REGISTER_ID,
     STORE,
+    Register,
     is_special,
 )
 from tests.support import arms
@@ -37,7 +37,7 @@ def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
 
 def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     motor = bus.motors[0]
-    motor.registers[protocol.Register.CTRL_MODE] = 2.0
+    motor.registers[Register.CTRL_MODE] = 2.0
     options = (
         "--motor",
         1,
@@ -58,10 +58,10 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     values = [
         motor.registers[n]
         for n in (
-            protocol.Register.ESC_ID,
-            protocol.Register.MST_ID,
-            protocol.Register.CTRL_MODE,
-            protocol.Register.TIMEOUT,
+            Register.ESC_ID,
+            Register.MST_ID,
+            Register.CTRL_MODE,
+            Register.TIMEOUT,
         )
     ]
     assert values == [5.0, 21.0, 1.0, 4000.0] and motor.stored == motor.registers
@@ -71,7 +71,7 @@ def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
 def test_nothing_is_stored_unless_asked_for(capsys, bus):
     succeed(capsys, "setup", *CAN0, "--motor", 1, "--watchdog", "0.2")
     assert (
-        bus.motors[0].registers[protocol.Register.TIMEOUT] == 4000.0
+        bus.motors[0].registers[Register.TIMEOUT] == 4000.0
         and bus.motors[0].stored == {}
     )
     assert not any(f.id == REGISTER_ID and f.data[2] == STORE for f in bus.wire.sent)
@@ -82,7 +82,7 @@ def test_nothing_is_stored_unless_asked_for(capsys, bus):
 )
 def test_an_enabled_motor_is_never_changed(capsys, bus, change):
     bus.motors[0].status = ENABLED
-    bus.motors[0].registers[protocol.Register.TIMEOUT] = 0.0
+    bus.motors[0].registers[Register.TIMEOUT] = 0.0
     registers = dict(bus.motors[0].registers)
     err = fail(capsys, 3, "setup", *CAN0, "--motor", 1, *change)
     assert "motor 1 is enabled" in err
@@ -141,8 +141,8 @@ def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
 ):
     """As they come from the factory: all answer on 0, and one's answers are another's commands."""
     for motor in bus.motors:
-        motor.registers[protocol.Register.MST_ID] = 0.0
-    bus.motors[1].registers[protocol.Register.MST_ID] = 0x101
+        motor.registers[Register.MST_ID] = 0.0
+    bus.motors[1].registers[Register.MST_ID] = 0x101
     succeed(capsys, "setup", *CAN0, "--motor", 1, *options)
 
 
@@ -153,10 +153,14 @@ def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
     assert only_asks(bus.wire.sent)
 
 
-def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, arm_file):
+@pytest.fixture
+def model(arm_file):
+    return arm_file(arms.serial_arm((arms.Z, arms.Y)))
+
+
+def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, model):
     """The first joint has motor 2, mirrored; the second one motor 1."""
     waiting, prompts = person
-    model = arm_file(arms.serial_arm((arms.Z, arms.Y)))
     output = tmp_path / "map.csv"
     q = bus.arm.mechanism.q
 
@@ -188,9 +192,8 @@ def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, arm_file):
     assert only_asks(bus.wire.sent)
 
 
-def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, arm_file):
+def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, model):
     waiting, _ = person
-    model = arm_file(arms.serial_arm((arms.Z, arms.Y)))
     output = tmp_path / "map.csv"
 
     def both():
@@ -202,11 +205,11 @@ def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, arm_file):
     assert not output.exists()
 
 
-def test_the_model_says_which_way_is_positive(arm_file):
+def test_the_model_says_which_way_is_positive(model):
     from robot_sysid.commands.motors.mapping import movement_texts
     from robot_sysid.parser import load_robot_model
 
-    robot = load_robot_model(arm_file(arms.serial_arm((arms.Z, arms.Y))))
+    robot = load_robot_model(model)
     texts = movement_texts(robot)
     assert [text.partition("seen from ")[2] for text in texts] == ["+z (up)", "+y"]
     assert all("counter-clockwise" in text for text in texts)

@@ -27,7 +27,7 @@ from robot_sysid.damiao.adapters import (
 from robot_sysid.damiao.bus import LinkError, SimulatedClock, SystemClock
 from robot_sysid.damiao.protocol import DISABLE, BusTiming, Frame, special_frame
 from robot_sysid.errors import InputError
-from tests.support.realtime_arm import slcan_terminal
+from tests.support.realtime_arm import NEEDS_TERMINALS, slcan_terminal
 
 WALL = 1.7e9
 
@@ -243,11 +243,6 @@ def test_other_packets_and_broken_ones_are_passed_over():
     # A torn packet swallows at most what looks like its own rest.
     frames_read = frames_in(status + answer(one) + torn + answer(one) + answer(one), 7)
     assert frames_read.count(one) >= 2 and set(frames_read) == {one}
-
-
-NEEDS_TERMINALS = pytest.mark.skipif(
-    not hasattr(os, "openpty"), reason="needs pseudo-terminals"
-)
 
 
 @pytest.fixture

@@ -143,26 +143,32 @@ def pull(reference, q):
     return KP * (reference.position - np.array(q)) + reference.torque
 
 
+LEANING = (0.0, -0.05)
+
+
+def leaning(**more):
+    """A stop of joints of which the second one is held back."""
+    return stop(torque=(2.0, 3.0), q=LEANING, **more)
+
+
 def test_what_leans_on_an_obstacle_is_given_back():
-    q = (0.0, -0.05)
-    path = stop(torque=(2.0, 3.0), q=q)
-    assert pull(path(0.0), q)[1] == pytest.approx(12.0)
-    assert pull(step_by_step(path, q, 2.0), q)[1] == pytest.approx(3.0, abs=0.05)
+    path = leaning()
+    assert pull(path(0.0), LEANING)[1] == pytest.approx(12.0)
+    end = step_by_step(path, LEANING, 2.0)
+    assert pull(end, LEANING)[1] == pytest.approx(3.0, abs=0.05)
 
 
 def test_what_a_sagging_joint_needs_is_kept():
     """It begins to sink as soon as a part of its torque is given back."""
-    q = (0.0, -0.05)
-    path = stop(torque=(2.0, 3.0), q=q)
-    pull_before = pull(step_by_step(path, q, 0.1), q)[1]
+    path = leaning()
+    pull_before = pull(step_by_step(path, LEANING, 0.1), LEANING)[1]
     sunk = (0.0, -0.062)
     assert pull(step_by_step(path, sunk, 3.0), sunk)[1] > pull_before
 
 
 def test_a_joint_that_stands_against_its_motor_is_pushed_no_more_at_once():
-    q = (0.0, -0.05)
-    path = stop(torque=(2.0, 3.0), q=q, stuck=(False, True))
-    assert pull(path(0.0), q)[1] == pytest.approx(3.0)
+    path = leaning(stuck=(False, True))
+    assert pull(path(0.0), LEANING)[1] == pytest.approx(3.0)
 
 
 def test_an_unknown_place_is_held_as_it_was():

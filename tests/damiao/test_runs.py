@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_sysid.damiao import protocol, recorder
+from robot_sysid.damiao import recorder
 from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.preflight import stops
-from robot_sysid.damiao.protocol import DISABLED, ENABLED, Frame, is_special
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, Frame, Register, is_special
 from robot_sysid.damiao.references import trajectory_reference
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import Permissions
@@ -139,11 +139,11 @@ WRONG = (
     (fault("lost_replies", 10), "motor 11 does not answer"),
     (fault("status", 11, ENABLED), "motor 12 is enabled already"),
     (
-        lambda rig: rig.motors[12].registers.update({protocol.Register.MST_ID: 0x21}),
+        lambda rig: rig.motors[12].registers.update({Register.MST_ID: 0x21}),
         "answers on 0x21 (MST_ID 0x21) but the trajectory expects 0x1d",
     ),
     (
-        lambda rig: rig.motors[13].registers.pop(protocol.Register.CTRL_MODE),
+        lambda rig: rig.motors[13].registers.pop(Register.CTRL_MODE),
         "answer for CTRL_MODE; try again",
     ),
 )
@@ -151,7 +151,7 @@ WRONG = (
 
 def test_every_motor_that_is_not_as_expected_is_named_with_what_is_wrong(rig):
     run = rig(14, motion=swing(14), faults=[cause for cause, _ in WRONG])
-    run.motors[11].registers[protocol.Register.TIMEOUT] = 6e4
+    run.motors[11].registers[Register.TIMEOUT] = 6e4
     run.states_before = run.states()
     run.run()
     texts = stops(run.checks)
@@ -283,6 +283,20 @@ def negate_torque(q, qd, tau):
     tau[:, 1] *= -1.0
 
 
+def watch_distance(run, is_watched):
+    """Collect how far any joint is from 0.8 rad after each step of the physics, while watched."""
+    distances = []
+    step = run.arm.mechanism.step
+
+    def watch_call(*arguments):
+        step(*arguments)
+        if is_watched():
+            distances.append(np.max(np.abs(run.arm.mechanism.q - 0.8)))
+
+    run.arm.mechanism.step = watch_call
+    return distances
+
+
 def mirror_joint(run):
     """The second motor turns the other way, and shows the right position where it stands."""
     run.motors[1].joint = replace(run.motors[1].joint, direction=-1, offset=1.6)
@@ -313,14 +327,7 @@ def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
     run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, **USUAL)
     if mount:
         mount(run)
-    farthest = []
-    step = run.arm.mechanism.step
-
-    def watch_call(*arguments):
-        step(*arguments)
-        farthest.append(np.max(np.abs(run.arm.mechanism.q - 0.8)))
-
-    run.arm.mechanism.step = watch_call
+    farthest = watch_distance(run, is_watched=lambda: True)
     run.run(settle=0.0)
     assert message in str(run.error), run.error
     assert not any(sentence.startswith("moving") for sentence in run.phases)
@@ -571,16 +578,9 @@ def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(
     monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
     motion = changed_swing(shift_pose)
     run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, rest_time=0.3, **USUAL)
-    farthest = []
-    step = run.arm.mechanism.step
-
-    def watch_call(*arguments):
-        step(*arguments)
-        driven = [motor.status == ENABLED for motor in run.motors]
-        if all(driven):
-            farthest.append(np.max(np.abs(run.arm.mechanism.q - 0.8)))
-
-    run.arm.mechanism.step = watch_call
+    farthest = watch_distance(
+        run, lambda: all(motor.status == ENABLED for motor in run.motors)
+    )
     run.during("raising", delay, lambda r: r.stop("stopped by SIGTERM")).run(settle=0.0)
     assert str(run.error) == "stopped by SIGTERM"
     assert max(farthest) < 0.03

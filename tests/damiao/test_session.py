@@ -9,9 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient, inspect_bus
-from robot_sysid.damiao.protocol import DISABLED, ENABLED, REGISTER_ID, Frame
+from robot_sysid.damiao.protocol import (
+    DISABLED,
+    ENABLED,
+    REGISTER_ID,
+    Frame,
+    Register,
+    is_motion,
+)
 from robot_sysid.damiao.session import PAUSE, Outstanding
 from robot_sysid.errors import HardwareAbort
 from tests.support import damiao_rig
@@ -25,7 +31,7 @@ def statuses(bench):
 
 def setup_client(bench):
     """What setting up a motor writes with: a run may not."""
-    link = GuardedLink(bench.bus, bench.clock, refuses=protocol.is_motion)
+    link = GuardedLink(bench.bus, bench.clock, refuses=is_motion)
     return RegisterClient(link)
 
 
@@ -34,7 +40,7 @@ def test_inspection_reads_everything_and_changes_nothing():
     registers_before = [dict(m.registers) for m in bench.motors]
     inspection = inspect_bus(bench.link)
     assert sorted(inspection.motors) == [1, 2]
-    assert set(inspection.motors[1].registers) == set(protocol.Register)
+    assert set(inspection.motors[1].registers) == set(Register)
     assert inspection.motors[2].limits == (12.5, 10.0, 28.0)
     assert inspection.motors[2].feedback.temperature_mos[0] == 31
     assert [m.registers for m in bench.motors] == registers_before
@@ -46,16 +52,16 @@ def test_a_refused_write_is_noticed(monkeypatch):
     bench = Bench()
     monkeypatch.setattr(damiao_rig, "WRITABLE", ())
     with pytest.raises(HardwareAbort, match="motor 1 refused VMAX = 0.5 and keeps 10"):
-        setup_client(bench).write(1, protocol.Register.VMAX, 0.5)
+        setup_client(bench).write(1, Register.VMAX, 0.5)
 
 
 def test_a_motor_that_is_not_there_does_not_answer():
     bench = Bench()
-    assert bench.client.read(9, protocol.Register.PMAX) is None
+    assert bench.client.read(9, Register.PMAX) is None
     with pytest.raises(
         HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"
     ):
-        setup_client(bench).write(9, protocol.Register.TIMEOUT, 1.0)
+        setup_client(bench).write(9, Register.TIMEOUT, 1.0)
 
 
 def test_feedback_is_not_taken_for_a_register_reply():
@@ -68,7 +74,7 @@ def test_feedback_is_not_taken_for_a_register_reply():
         return [feedback, *ours(frame, time)]
 
     bench.arm.handle = with_feedback_first
-    assert bench.client.read(1, protocol.Register.PMAX) == 12.5
+    assert bench.client.read(1, Register.PMAX) == 12.5
 
 
 def test_leaving_without_having_enabled_sends_nothing():

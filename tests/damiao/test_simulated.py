@@ -10,11 +10,8 @@ import pytest
 from robot_sysid.damiao.adapters import BusLink
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.protocol import Frame
-from tests.support.realtime_arm import slcan_terminal
+from tests.support.realtime_arm import NEEDS_TERMINALS, slcan_terminal
 
-NEEDS_TERMINALS = pytest.mark.skipif(
-    not hasattr(os, "openpty"), reason="needs pseudo-terminals"
-)
 # Far longer than any pause of a busy machine.
 PATIENCE = 60.0
 

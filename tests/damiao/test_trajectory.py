@@ -11,27 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from robot_sysid.damiao.joints import MOTORS, damiao_joints
+from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.trajectory import (
     NO_LIMITS,
     excesses,
-    export_damiao_trajectory,
     read_damiao_trajectory,
     user_bounds,
 )
 from robot_sysid.errors import InputError
-from tests.support.damiao_rig import swing, trajectory_file
+from tests.support.damiao_rig import export, swing, trajectory_file
 
 
 def motion(samples=5, joints=2, dt=0.001, scale=1.0):
     time = dt * np.arange(samples)
     phase = time[:, None] + np.arange(joints)
     return time, scale * np.sin(phase), scale * np.cos(phase), scale * np.sin(2 * phase)
-
-
-def export(chunks, types, path, **ids):
-    joints = damiao_joints(types, len(types), **ids)
-    return export_damiao_trajectory(chunks, joints, path)
 
 
 def export_motion(chunks, types):

@@ -44,10 +44,16 @@ def holding_share(problem, pose):
     return np.max(np.abs(torque[0]) / problem.limits.torque)
 
 
-def test_a_motion_starts_where_nothing_collides():
-    problem = make_problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP)))
+def restarted(problem):
+    """Return the problem with another start, and the note that says so."""
     startable = starts.startable(problem)
     (note,) = set(startable.notes) - set(problem.notes)
+    return startable, note
+
+
+def test_a_motion_starts_where_nothing_collides():
+    problem = make_problem(tube_arm((Z, Y, X, Y), SHELF.format(TOP)))
+    startable, note = restarted(problem)
     assert "at rest the model is in a collision: link3 and shelf (10 mm deep)" in note
     assert problem.obstacles.closest(problem.rest).slack < 0.0
     assert startable.obstacles.closest(startable.rest).slack >= 0.0
@@ -72,12 +78,11 @@ def leaning(lean):
 def test_a_start_that_cannot_be_held_is_replaced(lean, share):
     """The tubes need no torque upright, so that such a pose always exists."""
     problem = weaken_motors(leaning(lean), share)
-    startable = starts.startable(problem)
+    startable, note = restarted(problem)
     assert holding_share(startable, startable.rest) < 1.0
     assert startable.obstacles.closest(startable.rest).slack >= 0.0
     assert np.all(startable.rest >= problem.limits.lower)
     assert np.all(startable.rest <= problem.limits.upper)
-    (note,) = set(startable.notes) - set(problem.notes)
     assert "dry friction at joint joint1 takes" in note
 
 
@@ -85,8 +90,7 @@ def test_dry_friction_counts_for_the_start():
     """An arm that can just hold a pose cannot leave it."""
     stiff = TUBES.replace('range="-2.5 2.5"', 'range="-2.5 2.5" frictionloss="0.3"')
     problem = weaken_motors(build(arm(stiff)), 1.01)
-    startable = starts.startable(problem)
-    (note,) = set(startable.notes) - set(problem.notes)
+    startable, note = restarted(problem)
     assert "dry friction at joint" in note
     share = holding_share(problem, problem.rest)
     assert holding_share(startable, startable.rest) < share

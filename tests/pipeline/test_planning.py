@@ -13,8 +13,8 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import planning
 from robot_sysid.pipeline.planning import (
     motor_commands,
+    motor_joints,
     motor_writer,
-    require_motors,
     write_plan,
 )
 from robot_sysid.simulator import ArmTorque
@@ -49,8 +49,8 @@ def test_sent_torques_differ_from_the_models_at_reversals_only(robot):
 def test_motors_of_another_number_of_joints_are_refused(robot):
     motors = MotorOptions(export_damiao=True, motor_type=("DM4340",))
     with pytest.raises(InputError, match="motor"):
-        require_motors(motors, robot)
-    require_motors(MotorOptions(), robot)
+        motor_joints(motors, robot)
+    motor_joints(MotorOptions(), robot)
 
 
 def test_no_motor_file_is_written_that_no_option_asks_for(robot):

@@ -14,6 +14,7 @@ from robot_sysid.damiao.execution import run
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import bus_checks
+from robot_sysid.damiao.protocol import Register
 from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.settings import (
     Permissions,
@@ -120,11 +121,7 @@ def motor(joint, watchdog=0.1):
     return FaultyMotor(**vars(sound))
 
 
-REGISTERS = {
-    "tmax": protocol.Register.TMAX,
-    "vmax": protocol.Register.VMAX,
-    "mode": protocol.Register.CTRL_MODE,
-}
+REGISTERS = {"tmax": Register.TMAX, "vmax": Register.VMAX, "mode": Register.CTRL_MODE}
 
 
 def fault(name, joint, value=1):
@@ -135,9 +132,7 @@ def fault(name, joint, value=1):
         if name == "status":
             hit.fail(int(value))
         elif name == "watchdog":
-            hit.registers[protocol.Register.TIMEOUT] = round(
-                value / protocol.TIMEOUT_UNIT
-            )
+            hit.registers[Register.TIMEOUT] = round(value / protocol.TIMEOUT_UNIT)
         elif name in REGISTERS:
             hit.registers[REGISTERS[name]] = float(value)
         elif name == "jammed":
@@ -178,12 +173,16 @@ def two_motor_arm(watchdog=0.1):
     return SimulatedArm(Pendulums(2), [motor(joint, watchdog) for joint in joints])
 
 
+def export(chunks, types, path, **ids):
+    """Write a motion for motors of these types, and return the report."""
+    joints = damiao_joints(types, len(types), **ids)
+    return export_damiao_trajectory(chunks, joints, path)
+
+
 def trajectory_file(folder, motion, motor_type="DM4340"):
     """A motion as a trajectory file for motors of one type, read back."""
     path = folder / "damiao_trajectory.csv"
-    n_joints = motion[1].shape[1]
-    joints = damiao_joints([motor_type] * n_joints, n_joints)
-    export_damiao_trajectory([motion], joints, path)
+    export([motion], [motor_type] * motion[1].shape[1], path)
     return read_damiao_trajectory(path)
 
 

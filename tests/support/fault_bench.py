@@ -26,10 +26,7 @@ from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.simulated import SimulatedLink
-from robot_sysid.damiao.trajectory import (
-    export_damiao_trajectory,
-    read_damiao_trajectory,
-)
+from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
@@ -37,7 +34,7 @@ from robot_sysid.simulation.plant import ArmStepper
 from robot_sysid.simulator import ArmTorque
 from tests.support.clocks import ScriptedClock
 from tests.support.damaged_links import FaultyLink
-from tests.support.damiao_rig import BIT_RATE
+from tests.support.damiao_rig import BIT_RATE, export
 from tests.support.faulty_arm import FaultyArm, bench_motor
 from tests.support.places import GUESS, TRUTH
 
@@ -176,8 +173,7 @@ def exported_trajectory(setup):
     tau = np.asarray(ArmTorque(robot)(Motion(time_, q, qd, qdd)))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "damiao_trajectory.csv"
-        joints = damiao_joints(MOTOR_TYPES, len(MOTOR_TYPES))
-        export_damiao_trajectory([(time_, q, qd, tau)], joints, path)
+        export([(time_, q, qd, tau)], MOTOR_TYPES, path)
         return read_damiao_trajectory(path)
 
 

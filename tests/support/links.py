@@ -15,11 +15,6 @@ class RememberingLink:
         self._link = link
         self._clock = clock
         self.frames = []
-        self._injected = []
-
-    def inject(self, frame):
-        """Let a frame arrive next that nobody on this link has sent."""
-        self._injected.append(frame)
 
     @property
     def sent(self):
@@ -31,7 +26,7 @@ class RememberingLink:
         self.frames.append((frame._replace(time=self._clock.now()), True))
 
     def receive(self, until):
-        frame = self._injected.pop(0) if self._injected else self._link.receive(until)
+        frame = self._link.receive(until)
         if frame is not None and not frame.echo:
             self.frames.append((frame, False))
         return frame

@@ -47,11 +47,11 @@ class Bench:
         """Let time [s] pass."""
         self.clock.sleep_until(self.clock.now() + seconds)
 
-    def exchange(self, q=0.0, kp=20.0, seconds=0.004, joints=None):
+    def exchange(self, q=0.0, kp=20.0, seconds=0.004, joints=True):
         """Command joints, or all, to q [rad] and return their replies of so many seconds."""
         until = self.clock.now() + seconds
-        joints = np.full(len(self.motors), True) if joints is None else joints
-        return self.session.exchange(self.command(q, kp), until, joints, braking=False)
+        driven = np.broadcast_to(joints, len(self.motors))
+        return self.session.exchange(self.command(q, kp), until, driven, braking=False)
 
     def command(self, q=0.0, kp=20.0):
         n = len(self.motors)

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from robot_sysid.damiao.adapters import BusLink, read_in_pieces
 from robot_sysid.damiao.bus import Link, SystemClock, undisturbed_processor
 from robot_sysid.damiao.player import StopRequest
@@ -25,6 +27,10 @@ from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation.plant import ArmStepper
+
+NEEDS_TERMINALS = pytest.mark.skipif(
+    not hasattr(os, "openpty"), reason="needs pseudo-terminals"
+)
 
 
 class NearEnd:

@@ -83,11 +83,9 @@ class MotorSetup:
         self._link = link
         self._client = RegisterClient(link)
         self._name = motor.name
-        # Present ids of the motor, by their registers.
-        self._ids: dict[int, int] = {
-            Register.ESC_ID: motor.can_id,
-            Register.MST_ID: motor.master_id,
-        }
+        # Present ids of the motor.
+        self._can_id = motor.can_id
+        self._master_id = motor.master_id
 
     def apply(self, options: SetupOptions) -> Iterator[str]:
         """Make the changes, in an order in which the motor stays reachable; yield a line for each.
@@ -111,8 +109,7 @@ class MotorSetup:
                 yield self._write_register(register, value)
         if options.store:
             self._require_disabled()
-            can_id = self._ids[Register.ESC_ID]
-            self._link.send(register_frame(STORE, can_id, register=1))
+            self._link.send(register_frame(STORE, self._can_id, register=1))
             # Longer than a motor takes to write its flash memory (a judgement).
             self._link.clock.sleep_until(self._link.clock.now() + 0.05)
             yield f"{self._name} keeps its values when the power goes off"
@@ -123,11 +120,12 @@ class MotorSetup:
         HardwareAbort where the motor is enabled, or refuses the value.
         """
         self._require_disabled()
-        can_id = self._ids[Register.ESC_ID]
-        old = self._client.read(can_id, register)
-        self._client.write(can_id, register, value)
-        if register in self._ids:
-            self._ids[register] = int(value)
+        old = self._client.read(self._can_id, register)
+        self._client.write(self._can_id, register, value)
+        if register == Register.ESC_ID:
+            self._can_id = int(value)
+        if register == Register.MST_ID:
+            self._master_id = int(value)
         old_text = "unknown" if old is None else register_text(register, old)
         return f"{self._name}: {old_text} is now {register_text(register, value)}"
 
@@ -137,8 +135,7 @@ class MotorSetup:
         HardwareAbort where the motor still reports an error.
         """
         text = status_text(self._status())
-        can_id = self._ids[Register.ESC_ID]
-        self._link.send(special_frame(CLEAR_ERROR, can_id))
+        self._link.send(special_frame(CLEAR_ERROR, self._can_id))
         status = self._status()
         new_text = status_text(status)
         if is_fault(status):
@@ -157,9 +154,7 @@ class MotorSetup:
 
         It is the upper half of the first byte of a feedback frame.
         """
-        frame = self._client.refresh(
-            self._ids[Register.ESC_ID], self._ids[Register.MST_ID]
-        )
+        frame = self._client.refresh(self._can_id, self._master_id)
         if frame is None:
             raise HardwareAbort(
                 f"{self._name} does not tell its state; nothing more is done"

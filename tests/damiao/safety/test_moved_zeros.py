@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.references import torque_doubt
+from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.parser import load_robot_model
@@ -48,14 +48,9 @@ def play_motion(
     return Measurement(time, q, qd, tau)
 
 
-def doubt_of(robot):
-    """Torque that friction alone may explain [N m]."""
-    return torque_doubt(ZERO_JOINTS) + robot.friction.largest_dry
-
-
 def finding(robot, run):
     """When a run is found wrong [s], the joint, and the words; None where it never is."""
-    check = MovedZeroCheck(robot, doubt_of(robot))
+    check = gravity_check(robot, ZERO_JOINTS).watch()
     for time, q, qd, tau in zip(run.time, run.q, run.qd, run.tau):
         finding_now = check(time, q, qd, tau)
         if finding_now is not None:
@@ -119,7 +114,7 @@ def test_an_arm_that_stands_says_nothing(arm):
 
 def test_cycles_without_an_answer_are_left_out(arm):
     run = play_motion(arm, 0, 0.15, shift=0.3)
-    check = MovedZeroCheck(arm, doubt_of(arm))
+    check = gravity_check(arm, ZERO_JOINTS).watch()
     silent = np.full(3, np.nan)
     for cycle, (time, q, qd, tau) in enumerate(zip(run.time, run.q, run.qd, run.tau)):
         finding_now = check(time, silent if cycle % 7 == 0 else q, qd, tau)
