@@ -58,8 +58,7 @@ def trajectory_reference(
 
     def reference(time: float) -> Reference:
         """Return the trajectory's state at ``time`` [s] of playing since its first row."""
-        signals = trajectory.sampled(np.array([start + time * speed]))
-        position, velocity, torque = (signal[0] for signal in signals)
+        position, velocity, torque = trajectory.sampled(np.array(start + time * speed))
         return Reference(position, velocity * speed, torque)
 
     return reference

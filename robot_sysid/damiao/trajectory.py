@@ -82,23 +82,23 @@ class DamiaoTrajectory:
         return len(self.joints)
 
     def rows_at(self, time: Array) -> NDArray[np.int64]:
-        """Return the index (K,) of the row before each of the file's times (K,) [s]."""
+        """Return the index (K,) of the row before each of the file's times (K,) or one time [s]."""
         row = np.searchsorted(self.time, time) - 1
         return np.clip(row, 0, len(self.time) - 2)
 
-    def sampled(self, time: Array) -> tuple[Array, Array, Array]:
+    def sampled(self, time: Array) -> list[Array]:
         """Return q, qd, tau (K, n) on the straight lines between rows at the file's times (K,) [s].
 
-        Motors are sent what stands on these lines. Outside of the file its first or last row holds.
+        They are (n,) each for one time. Motors are sent what stands on these lines. Outside of the
+        file its first or last row holds.
         """
         row = self.rows_at(time)
         since = (time - self.time[row]) / (self.time[row + 1] - self.time[row])
-        share = np.clip(since, 0.0, 1.0)[:, None]
-        q, qd, tau = (
+        share = np.clip(since, 0.0, 1.0)[..., None]
+        return [
             signal[row] + share * (signal[row + 1] - signal[row])
             for signal in (self.q, self.qd, self.tau)
-        )
-        return q, qd, tau
+        ]
 
     @property
     def qdd(self) -> Array:
@@ -325,8 +325,7 @@ def user_bounds(limits: LimitOptions, n_joints: int) -> Bounds:
     """Return the limits of velocity, acceleration and torque that a user gives for n joints."""
     values = {}
     for name in ("velocity", "acceleration", "torque"):
-        limit = getattr(limits, f"max_{name}")
-        limit = np.inf if limit is None else limit
+        limit = getattr(limits, f"max_{name}") or np.inf
         values[name] = joint_values(limit, n_joints, f"--max-{name}")
     return Bounds("your", **values)
 
