@@ -323,11 +323,15 @@ class Bounds(NamedTuple):
 
 def user_bounds(limits: LimitOptions, n_joints: int) -> Bounds:
     """Return the limits of velocity, acceleration and torque that a user gives for n joints."""
-    values = {}
-    for name in ("velocity", "acceleration", "torque"):
-        limit = getattr(limits, f"max_{name}") or np.inf
-        values[name] = joint_values(limit, n_joints, f"--max-{name}")
-    return Bounds("your", **values)
+    velocity, acceleration, torque = (
+        joint_values(np.inf if limit is None else limit, n_joints, flag)
+        for limit, flag in (
+            (limits.max_velocity, "--max-velocity"),
+            (limits.max_acceleration, "--max-acceleration"),
+            (limits.max_torque, "--max-torque"),
+        )
+    )
+    return Bounds("your", velocity=velocity, acceleration=acceleration, torque=torque)
 
 
 def excesses(
