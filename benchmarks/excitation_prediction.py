@@ -22,12 +22,13 @@ import time
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import link_names, other_links
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     LinkDynamics,
     gravity_vector,
+    link_names,
+    other_links,
     turn_gravity,
 )
 from robot_sysid.estimate.choose import solved

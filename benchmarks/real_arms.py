@@ -34,10 +34,10 @@ import numpy as np
 
 from benchmarks.answers import bare_model_text, identify_logs, number, write_log
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import other_links
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,
+    other_links,
     turn_gravity,
     with_gravity,
 )

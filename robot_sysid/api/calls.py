@@ -22,8 +22,7 @@ from robot_sysid.api.keywords import (
 )
 from robot_sysid.api.results import PlanResult, Result, one_thread
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
-from robot_sysid.dynamics.equations import link_names
-from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics, link_names
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import arrays_table

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import names_of
+from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     LinkDynamics,

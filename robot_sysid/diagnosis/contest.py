@@ -40,7 +40,7 @@ from robot_sysid.diagnosis.relabelling import (
     own_scales,
     typical_ratio,
 )
-from robot_sysid.dynamics.equations import names_of
+from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit, equations_of, fit, solve

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import ColumnCorrection, Finding
-from robot_sysid.dynamics.equations import names_of
+from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     gravity_vector,

@@ -30,7 +30,7 @@ identification of robots with a dry friction model depending on load and velocit
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import ClassVar
@@ -85,6 +85,20 @@ DRY_TERMS = ("coulomb", "sqrt", "stribeck", "sigmoid", *FADING_SPEEDS)
 
 DEFAULT_MEASURED = "coulomb-viscous-offset-armature"
 """Name of the default friction model for measured data."""
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Return (term, joint or motor) of a parameter's name such as "coulomb[joint6]".
+
+    The second one is "" for a parameter without brackets, such as one of a body.
+    """
+    term, _, owner = name.partition("[")
+    return term, owner[:-1]
+
+
+def names_of(term: str, joints: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of a term's parameters, one per joint, such as "scale[joint6]"."""
+    return tuple(f"{term}[{joint}]" for joint in joints)
 
 
 def friction_terms(name: str) -> tuple[str, ...]:

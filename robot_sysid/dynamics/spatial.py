@@ -42,10 +42,8 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def skew(vector: Array) -> Array:
-    """Return [v]x (3, 3, ...) of v (3, ...), for which [v]x b = v x b."""
-    x, y, z = vector
-    zero = np.zeros_like(x)
-    return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    """Return [v]x (3, 3) of v (3,), for which [v]x b = v x b."""
+    return np.cross(vector, np.eye(3)).T
 
 
 def symmetric_from_six(six: Array) -> Array:

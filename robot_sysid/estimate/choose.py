@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import names_of
-from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling
+from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling, names_of
 from robot_sysid.estimate.contacts import without_contacts
 from robot_sysid.estimate.fit import ROUNDS, Fit, correlation_times, fit, solve
 from robot_sysid.estimate.links import (

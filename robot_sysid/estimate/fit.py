@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import link_names, split_name
+from robot_sysid.dynamics.friction import split_name
+from robot_sysid.dynamics.inverse_dynamics import link_names
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.bodies import LinksProblem, Possible, consistent_least_squares
 from robot_sysid.estimate.questions import Question, scale_spread

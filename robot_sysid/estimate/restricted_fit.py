@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import names_of
+from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.fit import ROUNDS, Fit, LeftOut, fit

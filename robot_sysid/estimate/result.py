@@ -13,8 +13,8 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import link_names, split_name
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector
+from robot_sysid.dynamics.friction import split_name
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector, link_names
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit

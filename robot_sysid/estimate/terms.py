@@ -27,13 +27,21 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import link_names, names_of, other_links, split_name
-from robot_sysid.dynamics.friction import DRY_TERMS, FADING_SPEEDS, TERMS, Coupling
+from robot_sysid.dynamics.friction import (
+    DRY_TERMS,
+    FADING_SPEEDS,
+    TERMS,
+    Coupling,
+    names_of,
+    split_name,
+)
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     BeyondRigidBodies,
     LinkDynamics,
     gravity_vector,
+    link_names,
+    other_links,
     tilt_axes,
 )
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
@@ -432,8 +440,10 @@ class ArmTerms:
 
     def _zeros(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, n) of encoders that read too much [N m/rad]."""
-        moves = rows.moves(self.robot, point.gravity)
-        slopes = moves.slopes(point.carried(rows.is_loaded), rows.motion.qd)
+        motion = rows.motion
+        dynamics = LinkDynamics(self.robot, point.gravity)
+        thetas = point.carried(rows.is_loaded)
+        slopes = dynamics.slopes(motion.q, motion.qd, motion.qdd, thetas)
         return -slopes[:, self.indices]
 
     def _tilt(self, rows: Rows, point: Point) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import split_name
+from robot_sysid.dynamics.friction import split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.estimate.choose import motors_of
 from robot_sysid.estimate.fit import Fit, expected

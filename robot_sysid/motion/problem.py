@@ -8,8 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, split_motion, subtree
+from robot_sysid.dynamics.inverse_dynamics import (
+    LinkDynamics,
+    other_links,
+    split_motion,
+    subtree,
+)
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.links import link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY

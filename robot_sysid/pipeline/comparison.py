@@ -14,7 +14,7 @@ import numpy as np
 
 from robot_sysid.config import IdentifyConfig, with_scale_prior
 from robot_sysid.diagnosis.gate import judge, usable
-from robot_sysid.dynamics.equations import names_of
+from robot_sysid.dynamics.friction import names_of
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.questions import Question

@@ -22,7 +22,7 @@ from robot_sysid.config import (
     SelfTestConfig,
     with_scale_prior,
 )
-from robot_sysid.dynamics.equations import split_name
+from robot_sysid.dynamics.friction import split_name
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
 from robot_sysid.parser import load_robot_model

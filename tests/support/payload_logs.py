@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.equations import link_names
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, link_names
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import PAYLOAD_NAMES

@@ -34,8 +34,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from robot_sysid.dynamics.equations import other_links
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, other_links
 from robot_sysid.estimate.links import LARGEST, link_factor
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.usual_errors import LINK
