@@ -25,39 +25,6 @@ from robot_sysid.records import Array
 from robot_sysid.signals.filters import design_low_pass
 from robot_sysid.signals.resampling import FEWEST_SAMPLES
 
-# Expected squared error of the acceleration, relative to its mean square, that does no harm: it
-# biases an identified inertia by the same share, 0.005 %.
-_HARMLESS_ERROR = 5e-5
-# A cut-off also qualifies if its error is at most this multiple of the least error of all cut-offs:
-# the error is flat around its minimum (chosen).
-_ERROR_TOLERANCE = 1.25
-# The highest frequency at which the arm moves is the one below which this share of the integral of
-# the squared speed over all frequencies lies.
-_MOTION_SHARE = 0.99
-# Largest cut-off over the highest frequency at which the arm moves (docs/measurements.md,
-# tests/signals/test_cutoff.py).
-_LARGEST_CUTOFF_RATIO = 15.0
-# Least cut-off over that frequency, where the error of the acceleration is bearable: below it,
-# links that move fast are told from friction no more. A link that was 40 % too heavy was found
-# 120 % too heavy at 1.9 times the frequency, and 60 % at 4 times (positions of 12 bits at 30 Hz).
-_LEAST_CUTOFF_RATIO = 4.0
-# Expected squared error of the acceleration that is bearable: it biases an inertia by 0.25 %.
-_BEARABLE_ERROR = 2.5e-3
-# Share of the highest cut-off whose error is small at which other data are predicted best
-# (docs/measurements.md): torques hold more that is not motion the higher the frequency.
-_BEST_SHARE = 0.6
-# A frequency holds motion where its power is more than this multiple of the noise, which noise
-# alone hardly ever reaches.
-_MOTION_TO_NOISE = 6.0
-# Longest segment whose spectrum is averaged; a longer one would only resolve frequencies finer than
-# any cut-off needs (chosen) [s].
-_LONGEST_SEGMENT = 20.0
-# Weights of the cosines of the Blackman-Harris window.
-_BLACKMAN_HARRIS = (0.35875, -0.48829, 0.14128, -0.01168)
-# Largest share of the log that is lost at its ends, in the low-pass of positions and in the
-# low-pass of regressor columns together (chosen).
-_TRIMMED_SHARE = 0.2
-
 
 class CutoffChoice(NamedTuple):
     """A cut-off that was chosen from the data.
@@ -86,20 +53,23 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
         q: (N, n) positions on a uniform grid [rad].
         rate: of the grid [Hz].
     """
-    longest = max(FEWEST_SAMPLES, round(_LONGEST_SEGMENT * rate))
+    # Segments longer than 20 s would only resolve frequencies finer than any cut-off needs.
+    longest = max(FEWEST_SAMPLES, round(20.0 * rate))
     # At least four segments; the second difference has two samples less.
     length = min((len(q) - 2) // 4, longest)
     frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / rate))[1:]
     motion, noise = _acceleration_spectra(q, length, frequency / rate)
     highest = 0.2 * rate
     # The half width [s] is inversely proportional to the cut-off; the low-pass of positions and
-    # that of regressor columns lose one half width each at both ends.
+    # that of regressor columns lose one half width each at both ends, together a fifth of the log.
     half_width_times_cutoff = design_low_pass(highest, rate).half_width * highest / rate
-    lowest = 4.0 * half_width_times_cutoff / (_TRIMMED_SHARE * len(q) / rate)
+    lowest = 4.0 * half_width_times_cutoff / (0.2 * len(q) / rate)
     candidates = np.geomspace(min(lowest, highest), highest, 40)
     speed = np.cumsum(motion / frequency**2)
-    fastest = frequency[np.searchsorted(speed, _MOTION_SHARE * speed[-1])]
-    bound = max(candidates[0], _LARGEST_CUTOFF_RATIO * fastest)
+    # The highest frequency at which the arm moves has 99 % of the squared speed below it.
+    fastest = frequency[np.searchsorted(speed, 0.99 * speed[-1])]
+    # The largest ratio that is of use: docs/measurements.md, tests/signals/test_cutoff.py.
+    bound = max(candidates[0], 15.0 * fastest)
     candidates = candidates[candidates <= bound]
 
     def error(cutoff: float) -> float:
@@ -109,11 +79,18 @@ def choose_cutoff(q: Array, rate: float) -> CutoffChoice:
         return float((1.0 - gain) ** 2 @ motion + gain**2 @ noise)
 
     errors = np.array([error(candidate) for candidate in candidates])
-    largest_error = max(_HARMLESS_ERROR, _ERROR_TOLERANCE * errors.min())
+    # An error of 5e-5 does no harm, as it biases an identified inertia by the same share, 0.005 %;
+    # and around its minimum the error is flat.
+    largest_error = max(5e-5, 1.25 * errors.min())
     index = np.flatnonzero(errors <= largest_error)[-1]
-    cutoff = float(max(_BEST_SHARE * candidates[index], candidates[0]))
-    least = min(_LEAST_CUTOFF_RATIO * fastest, highest)
-    if cutoff < least and error(least) < _BEARABLE_ERROR:
+    # Torques hold more that is not motion the higher the frequency: other data are predicted best
+    # at this share of the highest cut-off whose error is small (docs/measurements.md).
+    cutoff = float(max(0.6 * candidates[index], candidates[0]))
+    # Below four times the frequency, links that move fast are told from friction no more. One that
+    # was 40 % too heavy was found 120 % too heavy at 1.9 times the frequency, and 60 % at 4 times
+    # (positions of 12 bits at 30 Hz). An error that biases an inertia by 0.25 % is bearable.
+    least = min(4.0 * fastest, highest)
+    if cutoff < least and error(least) < 2.5e-3:
         cutoff = float(least)
     noise_share = np.sqrt(np.sum(noise))
     return CutoffChoice(cutoff, float(np.sqrt(error(cutoff))), noise_share)
@@ -138,7 +115,8 @@ def _acceleration_spectra(
     # The median of a chi-square lies a little below its mean; with this many segments by 5 %.
     level = 1.05 * np.median(power[high] / shape[high], axis=0)
     noise = level * shape
-    motion = np.where(power > _MOTION_TO_NOISE * noise, power - noise, 0.0)
+    # Six times the noise is what noise alone hardly ever reaches.
+    motion = np.where(power > 6.0 * noise, power - noise, 0.0)
     motion[_valley(frequency, power, motion) :] = 0.0
     noise = np.maximum(noise, np.where(motion > 0.0, 0.0, power))
     total = max(float(np.sum(motion)), 1e-99)
@@ -182,7 +160,8 @@ def _second_difference_spectrum(q: Array, length: int) -> Array:
         length: samples of a segment.
     """
     angle = 2.0 * np.pi / length * np.arange(length)
-    window = np.cos(np.outer(angle, range(4))) @ _BLACKMAN_HARRIS
+    cosines = np.cos(np.outer(angle, range(4)))
+    window = cosines @ (0.35875, -0.48829, 0.14128, -0.01168)
     # Successive segments overlap by three quarters.
     segments = sliding_window_view(np.diff(q, 2, axis=0), length, axis=0)
     powers = []

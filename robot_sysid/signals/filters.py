@@ -21,18 +21,6 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
-# Kaiser's design formulas (Oppenheim, Schafer, "Discrete-Time Signal Processing", sec. 7.5.3).
-# Attenuation [dB]. The gain is within 1e-4 of one below 0.4 times the cut-off and below 1e-4 above
-# 1.6 times. That is 80 dB; the other 10 make up for the formulas being approximate for short
-# kernels.
-_ATTENUATION = 90.0
-# Width of the transition band over the cut-off.
-_TRANSITION = 1.2
-# Lowest cut-off [Hz]; no log that is filtered in one piece is long enough for a lower one.
-_LOWEST_CUTOFF = 1e-3
-HIGHEST_CUTOFF = 0.3
-"""Largest cut-off over the sample rate for which the stop band begins below Nyquist."""
-
 
 @dataclass(frozen=True)
 class LowPass:
@@ -82,15 +70,22 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
     Raises:
         InputError: the cut-off is too high for the rate, or its kernel longer than any log.
     """
-    if not _LOWEST_CUTOFF <= cutoff <= HIGHEST_CUTOFF * rate:
+    # No log that is filtered in one piece is long enough for a lower one; the stop band of a
+    # higher one would begin above Nyquist.
+    lowest, highest = 1e-3, 0.3 * rate
+    if not lowest <= cutoff <= highest:
         raise InputError(
             f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; choose a cut-off between "
-            f"{_LOWEST_CUTOFF:g} and {HIGHEST_CUTOFF * rate:g} Hz"
+            f"{lowest:g} and {highest:g} Hz"
         )
-    band = 4.0 * math.pi * _TRANSITION * cutoff / rate
-    half = math.ceil((_ATTENUATION - 8.0) / (2.285 * band))
+    # Kaiser's design formulas (Oppenheim, Schafer, "Discrete-Time Signal Processing", sec. 7.5.3).
+    # The gain is within 1e-4 of one below 0.4 times the cut-off and below 1e-4 above 1.6 times.
+    # That is 80 dB; the other 10 make up for the formulas being approximate for short kernels.
+    attenuation = 90.0
+    band = 4.0 * math.pi * 1.2 * cutoff / rate
+    half = math.ceil((attenuation - 8.0) / (2.285 * band))
     ideal = np.sinc(2.0 * cutoff / rate * np.arange(-half, half + 1))
-    kernel = ideal * np.kaiser(2 * half + 1, 0.1102 * (_ATTENUATION - 8.7))
+    kernel = ideal * np.kaiser(2 * half + 1, 0.1102 * (attenuation - 8.7))
     step = max(1, int(rate / (2.0 * cutoff)))
     return LowPass(cutoff, rate, kernel / np.sum(kernel), step)
 

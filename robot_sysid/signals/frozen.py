@@ -9,13 +9,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.records import Array
 
-LEAST_TIME = 0.2
-"""Least time for which a channel that failed repeats its value [s]."""
-# Number of steps on each side of a stretch that a jump at its end is compared with.
-_NEAR = 5
-# Least jump at the end of a stretch of frozen positions, over the usual and the nearby steps.
-_JUMP = 3.0
-
 
 def true_runs(mask: NDArray[np.bool_]) -> Iterator[slice]:
     """Yield the slices of consecutive true elements of a mask (N,)."""
@@ -25,12 +18,12 @@ def true_runs(mask: NDArray[np.bool_]) -> Iterator[slice]:
 
 
 def equal_runs(time: Array, values: Array) -> Iterator[slice]:
-    """Yield the rows of each run of equal values (N,) that lasts at least ``LEAST_TIME``.
+    """Yield the rows of each run of equal values (N,) that lasts as long as a failure, 0.2 s.
 
     A run of fewer than four samples may be chance.
     """
     for steps in true_runs(np.diff(values) == 0.0):
-        is_long = time[steps.stop] - time[steps.start] >= LEAST_TIME
+        is_long = time[steps.stop] - time[steps.start] >= 0.2
         if is_long and steps.stop - steps.start > 2:
             yield slice(steps.start, steps.stop + 1)
 
@@ -41,10 +34,12 @@ def frozen_positions(time: Array, q: Array) -> Iterator[slice]:
     It repeats one value and then jumps to where the joint has moved meanwhile. A joint that stands
     still does not jump, however long it stands.
     """
+    # Number of steps on each side of a stretch that a jump at its end is compared with.
+    near = 5
     steps = np.abs(np.diff(q))
     usual = np.median(steps[steps > 0.0]) if np.any(steps) else 0.0
     for run in equal_runs(time, q):
-        before = steps[max(run.start - _NEAR, 0) : run.start]
-        jump, *after = steps[run.stop - 1 : run.stop + _NEAR].tolist() or [0.0]
-        if jump > _JUMP * max([usual, *before, *after]):
+        before = steps[max(run.start - near, 0) : run.start]
+        jump, *after = steps[run.stop - 1 : run.stop + near].tolist() or [0.0]
+        if jump > 3.0 * max([usual, *before, *after]):
             yield run

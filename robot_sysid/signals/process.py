@@ -40,26 +40,6 @@ from robot_sysid.signals.resampling import (
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband, or in long holes of the log, may
 have in a row that is used."""
-DEADBAND_SHARE = 0.005
-"""Deadband over a joint's peak speed: below it the joint has hardly left stiction (chosen)."""
-# Least deadband [rad/s]: encoder noise alone can look like this speed.
-_LEAST_DEADBAND = 1e-3
-# Longest hole in the log, in sampling periods, that a spline bridges, at most one period of the
-# cut-off: noise of the samples around four lost ones is at most three times the usual noise in a
-# row over them, and grows with the square of their number.
-_LONGEST_HOLE_STEPS = 5.5
-# Speed that a joint loses at once where it stops abruptly, over its largest.
-_ABRUPT = 0.1
-# Decimated rows that are computed at once: bounds memory, changes no result.
-_BLOCK = 500
-SEPARATION = 6.0
-"""Difference of two readings, in standard deviations of their noise, beyond which they do not
-differ by chance. For readings that are rounded to steps this is between one step and two."""
-# Median of the size of a standard normal number.
-_MEDIAN_OF_NORMAL = 0.6745
-# Largest noise of the acceleration, over all frequencies and relative to the motion's, at which
-# positions are differentiated as they are.
-_EXACT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -116,9 +96,11 @@ class ProcessedSignals:
         """
         low_pass = self.low_pass
         reach = len(low_pass.kernel)
+        # Decimated rows that are computed at once: bounds memory, changes no result.
+        count = 500
         blocks = []
-        for first in range(0, len(self) - reach + 1, _BLOCK * low_pass.step):
-            last = first + (_BLOCK - 1) * low_pass.step + reach
+        for first in range(0, len(self) - reach + 1, count * low_pass.step):
+            last = first + (count - 1) * low_pass.step + reach
             blocks.append(low_pass.decimate(make(self.motion(slice(first, last)))))
         return np.concatenate(blocks)
 
@@ -197,7 +179,8 @@ def process(
     if cutoff is not None:
         choice = choice._replace(cutoff=cutoff, expected_error=0.0)
     low_pass = design_low_pass(choice.cutoff, uniform.rate)
-    kernel = np.ones(1) if choice.noise_share < _EXACT else low_pass.kernel
+    # Positions with so little noise are differentiated as they are.
+    kernel = np.ones(1) if choice.noise_share < 1e-3 else low_pass.kernel
     position_filter = replace(low_pass, step=1, kernel=kernel)
     # Samples that positions and their derivatives lose at each end; torques lose more.
     lost = position_filter.half_width + REACH
@@ -210,14 +193,18 @@ def process(
     inner = slice(lost, len(uniform.q) - lost)
     q = position_filter.decimate(uniform.q)
     qd, qdd = derivatives(q, uniform.rate)
-    longest_hole = min(_LONGEST_HOLE_STEPS / uniform.rate, 1.0 / choice.cutoff)
+    # The longest hole that a spline bridges is one of four lost samples, and one period of the
+    # cut-off: noise of the samples around it is at most three times the usual noise in a row over
+    # them, and grows with the square of their number.
+    longest_hole = min(5.5 / uniform.rate, 1.0 / choice.cutoff)
     hole_share = position_filter.weight_shares(uniform.gap > longest_hole)
     # A blow reaches the rows within a quarter of a period of the cut-off.
     reach = np.ones(2 * round(0.25 * uniform.rate / choice.cutoff) + 1)
     stops = abrupt_stops(uniform.time, uniform.q)
     stops = np.convolve(stops, reach, "same")[: len(stops)] > 0.0
     stop_share = position_filter.weight_shares(stops)
-    deadband = DEADBAND_SHARE * np.max(np.abs(qd), axis=0)
+    # Below this share of its peak speed a joint has hardly left stiction.
+    deadband = 0.005 * np.max(np.abs(qd), axis=0)
     signals = ProcessedSignals(
         time=uniform.time[inner],
         q=q[REACH:-REACH],
@@ -226,7 +213,7 @@ def process(
         tau=uniform.tau[inner],
         bridged=(hole_share + stop_share)[REACH:-REACH] > LARGEST_SLOW_SHARE,
         turning=turning_samples(uniform.q[inner], q[REACH:-REACH], qd),
-        deadband=np.maximum(deadband, _LEAST_DEADBAND),
+        deadband=np.maximum(deadband, 1e-3),  # encoder noise alone can look so fast
         low_pass=low_pass,
         acceleration_error=choice.expected_error,
     )
@@ -286,7 +273,9 @@ def turning_samples(readings: Array, q: Array, qd: Array) -> NDArray[np.bool_]:
         qd: (N, n) low-passed velocities, whose sign shows the turns [rad/s].
     """
     is_turning = np.zeros(qd.shape, dtype=bool)
-    noise = np.median(np.abs(readings - q), axis=0) / _MEDIAN_OF_NORMAL
+    # The median of the size of a standard normal number is 0.6745. Readings that differ by six
+    # deviations do not differ by chance; if they are rounded, that is between one step and two.
+    clear = 6.0 * np.median(np.abs(readings - q), axis=0) / 0.6745
     for joint, (reading, speed) in enumerate(zip(readings.T, qd.T)):
         # Around each turn, the samples from the turn before it to the turn after it.
         turns = np.flatnonzero(np.diff(np.sign(speed))) + 1
@@ -295,7 +284,7 @@ def turning_samples(readings: Array, q: Array, qd: Array) -> NDArray[np.bool_]:
             # 1 where the joint turns at its highest position, -1 at its lowest.
             outward = np.sign(speed[turn - 1] - speed[turn])
             height = outward * reading[start:stop]
-            is_away = np.max(height) - height > SEPARATION * noise[joint]
+            is_away = np.max(height) - height > clear[joint]
             away = start + np.flatnonzero(is_away)
             first = np.max(away[away < turn] + 1, initial=start)
             last = np.min(away[away >= turn], initial=stop)
@@ -316,7 +305,7 @@ def abrupt_stops(time: Array, readings: Array) -> NDArray[np.bool_]:
     is_stop = np.zeros(len(readings), dtype=bool)
     for reading in readings.T:
         steps = np.abs(np.diff(reading))
-        least = _ABRUPT * np.max(steps)
+        least = 0.1 * np.max(steps)
         for run in equal_runs(time, reading):
             # A slow joint of a coarse encoder has steps of one count between such of none.
             before = steps[max(run.start - 3, 0) : run.start]

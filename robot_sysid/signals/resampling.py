@@ -21,8 +21,6 @@ sample; a late sample comes up to 1.7 periods after an early one (tests/signals/
 """
 FEWEST_SAMPLES = 64
 """Fewest samples of a log that a spectrum is made from (chosen)."""
-# Deviation from an even grid, in sampling periods, that most clocks have (chosen).
-_CLOCK_ERROR = 0.01
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,8 @@ def is_even(time: Array) -> bool:
     The last digit counts from milliseconds to microseconds; stamps of more digits are exact.
     """
     even = np.linspace(time[0], time[-1], len(time))
-    tolerance = _CLOCK_ERROR * (even[1] - even[0])
+    # Most clocks deviate by a hundredth of the sampling period.
+    tolerance = 0.01 * (even[1] - even[0])
     for unit in (1e-6, 1e-5, 1e-4, 1e-3):
         ticks = (time - time[0]) / unit
         if np.all(np.abs(ticks - np.round(ticks)) < 1e-3):
@@ -109,13 +108,13 @@ def _interpolate(measurement: Measurement, rate: float) -> tuple[Array, Array, A
     # A last sample that rounding puts just beyond the end is still on the grid.
     count = math.floor((end - start) * rate + 1e-6) + 1
     grid = np.minimum(start + np.arange(count) / rate, end)
-    signals = np.empty((2, count, measurement.q.shape[1]))
-    samples = np.stack((measurement.q, measurement.tau))
-    for joint, its_time in enumerate(stamps.T):
+    signals = []
+    for its_time, *samples in zip(stamps.T, measurement.q.T, measurement.tau.T):
         is_new = np.diff(its_time, prepend=-np.inf) > 0.0
-        spline = CubicSpline(its_time[is_new], samples[:, is_new, joint], axis=1)
-        signals[:, :, joint] = spline(grid)
-    return grid, signals[0], signals[1]
+        kept = np.stack(samples)[:, is_new]
+        signals.append(CubicSpline(its_time[is_new], kept, axis=1)(grid))
+    q, tau = np.stack(signals, axis=-1)
+    return grid, q, tau
 
 
 def _bridged_gap(time: Array, grid: Array, rate: float) -> Array:
@@ -130,43 +129,34 @@ def _bridged_gap(time: Array, grid: Array, rate: float) -> Array:
     return np.where(gap > GAP_STEPS / rate, gap, 0.0)
 
 
-SPLITTING_GAP = 0.5
-"""Step of time beyond which a log is split into pieces (chosen) [s]."""
-SPLITTING_STEPS = 20.0
-"""Shortest step of time at which a log of a low sample rate is split, in sampling periods."""
 RECORDING_SEPARATION = 10.0
 """Time that is put between recordings with separate clocks [s]: longer than any filter."""
 SHORTEST_PIECE = 4.0
 """Length below which a piece is not worth filtering, as its ends are cut off (chosen) [s]."""
-MOST_TIME = 600.0
-"""Length of a log beyond which pieces of it, spread evenly, stand for the entire log [s]: half a
-minute holds nearly as much information about the link as an hour (docs/logs.md)."""
-PIECE_TIME = 60.0
-"""Length of the pieces of a log that is longer than ``MOST_TIME`` [s]."""
-# Share of a joint's largest range of positions in any piece, up to which the joint counts as not
-# moving in a piece.
-_MOVING_SHARE = 0.1
 
 
 def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
     """Return the pieces of a log between its gaps; those shorter than ``SHORTEST_PIECE`` are left
     out.
 
-    A log longer than ``MOST_TIME`` is cut to pieces of about ``PIECE_TIME``; of those in which a
-    joint moves, as many as fit into ``MOST_TIME`` are returned, spread evenly. Pieces are views. A
-    log that is not cut is its only piece, and so is one whose pieces are all too short.
+    A log longer than 10 minutes is cut to pieces of about one; of those in which a joint moves, as
+    many as fit into 10 minutes are returned, spread evenly: half a minute holds nearly as much
+    information about the link as an hour (docs/logs.md). Pieces are views. A log that is not cut is
+    its only piece, and so is one whose pieces are all too short.
     """
+    most_time = 600.0
     step = np.diff(samples.time)
-    longest_step = max(SPLITTING_GAP, SPLITTING_STEPS * np.median(step))
+    # A log of a low sample rate is split where as many as 20 samples are missing.
+    longest_step = max(0.5, 20.0 * np.median(step))
     cuts = np.flatnonzero(step > longest_step) + 1
     pieces = []
     for rows in np.split(np.arange(len(samples)), cuts):
         piece = slice_samples(samples, rows[0], rows[-1] + 1)
         if duration([piece]) >= SHORTEST_PIECE:
             pieces.append(piece)
-    if duration([samples]) > MOST_TIME:
-        pieces = [*cut_pieces(pieces, PIECE_TIME)]
-    return tuple(select_pieces(pieces, MOST_TIME)) or (samples,)
+    if duration([samples]) > most_time:
+        pieces = [*cut_pieces(pieces, 60.0)]
+    return tuple(select_pieces(pieces, most_time)) or (samples,)
 
 
 def duration(pieces: Iterable[Measurement]) -> float:
@@ -207,7 +197,8 @@ def select_pieces(pieces: list[Measurement], most_time: float) -> list[Measureme
         return pieces
     ranges = np.array([np.ptp(piece.q, axis=0) for piece in pieces])
     moved = np.max(ranges / np.maximum(np.max(ranges, axis=0), 1e-12), axis=1)
-    moving = [pieces[k] for k in np.flatnonzero(moved > _MOVING_SHARE)] or pieces
+    # A joint does not move in a piece where it has a tenth of its largest range in any piece.
+    moving = [pieces[k] for k in np.flatnonzero(moved > 0.1)] or pieces
     count = int(len(moving) * min(1.0, most_time / duration(moving)))
     numbers = np.linspace(0, len(moving) - 1, max(1, count)).round().astype(int)
     return [moving[number] for number in numbers]

@@ -14,7 +14,6 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import (
     LARGEST_SLOW_SHARE,
-    SEPARATION,
     abrupt_stops,
     check_losses,
     process,
@@ -186,7 +185,7 @@ def test_samples_near_a_turn_may_be_at_rest(outward, standing):
     turning = turning_samples(readings, exact, speeds)
     assert np.all(turning[np.abs(time) <= 0.5 * standing, 0])
     # Noise moves the outermost reading, and each one that is compared with it.
-    clear = -position > (SEPARATION + 8.0) * NOISE
+    clear = -position > (6.0 + 8.0) * NOISE
     assert not np.any(turning[clear, 0])
     assert np.any(turning[:, 0])
     # A joint that never turns round is never unsure.
