@@ -8,27 +8,21 @@ Shapes: B blocks, J joints with equations.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.records import Array, Validation
-from robot_sysid.records.data import validation_of
+from robot_sysid.records.data import rms_of_joints
 from robot_sysid.records.levels import INTERVAL, SURE
-
-OWN_SOURCE = "the logs, each tenth predicted from the others"
-"""Source of a validation on the fitted recordings, in words for the user."""
-CLEAR_SHARE = 0.1
-"""Least relative decrease of the held-out squared error that counts as clear."""
 
 
 def validation(fitted: Fit) -> Validation:
     """Return the held-out error of the recordings that were fitted."""
     expected = np.sum(fitted.expected_held_out, axis=0)
-    blocks = fitted.sums.blocks
-    return _record(fitted, fitted.held_out, expected, blocks, OWN_SOURCE)
+    source = "the logs, each tenth predicted from the others"
+    return _record(fitted, fitted.held_out, expected, fitted.sums.blocks, source)
 
 
 def held_out_logs(fitted: Fit) -> Iterator[Validation]:
@@ -89,27 +83,43 @@ def _record(
         source: of the blocks, in words.
     """
     sums = fitted.sums
-    torque = np.sum(sums.squared_torque[list(blocks)], axis=0)
+    torques = np.sum(sums.squared_torque[list(blocks)], axis=0)
     counts = np.sum(sums.counts[list(blocks)], axis=0)
+    errors = np.sum(squares, axis=0)
     noise = counts * fitted.noise**2
     used = noise > 0.0
     is_informative = False
     if np.any(used):
-        total = np.sum(squares, axis=0)[used]
         of_noise, of_all = (
-            np.sqrt(np.mean(total / size[used])) for size in (noise, expected)
+            np.sqrt(np.mean(errors[used] / size[used])) for size in (noise, expected)
         )
         is_informative = bool(of_noise <= SURE or of_all > SURE)
-    test = validation_of(sums.joints, squares, torque, counts, source)
-    return replace(test, is_informative=is_informative)
+    rmse, rmse_per_joint = rms_of_joints(sums.joints, errors, counts)
+    return Validation(
+        source=source,
+        n_samples=int(np.max(counts, initial=0)),
+        rmse=rmse,
+        relative_error=_relative(np.sum(errors), np.sum(torques)),
+        rmse_per_joint=rmse_per_joint,
+        relative_error_per_joint=dict(
+            zip(sums.joints, map(_relative, errors, torques))
+        ),
+        is_informative=is_informative,
+        blocks=squares,
+    )
+
+
+def _relative(error: float, torque: float) -> float | None:
+    """Return a relative error from squares; None where there is no torque."""
+    return float(np.sqrt(error / torque)) if torque > 0.0 else None
 
 
 def is_clearly_lower(errors: Array, reference: Array) -> bool:
     """Tell whether squared errors are clearly lower than those of a reference, over all blocks.
 
     The sum over blocks, and the geometric mean of the ratios of the blocks' errors, have to be
-    lower by more than ``CLEAR_SHARE``; the mean logarithm of these ratios has to be negative by
-    more than ``INTERVAL`` standard errors. Fewer than two blocks show nothing.
+    lower by more than a tenth; the mean logarithm of these ratios has to be negative by more than
+    ``INTERVAL`` standard errors. Fewer than two blocks show nothing.
 
     Args:
         errors: (B,) squared held-out errors, in any unit.
@@ -120,9 +130,8 @@ def is_clearly_lower(errors: Array, reference: Array) -> bool:
     ratio = np.log(errors + 1e-300) - np.log(reference + 1e-300)
     mean = np.mean(ratio)
     standard_error = np.std(ratio, ddof=1) / np.sqrt(len(ratio))
-    is_lower = np.sum(errors) < (1.0 - CLEAR_SHARE) * np.sum(reference)
     return bool(
-        is_lower
-        and mean < np.log(1.0 - CLEAR_SHARE)
+        np.sum(errors) < 0.9 * np.sum(reference)
+        and mean < np.log(0.9)
         and mean + INTERVAL * standard_error < 0.0
     )

@@ -32,9 +32,7 @@ from robot_sysid.estimate.terms import (
     Term,
 )
 from robot_sysid.estimate.trust import (
-    COARSE,
     UNEXPLAINED,
-    UNUSUAL,
     find_misfits,
     implausible_joints,
     implausible_link,
@@ -85,8 +83,6 @@ from robot_sysid.results.record import (
     Verdict,
 )
 
-# Size of an encoder zero up to which no note is added, even if it is significant [rad].
-_SMALL_ZERO = 1e-3
 # Causes that are of joints and their motors.
 _OF_JOINTS = (FRICTION, MOTORS)
 
@@ -142,7 +138,7 @@ def link_result(
     remarks += () if missed else wrong_links(other_links, remedy)
     bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
     sentences = [*robot.notes, *notes]
-    if acceleration_error > COARSE:
+    if acceleration_error > 0.2:
         sentences.append(
             "the positions are too coarse or too seldom to have accelerations (expected error "
             f"{percent(acceleration_error)}): rotors and inertias come out too small"
@@ -151,7 +147,7 @@ def link_result(
         sentences.append(
             f"the numbers of {last_link.name} are those of {' + '.join(bodies)} together"
         )
-    if UNUSUAL < share <= UNEXPLAINED:
+    if 0.035 < share <= UNEXPLAINED:
         sentences.append(sentence)
     sentences += [*file_notes, *result_notes(fitted, written)]
     return replace(
@@ -458,7 +454,8 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
     for name in fitted.names:
         kind, joint = split_name(name)
         zero, error = quantity(fitted, name)
-        if kind == "zero" and abs(zero) > max(SURE * error, _SMALL_ZERO):
+        # A small one is not worth a note, even if it is significant.
+        if kind == "zero" and abs(zero) > max(SURE * error, 1e-3):
             unit = position_unit(joint in fitted.arm.robot.slides)
             yield (
                 f"the log reads {joint} {1e3 * zero:.1f} ± {1e3 * error:.1g} m{unit} too "

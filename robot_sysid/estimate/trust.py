@@ -24,44 +24,9 @@ from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import Level, Remark, percent, torque_unit, with_error
 from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
 
-UNUSUAL = 0.035
-"""Share of all torque that neither model nor noise explains, above which a note is added."""
 UNEXPLAINED = 0.05
 """Share of all torque that neither model nor noise explains, above which a result is not
 trustworthy: logs of right models have 0.4 to 3 %."""
-ODD_JOINT = 10.0
-"""Ratio of noise to torque of a joint, over the median ratio of the other joints, above which the
-joint is a misfit."""
-ODD_NOISE = 0.3
-"""Ratio of noise to torque of a joint up to which the other joints' ratios do not matter."""
-MEMORY = 0.5
-"""Share of independent samples above which residuals are noise and no misfit: white noise has 0.6
-to 1, torque with another cause 0.1."""
-DRY_FRICTION = 3.0
-"""Ratio of a joint's dry friction to the root mean square torque of the strongest other joint,
-above which the friction is implausible."""
-COM_BEYOND = 0.3
-"""Distance of the centre of mass beyond the model's link that is accepted, as a share of the arm's
-reach: a tool that the model does not have may be bolted to it."""
-GYRATION_BEYOND = 0.1
-"""Excess of the radius of gyration over the model's link that is accepted, as a share of the
-arm's reach."""
-COARSE = 0.2
-"""Expected relative error of the acceleration above which it is said."""
-LEAST_WRONG = 0.1
-"""Relative error of a link's first moment above which the link is named as wrong."""
-WORST = 0.5
-"""Held-out error of a file, as a share of the torque, above which no file is written."""
-WORST_OF_PAYLOAD = 0.25
-"""Held-out error, as a share of the torque, above which neither a payload nor torque scales from a
-known mass are believed: logs of real arms have 0.4 to 5 %."""
-MOST_FACTOR = 2.0
-"""Largest factor, up or down, between a mass that follows from torques and one that is known: gears
-lose a third of the torque at most."""
-FARTHEST_PAYLOAD = 0.5
-"""Largest distance of a payload's centre of mass from the flange, as a share of the arm's reach."""
-LEAST_REACH = 0.6
-"""Reach that arms with a smaller one are given in the bound by ``FARTHEST_PAYLOAD`` [m]."""
 
 
 def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
@@ -91,14 +56,15 @@ def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
     memory = dict(zip(fitted.arm.joints, fitted.correlation))
     for joint, share in shares.items():
         others = [other for other in shares if other != joint]
-        if not others or 1.0 / memory[joint] >= MEMORY:
+        # Of white noise, 0.6 to 1 of the samples are independent, of torque with another cause 0.1.
+        if not others or 1.0 / memory[joint] >= 0.5:
             continue
         median = np.median([shares[other] for other in others])
         # Of a wrist that carries nearly nothing, sensors show little but their own slow errors.
         # Only a torque that is not there makes a residual larger than what is measured.
         sensor = max(noise[other] for other in others)
         is_odd = share > 1.0 or noise[joint] > sensor
-        if is_odd and share > max(ODD_NOISE, ODD_JOINT * median):
+        if is_odd and share > max(0.3, 10.0 * median):
             yield Verdict.UNEXPLAINED.remark(
                 f"{percent(share)} of the torque of {joint} is unexplained, of the other "
                 f"joints' {percent(median)}"
@@ -164,32 +130,28 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Remark]:
         return
     # Largest distances from the link's origin and from the arm's first joint [m].
     reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
-    arm = reach + _distance_of_ends(robot)
+    arm = reach + robot.reach
     slack = INTERVAL * np.linalg.norm(errors[1:4]) / link.mass
     distance = np.linalg.norm(link.com)
     where = f"on a link that reaches {reach:.2g} m"
-    if distance - slack > reach + COM_BEYOND * arm:
+    # A tool that the model does not have may be bolted to the link.
+    if distance - slack > reach + 0.3 * arm:
         yield Verdict.IMPLAUSIBLE.remark(
             f"the centre of mass is {distance:.2g} m away {where}"
         )
     moment = link.principal_moments[-1]
     slack = INTERVAL * np.max(errors[4:10])
-    if moment - slack > link.mass * (reach + GYRATION_BEYOND * arm) ** 2:
+    if moment - slack > link.mass * (reach + 0.1 * arm) ** 2:
         radius = np.sqrt(moment / link.mass)
         yield Verdict.IMPLAUSIBLE.remark(
             f"the radius of gyration is {radius:.2g} m {where}"
         )
     ratio = link.mass / robot.prior.mass
-    if not np.isfinite(errors[0]) and not 1.0 / MOST_FACTOR <= ratio <= MOST_FACTOR:
+    if not np.isfinite(errors[0]) and not 0.5 <= ratio <= 2.0:
         yield Verdict.IMPLAUSIBLE.remark(
             f"these torques do not show the mass, yet the rest is only possible with "
             f"{link.mass:.3g} kg where the model has {robot.prior.mass:.3g} kg"
         )
-
-
-def _distance_of_ends(robot: RobotModel) -> float:
-    """Return the sum of the distances from each joint to the next, first to last [m]."""
-    return sum(float(np.linalg.norm(link.translation)) for link in robot.links[1:])
 
 
 def implausible_joints(
@@ -220,7 +182,7 @@ def implausible_joints(
         rotor = least.get((name, "armature"), 0.0)
         is_other = robot.is_slide == slide
         is_other[index] = False
-        strongest = DRY_FRICTION * np.max(torques[is_other], initial=0.0) or np.inf
+        strongest = 3.0 * np.max(torques[is_other], initial=0.0) or np.inf
         # A limit of zero means that the model states none.
         if dry > min(robot.limits.torque[index] or np.inf, strongest):
             yield Verdict.IMPLAUSIBLE.remark(
@@ -248,7 +210,7 @@ def wrong_links(links: Sequence[BodyEstimate], remedy: str = "") -> Iterator[Rem
             continue
         expected = float(np.linalg.norm(link.prior.first_moment))
         moment, error = link.moment_along(link.prior.first_moment)
-        if abs(moment - expected) > max(INTERVAL * error, LEAST_WRONG * expected):
+        if abs(moment - expected) > max(INTERVAL * error, 0.1 * expected):
             text = (
                 f"{link.name} of the model is probably wrong: its mass times the distance of its "
                 f"centre of mass is {with_error(moment, error, 'kg·m')}, in the model "
@@ -262,8 +224,8 @@ def judge_file(
 ) -> Remark:
     """Return the verdict on a written file from its held-out error and that of the given model.
 
-    What is clearly higher in paired blocks of time is worse, over all or at one joint. An error
-    that is small beside the torque does not count.
+    What is clearly higher in paired blocks of time is worse, over all or at one joint, and so is an
+    error of more than half the torque. One that is small beside the torque does not count.
 
     Args:
         model: held-out error of the given model.
@@ -277,7 +239,7 @@ def judge_file(
     sentence = f"torque error of the model on {data}: {percent(old)} -> {percent(new)}"
     before = np.sum(model.blocks, axis=1)
     after = np.sum(written.blocks, axis=1)
-    if new > WORST or (new > NEGLIGIBLE and is_clearly_lower(before, after)):
+    if new > 0.5 or (new > NEGLIGIBLE and is_clearly_lower(before, after)):
         return Verdict.NO_BETTER.remark(sentence)
     worse = worse_joints(model, written)
     if worse:
@@ -323,7 +285,7 @@ def judge_payload(
         yield Verdict.SWAPPED.remark(sentence)
     elif not np.isfinite(error) or mass <= INTERVAL * error:
         yield Verdict.NOT_SEEN.remark(sentence)
-    elif share > WORST_OF_PAYLOAD:
+    elif share > 0.25:  # logs of real arms have 0.4 to 5 %
         yield Verdict.UNEXPLAINED.remark(
             f"held-out torques are predicted with an error of {percent(share)}"
         )
@@ -334,9 +296,10 @@ def judge_payload(
 def _far_payload(robot: RobotModel, payload: InertialParameters) -> Iterator[Remark]:
     """Yield a reason for each size of a payload that is too large for the reach of the arm.
 
-    Sizes are the distance of the centre of mass from the flange, and the radius of gyration.
+    Sizes are the distance of the centre of mass from the flange, and the radius of gyration. Arms
+    that reach less than 0.6 m may carry what those of 0.6 m may.
     """
-    farthest = FARTHEST_PAYLOAD * max(_distance_of_ends(robot), LEAST_REACH)
+    farthest = 0.5 * max(robot.reach, 0.6)
     distance = np.linalg.norm(payload.com)
     trace = max(np.trace(payload.inertia_com), 0.0)
     gyration = np.sqrt(trace / (2.0 * payload.mass))
@@ -365,7 +328,8 @@ def judge_known_mass(
     for finding in findings:
         if finding.about != Verdict.IMPLAUSIBLE.name:
             yield finding
-    if not mass / MOST_FACTOR < weighed < mass * MOST_FACTOR:
+    # Gears lose a third of the torque at most.
+    if not 0.5 * mass < weighed < 2.0 * mass:
         yield Verdict.WRONG_WEIGHT.remark(
             f"weighed with torques as they are, {mass:g} kg come out as {weighed:.4g} kg"
         )

@@ -49,18 +49,13 @@ def mass_unit(robot: RobotModel, factor: float = 1.0) -> float:
     lead, 0.1 and 1000 kg over the cube of its length in metres (public arms have 5 to 250): masses
     in tonnes are 1000 times too small, masses in grams 1000 times too large.
     """
-    length = _reach(robot)
+    length = robot.reach
     # Without shapes, it follows from inertias, which may be placeholders.
     tip = min(link_reach(robot.mj_model, robot.reference_qpos, robot.body_id), length)
     density = factor * robot.mass / max(length + tip, 0.3) ** 3
     if density < 0.1:
         return 1e3
     return 1.0 if density <= 1000.0 else 1e-3
-
-
-def _reach(robot: RobotModel) -> float:
-    """Return the distances between an arm's joints, added up [m]."""
-    return sum(float(np.linalg.norm(link.translation)) for link in robot.links[1:])
 
 
 def refuse_cad_units(robot: RobotModel) -> None:
@@ -87,7 +82,7 @@ def _unit_fault(robot: RobotModel) -> str:
     bodies = np.array(subtree(mj_model, robot.links[0].body_id))
     masses = mj_model.body_mass[bodies]
     bodies = bodies[masses > LEAST_SHARE * np.max(masses)]
-    length = _reach(robot)
+    length = robot.reach
     com_distance = np.median(np.linalg.norm(mj_model.body_ipos[bodies], axis=1))
     if max(length, com_distance) > 30.0:  # the longest arm is a crane
         return (

@@ -347,7 +347,12 @@ class RobotModel:
     @property
     def length(self) -> float:
         """Distances from the world to the first link and on to the last one, added up [m]."""
-        return sum(float(np.linalg.norm(link.translation)) for link in self.links)
+        return self.reach + float(np.linalg.norm(self.links[0].translation))
+
+    @property
+    def reach(self) -> float:
+        """Distances from its first joint to the next one and on to the last one, added up [m]."""
+        return sum(float(np.linalg.norm(link.translation)) for link in self.links[1:])
 
     @property
     def armature(self) -> Array:

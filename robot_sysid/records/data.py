@@ -198,42 +198,6 @@ class Validation:
     blocks: Array = field(default_factory=lambda: np.zeros((0, 0)), compare=False)
 
 
-def validation_of(
-    joint_names: Sequence[str],
-    blocks: Array,
-    squared_torques: Array,
-    counts: Array,
-    source: str,
-) -> Validation:
-    """Return prediction errors as a record.
-
-    Args:
-        joint_names: the n joints.
-        blocks: (B, n) sum of the squared errors of each joint in blocks of time [N^2 m^2].
-        squared_torques: (n,) sum of the squared torques of each joint [N^2 m^2].
-        counts: (n,) number of samples in these sums.
-        source: description of the data.
-    """
-
-    squared_errors = np.sum(blocks, axis=0)
-    # Those of the joints, then of all joints together.
-    errors = [*squared_errors, np.sum(squared_errors)]
-    torques = [*squared_torques, np.sum(squared_torques)]
-    *relative, overall = [
-        float(np.sqrt(e / t)) if t > 0.0 else None for e, t in zip(errors, torques)
-    ]
-    rmse, rmse_per_joint = rms_of_joints(joint_names, squared_errors, counts)
-    return Validation(
-        source=source,
-        n_samples=int(np.max(counts, initial=0)),
-        rmse=rmse,
-        relative_error=overall,
-        rmse_per_joint=rmse_per_joint,
-        relative_error_per_joint=dict(zip(joint_names, relative)),
-        blocks=blocks,
-    )
-
-
 ITSELF = "simulation of the model itself"
 """Description of the data of a self-test."""
 
