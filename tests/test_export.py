@@ -402,7 +402,7 @@ def test_every_formula_is_the_column_of_its_term():
 
 
 def test_a_payload_stands_between_the_link_without_and_with_it():
-    result = made.payload(known_mass=2.0, torque_scale={"j5": 1.02})
+    result = made.payload(known_mass=2.0, torque_scale=[("j5", 1.02)])
     content = content_of(result, number_groups(result.body))
     expected = {
         "question": "payload",

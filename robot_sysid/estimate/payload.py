@@ -5,7 +5,7 @@ Shapes: k estimated parameters; a body has ten inertial parameters (``PARAMETER_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,11 +45,6 @@ from robot_sysid.results.record import (
     Result,
     Verdict,
 )
-
-LEAST_MASS = 0.03
-"""Difference in mass below which recordings agree, as a share of the payload's mass."""
-LEAST_PLACE = 0.01
-"""Difference in the payload's centre of mass below which recordings agree [m]."""
 
 
 def written_payload(fitted: Fit) -> tuple[Array, str]:
@@ -111,21 +106,30 @@ def payload_result(
         values = fitted.values.copy()
         theta, unknown_inertia = written_payload(fitted)
         values[fitted.at(PAYLOAD_NAMES)] = theta
-    payload = _payload_record(fitted, flange, values, divided)
+    both = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
+    bodies = [
+        _in_flange(fitted, flange, values),
+        body_estimate(fitted, robot.body_name, both, values),
+    ]
     missed = missed_friction(fitted)
     notes = [*robot.notes, *sentences]
     if unknown_inertia:
-        payload = _without_inertia(payload)
+        bodies = [*map(_without_inertia, bodies)]
         notes.append(Detail(unknown_inertia))
         if known_mass is None:
             remarks.append(Verdict.INERTIA_NOT_KNOWN.remark())
     remarks += [Remark(Level.DOUBTS, "friction", missed)] if missed else []
+    body, total = bodies
+    rows = [*body_quantities(body, PAYLOAD)]
+    rows += body_quantities(total, f"{total.name} with payload")
+    if known_mass is not None:
+        rows += _torque_scales(fitted, divided)
     written: ModelFile | None = None
-    rows: list[Quantity] = []
+    file_rows: list[Quantity] = []
     if file is not None:
         judgement = judge_file(file.before, file.after)
         if judgement.level is Level.SAYS:
-            written, rows, file_notes = model_file(fitted, file)
+            written, file_rows, file_notes = model_file(fitted, file)
             notes += file_notes
         else:
             notes.append(
@@ -133,25 +137,30 @@ def payload_result(
             )
     notes += result_notes(fitted, written)
     common = common_result(fitted, origin, PAYLOAD)
+    kinds = _kinds(fitted)
+    recordings = {
+        "empty": tuple(name for name in kinds if not kinds[name]),
+        "loaded": tuple(name for name in kinds if kinds[name]),
+    }
     return replace(
         common,
         remarks=(*remarks, *says(notes)),
-        quantities=(*_payload_quantities(fitted, payload), *common.quantities, *rows),
-        payload=payload,
+        quantities=(*rows, *common.quantities, *file_rows),
+        payload=Payload(flange, body, total, recordings, known_mass),
         file=written,
         validation=(validation(fitted),),
     )
 
 
-def _payload_quantities(fitted: Fit, payload: Payload) -> list[Quantity]:
-    """Return the rows of a payload, of the link with it, and of torque scales by a known mass."""
-    rows = [*body_quantities(payload.body, PAYLOAD)]
-    rows += body_quantities(payload.total, f"{payload.total.name} with payload")
-    for joint, scale in payload.torque_scale.items():
+def _torque_scales(fitted: Fit, divided: Array) -> Iterator[Quantity]:
+    """Yield the torque scales by a known mass: what the log reads over what is there.
+
+    ``divided``: (n,) torque scales by which the torques were divided already.
+    """
+    for joint, factor in zip(fitted.arm.joints, divided[fitted.arm.indices].tolist()):
         value, error = quantity(fitted, f"scale[{joint}]")
-        error *= scale / (1.0 + value)
-        rows.append(Quantity("torque_scale", joint, "", 1.0, scale, error))
-    return rows
+        scale = factor * (1.0 + value)
+        yield Quantity("torque_scale", joint, "", 1.0, scale, factor * error)
 
 
 def _in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimate:
@@ -162,44 +171,13 @@ def _in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimate:
     return body_estimate(fitted, "payload", combinations, values)
 
 
-def _payload_record(
-    fitted: Fit, flange: Flange, values: Array, divided: Array
-) -> Payload:
-    """Return the record of the payload, and of the terminal link without and with it.
-
-    ``divided``: (n,) torque scales by which the torques were divided already.
-    """
-    known_mass = fitted.question.known_mass
-    torque_scale = {}
-    if known_mass:
-        for joint, factor in zip(fitted.arm.joints, divided[fitted.arm.indices]):
-            scale = 1.0 + fitted.by_name[f"scale[{joint}]"]
-            torque_scale[joint] = float(factor * scale)
-    recordings: dict[str, tuple[str, ...]] = {"empty": (), "loaded": ()}
-    for name, is_loaded in _kinds(fitted).items():
-        recordings["loaded" if is_loaded else "empty"] += (name,)
-    both = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
-    return Payload(
-        flange,
-        _in_flange(fitted, flange, values),
-        body_estimate(fitted, fitted.arm.robot.body_name, both, values),
-        recordings,
-        torque_scale,
-        known_mass,
-    )
-
-
-def _without_inertia(payload: Payload) -> Payload:
-    """Return the payload, and the link with it, with all moments marked as not identified."""
+def _without_inertia(body: BodyEstimate) -> BodyEstimate:
+    """Return a body with all moments of inertia marked as not identified."""
     is_first = np.arange(10) < 4  # mass and first moments
-    body = replace(
-        payload.body,
-        is_determined=payload.body.is_determined & is_first,
-        data_share=payload.body.data_share * is_first,
-    )
-    is_determined = payload.total.is_determined & is_first
     return replace(
-        payload, body=body, total=replace(payload.total, is_determined=is_determined)
+        body,
+        is_determined=body.is_determined & is_first,
+        data_share=body.data_share * is_first,
     )
 
 
@@ -217,28 +195,27 @@ def contradiction(fitted: Fit, flange: Flange) -> str:
     """
     kinds = _kinds(fitted)
     mass = abs(fitted.by_name[PAYLOAD_NAMES[0]])
+    # Differences in mass, and of 1 cm in its centre, below which recordings agree.
+    least = 0.03 * mass
     phrases = []
     offers = Offers(fitted, fitted.weights)
+    factor = np.diag(spatial.parameter_scale(max(mass, 0.1), 0.1))
     for name, is_loaded in kinds.items():
         same = [other for other in kinds if kinds[other] == is_loaded and other != name]
         if not same:
             continue
-        factor = np.diag(spatial.parameter_scale(max(mass, 0.1), 0.1))
         shares = fitted.sums.is_of(name).astype(float)
         offer = offers.offer(Effect(PARAMETER_NAMES, factor, shares=shares))
-        gain, theta = offer.gain, offer.values
         expected = fitted.free[fitted.at(PAYLOAD_NAMES)] * is_loaded
-        total = expected + theta
+        total = expected + offer.values
         moved = 0.0
-        if is_loaded and total[0] > 0.0 and expected[0] > 0.0:
-            moved = float(
-                np.linalg.norm(total[1:4] / total[0] - expected[1:4] / expected[0])
-            )
-        is_large = abs(theta[0]) > LEAST_MASS * mass or moved > LEAST_PLACE
-        if gain > CLEAR and is_large:
-            body = _describe(flange.to_flange(total), LEAST_MASS * mass)
-            others = ", ".join(same)
-            phrases.append((gain, f"{name} differs from {others}: it carries {body}"))
+        if total[0] > 0.0 and expected[0] > 0.0:
+            places = total[1:4] / total[0] - expected[1:4] / expected[0]
+            moved = float(np.linalg.norm(places))
+        if offer.gain > CLEAR and (abs(offer.values[0]) > least or moved > 0.01):
+            body = _describe(flange.to_flange(total), least)
+            text = f"{name} differs from {', '.join(same)}: it carries {body}"
+            phrases.append((offer.gain, text))
     return max(phrases)[1] if phrases else ""
 
 

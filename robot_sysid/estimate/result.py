@@ -207,14 +207,12 @@ def body_estimate(
     combinations: Array,
     values: Array,
     model_theta: Array | None = None,
-    joint: str | None = None,
 ) -> BodyEstimate:
     """Return a body whose parameters are combinations (10, k) of the estimated ones.
 
     Args:
         values: (k,) of the estimated ones.
         model_theta: (10,) in the model; None where the model lacks the body.
-        joint: the joint that moves the body.
     """
     weight = np.abs(combinations)
     share = weight @ fitted.share() / np.maximum(np.sum(weight, axis=1), 1e-300)
@@ -227,26 +225,20 @@ def body_estimate(
         budget=fitted.budget(combinations),
         data_share=np.clip(share, 0.0, 1.0),
         prior=None if model_theta is None else InertialParameters(model_theta),
-        joint=joint,
     )
 
 
 def link_estimates(fitted: Fit) -> Iterator[BodyEstimate]:
     """Yield the estimate of every link whose parameters were estimated, base to terminal."""
     robot = fitted.arm.robot
-    estimated = set(fitted.names)
-    for index, link in enumerate(robot.links):
-        names = link_names(robot, index)
-        if index == robot.n_joints - 1:
-            names = PARAMETER_NAMES
-        if estimated.issuperset(names):
+    last = robot.n_joints - 1
+    for index in (*fitted.arm.others, last):
+        names = PARAMETER_NAMES if index == last else link_names(robot, index)
+        if names[0] in fitted.names:
+            link = robot.links[index]
+            chosen = select(fitted, names)
             yield body_estimate(
-                fitted,
-                link.body_name,
-                select(fitted, names),
-                fitted.values,
-                link.theta,
-                robot.joint_names[index],
+                fitted, link.body_name, chosen, fitted.values, link.theta
             )
 
 
@@ -306,11 +298,11 @@ def _estimate(fitted: Fit) -> Estimate:
     The parameters of interest come first: the terminal link, a payload, friction.
     """
     sums = fitted.sums
-    interest = (LAST_LINK, PAYLOAD, FRICTION)
     names: list[str] = []
     others: list[str] = []
     for term in fitted.equations.terms:
-        (names if term.cause in interest else others).extend(term.names)
+        is_wanted = term.cause in (LAST_LINK, PAYLOAD, FRICTION)
+        (names if is_wanted else others).extend(term.names)
     at = fitted.at(names)
     normal = fitted.equations.data(np.ones(len(sums.joints)))[at[:, None], at]
     order = fitted.at([*names, *others])

@@ -156,7 +156,6 @@ class BodyEstimate(InertialParameters):
         data_share: (10,) share of each value that comes from the data, 0 to 1; the model gives the
             other share.
         prior: the parameters in the model; None of a payload.
-        joint: the chain joint that moves the body; None of a payload.
     """
 
     name: str
@@ -165,7 +164,6 @@ class BodyEstimate(InertialParameters):
     budget: Mapping[str, Array] = field(default_factory=dict)
     data_share: Array = field(default_factory=lambda: np.ones(10))
     prior: InertialParameters | None = None
-    joint: str | None = None
 
     @property
     def errors(self) -> Array:
@@ -236,8 +234,6 @@ class Payload:
         body: the payload in the FLANGE frame, inertia about that frame's origin.
         total: the terminal link with the payload, in the terminal body's frame.
         recordings: "empty" and "loaded" to the names of the recordings.
-        torque_scale: joint to the torque scale that follows from ``known_mass``, what the log reads
-            over what is there.
         known_mass: the payload's weight as the user states it [kg]; None where it is unknown.
     """
 
@@ -245,7 +241,6 @@ class Payload:
     body: BodyEstimate
     total: BodyEstimate
     recordings: Mapping[str, tuple[str, ...]]
-    torque_scale: Mapping[str, float] = field(default_factory=dict)
     known_mass: float | None = None
 
 

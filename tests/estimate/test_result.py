@@ -64,7 +64,6 @@ def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
     assert result.question == LINK
     assert result.verdict is Verdict.BETTER and result.failure is None
     assert list(result.links) == ["link0", "link1", "link2"]
-    assert [link.joint for link in result.links.values()] == list(plant.joint_names)
     first, _, last = result.links.values()
     error = np.abs(last.theta - plant.prior.theta)
     assert np.max(error / last.errors) < 4.0 and last.errors[0] < 0.35 * last.mass

@@ -127,7 +127,6 @@ def terminal(result: Estimate) -> BodyEstimate:
         {"noise": 0.6 * errors, "the other links' parameters": 0.8 * errors},
         np.where(seen, 1.0, 0.0),
         InertialParameters(0.5 * THETA),
-        "j6",
     )
 
 
@@ -204,9 +203,15 @@ def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyE
 
 
 def payload(
-    own: BodyEstimate | None = None, result: Estimate | None = None, **changes
+    own: BodyEstimate | None = None,
+    result: Estimate | None = None,
+    torque_scale=(),
+    **changes,
 ) -> Result:
-    """A payload of 1.2 kg; what is no field of the result is one of ``Payload``."""
+    """A payload of 1.2 kg; what is no field of the result is one of ``Payload``.
+
+    ``torque_scale`` has pairs of a joint and its scale.
+    """
     payload_record = Payload(
         flange=Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
         body=own or body(),
@@ -218,7 +223,7 @@ def payload(
     rows = [*body_quantities(payload_record.body, PAYLOAD)]
     rows += body_quantities(body(0.8, name="link6"), "link6")
     rows += body_quantities(payload_record.total, "link6 with payload")
-    for joint, scale in payload_record.torque_scale.items():
+    for joint, scale in torque_scale:
         rows.append(Quantity("torque_scale", joint, "", 1.0, scale, 0.004))
     changes = {"verdict": Verdict.OK, "quantities": tuple(rows), **changes}
     return found(result, question=PAYLOAD, payload=payload_record, **changes)
@@ -242,7 +247,7 @@ def model_file(**changes) -> ModelFile:
 
 def whole(**changes) -> Result:
     """A result of which nothing is missing."""
-    first = replace(terminal(estimate()), name="link5", joint="j5")
+    first = replace(terminal(estimate()), name="link5")
     last = terminal(estimate())
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     file = model_file()
