@@ -30,29 +30,8 @@ from robot_sysid.records import Array
 
 LEAST_SHARE = 1e-6
 """Least eigenvalue of a body's pseudo-inertia, relative to that of its reference body."""
-SPREADS = (1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e8, 1e12)
-"""Standard deviations of bodies from their reference bodies that are tried, as shares of them: the
-smallest one is used that fits hardly worse, so that what data hardly shows stays near them. The
-largest ones are for reference bodies that are far too small."""
-WEIGHTS = (1e7, 1e5, 1e3)
-"""Largest norms of the equations that are tried: where rounding ends a search with exact data, it
-comes to an end with data that weighs less, and begins again from there."""
-HARDLY = 3.0
-"""Increase of the sum of squared residuals, each of unit variance, that is negligible: fitting is
-expected to decrease this sum by the number of parameters."""
 # Relative error of the solution.
 _TOLERANCE = 1e-8
-# Most searches, each relative to what the last one found.
-_ROUNDS = 3
-# Square of a distance, in residuals, within which one search is enough: its error is ``_TOLERANCE``
-# of it, far less than ``HARDLY``.
-_NEAR = 3e4
-# Weight of rows that hold directions without data at the reference bodies, in shares of them.
-_PIN = 1e4
-# The share for a body relative to which others are expressed: none of its directions is tiny.
-_ROUND = 0.1
-# Standard deviation of other parameters, whose columns have unit length: holds those without data.
-_UNSEEN = 1e10
 # Orthonormal basis (10, 4, 4) of symmetric matrices with the inner product tr(A B): a matrix has a
 # one on its diagonal, or sqrt(1/2) at (i, j) and (j, i). The order is that of Clarabel's triangles.
 _COLUMNS, _ROWS = np.tril_indices(4)
@@ -98,7 +77,7 @@ class Possible:
     Attributes:
         values: (p,) the solution x.
         is_held: whether directions that the equations do not show are held at the reference bodies.
-        spread: that one of ``SPREADS`` that bodies have.
+        spread: standard deviation of bodies from their reference bodies, as a share of them.
     """
 
     values: Array
@@ -115,9 +94,10 @@ def consistent_least_squares(
 ) -> Possible:
     """Return x (p,) of nearly the least ||A x - b|| with which all bodies are consistent.
 
-    The squared residuals are at most ``HARDLY`` above the least. Within this limit, directions that
-    A does not show are held at the reference bodies if that is possible, and bodies have the
-    smallest of ``SPREADS``.
+    The squared residuals are at most 3 above the least, which is negligible: fitting is expected to
+    decrease them by the number of parameters. Within this limit, directions that A does not show
+    are held at the reference bodies if that is possible, and bodies have the smallest of some
+    standard deviations from these, so that what data hardly shows stays near them.
 
     Args:
         matrix: A (M, p), whitened, so that residuals have unit variance.
@@ -152,34 +132,36 @@ def consistent_least_squares(
         """Return the sum of squared residuals."""
         return np.sum((shown @ np.append(y, -1.0)) ** 2)
 
-    # With all hidden directions held, then with none of them.
-    choices = {False: np.zeros((0, size + 1))}
+    hidden = np.zeros((0, size + 1))
     if has_hidden:
-        # Rows that measure the hidden part of x, in orthonormal combinations of y.
+        # Rows that measure the hidden part of x, in orthonormal combinations of y. They weigh so
+        # much that they hold it at the reference bodies.
         space = visible_space(matrix)
-        hidden = unit[:, order].T @ (space.null.T / space.scale).T
-        hidden = _PIN * np.linalg.qr(hidden)[0].T
-        choices = {True: np.column_stack((hidden, np.zeros(len(hidden)))), **choices}
-    tried = [*product(choices, SPREADS)]
-    start = None
-    if like is not None:
+        rows = unit[:, order].T @ (space.null.T / space.scale).T
+        held = 1e4 * np.linalg.qr(rows)[0].T
+        hidden = np.column_stack((held, np.zeros(len(held))))
+    # The largest ones are for reference bodies that are far too small.
+    spreads = (1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e8, 1e12)
+    if like is None:
+        start = None
+        # With all hidden directions held, then with none of them.
+        tried = [*product((True, False) if has_hidden else (False,), spreads)]
+        limit = cost(_solve(shown, problem, spreads[-1])) + 3.0
+    else:
         start = np.concatenate([like.values[link] for link in problem.links])
         tried = [(like.is_held and has_hidden, like.spread)]
-    best = (False, SPREADS[-1])
-    y = _solve(shown, problem, SPREADS[-1]) if like is None else np.zeros(size)
-    limit = cost(y) + HARDLY if like is None else np.inf
+        limit = np.inf
     for is_held, spread in tried:
-        rows = np.vstack((shown, choices[is_held]))
-        other = _solve(rows, problem, spread, start)
-        if cost(other) <= limit:
-            y, best = other, (is_held, spread)
+        rows = np.vstack((shown, hidden)) if is_held else shown
+        y = _solve(rows, problem, spread, start)
+        if cost(y) <= limit:
             break
     values = reference + unit[:, order] @ y
     for link in problem.links:
         theta = values[link]
         if not spatial.is_consistent(theta):
             values[link] = spatial.nearest_consistent_body(theta, theta, ROUNDING)
-    return Possible(values, *best)
+    return Possible(values, is_held, spread)
 
 
 def _solve(
@@ -196,7 +178,8 @@ def _solve(
     size = rows.shape[1] - 1
     others = size - N_INERTIAL * len(problem.links)
     precision = np.eye(size, size + 1)
-    precision[:others] /= _UNSEEN
+    # Other parameters, whose columns have unit length, are held where they have no data.
+    precision[:others] /= 1e10
     precision[others:] /= spread
     triangle = np.asarray(np.linalg.qr(np.vstack((rows, precision)), mode="r"))
     z = _possible_coordinates(triangle[others:, others:], problem.bodies, start)
@@ -224,15 +207,14 @@ def _possible_coordinates(
     else:
         offs = zip(start.reshape(-1, N_INERTIAL), bodies)
         z = np.concatenate([np.linalg.solve(u, x - theta) for x, (theta, u) in offs])
-    for _ in range(_ROUNDS):
+    for _ in range(3):
         centre = np.zeros_like(z)
         change = np.zeros((len(z), len(z)))
         least = []
         for first, (theta, units) in zip(range(0, len(z), N_INERTIAL), bodies):
             span = slice(first, first + N_INERTIAL)
-            near = spatial.nearest_consistent_body(
-                theta + units @ z[span], theta, _ROUND
-            )
+            # None of the directions of the body relative to which others are expressed is tiny.
+            near = spatial.nearest_consistent_body(theta + units @ z[span], theta, 0.1)
             centre[span] = np.linalg.solve(units, near - theta)
             change[span, span] = np.linalg.solve(units, _units(near))
             inverse = np.linalg.inv(np.linalg.cholesky(spatial.pseudo_inertia(near)))
@@ -241,7 +223,8 @@ def _possible_coordinates(
         rows = np.column_stack((equations[:, :-1] @ change, shifted))
         found = _by_cone(rows, LEAST_SHARE * np.array(least) + _TOLERANCE * np.eye(4))
         z = centre + change @ found
-        if found.any() and (start is not None or shifted @ shifted < _NEAR):
+        # Of so small a distance the solver's error is far less than what is negligible.
+        if found.any() and (start is not None or shifted @ shifted < 3e4):
             break
     return np.asarray(z)
 
@@ -266,7 +249,9 @@ def _by_cone(equations: Array, least: Array) -> Array:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
-    for heaviest in WEIGHTS:
+    # Where rounding ends a search with exact data, it comes to an end with data that weighs less,
+    # and begins again from there.
+    for heaviest in (1e7, 1e5, 1e3):
         rows = equations / max(1.0, float(np.linalg.norm(equations)) / heaviest)
         # Residuals are variables of their own: the condition of the problem is not squared.
         residuals = np.hstack((rows[:, :-1], -np.eye(count)))

@@ -12,7 +12,6 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate import bodies
 from robot_sysid.estimate.bodies import (
-    HARDLY,
     LEAST_SHARE,
     LinksProblem,
     consistent_least_squares,
@@ -121,7 +120,7 @@ def test_the_best_is_found_where_it_is_known(thetas, seed):
     right = matrix @ best - residual
     values = consistent_least_squares(matrix, right, problem).values
     excess = np.sum((matrix @ values - right) ** 2) - np.sum(residual**2)
-    assert -1e-3 < excess < HARDLY + 1e-3
+    assert -1e-3 < excess < 3.0 + 1e-3
 
 
 def fit_last_joint(izz):
@@ -211,7 +210,7 @@ def test_every_problem_has_an_answer_near_the_best_whatever_the_reference(seed):
         assert all(spatial.is_consistent(values[link]) for link in problem.links)
         if is_admitted(truth, problem):
             # The best is not above the truth.
-            limit = np.sum((matrix @ truth - right) ** 2) + HARDLY
+            limit = np.sum((matrix @ truth - right) ** 2) + 3.0
             assert np.sum((matrix @ values - right) ** 2) <= (1.0 + 1e-6) * limit
 
 
@@ -238,4 +237,4 @@ def test_a_real_pair_weighed_with_a_known_mass():
     assert all(spatial.is_consistent(values[link]) for link in problem.links)
     assert values[problem.links[-1][0]] == pytest.approx(2.805, rel=1e-5)
     # Least squares over log-Cholesky parameters of the bodies end at 4.53.
-    assert np.sum((matrix @ values - right) ** 2) < 4.53 + HARDLY
+    assert np.sum((matrix @ values - right) ** 2) < 4.53 + 3.0

@@ -53,7 +53,11 @@ def payload_result(path, verdict=Verdict.OK):
     """A result about a payload on that arm."""
     scales = {"$x^{1}&": 1.1}
     recordings = {"empty": ("a.csv",), "loaded": ("<s>b</s>.csv", "c.csv")}
-    options = {"torque_scale": scales.items(), "recordings": recordings, "verdict": verdict}
+    options = {
+        "torque_scale": scales.items(),
+        "recordings": recordings,
+        "verdict": verdict,
+    }
     return on_arm(made.payload(**options), path)
 
 
