@@ -179,25 +179,20 @@ class EstimationOptions(OptionRecord):
                 if is_given:
                     raise InputError(f"{flag} and --no-friction exclude each other")
         if self.friction_model is not None:
-            from robot_sysid.dynamics.friction import friction_terms
-
-            friction_terms(str(self.friction_model))
+            _terms(str(self.friction_model))
 
     @property
     def friction(self) -> tuple[str, ...]:
         """Friction terms of every joint; none with the option ``no_friction``."""
-        from robot_sysid.dynamics.friction import friction_terms
-
         if self.no_friction:
             return ()
-        return friction_terms(self.friction_model or self._default_friction)
+        return _terms(self.friction_model or self._default_friction)
 
     @property
     def _default_friction(self) -> str:
         """Friction model where no option names one."""
-        from robot_sysid.dynamics.friction import DEFAULT_MEASURED
-
-        return DEFAULT_TERMINAL if self.torques == "terminal" else DEFAULT_MEASURED
+        measured = f"{DEFAULT_TERMINAL}-armature"
+        return DEFAULT_TERMINAL if self.torques == "terminal" else measured
 
     @property
     def left_out_terms(self) -> tuple[str, ...]:
@@ -205,9 +200,14 @@ class EstimationOptions(OptionRecord):
 
         A sigmoid is no lack of Coulomb friction.
         """
-        from robot_sysid.dynamics.friction import friction_terms
-
         terms = self.friction
         given = {*terms, "coulomb"} if "sigmoid" in terms else {*terms}
-        default = friction_terms(self._default_friction)
+        default = _terms(self._default_friction)
         return tuple(term for term in default if term not in given)
+
+
+def _terms(friction_model: str) -> tuple[str, ...]:
+    """Return the terms of a friction model; options do not wait for numpy."""
+    from robot_sysid.dynamics.friction import friction_terms
+
+    return friction_terms(friction_model)
