@@ -33,6 +33,7 @@ from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
+from robot_sysid.signals.resampling import resample_uniformly
 from tests.support.places import DATA, ROOT
 
 PAGE = ROOT / "docs" / "evidence.md"
@@ -140,7 +141,8 @@ def samples(stretch) -> dict:
 def signals(stretch, joints, cutoff: float):
     """Return a stretch of a log, low-passed at a cut-off [Hz]."""
     log = samples(stretch)
-    return process(Measurement(log["time"], log["q"], None, log["tau"]), joints, cutoff)
+    measured = Measurement(log["time"], log["q"], None, log["tau"])
+    return process(resample_uniformly(measured), joints, cutoff)
 
 
 def as_mjcf(urdf: str) -> str:

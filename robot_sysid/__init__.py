@@ -65,7 +65,6 @@ _NAMES = {
     ),
     "records.messages": ("Level", "Remark"),
     "results.record": ("BodyEstimate", "ModelFile", "Payload", "Quantity", "Verdict"),
-    "signals.process": ("LogPiece",),
 }
 # Public name to the module that defines it.
 _MODULES = {name: module for module in _NAMES for name in _NAMES[module]}

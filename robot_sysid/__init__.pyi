@@ -49,6 +49,5 @@ from robot_sysid.results.record import ModelFile as ModelFile
 from robot_sysid.results.record import Payload as Payload
 from robot_sysid.results.record import Quantity as Quantity
 from robot_sysid.results.record import Verdict as Verdict
-from robot_sysid.signals.process import LogPiece as LogPiece
 
 __version__: str

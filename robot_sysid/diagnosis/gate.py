@@ -40,7 +40,6 @@ from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import RobotModel
 from robot_sysid.records.messages import Level, Progress, count_text, position_unit
 from robot_sysid.records.usual_errors import SCALE
-from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import duration, sampling_period
 
 ROWS = 40
@@ -102,7 +101,7 @@ def judge(
             shares.add(time_share(ratios))
             velocities += velocity_notes(ratios, robot.joint_names)
         # Recorded velocities are not used any more.
-        bare = tuple(LogPiece.of(replace(piece, qd=None)) for piece in kept)
+        bare = tuple(replace(piece, qd=None) for piece in kept)
         checked.append(replace(log, pieces=bare))
     if any(finding.level is Level.REFUSES for finding in found):
         return Judged(tuple(checked), in_order(found), (), None)

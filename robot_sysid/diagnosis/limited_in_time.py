@@ -20,7 +20,6 @@ from robot_sysid.estimate.contacts import MOST_SHARE, MOST_STRETCHES
 from robot_sysid.records import Array, Measurement
 from robot_sysid.records.messages import Level, count_text
 from robot_sysid.signals.frozen import equal_runs, frozen_positions, true_runs
-from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import slice_samples
 
 MANY_VALUES = 100
@@ -108,7 +107,7 @@ def leave_out(
     return kept, notes
 
 
-def _mark(piece: Measurement, left_out: NDArray[np.bool_]) -> LogPiece:
+def _mark(piece: Measurement, left_out: NDArray[np.bool_]) -> Measurement:
     """Return a piece with rows (N,) marked as left out, and without those of them at its ends."""
     from scipy.interpolate import CubicSpline
 
@@ -118,4 +117,4 @@ def _mark(piece: Measurement, left_out: NDArray[np.bool_]) -> LogPiece:
     q = piece.q.copy()
     q[left_out] = CubicSpline(piece.time[kept], q[kept])(piece.time[left_out])
     marked = replace(piece, q=q, left_out=left_out)
-    return LogPiece.of(slice_samples(marked, kept[0], kept[-1] + 1))
+    return slice_samples(marked, kept[0], kept[-1] + 1)

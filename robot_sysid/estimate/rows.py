@@ -21,12 +21,8 @@ from robot_sysid.dynamics.inverse_dynamics import ARRAY_SIZE, LinkDynamics, Link
 from robot_sysid.errors import InputError, prefix_input_errors
 from robot_sysid.estimate.identifiability import RELATIVE_CUT
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
-from robot_sysid.signals.process import (
-    LogPiece,
-    ProcessedSignals,
-    check_losses,
-    process,
-)
+from robot_sysid.signals.process import ProcessedSignals, check_losses, process
+from robot_sysid.signals.resampling import resample_uniformly
 
 Mask = NDArray[np.bool_]
 """Boolean mask, True where a row is used."""
@@ -504,18 +500,19 @@ def low_pass_recordings(
     Raises:
         InputError: a recording is too short.
     """
-    # Copies, so that what is computed on the way goes when this is done.
-    resampled = [LogPiece.of(replace(piece.samples)) for piece in pieces]
+    resampled = []
     cutoffs = []
-    for piece, log in zip(pieces, resampled):
+    for piece in pieces:
         with prefix_input_errors(piece.name):
-            cutoffs.append(cutoff or log.choice.cutoff)
+            uniform = resample_uniformly(piece.samples)
+            cutoffs.append(cutoff or uniform.choice.cutoff)
+        resampled.append(uniform)
     recordings = []
     processed: defaultdict[str, list[ProcessedSignals]] = defaultdict(list)
-    for piece, log, required in zip(pieces, resampled, cutoffs):
+    for piece, uniform, required in zip(pieces, resampled, cutoffs):
         given = min(cutoffs) if required > min(cutoffs) else cutoff
         with prefix_input_errors(piece.name):
-            signals = process(log, robot.joint_names, given, robot.slides)
+            signals = process(uniform, robot.joint_names, given, robot.slides)
         processed[piece.name].append(signals)
         recordings.append(Recording(piece.name, signals, piece.is_loaded, piece.order))
     notes = {}

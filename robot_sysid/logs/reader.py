@@ -47,7 +47,6 @@ from robot_sysid.records.option_fields import (
     joint_factors,
     options_of,
 )
-from robot_sysid.signals.process import LogPiece
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 
 
@@ -69,7 +68,7 @@ class MeasurementLog:
     path: Path
     columns: ColumnMap
     samples: Measurement
-    pieces: tuple[LogPiece, ...]
+    pieces: tuple[Measurement, ...]
     notes: tuple[str, ...]
     torque_scale: Array
     joint_names: tuple[str, ...]
@@ -120,7 +119,7 @@ def open_log(
     columns = replace(columns, torque=tuple(torque))
     rows = read_rows(table, columns, robot.is_slide, progress or Progress())
     check_notes = check_log(str(path), rows, robot, columns.angle_declared)
-    pieces = tuple(map(LogPiece.of, split_at_gaps(rows.samples)))
+    pieces = split_at_gaps(rows.samples)
     details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
     source_notes = filter(None, (*table.notes, columns.joint_match.describe()))
     notes = (*details, *source_notes, *check_notes, *piece_notes(rows.samples, pieces))

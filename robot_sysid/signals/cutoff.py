@@ -23,7 +23,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from robot_sysid.records import Array
 from robot_sysid.signals.filters import design_low_pass
-from robot_sysid.signals.resampling import FEWEST_SAMPLES
+
+FEWEST_SAMPLES = 64
+"""Fewest samples of a log that a spectrum is made from (chosen)."""
 
 
 class CutoffChoice(NamedTuple):

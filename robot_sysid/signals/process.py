@@ -20,22 +20,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Measurement, Motion
+from robot_sysid.records import Array, Motion
 from robot_sysid.records.messages import Detail, percent, position_unit
-from robot_sysid.signals.cutoff import CutoffChoice, choose_cutoff
 from robot_sysid.signals.filters import REACH, LowPass, derivatives, design_low_pass
 from robot_sysid.signals.frozen import equal_runs
-from robot_sysid.signals.resampling import (
-    SHORTEST_PIECE,
-    UniformSignals,
-    resample_uniformly,
-)
+from robot_sysid.signals.resampling import SHORTEST_PIECE, UniformSignals
 
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband, or in long holes of the log, may
@@ -136,36 +130,16 @@ class ProcessedSignals:
         return self.low_pass.weight_shares(self.bridged) <= LARGEST_SLOW_SHARE
 
 
-@dataclass(frozen=True)
-class LogPiece(Measurement):
-    """A piece of a log; what processing needs first is computed once and cached."""
-
-    @classmethod
-    def of(cls, measurement: Measurement) -> LogPiece:
-        """Return a measurement as a log piece; the argument itself where it is one already."""
-        return measurement if isinstance(measurement, cls) else cls(**vars(measurement))
-
-    @cached_property
-    def uniform(self) -> UniformSignals:
-        """The piece on a uniform grid; InputError where the piece is too short."""
-        return resample_uniformly(self)
-
-    @cached_property
-    def choice(self) -> CutoffChoice:
-        """The cut-off chosen for the piece; InputError where the piece is too short."""
-        return choose_cutoff(self.uniform.q, self.uniform.rate)
-
-
 def process(
-    measurement: Measurement,
+    uniform: UniformSignals,
     joint_names: Sequence[str] = (),
     cutoff: float | None = None,
     slides: Collection[str] = (),
 ) -> ProcessedSignals:
-    """Return the processed signals of a log: resampled, positions low-passed and differentiated.
+    """Return the processed signals of a log: positions low-passed and differentiated.
 
     Args:
-        measurement: the log; it is not changed.
+        uniform: the log, as ``resample_uniformly`` returns it.
         joint_names: for the notes; numbers stand for joints without a name.
         cutoff: of the low-pass [Hz]; None chooses it from the data.
         slides: names of the joints that are slides, for the notes.
@@ -173,9 +147,7 @@ def process(
     Raises:
         InputError: the log is too short, or the cut-off does not fit its sample rate.
     """
-    piece = LogPiece.of(measurement)
-    uniform = piece.uniform
-    choice = piece.choice
+    choice = uniform.choice
     if cutoff is not None:
         choice = choice._replace(cutoff=cutoff, expected_error=0.0)
     low_pass = design_low_pass(choice.cutoff, uniform.rate)

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Measurement
+from robot_sysid.signals.cutoff import FEWEST_SAMPLES, CutoffChoice, choose_cutoff
 
 GAP_STEPS = 1.75
 """Multiple of the median step of time beyond which a step counts as a hole with at least one lost
 sample; a late sample comes up to 1.7 periods after an early one (tests/signals/test_resampling.py).
 """
-FEWEST_SAMPLES = 64
-"""Fewest samples of a log that a spectrum is made from (chosen)."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,11 @@ class UniformSignals:
     tau: Array
     gap: Array
     notes: tuple[str, ...]
+
+    @cached_property
+    def choice(self) -> CutoffChoice:
+        """The cut-off chosen for the log."""
+        return choose_cutoff(self.q, self.rate)
 
 
 def resample_uniformly(measurement: Measurement) -> UniformSignals:
@@ -206,12 +211,11 @@ def select_pieces(pieces: list[Measurement], most_time: float) -> list[Measureme
 
 def slice_samples(samples: Measurement, start: int, stop: int) -> Measurement:
     """Return the consecutive samples from index ``start`` to before ``stop`` of a log, as views."""
-    changes = {}
-    for field in fields(Measurement):
-        values = getattr(samples, field.name)
+    arrays = {}
+    for name, values in vars(samples).items():
         if values is not None:
-            changes[field.name] = values[start:stop]
-    return replace(samples, **changes)
+            arrays[name] = values[start:stop]
+    return replace(samples, **arrays)
 
 
 def join_measurements(chunks: Iterable[Measurement]) -> Measurement:

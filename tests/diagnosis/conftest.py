@@ -13,7 +13,6 @@ from robot_sysid.estimate.questions import Question
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records.messages import Progress
-from robot_sysid.signals.process import LogPiece
 from tests.support import arms
 from tests.support.wrong_logs import truth_of
 
@@ -27,7 +26,7 @@ def read_log(robot, samples, name="log.csv", divided=1.0):
         path=Path(name),
         columns=None,
         samples=samples,
-        pieces=(LogPiece.of(samples),),
+        pieces=(samples,),
         notes=(),
         torque_scale=np.full(robot.n_joints, divided),
         joint_names=robot.joint_names,

@@ -16,10 +16,9 @@ from robot_sysid.signals.process import (
     LARGEST_SLOW_SHARE,
     abrupt_stops,
     check_losses,
-    process,
     turning_samples,
 )
-from tests.support.swing import Swing, seconds
+from tests.support.swing import Swing, processed, seconds
 
 assert_close = partial(assert_allclose, rtol=0.0)
 """Compare arrays within the absolute tolerance ``atol`` alone."""
@@ -34,7 +33,7 @@ def root_mean_square(values: np.ndarray) -> float:
 def test_motion_of_a_quantised_log_is_recovered(seed):
     """Acceleration within 1 % of its root mean square from a 1e-4 rad encoder."""
     swing = Swing(seed)
-    signals = process(swing.measurement(seconds(12.0, 200.0), 1e-4))
+    signals = processed(swing.measurement(seconds(12.0, 200.0), 1e-4))
     for order, limit in ((0, 3e-4), (1, 2e-3), (2, 1e-2)):
         true = swing.q(signals.time, order)
         got = (signals.q, signals.qd, signals.qdd)[order]
@@ -47,13 +46,13 @@ def test_positions_without_noise_are_differentiated_unfiltered(seed, rate):
     """To 1e-8, most of it in the time stamps."""
     swing = Swing(seed)
     cutoff = 0.2 * min(rate, 60.0)
-    signals = process(swing.measurement(seconds(20.0, rate)), cutoff=cutoff)
+    signals = processed(swing.measurement(seconds(20.0, rate)), cutoff=cutoff)
     true = swing.q(signals.time, 2)
     assert root_mean_square(signals.qdd - true) < 1e-8 * root_mean_square(true)
 
 
 def test_columns_do_not_depend_on_the_blocks_that_they_are_made_in():
-    signals = process(Swing().measurement(seconds(90.0, 100.0)), cutoff=15.0)
+    signals = processed(Swing().measurement(seconds(90.0, 100.0)), cutoff=15.0)
     columns = signals.filter_columns(lambda motion: np.sign(motion.qd) * motion.q)
     expected = signals.low_pass.decimate(np.sign(signals.qd) * signals.q)
     assert len(columns) > 1000
@@ -62,7 +61,7 @@ def test_columns_do_not_depend_on_the_blocks_that_they_are_made_in():
 
 def low_pass_with_deadband(log, deadband):
     """Return the signals of a log, low-passed at 8 Hz, with a deadband of all joints [rad/s]."""
-    signals = process(log, cutoff=8.0)
+    signals = processed(log, cutoff=8.0)
     return replace(signals, deadband=np.full_like(signals.deadband, deadband))
 
 
@@ -85,7 +84,7 @@ def test_a_joint_at_rest_is_masked_and_named():
     log = Swing().measurement(seconds(10.0, 200.0), 1e-4)
     positions = np.array(log.q)
     positions[:, 1] = 0.3
-    signals = process(replace(log, q=positions), ("a", "b", "c"), 8.0, "b")
+    signals = processed(replace(log, q=positions), ("a", "b", "c"), 8.0, "b")
     assert not np.any(signals.usable()[:, 1])
     assert np.mean(signals.usable()[:, 0]) > 0.9
     (note,) = [n for n in signals.notes if "only 0 % of the rows of joint b" in n]
@@ -135,7 +134,7 @@ def test_samples_lost_at_random_cost_little(rate, cutoff, share, fewest):
     log = swing.measurement(seconds(15.0, rate), 5e-5)
     noise = []
     for lost_share in (0.0, share):
-        signals = process(with_losses(log, lost_share), cutoff=cutoff)
+        signals = processed(with_losses(log, lost_share), cutoff=cutoff)
         signals = replace(signals, deadband=0.0 * signals.deadband)
         qdd, tau, is_used = row_errors(signals, swing)
         noise.append([root_mean_square(error[is_used]) for error in (qdd, tau)])
@@ -149,22 +148,22 @@ def test_a_log_with_too_many_losses_is_refused_with_the_cause():
     log = Swing().measurement(seconds(15.0, 125.0), 5e-5)
     is_kept = log.time % 0.3 > 0.1
     damaged_log = Measurement(log.time[is_kept], log.q[is_kept], None, log.tau[is_kept])
-    damaged = process(damaged_log, cutoff=11.0)
+    damaged = processed(damaged_log, cutoff=11.0)
     with pytest.raises(
         InputError, match=r"free of lost samples.*record without losses"
     ):
         check_losses([damaged])
     # Another piece of the same log may be long enough.
-    check_losses([damaged, process(log, cutoff=11.0)])
+    check_losses([damaged, processed(log, cutoff=11.0)])
 
 
 def test_a_log_too_short_for_its_cutoff_is_refused():
     with pytest.raises(
         InputError, match=r"2 s are too short for a cut-off of 3 Hz, which needs"
     ):
-        process(Swing().measurement(seconds(2.0, 200.0)), cutoff=3.0)
+        processed(Swing().measurement(seconds(2.0, 200.0)), cutoff=3.0)
     with pytest.raises(InputError, match="record longer"):
-        process(Swing().measurement(seconds(0.1, 200.0)))
+        processed(Swing().measurement(seconds(0.1, 200.0)))
 
 
 RATE = 200.0
@@ -202,7 +201,7 @@ def test_only_rows_beside_an_abrupt_stop_are_masked(resolution):
     assert_close(time[abrupt_stops(time, q)], [4.0, 7.0], atol=1.5 / RATE)
     for joints, ends in (([0, 1], [4.0, 7.0]), ([0, 2], [])):
         own = q[:, joints]
-        signals = process(Measurement(time, own, None, own), cutoff=8.0)
+        signals = processed(Measurement(time, own, None, own), cutoff=8.0)
         rows = signals.decimated_motion().time
         off = np.min(np.abs(np.subtract.outer(rows, ends)), axis=1, initial=np.inf)
         is_lost = ~signals.is_complete()

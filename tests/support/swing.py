@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from robot_sysid.records import Measurement
+from robot_sysid.signals.process import process
+from robot_sysid.signals.resampling import resample_uniformly
 
 FREQUENCIES = np.array([0.13, 0.29, 0.43, 0.59])
 
@@ -38,3 +40,8 @@ class Swing:
 def seconds(duration: float, rate: float) -> np.ndarray:
     """Evenly spaced instants from zero on."""
     return np.arange(round(duration * rate) + 1) / rate
+
+
+def processed(log, *args, **options):
+    """Return the processed signals of a log."""
+    return process(resample_uniformly(log), *args, **options)
