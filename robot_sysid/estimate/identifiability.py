@@ -10,6 +10,7 @@ rounding noise is set to zero.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,18 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
+from robot_sysid.dynamics.friction import split_name
 from robot_sysid.records import Array, Identifiability
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
 ROUNDING = 1e-12
 """Share of the largest below which a number is nothing but rounding."""
-# Components of unit vectors below this count as zero; a choice, far above their rounding (1e-13).
-_TOLERANCE = 1e-6
-# Indices of the first moments among the parameters.
-_FIRST_MOMENT = range(1, 4)
-# Indices of the inertias among the parameters.
-_INERTIA = range(4, 10)
 
 
 @dataclass(frozen=True)
@@ -63,8 +59,7 @@ class VisibleSpace:
     @property
     def is_identified(self) -> tuple[bool, ...]:
         """Per parameter (p,), whether it is zero in all invisible directions."""
-        is_zero = np.linalg.norm(self.null, axis=1) < _TOLERANCE
-        return tuple(is_zero.tolist())
+        return tuple((~_is_hidden(self.null)).tolist())
 
     def solve(self, right_hand_side: Array) -> Array:
         """Return the least-squares solution x (p,) of A x = b (M,), of minimum norm in scaled y."""
@@ -85,7 +80,7 @@ def visible_space(matrix: Array) -> VisibleSpace:
     """
     length = np.linalg.norm(matrix, axis=0)
     zero = length <= RELATIVE_CUT * np.max(length, initial=0.0)
-    for group in (_FIRST_MOMENT, _INERTIA):
+    for group in (slice(1, 4), slice(4, 10)):
         length[group] = np.max(length[group], initial=0.0)
     scale = 1.0 / np.where(zero, 1.0, length)
     scaled = np.where(zero, 0.0, matrix * scale)
@@ -172,13 +167,17 @@ def describe(null: Array, names: Sequence[str]) -> tuple[str, ...]:
         null: (p, d) orthonormal basis of the invisible directions.
         names: (p,) parameter names.
     """
-    is_hidden = np.linalg.norm(null, axis=1) >= _TOLERANCE
-    return tuple(_single(name) for name, hidden in zip(names, is_hidden) if hidden)
+    return tuple(itertools.compress(map(_phrase, names), _is_hidden(null)))
 
 
-def _single(name: str) -> str:
+def _is_hidden(null: Array) -> NDArray[np.bool_]:
+    """Return which parameters (p,) an invisible direction (p, d) changes by more than rounding."""
+    return np.linalg.norm(null, axis=1) >= 1e-6
+
+
+def _phrase(name: str) -> str:
     """Return the phrase for one parameter: "viscous friction of j1" for "viscous[j1]"."""
-    term, _, joint = name.partition("[")
-    phrase = f"inertia {name}" if name in spatial.PARAMETER_NAMES else term
+    term, joint = split_name(name)
+    phrase = f"inertia {term}" if term in spatial.PARAMETER_NAMES else term
     phrase = _SINGLE.get(term, phrase)
-    return f"{phrase} of {joint.removesuffix(']')}" if joint else phrase
+    return f"{phrase} of {joint}" if joint else phrase
