@@ -40,10 +40,6 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 
-# Exponent x beyond which exp(-x) is kept constant: arithmetic with numbers near 1e-308 is a hundred
-# times slower.
-_LARGEST_DECAY = 200.0
-
 
 def _fading(qd: Array, qdd: Array, load: Array, speed: float, power: int = 1) -> Array:
     """Return sign(qd) exp(-(abs(qd) / speed)^power) (N,), as a column of ``TERMS``.
@@ -54,7 +50,8 @@ def _fading(qd: Array, qdd: Array, load: Array, speed: float, power: int = 1) ->
         speed: at which 1/e of the friction is left [rad/s].
         power: of the speed.
     """
-    decay = np.minimum((np.abs(qd) / speed) ** power, _LARGEST_DECAY)
+    # Arithmetic with numbers near 1e-308 is a hundred times slower.
+    decay = np.minimum((np.abs(qd) / speed) ** power, 200.0)
     return np.sign(qd) * np.exp(-decay)
 
 

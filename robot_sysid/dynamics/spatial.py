@@ -18,8 +18,6 @@ ROD = float(np.sqrt(3.0))
 """Length of a uniform rod over the root mean square distance of its mass from its end."""
 ROD_MOMENT = 1.0 / 18.0
 """Mean moment of inertia of a thin rod about its middle, over its mass and squared length."""
-# Cosine of the pitch below which roll and yaw turn about one axis.
-_LOCKED = 1e-14
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 """Names of the inertial parameters theta of one body, in their order."""
 N_INERTIAL = len(PARAMETER_NAMES)
@@ -115,7 +113,8 @@ def roll_pitch_yaw(rotation: Array) -> Array:
     Where pitch is a right angle, only the sum or difference of roll and yaw counts: yaw is zero.
     """
     x_axis = rotation[:, 0]
-    is_locked = np.hypot(*x_axis[:2]) < _LOCKED
+    # Roll and yaw then turn about one axis.
+    is_locked = np.hypot(*x_axis[:2]) < 1e-14
     yaw = 0.0 if is_locked else np.arctan2(x_axis[1], x_axis[0])
     # Near a right angle yaw is mostly rounding; roll is computed from it and makes up for it.
     turn = rotation_of_angles(np.array([0.0, 0.0, -yaw])) @ rotation

@@ -38,9 +38,6 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import N_INERTIAL, ROD_MOMENT
 from robot_sysid.records import KINDS, ArmLink, Array, RobotModel
 
-# Number of a link's parameters of each kind.
-_REPEATS = (1, 3, 6)
-
 
 @dataclass(frozen=True)
 class LinkScales:
@@ -113,7 +110,7 @@ def deviations(stated: NDArray[np.bool_], share: float, scales: LinkScales) -> A
     """
     sizes = np.where(stated, share * np.array(astuple(scales)), 1.0)
     return np.append(
-        np.repeat(sizes, _REPEATS, axis=1), (share, share * scales.centre_of_mass)
+        np.repeat(sizes, (1, 3, 6), axis=1), (share, share * scales.centre_of_mass)
     )
 
 

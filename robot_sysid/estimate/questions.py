@@ -38,8 +38,6 @@ from robot_sysid.records.option_fields import joint_values
 
 LEAST_DRY = 0.02
 """Least dry friction assumed before a fit, as a share of the joint's root mean square torque."""
-LARGEST_LOSS = 0.3
-"""Share of its load that a gear loses at most: one that lost half of it would lock backwards."""
 NEGLIGIBLE = 1e-3
 """Share of a joint's root mean square torque that counts as nothing: dry friction after a fit, or
 an error."""
@@ -97,7 +95,8 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     if question.loaded:
         terms.append(_payload(arm, question))
     for name in question.friction:
-        upper = LARGEST_LOSS if name == "load" else np.inf
+        # A gear that lost half of its load would lock backwards.
+        upper = 0.3 if name == "load" else np.inf
         term = replace(arm.terms[name], upper=upper)
         # The square-root term bends the curve of friction: only their sum has to oppose the motion.
         if name == "viscous" and "sqrt" in question.friction:

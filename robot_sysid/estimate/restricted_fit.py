@@ -41,9 +41,6 @@ from robot_sysid.records import Array, InertialParameters, Validation
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE, OFFSET
 
-# Share of that distance at which a mass that lies beyond it is held.
-_NEAR = 0.95
-
 
 @dataclass(frozen=True)
 class RestrictedFit:
@@ -54,7 +51,6 @@ class RestrictedFit:
         unchanged: names of the parts of the file that stay as they are.
         before: held-out error of the given model, each joint's sensor offset fitted.
         after: held-out error of the file, likewise.
-        rotors: joint or motor to its rotor inertia in the file [kg m^2], where it is held.
         gravity: (3,) in the file [m/s^2]; None where it stays.
     """
 
@@ -62,14 +58,13 @@ class RestrictedFit:
     unchanged: tuple[str, ...]
     before: Validation
     after: Validation
-    rotors: Mapping[str, float]
     gravity: Array | None = None
 
     @property
     def without_rotors(self) -> Validation:
         """Error of the file without rotors and motors, which readers of a URDF leave out."""
         arm = self.fit.arm
-        beyond = [*names_of("armature", self.rotors)]
+        beyond = [*names_of("armature", arm.owners)]
         for motor in arm.motors:
             beyond += motor.parameter_names
         bare = {name: arm.model.get(name, 0.0) for name in beyond}
@@ -123,27 +118,26 @@ def fit_file(
         tuple(sorted(unchanged)),
         validation(before),
         validation(fitted),
-        rotors,
         gravity,
     )
 
 
 def errors_on(
-    file: RestrictedFit, recordings: Sequence[Recording], source: str
+    fitted: Fit, recordings: Sequence[Recording], source: str
 ) -> tuple[Validation, Validation]:
     """Return the errors of the given model and of the file on a log that was not fitted.
 
     The offset of each joint's sensor is that of this log.
 
     Args:
-        file: the fit of the file.
+        fitted: the fit of the file.
         recordings: stretches of the other log.
         source: its name.
     """
-    other = file.fit.of(file.fit.arm.sums(recordings, file.fit.point))
+    other = fitted.of(fitted.arm.sums(recordings, fitted.point))
     blocks = other.sums.blocks
     errors = []
-    for values in ({}, file.fit.by_name):
+    for values in ({}, fitted.by_name):
         solved = _solved(other, [other.arm.terms["offset"]], values)
         errors.append(error_in(solved, solved.values, solved.inverse, blocks, source))
     before, after = errors
@@ -230,8 +224,8 @@ def _far_masses(estimate: Fit, fitted: Fit) -> dict[str, tuple[float, float]]:
         error = errors[name] if is_shown else 1e-3 * abs(mass)
         distance = fitted.by_name[name] - mass
         if abs(distance) > INTERVAL * error:
-            held = mass + np.copysign(_NEAR * INTERVAL * error, distance)
-            far[name] = (held, (1.0 - _NEAR) * error)
+            held = mass + np.copysign(0.95 * INTERVAL * error, distance)
+            far[name] = (held, 0.05 * error)
     return far
 
 

@@ -111,8 +111,9 @@ def link_result(
     """
     robot = fitted.arm.robot
     tests = (validation(fitted), *tests, *held_out_logs(fitted))
-    signals = [recording.signals for recording in fitted.recordings]
-    acceleration_error = max((s.acceleration_error for s in signals), default=0.0)
+    acceleration_error = max(
+        recording.signals.acceleration_error for recording in fitted.recordings
+    )
     common = common_result(fitted, origin, LINK)
     *other_links, last_link = common.links.values()
     refusals = [*find_misfits(fitted, tests)]
@@ -181,7 +182,6 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
     robot = fitted.arm.robot
     links = {link.name: link for link in link_estimates(fitted)}
     rows = itertools.chain(*(body_quantities(links[name], name) for name in links))
-    recordings = fitted.recordings
     return Result(
         robot=robot,
         question=question,
@@ -191,7 +191,7 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
         data=origin,
         links=links,
         friction_model="-".join(fitted.question.friction) or "none",
-        cutoff=recordings[0].signals.cutoff if recordings else None,
+        cutoff=fitted.recordings[0].signals.cutoff,
         link_scales=asdict(fitted.question.link_scales),
     )
 
@@ -385,7 +385,7 @@ def _file_terms(fitted: Fit, file: RestrictedFit) -> Iterator[Quantity]:
     for owner in fitted.arm.owners:
         name = f"armature[{owner}]"
         model_rotor = fitted.arm.model.get(name, 0.0)
-        rotor = file.rotors.get(owner, model_rotor)
+        rotor = file.fit.by_name.get(name, model_rotor)
         if rotor != model_rotor:
             # Without an estimate of its own, the joint has the rotor of a motor that it shares.
             is_estimated = name in fitted.names
@@ -464,23 +464,21 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
         )
 
 
-def traces_of(fitted: Fit, file: RestrictedFit | None) -> Traces:
-    """Return the measured torques, and the predictions of the written file and the given model.
+def traces_of(fitted: Fit) -> Traces:
+    """Return the measured torques, and the predictions of a fit and of the given model.
 
-    Without a file, the fit's predictions replace those of the file. Both predictions contain the
-    estimated offsets of the torque sensors. With a payload, the second prediction is that of the
-    fit without the payload.
+    Both predictions contain the estimated offsets of the torque sensors. With a payload, the second
+    prediction is that of the fit without the payload.
     """
-    shown = fitted if file is None else file.fit
     arm = fitted.arm
-    values = shown.by_name
+    values = fitted.by_name
     model = dict(arm.model)
     if fitted.question.loaded:
         model = {**values, **dict.fromkeys(PAYLOAD_NAMES, 0.0)}
     model.update((name, values[name]) for name in values if name.startswith("offset["))
     friction = {
         name: values[name]
-        for term in shown.equations.terms
+        for term in fitted.equations.terms
         if term.cause == FRICTION
         for name in term.names
         if split_name(name)[0] != "armature"
@@ -493,9 +491,9 @@ def traces_of(fitted: Fit, file: RestrictedFit | None) -> Traces:
                 "time": motion.time,
                 "qd": motion.qd[:, arm.indices],
                 "measured": arm.measured(rows),
-                "predicted": arm.torque(rows, shown.point, values),
-                "prior_prediction": arm.torque(rows, shown.point, model),
-                "friction": arm.torque(rows, shown.point, friction) - arm.known(rows),
+                "predicted": arm.torque(rows, fitted.point, values),
+                "prior_prediction": arm.torque(rows, fitted.point, model),
+                "friction": arm.torque(rows, fitted.point, friction) - arm.known(rows),
             }
             for name, signal in signals.items():
                 fields.setdefault(name, []).append(signal)

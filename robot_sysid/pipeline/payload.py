@@ -85,7 +85,7 @@ def identify_payload(
         fitted, weighed, file, flange, origin_of(logs), notes, divided
     )
     checkpoints = fitted.recordings[-1].motion
-    traces = partial(traces_of, fitted, None)
+    traces = partial(traces_of, fitted)
     return replace(result, checkpoints=checkpoints, traces=traces)
 
 

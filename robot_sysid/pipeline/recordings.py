@@ -150,10 +150,10 @@ def _result(
         pieces = [Piece(name, samples) for samples in log.pieces]
         others, _ = low_pass_recordings(robot, pieces, signals.cutoff)
         errors.append(predicted(fitted, others, name))
-        of_file.append(errors_on(file, others, name))
+        of_file.append(errors_on(file.fit, others, name))
     result = link_result(fitted, file, errors, origin, notes, of_file)
     checkpoints = signals.motion(
         np.linspace(0, len(signals) - 1, CHECKPOINTS).astype(int)
     )
-    traces = partial(traces_of, fitted, file)
+    traces = partial(traces_of, file.fit)
     return replace(result, checkpoints=checkpoints, traces=traces)

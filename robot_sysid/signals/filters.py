@@ -72,7 +72,8 @@ def design_low_pass(cutoff: float, rate: float) -> LowPass:
     """
     # No log that is filtered in one piece is long enough for a lower one; the stop band of a
     # higher one would begin above Nyquist.
-    lowest, highest = 1e-3, 0.3 * rate
+    lowest = 1e-3
+    highest = 0.3 * rate
     if not lowest <= cutoff <= highest:
         raise InputError(
             f"cut-off {cutoff:g} Hz does not fit a rate of {rate:g} Hz; choose a cut-off between "

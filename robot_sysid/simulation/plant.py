@@ -46,11 +46,6 @@ from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 
-HELD_ARMATURE = 1e9
-"""Armature that holds joints outside the chain still [kg m^2]."""
-DEFAULT_TIMESTEP = 5e-4
-"""Step of an arm that motors drive [s]."""
-
 
 def plant_measurements(
     plant: RobotModel,
@@ -127,7 +122,7 @@ def forward_model(robot: RobotModel) -> Any:
     """Return a copy of an arm's compiled MuJoCo model in which only the chain moves.
 
     Contacts, joint stops, equalities, actuators, gravity compensation and drag are switched off;
-    joints outside the chain get ``HELD_ARMATURE``. The copy may be changed by the caller.
+    joints outside the chain get an armature that holds them still. The copy may be changed.
     """
     model = analysis_copy(robot.mj_model)
     flags = int(model.opt.disableflags)
@@ -141,7 +136,7 @@ def forward_model(robot: RobotModel) -> Any:
     chain = robot.dof_index
     model.dof_damping[chain] = robot.mj_model.dof_damping[chain]
     held_dofs = np.setdiff1d(np.arange(model.nv), chain)
-    model.dof_armature[held_dofs] = HELD_ARMATURE
+    model.dof_armature[held_dofs] = 1e9
     model.dof_frictionloss[held_dofs] = 0.0
     return model
 
@@ -178,10 +173,7 @@ class ArmStepper:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        q: Array | None = None,
-        timestep: float = DEFAULT_TIMESTEP,
+        self, robot: RobotModel, q: Array | None = None, timestep: float = 5e-4
     ) -> None:
         self._robot = robot
         self.n_joints = robot.n_joints

@@ -132,7 +132,7 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
 ):
     """Also where the fitted log holds too little of the other one's motion to be contradicted."""
 
-    def errors_on(file, recordings, source):
+    def errors_on(fitted, recordings, source):
         return [results.validation_of(e, source, relative=e) for e in (0.13, 0.21)]
 
     monkeypatch.setattr("robot_sysid.pipeline.recordings.errors_on", errors_on)

@@ -94,7 +94,7 @@ def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
     for log in (recording[0], other[0]):
         error = torque_error(model, robot, log.signals)
         assert error == pytest.approx(after, rel=0.25)
-    stated = errors_on(file, other, "other")
+    stated = errors_on(file.fit, other, "other")
     for each, mj_model in zip(stated, (robot.mj_model, model)):
         error = torque_error(mj_model, robot, other[0].signals)
         assert each.relative_error == pytest.approx(error, rel=0.02)
@@ -128,7 +128,7 @@ def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
     other = record(tilted, robot, 2)
     model = compiled(robot, file)
     error = torque_error(model, robot, other[0].signals)
-    _, stated = errors_on(file, other, "other")
+    _, stated = errors_on(file.fit, other, "other")
     assert stated.relative_error == pytest.approx(error, rel=0.05)
     kept = file_of(robot, recordings, (GRAVITY,))
     assert kept.gravity is None and not {"tilt_1", "tilt_2"} & set(kept.fit.names)
