@@ -29,7 +29,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel
 from robot_sysid.results.record import LINK
 from robot_sysid.signals.process import ProcessedSignals, process
-from robot_sysid.signals.resampling import join_measurements
+from robot_sysid.signals.resampling import join_measurements, resample_uniformly
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import plant_measurements
 from robot_sysid.simulator import simulate_inverse
@@ -126,7 +126,8 @@ class NoiseStudy:
         sensors = SimulatedArmOptions(encoder_resolution=ENCODER_STEP)
         rng = np.random.default_rng(0)
         run = plant_measurements(self.plant, self.plan, sensors, SAMPLE_RATE, rng)
-        return process(join_measurements(run), self.robot.joint_names)
+        uniform = resample_uniformly(join_measurements(run))
+        return process(uniform, self.robot.joint_names)
 
     @property
     def cutoff(self) -> float:
