@@ -85,8 +85,7 @@ def fit_file(
     arm = estimate.arm
     rotors = select_rotors(estimate, unchanged)
     payload = {} if carried is None else dict(zip(PAYLOAD_NAMES, carried.tolist()))
-    rotor_names = names_of("armature", rotors)
-    held = {**payload, **dict(zip(rotor_names, rotors.values()))}
+    held = {**payload, **rotors}
     terms = _terms(estimate, unchanged)
     offset = arm.terms["offset"]
     before = _solved(estimate, [offset], payload)
@@ -253,7 +252,7 @@ def _with_known(term: Term, known: Mapping[str, tuple[float, float]]) -> Term:
 
 
 def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
-    """Return joint, or motor that turns several joints, to its rotor inertia in a file [kg m^2].
+    """Return the name of each joint's and motor's rotor to its inertia in a file [kg m^2].
 
     It is the estimate of all terms where that is expected to predict better than the model's rotor,
     from sqrt(2) standard errors on (Akaike, "A new look at the statistical model identification",
@@ -274,12 +273,13 @@ def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
         of_model = arm.model.get(name, 0.0)
         value = estimate.by_name.get(name, of_model)
         is_better = (value - of_model) ** 2 > 2.0 * errors.get(name, np.inf) ** 2
-        rotors[owner] = value if is_better else of_model
+        rotors[name] = value if is_better else of_model
+    names = names_of("armature", robot.joint_names)
     for motor in arm.motors:
-        if arm.model.get(f"armature[{motor.name}]", 0.0) > 0.0:
+        name = f"armature[{motor.name}]"
+        if arm.model.get(name, 0.0) > 0.0:
             continue
-        rotor = rotors.pop(motor.name, 0.0)
-        rotors[motor.name] = 0.0
         for index in np.flatnonzero(motor.ratios):
-            rotors[robot.joint_names[index]] += motor.ratios[index] ** 2 * rotor
+            rotors[names[index]] += motor.ratios[index] ** 2 * rotors[name]
+        rotors[name] = 0.0
     return rotors

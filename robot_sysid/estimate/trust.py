@@ -53,11 +53,11 @@ def find_misfits(fitted: Fit, tests: Sequence[Validation]) -> Iterator[Remark]:
             )
     torque = fitted.torque
     shares = {joint: noise[joint] / torque[joint] for joint in noise if torque[joint]}
-    memory = dict(zip(fitted.arm.joints, fitted.correlation))
+    independent = dict(zip(fitted.arm.joints, 1.0 / fitted.correlation))
     for joint, share in shares.items():
-        others = [other for other in shares if other != joint]
+        others = shares.keys() - {joint}
         # Of white noise, 0.6 to 1 of the samples are independent, of torque with another cause 0.1.
-        if not others or 1.0 / memory[joint] >= 0.5:
+        if not others or independent[joint] >= 0.5:
             continue
         median = np.median([shares[other] for other in others])
         # Of a wrist that carries nearly nothing, sensors show little but their own slow errors.

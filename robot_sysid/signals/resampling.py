@@ -155,8 +155,9 @@ def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
     longest_step = max(0.5, 20.0 * np.median(step))
     cuts = np.flatnonzero(step > longest_step) + 1
     pieces = []
-    for rows in np.split(np.arange(len(samples)), cuts):
-        piece = slice_samples(samples, rows[0], rows[-1] + 1)
+    edges = [0, *cuts.tolist(), len(samples)]
+    for first, last in zip(edges, edges[1:]):
+        piece = slice_samples(samples, first, last)
         if duration([piece]) >= SHORTEST_PIECE:
             pieces.append(piece)
     if duration([samples]) > most_time:
@@ -169,16 +170,13 @@ def duration(pieces: Iterable[Measurement]) -> float:
     return float(sum(np.ptp(piece.time) for piece in pieces))
 
 
-def cut_pieces(
-    pieces: Iterable[Measurement], longest: float, overlap: float = 0.0
-) -> Iterator[Measurement]:
-    """Yield pieces cut to parts of at most ``longest``, and what they overlap, ``overlap`` [s]."""
+def cut_pieces(pieces: Iterable[Measurement], longest: float) -> Iterator[Measurement]:
+    """Yield pieces cut to parts of at most ``longest`` [s]."""
     for piece in pieces:
-        before = round(overlap / sampling_period(piece.time))
         count = math.ceil(duration([piece]) / longest)
         edges = np.linspace(0, len(piece), count + 1).astype(int).tolist()
         for first, last in zip(edges, edges[1:]):
-            yield slice_samples(piece, max(first - before, 0), last)
+            yield slice_samples(piece, first, last)
 
 
 def piece_notes(

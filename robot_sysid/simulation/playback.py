@@ -120,7 +120,8 @@ class ChainActuators:
 
 def chain_actuators(robot: RobotModel) -> ChainActuators:
     """Return each chain joint's actuator: the first position actuator on it, or else the first."""
-    rows = [_joint_actuator(robot.mj_model, int(j)) for j in _chain_joints(robot)]
+    joints = robot.mj_model.dof_jntid[robot.dof_index].tolist()
+    rows = [_joint_actuator(robot.mj_model, joint) for joint in joints]
     index, gear, stiffness, damping = map(np.array, zip(*rows))
     # An index of -1, which stands for no actuator, finds the last value.
     largest = np.max(np.abs(output_ranges(robot.mj_model)), axis=1)
@@ -130,11 +131,6 @@ def chain_actuators(robot: RobotModel) -> ChainActuators:
 
     share = kv / np.maximum(total_damping, 1e-300)
     return ChainActuators(index, gear, stiffness, damping, limit, share)
-
-
-def _chain_joints(robot: RobotModel) -> NDArray[np.int64]:
-    """Return the MuJoCo joint ids (n,) of the chain."""
-    return robot.mj_model.dof_jntid[robot.dof_index]
 
 
 def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
@@ -232,7 +228,7 @@ def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     limit = actuators.limit[driven]
     model.actuator_forcelimited[ids] = np.isfinite(limit)
     model.actuator_forcerange[ids] = np.column_stack((-limit, limit))
-    springs = _chain_joints(robot)[~driven]
+    springs = model.dof_jntid[dofs][~driven]
     model.jnt_stiffness[springs] = (
         robot.mj_model.jnt_stiffness[springs] + servos.stiffness[~driven]
     )
