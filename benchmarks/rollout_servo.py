@@ -60,7 +60,7 @@ def main(*names: str) -> None:
 def report(name, arm, robot, outcome, held, spent) -> None:
     """Print one arm."""
     result = outcome.result
-    servos = result.fit.servos
+    servos = result.fit
     delay_error = result.fit.delay_error
     print(f"{name}: {spent:.0f} s; {outcome.failure or 'model written'}")
     print(f"  delay {1e3 * servos.delay:.2f} ± {1e3 * delay_error:.2f} ms, true 20")

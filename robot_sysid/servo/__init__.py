@@ -299,9 +299,9 @@ def identify_servos(
     is_new = found.is_known
     while True:
         fit = replace(found, numbers=np.where(is_new, found.numbers, kept))
-        before, after, is_worse = test_problem.test(old.servos, fit.servos)
+        before, after, is_worse = test_problem.test(old, fit)
         # Rollouts of what was fitted may only become worse where the equations miss something.
-        *_, is_worse_fitted = problem.test(old.servos, fit.servos)
+        *_, is_worse_fitted = problem.test(old, fit)
         is_kept = is_new & (is_worse | is_worse_fitted)
         if not np.any(is_kept):
             break

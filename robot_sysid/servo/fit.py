@@ -149,21 +149,17 @@ def fit_joint(
 
 
 @dataclass(frozen=True)
-class ServoFit:
+class ServoFit(ServoParameters):
     """The fitted numbers of an arm and how sure they are.
 
     Attributes:
-        numbers: (4, n) stiffness, damping, dry friction and rotor inertia of the joints.
-        errors: (4, n) their standard errors.
-        delay: by which all commands act late [s].
+        errors: (4, n) standard errors of the numbers.
         is_fast: (n,) whether the samples do not resolve the motion of the servo.
         is_known: (n,) whether a joint moves enough to show its numbers.
         delay_error: standard error of the delay [s].
     """
 
-    numbers: Array
     errors: Array
-    delay: float
     is_fast: NDArray[np.bool_]
     is_known: NDArray[np.bool_]
     delay_error: float
@@ -172,12 +168,6 @@ class ServoFit:
     def is_shown(self) -> NDArray[np.bool_]:
         """Which numbers (4, n) the data shows, and not only in proportion to the gain."""
         return self.errors < LARGEST_ERROR * self.numbers
-
-    @property
-    def servos(self) -> ServoParameters:
-        """The numbers and the delay, as a model is played with them."""
-        stiffness, damping, frictionloss, armature = self.numbers
-        return ServoParameters(stiffness, damping, frictionloss, armature, self.delay)
 
 
 def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
@@ -302,13 +292,13 @@ def refine_played(problem: ServoProblem, fit: ServoFit) -> ServoFit:
 
         The logarithms of a fast servo's numbers about the model's have a standard deviation of one.
         """
-        errors = problem.errors(fit_at(factors).servos) / scale
+        errors = problem.errors(fit_at(factors)) / scale
         return np.append(errors, np.log(factors[:-1]))
 
     factors = np.append(np.ones(start.size), 1.0 + fit.delay / unit)
     least = np.append(np.full(start.size, 0.01), 1.0)
     for _ in range(2):
-        squares = problem.errors(fit_at(factors).servos) ** 2
+        squares = problem.errors(fit_at(factors)) ** 2
         # Errors of about thirty samples are correlated: they last until the servo brings them back.
         scale = np.sqrt(30.0 * np.mean(squares, axis=(0, 1)))
         fitted = least_squares(

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -78,23 +78,13 @@ class ServoParameters:
     """Numbers of an arm behind position servos: of its servos and of the joints that they drive.
 
     Attributes:
-        stiffness: (n,) gain Kp [N m/rad].
-        damping: (n,) D, of joint and servo together [N m s/rad].
-        frictionloss: (n,) dry friction [N m].
-        armature: (n,) rotor inertia [kg m^2].
+        numbers: (4, n) of each joint its gain Kp [N m/rad], its damping D, of joint and servo
+            together [N m s/rad], its dry friction [N m] and its rotor inertia [kg m^2].
         delay: time by which all commands act late [s].
     """
 
-    stiffness: Array
-    damping: Array
-    frictionloss: Array
-    armature: Array
+    numbers: Array
     delay: float
-
-    @property
-    def numbers(self) -> Array:
-        """All numbers but the delay (4, n), in the order of the attributes."""
-        return np.stack(astuple(self)[:-1])
 
 
 @dataclass(frozen=True)
@@ -162,13 +152,13 @@ def servos_in_model(robot: RobotModel) -> ServoParameters:
     model = robot.mj_model
     dofs = robot.dof_index
     actuators = chain_actuators(robot)
-    return ServoParameters(
-        stiffness=actuators.stiffness,
-        damping=model.dof_damping[dofs] + np.nan_to_num(actuators.damping),
-        frictionloss=model.dof_frictionloss[dofs],
-        armature=model.dof_armature[dofs],
-        delay=0.0,
+    numbers = (
+        actuators.stiffness,
+        model.dof_damping[dofs] + np.nan_to_num(actuators.damping),
+        model.dof_frictionloss[dofs],
+        model.dof_armature[dofs],
     )
+    return ServoParameters(np.stack(numbers), 0.0)
 
 
 def servo_model(robot: RobotModel) -> Any:
@@ -209,17 +199,18 @@ def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     """
     dofs = robot.dof_index
     actuators = chain_actuators(robot)
-    model.dof_armature[dofs] = servos.armature
-    model.dof_frictionloss[dofs] = servos.frictionloss
-    kv = actuators.damping_share * servos.damping
-    model.dof_damping[dofs] = servos.damping - kv
+    stiffness, damping, frictionloss, armature = servos.numbers
+    model.dof_armature[dofs] = armature
+    model.dof_frictionloss[dofs] = frictionloss
+    kv = actuators.damping_share * damping
+    model.dof_damping[dofs] = damping - kv
     driven = actuators.index != NO_ACTUATOR
     ids = actuators.index[driven]
     # At the joint: Kp and kv are reduced by the gear ratio already.
     model.actuator_gear[[output_row(model, actuator) for actuator in ids], 0] = 1.0
     model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
     model.actuator_biasprm[ids, 0] = 0.0
-    model.actuator_biasprm[ids, 1] = -servos.stiffness[driven]
+    model.actuator_biasprm[ids, 1] = -stiffness[driven]
     model.actuator_biasprm[ids, 2] = -kv[driven]
     # A PID controller takes its gain from the bias.
     plain = ids[[len(control_rows(model, actuator)) == 1 for actuator in ids]]
@@ -230,14 +221,14 @@ def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     model.actuator_forcerange[ids] = np.column_stack((-limit, limit))
     springs = model.dof_jntid[dofs][~driven]
     model.jnt_stiffness[springs] = (
-        robot.mj_model.jnt_stiffness[springs] + servos.stiffness[~driven]
+        robot.mj_model.jnt_stiffness[springs] + stiffness[~driven]
     )
     # As in a compiled file, dry friction is as firm as these rotor inertias make it.
     mujoco.mj_setConst(model, mujoco.MjData(model))
     # An implicit step damps the velocity at its end. Half a step of damping less of rotor inertia
     # makes it the mean of those at both ends.
-    armature = servos.armature - 0.5 * model.opt.timestep * servos.damping
-    model.dof_armature[dofs] = np.maximum(armature, 0.0)
+    less = 0.5 * model.opt.timestep * damping
+    model.dof_armature[dofs] = np.maximum(armature - less, 0.0)
 
 
 @dataclass(frozen=True)
@@ -331,7 +322,7 @@ class ServoRollouts:
         # As MuJoCo has them: those of the nu actuators, then the forces on the joints.
         inputs = np.zeros((*command.shape[:2], self.model.nu + self.model.nv))
         inputs[:, :, rows] = command[:, :, driven]
-        spring = servos.stiffness * ~driven * (command - spring_rest)
+        spring = servos.numbers[0] * ~driven * (command - spring_rest)
         inputs[:, :, self.model.nu + robot.dof_index] = spring
         return self.play(windows, inputs)
 

@@ -25,11 +25,7 @@ ARM = """<mujoco><worldbody><body>
 </mujoco>"""
 """A joint that carries a link, and one whose link weighs nothing."""
 TRUTH = ServoParameters(
-    np.array([14.0, 14.0]),
-    np.array([0.6, 0.4]),
-    np.array([0.06, 0.05]),
-    np.array([0.028, 0.02]),
-    0.04,
+    np.array([[14.0, 14.0], [0.6, 0.4], [0.06, 0.05], [0.028, 0.02]]), 0.04
 )
 
 
@@ -92,7 +88,7 @@ def test_errors_of_links_cover_numbers_that_wrong_links_change():
 
 def test_samples_at_a_torque_limit_do_not_count():
     fit = fit_to(arm(), log(arm(limit=' forcerange="-2 2"'), scale=2.0))
-    assert fit.servos.stiffness[0] == pytest.approx(TRUTH.stiffness[0], rel=0.1)
+    assert fit.numbers[0, 0] == pytest.approx(TRUTH.numbers[0, 0], rel=0.1)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01])
@@ -112,7 +108,7 @@ def test_a_joint_that_moves_a_little_has_the_numbers_of_larger_motions():
     assert fit.is_known.all()
     assert np.all(np.abs(fit.numbers - TRUTH.numbers) < 2.0 * fit.errors)
     ratios = fit.numbers[:, 1] / fit.numbers[0, 1]
-    assert ratios == pytest.approx(TRUTH.numbers[:, 1] / TRUTH.stiffness[1], rel=0.15)
+    assert ratios == pytest.approx(TRUTH.numbers[:, 1] / TRUTH.numbers[0, 1], rel=0.15)
 
 
 SMALL = """<mujoco><worldbody><body>
@@ -131,21 +127,17 @@ def test_a_servo_that_is_too_fast_for_the_samples_is_found_by_rollouts():
     """Its rotor inertia and damping show; what it hides stays near the model's, with a wide ±."""
     robot = robot_of(SMALL)
     in_model = servos_in_model(robot)
-    truth = replace(
-        in_model,
-        armature=np.array([0.02, 0.018]),
-        frictionloss=np.array([0.11, 0.1]),
-        delay=0.02,
-    )
+    others = [[0.11, 0.1], [0.02, 0.018]]
+    truth = ServoParameters(np.vstack((in_model.numbers[:2], others)), 0.02)
     # Small ones: at its limit, a step's error acts as rotor inertia.
     piece = log(robot, truth=truth, steps=200)
     fit = fit_to(robot, piece)
     assert fit.is_fast.all()
     problem = ServoProblem(ServoRollouts(robot), [piece])
     refined = refine_played(problem, fit)
-    assert refined.servos.armature == pytest.approx(truth.armature, rel=0.1)
-    assert refined.servos.damping == pytest.approx(truth.damping, rel=0.2)
+    assert refined.numbers[3] == pytest.approx(truth.numbers[3], rel=0.1)
+    assert refined.numbers[1] == pytest.approx(truth.numbers[1], rel=0.2)
     assert np.all(np.abs(refined.numbers - truth.numbers) <= 3.0 * refined.errors)
     assert abs(refined.delay - truth.delay) < 2.0 * refined.delay_error < 2e-3
-    before, after, _ = problem.test(replace(in_model, delay=fit.delay), refined.servos)
+    before, after, _ = problem.test(replace(in_model, delay=fit.delay), refined)
     assert rms(after) < 0.5 * rms(before)

@@ -43,7 +43,7 @@ def robots(tmp_path_factory):
 def identification(robot, error=0.1):
     numbers = np.outer((GAIN, 3.0, 0.2, 0.1), np.ones(2))
     true = np.ones(2, dtype=bool)
-    fit = ServoFit(numbers, 0.01 + 0 * numbers, 0.02, ~true, true, 1e-3)
+    fit = ServoFit(numbers, 0.02, 0.01 + 0 * numbers, ~true, true, 1e-3)
     origin = DataOrigin("log log.csv", 10.0, 50.0)
     after = np.full(2, error)
     errors = np.ones(2), after, 0.5
@@ -128,10 +128,7 @@ SO_ARM = """<mujoco><worldbody><body><joint name="lift" {joint}/>
 ).replace('"roll" axis="0 1 0"', '"roll" axis="1 0 0"')
 """A small arm whose file has other gains and friction than the arm of the logs."""
 SO_TRUTH = ServoParameters(
-    np.full(3, 14.0),
-    np.array([0.5, 0.45, 0.4]),
-    np.array([0.06, 0.08, 0.03]),
-    np.array([0.025, 0.03, 0.035]),
+    np.array([[14.0] * 3, [0.5, 0.45, 0.4], [0.06, 0.08, 0.03], [0.025, 0.03, 0.035]]),
     0.02,
 )
 

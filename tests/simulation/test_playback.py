@@ -106,7 +106,7 @@ def test_the_models_own_servos_move_it_as_mujoco_does():
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     # As a leapfrog: velocities half a step before positions, damped by their mean.
     half_step = 0.5 * model.opt.timestep
-    model.dof_armature[:] -= half_step * playback.servos_in_model(robot).damping
+    model.dof_armature[:] -= half_step * playback.servos_in_model(robot).numbers[1]
     data = mujoco.MjData(model)
     data.qpos[:] = WINDOW.q
     edges = WINDOW.start + EDGES - half_step
@@ -131,7 +131,8 @@ def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
     servos = playback.servos_in_model(robot)
     model = playback.servo_model(robot)
     playback.set_servos(model, robot, TRUTH)
-    playback.set_servos(model, robot, replace(servos, damping=factor * servos.damping))
+    servos.numbers[1] *= factor
+    playback.set_servos(model, robot, servos)
     np.testing.assert_allclose(
         model.dof_damping, factor * robot.mj_model.dof_damping, rtol=1e-12
     )
@@ -142,7 +143,8 @@ def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
 def test_friction_is_as_firm_as_in_a_file_with_the_numbers():
     """MuJoCo keeps from compilation how firmly friction holds; a stale value lets it creep."""
     robot = robot_of(XML.replace(' armature=".05"', ""))
-    servos = replace(playback.servos_in_model(robot), armature=np.full(2, 0.05))
+    servos = playback.servos_in_model(robot)
+    servos.numbers[3] = 0.05
     model = playback.servo_model(robot)
     playback.set_servos(model, robot, servos)
     compiled = robot_of(XML).mj_model
@@ -186,7 +188,8 @@ def test_servos_are_the_same_beside_other_actuators_and_as_pid_controllers(servo
 def test_candidates_played_together_do_not_disturb_each_other():
     robot = robot_of(XML)
     late = replace(TRUTH, delay=0.05)
-    candidates = [TRUTH, late, replace(late, armature=2.0 * late.armature), TRUTH]
+    factors = np.array([[1.0], [1.0], [1.0], [2.0]])
+    candidates = [TRUTH, late, replace(late, numbers=factors * late.numbers), TRUTH]
     alone = [play(robot, servos)[0] for servos in candidates]
     np.testing.assert_array_equal(play(robot, *candidates), alone)
 
