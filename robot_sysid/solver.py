@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.estimate.bodies import LinksProblem, consistent_least_squares
+from robot_sysid.estimate.bodies import consistent_least_squares
 from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
 from robot_sysid.estimate.rows import Recording, Rows, Sums, add_up
 from robot_sysid.estimate.terms import LAST_LINK, ArmTerms
@@ -133,9 +133,10 @@ def identify_parameters(sums: Sums, prior: Array, possible: bool = False) -> Est
     link = np.arange(spatial.N_INERTIAL)
     if possible and not spatial.is_consistent(values[link]):
         # Near the prior's body the solver looks for possible ones.
-        problem = LinksProblem((link,), prior)
         right_side = rows[:, -1] / noise
-        values = consistent_least_squares(matrix / noise, right_side, problem).values
+        values = consistent_least_squares(
+            matrix / noise, right_side, link[None], prior
+        ).values
     residuals = sums.triangles @ np.append(-values, 1.0)
     rmse, rmse_per_joint = rms_of_joints(
         sums.joints, np.sum(residuals**2, axis=1), counts

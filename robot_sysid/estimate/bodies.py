@@ -14,16 +14,14 @@ in an orthonormal basis of symmetric matrices, which are also the rows of Clarab
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.spatial import N_INERTIAL
+from robot_sysid.dynamics.spatial import N_INERTIAL, nearest_consistent_body
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate.identifiability import ROUNDING, visible_space
 from robot_sysid.records import Array
@@ -44,33 +42,6 @@ _THETAS = np.column_stack([spatial.theta_from_pseudo_inertia(e) for e in _ENTRIE
 
 
 @dataclass(frozen=True)
-class LinksProblem:
-    """The links among the p parameters of a least-squares problem.
-
-    Attributes:
-        links: per link (10,) indices of its parameters, in the order of
-            ``spatial.PARAMETER_NAMES``.
-        prior: (p,) parameters, of which those at these indices are the reference bodies.
-    """
-
-    links: tuple[NDArray[np.int64], ...]
-    prior: Array
-
-    @cached_property
-    def bodies(self) -> tuple[tuple[Array, Array], ...]:
-        """Per link (theta, U): reference body (10,), made consistent, and U (10, 10).
-
-        The coordinates z (10,) of a link stand for the body theta + U z.
-        """
-        bodies = []
-        for link in self.links:
-            prior = self.prior[link]
-            theta = spatial.nearest_consistent_body(prior, prior, floor=LEAST_SHARE)
-            bodies.append((theta, _units(theta)))
-        return tuple(bodies)
-
-
-@dataclass(frozen=True)
 class Possible:
     """A solution with possible bodies.
 
@@ -88,7 +59,8 @@ class Possible:
 def consistent_least_squares(
     matrix: Array,
     right_side: Array,
-    problem: LinksProblem,
+    links: NDArray[np.int64],
+    prior: Array,
     has_hidden: bool = True,
     like: Possible | None = None,
 ) -> Possible:
@@ -102,7 +74,9 @@ def consistent_least_squares(
     Args:
         matrix: A (M, p), whitened, so that residuals have unit variance.
         right_side: b (M,).
-        problem: which of the parameters are links, and their reference bodies.
+        links: (L, 10) indices of the parameters of each body, in the order of
+            ``spatial.PARAMETER_NAMES``.
+        prior: (p,) parameters, of which those at these indices are the reference bodies.
         has_hidden: whether A may not show some direction.
         like: solution of equations that are nearly the same, from which the search begins, and
             which says what is held; None for none.
@@ -116,16 +90,18 @@ def consistent_least_squares(
             "model's inertias"
         )
     size = matrix.shape[1]
+    bodies = np.array(
+        [nearest_consistent_body(x, x, LEAST_SHARE) for x in prior[links]]
+    )
     # Coordinates y stand for x = reference + unit y: z of each link, other columns of unit length.
     length = np.linalg.norm(matrix, axis=0)
     unit = np.diag(1.0 / np.where(length > 0.0, length, 1.0))
     reference = np.zeros(size)
-    for link, (theta, units) in zip(problem.links, problem.bodies):
+    for link, theta in zip(links, bodies):
         reference[link] = theta
-        unit[np.ix_(link, link)] = units
+        unit[np.ix_(link, link)] = _units(theta)
     # Other parameters come first, so that links have a triangle of their own.
-    links = np.concatenate(problem.links)
-    order = np.concatenate((np.setdiff1d(np.arange(size), links), links))
+    order = np.concatenate((np.setdiff1d(np.arange(size), links), np.ravel(links)))
     shown = np.column_stack((matrix @ unit[:, order], right_side - matrix @ reference))
 
     def cost(y: Array) -> float:
@@ -146,77 +122,78 @@ def consistent_least_squares(
         start = None
         # With all hidden directions held, then with none of them.
         tried = [*product((True, False) if has_hidden else (False,), spreads)]
-        limit = cost(_solve(shown, problem, spreads[-1])) + 3.0
+        limit = cost(_solve(shown, bodies, spreads[-1])) + 3.0
     else:
-        start = np.concatenate([like.values[link] for link in problem.links])
+        start = like.values[links]
         tried = [(like.is_held and has_hidden, like.spread)]
         limit = np.inf
     for is_held, spread in tried:
         rows = np.vstack((shown, hidden)) if is_held else shown
-        y = _solve(rows, problem, spread, start)
+        y = _solve(rows, bodies, spread, start)
         if cost(y) <= limit:
             break
     values = reference + unit[:, order] @ y
-    for link in problem.links:
+    for link in links:
         theta = values[link]
         if not spatial.is_consistent(theta):
-            values[link] = spatial.nearest_consistent_body(theta, theta, ROUNDING)
+            values[link] = nearest_consistent_body(theta, theta, ROUNDING)
     return Possible(values, is_held, spread)
 
 
 def _solve(
-    rows: Array, problem: LinksProblem, spread: float, start: Array | None = None
+    rows: Array, bodies: Array, spread: float, start: Array | None = None
 ) -> Array:
     """Return the coordinates y (p,) of least squared residuals with which bodies are consistent.
 
     Args:
         rows: equations [A b] (M, p + 1) in these coordinates, links last.
-        problem: the links.
+        bodies: (L, 10) reference bodies of the links, consistent ones.
         spread: standard deviation of bodies from their reference bodies, as a share of them.
-        start: (10 L,) bodies to begin with; None for those nearest to the free solution.
+        start: (L, 10) bodies to begin with; None for those nearest to the free solution.
     """
     size = rows.shape[1] - 1
-    others = size - N_INERTIAL * len(problem.links)
+    others = size - bodies.size
     precision = np.eye(size, size + 1)
     # Other parameters, whose columns have unit length, are held where they have no data.
     precision[:others] /= 1e10
     precision[others:] /= spread
     triangle = np.asarray(np.linalg.qr(np.vstack((rows, precision)), mode="r"))
-    z = _possible_coordinates(triangle[others:, others:], problem.bodies, start)
+    z = _possible_coordinates(triangle[others:, others:], bodies, start)
     top = triangle[:others]
     shown = top[:, -1] - top[:, others:-1] @ z
     return np.append(np.linalg.solve(top[:, :others], shown), z)
 
 
 def _possible_coordinates(
-    equations: Array, bodies: Sequence[tuple[Array, Array]], start: Array | None = None
+    equations: Array, bodies: Array, start: Array | None
 ) -> Array:
     """Return the coordinates z (10 L,) of least ||A z - b|| with which L bodies are consistent.
 
-    They are searched relative to the consistent bodies that are nearest to the solution in which
-    bodies may be impossible, so that numbers of very different sizes do not meet; and again
+    Those of one link stand for the body theta + U z, theta its reference body and U ``_units`` of
+    it. They are searched relative to the consistent bodies that are nearest to the solution in
+    which bodies may be impossible, so that numbers of very different sizes do not meet; and again
     relative to what was found where the distance is large, as rounding counts relative to it.
 
     Args:
         equations: [A b] (10 L + 1, 10 L + 1), triangular.
-        bodies: per link (theta, U), as of ``LinksProblem``.
-        start: (10 L,) consistent bodies to begin with; None for those nearest to the solution.
+        bodies: (L, 10) reference bodies.
+        start: (L, 10) consistent bodies to begin with; None for those nearest to the solution.
     """
+    units = [*map(_units, bodies)]
     if start is None:
         z = np.linalg.lstsq(equations[:, :-1], equations[:, -1], rcond=None)[0]
     else:
-        offs = zip(start.reshape(-1, N_INERTIAL), bodies)
-        z = np.concatenate([np.linalg.solve(u, x - theta) for x, (theta, u) in offs])
+        z = np.concatenate([*map(np.linalg.solve, units, start - bodies)])
     for _ in range(3):
         centre = np.zeros_like(z)
         change = np.zeros((len(z), len(z)))
         least = []
-        for first, (theta, units) in zip(range(0, len(z), N_INERTIAL), bodies):
+        for first, theta, unit in zip(range(0, len(z), N_INERTIAL), bodies, units):
             span = slice(first, first + N_INERTIAL)
             # None of the directions of the body relative to which others are expressed is tiny.
-            near = spatial.nearest_consistent_body(theta + units @ z[span], theta, 0.1)
-            centre[span] = np.linalg.solve(units, near - theta)
-            change[span, span] = np.linalg.solve(units, _units(near))
+            near = nearest_consistent_body(theta + unit @ z[span], theta, 0.1)
+            centre[span] = np.linalg.solve(unit, near - theta)
+            change[span, span] = np.linalg.solve(unit, _units(near))
             inverse = np.linalg.inv(np.linalg.cholesky(spatial.pseudo_inertia(near)))
             least.append(inverse @ spatial.pseudo_inertia(theta) @ inverse.T)
         shifted = equations[:, -1] - equations[:, :-1] @ centre

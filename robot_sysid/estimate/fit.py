@@ -28,7 +28,7 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import split_name
 from robot_sysid.dynamics.inverse_dynamics import link_names
 from robot_sysid.dynamics.spatial import N_INERTIAL
-from robot_sysid.estimate.bodies import LinksProblem, Possible, consistent_least_squares
+from robot_sysid.estimate.bodies import Possible, consistent_least_squares
 from robot_sysid.estimate.questions import Question, scale_spread
 from robot_sysid.estimate.rows import Recording, Sums, indices_of
 from robot_sysid.estimate.terms import (
@@ -726,11 +726,13 @@ def _possible(
     scaled[np.diag_indices_from(scaled)] += _RIDGE
     root = np.linalg.cholesky(scaled)
     target = np.linalg.solve(root, right_side / length)
-    links = tuple(np.searchsorted(at, body) for body in equations.bodies)
-    problem = LinksProblem(links, (equations.reference - equations.least)[at])
+    links = np.searchsorted(at, equations.bodies)
+    prior = (equations.reference - equations.least)[at]
     if like is not None:
         like = replace(like, values=(like.values - equations.least)[at])
-    found = consistent_least_squares(root.T * length, target, problem, has_hidden, like)
+    found = consistent_least_squares(
+        root.T * length, target, links, prior, has_hidden, like
+    )
     values = known.copy()
     values[at] += found.values
     return replace(found, values=values)

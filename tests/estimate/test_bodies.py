@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,13 +13,17 @@ from numpy.testing import assert_allclose
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate import bodies
-from robot_sysid.estimate.bodies import (
-    LEAST_SHARE,
-    LinksProblem,
-    consistent_least_squares,
-)
+from robot_sysid.estimate.bodies import LEAST_SHARE, consistent_least_squares
 from tests.support import arms
 from tests.support.places import DATA
+
+
+class Problem(NamedTuple):
+    """Links (L, 10) among parameters, and the prior (p,) of these."""
+
+    links: np.ndarray
+    prior: np.ndarray
+
 
 LINKS = 2
 FRICTION = 3
@@ -44,8 +50,8 @@ def link_bodies(draw, count=LINKS):
 
 def problem_of(thetas):
     """Return the problem of links, with a prior each, and three friction terms."""
-    bodies = tuple(10 * k + BODY for k in range(len(thetas)))
-    return LinksProblem(bodies, np.concatenate((*thetas, np.zeros(FRICTION))))
+    bodies = np.array([10 * k + BODY for k in range(len(thetas))])
+    return Problem(bodies, np.concatenate((*thetas, np.zeros(FRICTION))))
 
 
 def sizes_of(theta):
@@ -69,7 +75,7 @@ def test_noise_free_data_gives_the_truth_whatever_the_model(thetas, seed):
     truth = np.concatenate((*thetas[2:], [0.3, 0.5, 0.1]))
     matrix = 1e4 * random_rows(rng, 60, thetas[2:])
     problem = problem_of(thetas[:2])
-    values = consistent_least_squares(matrix, matrix @ truth, problem).values
+    values = consistent_least_squares(matrix, matrix @ truth, *problem).values
     assert np.max(np.abs(values - truth) / unit_sizes(thetas[2:])) < 1e-3
 
 
@@ -79,14 +85,16 @@ def test_links_are_possible_bodies_whatever_the_data(thetas, seed):
     rng = np.random.default_rng(seed)
     matrix = random_rows(rng, SIZE // 2, thetas)
     right = 100.0 * rng.normal(size=len(matrix))
-    values = consistent_least_squares(matrix, right, problem_of(thetas)).values
+    values = consistent_least_squares(matrix, right, *problem_of(thetas)).values
     for theta in values[: 10 * LINKS].reshape(LINKS, 10):
         assert spatial.is_consistent(theta)
 
 
 def relative_bodies(values, problem):
     """Yield each body's pseudo-inertia relative to that of its reference body."""
-    for link, (reference, _) in zip(problem.links, problem.bodies):
+    for link in problem.links:
+        prior = problem.prior[link]
+        reference = spatial.nearest_consistent_body(prior, prior, LEAST_SHARE)
         root = np.linalg.cholesky(spatial.pseudo_inertia(reference))
         inverse = np.linalg.inv(root)
         yield inverse @ spatial.pseudo_inertia(values[link]) @ inverse.T
@@ -118,7 +126,7 @@ def test_the_best_is_found_where_it_is_known(thetas, seed):
     residual = np.linalg.lstsq(matrix.T, gradient, rcond=None)[0]
     residual *= 10.0 ** rng.uniform(0.0, 3.0) / np.linalg.norm(residual)
     right = matrix @ best - residual
-    values = consistent_least_squares(matrix, right, problem).values
+    values = consistent_least_squares(matrix, right, *problem).values
     excess = np.sum((matrix @ values - right) ** 2) - np.sum(residual**2)
     assert -1e-3 < excess < 3.0 + 1e-3
 
@@ -135,8 +143,8 @@ def fit_last_joint(izz):
     matrix[6, [4, 7]] = 1e4, -1e4
     truth = prior.copy()
     truth[[2, 5, 9]] = 0.01, 0.003, izz
-    problem = LinksProblem((BODY,), prior)
-    return prior, consistent_least_squares(matrix, matrix @ truth, problem).values
+    problem = Problem(BODY[None], prior)
+    return prior, consistent_least_squares(matrix, matrix @ truth, *problem).values
 
 
 def test_hidden_parameters_keep_the_prior_where_a_possible_body_costs_hardly_anything():
@@ -156,9 +164,9 @@ def test_hidden_parameters_give_way_to_well_seen_ones():
 
 
 def test_equations_that_are_no_numbers_are_our_error():
-    problem = LinksProblem((BODY,), fit_last_joint(0.001)[0])
+    problem = Problem(BODY[None], fit_last_joint(0.001)[0])
     with pytest.raises(SysidError, match="did not converge"):
-        consistent_least_squares(np.full((12, 10), np.nan), np.zeros(12), problem)
+        consistent_least_squares(np.full((12, 10), np.nan), np.zeros(12), *problem)
 
 
 REFERENCES = (
@@ -180,7 +188,7 @@ def hard_problem(rng):
     """
     n_links = rng.integers(1, 9)
     size = 10 * n_links + rng.integers(0, 21)
-    links = tuple(10 * k + BODY for k in range(n_links))
+    links = np.array([10 * k + BODY for k in range(n_links)])
     truth = rng.normal(size=size)
     units = 10.0 ** rng.uniform(-6.0, 6.0, size)
     truth *= units
@@ -197,15 +205,15 @@ def hard_problem(rng):
     if rng.random() < 0.5:
         matrix[-1, 0] = 1e6 / truth[0]
     noise = rng.choice((0.0, 1.0, 10.0)) * rng.normal(size=len(matrix))
-    return matrix, matrix @ truth + noise, LinksProblem(links, prior), truth
+    return matrix, matrix @ truth + noise, Problem(links, prior), truth
 
 
 @given(seed=SEEDS)
 def test_every_problem_has_an_answer_near_the_best_whatever_the_reference(seed):
     """So has one whose search begins where another has ended."""
     matrix, right, problem, truth = hard_problem(np.random.default_rng(seed))
-    found = consistent_least_squares(matrix, right, problem)
-    again = consistent_least_squares(matrix, right, problem, like=found)
+    found = consistent_least_squares(matrix, right, *problem)
+    again = consistent_least_squares(matrix, right, *problem, like=found)
     for values in (found.values, again.values):
         assert all(spatial.is_consistent(values[link]) for link in problem.links)
         if is_admitted(truth, problem):
@@ -219,7 +227,7 @@ def test_bodies_are_possible_where_the_search_fails(seed):
     matrix, right, problem, truth = hard_problem(np.random.default_rng(seed))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bodies, "_by_cone", lambda rows, least: np.zeros(10 * len(least)))
-        values = consistent_least_squares(matrix, right, problem).values
+        values = consistent_least_squares(matrix, right, *problem).values
     assert all(spatial.is_consistent(values[link]) for link in problem.links)
 
 
@@ -232,8 +240,8 @@ def test_a_real_pair_weighed_with_a_known_mass():
     arrays = np.load(CONIC)
     *columns, right = arrays["equations"].T
     matrix = np.column_stack(columns)
-    problem = LinksProblem(tuple(arrays["links"]), arrays["prior"])
-    values = consistent_least_squares(matrix, right, problem, has_hidden=False).values
+    problem = Problem(arrays["links"], arrays["prior"])
+    values = consistent_least_squares(matrix, right, *problem, has_hidden=False).values
     assert all(spatial.is_consistent(values[link]) for link in problem.links)
     assert values[problem.links[-1][0]] == pytest.approx(2.805, rel=1e-5)
     # Least squares over log-Cholesky parameters of the bodies end at 4.53.
