@@ -483,20 +483,17 @@ def traces_of(fitted: Fit) -> Traces:
         for name in term.names
         if split_name(name)[0] != "armature"
     }
-    fields: dict[str, list[Array]] = {}
+    chunks = []
     for recording in fitted.recordings:
         for rows in recording.chunks(36 * arm.robot.n_joints):
-            motion = rows.motion
-            signals = {
-                "time": motion.time,
-                "qd": motion.qd[:, arm.indices],
-                "measured": arm.measured(rows),
-                "predicted": arm.torque(rows, fitted.point, values),
-                "prior_prediction": arm.torque(rows, fitted.point, model),
-                "friction": arm.torque(rows, fitted.point, friction) - arm.known(rows),
-            }
-            for name, signal in signals.items():
-                fields.setdefault(name, []).append(signal)
-    joined = {name: np.concatenate(signals) for name, signals in fields.items()}
+            signals = (
+                rows.motion.time,
+                rows.motion.qd[:, arm.indices],
+                arm.measured(rows),
+                arm.torque(rows, fitted.point, values),
+                arm.torque(rows, fitted.point, model),
+                arm.torque(rows, fitted.point, friction) - arm.known(rows),
+            )
+            chunks.append(signals)
     is_slide = tuple(arm.robot.is_slide[arm.indices].tolist())
-    return Traces(joints=arm.joints, is_slide=is_slide, **joined)
+    return Traces(arm.joints, is_slide, *map(np.concatenate, zip(*chunks)))
