@@ -295,30 +295,28 @@ def sensors(fitted: Fit) -> Iterator[Quantity]:
 def _estimate(fitted: Fit) -> Estimate:
     """Return all k estimated parameters and their errors as a record.
 
-    The parameters of interest come first: the terminal link, a payload, friction.
+    Identifiability is that of the parameters of interest: the terminal link, a payload, friction.
     """
     sums = fitted.sums
     names: list[str] = []
-    others: list[str] = []
     for term in fitted.equations.terms:
-        is_wanted = term.cause in (LAST_LINK, PAYLOAD, FRICTION)
-        (names if is_wanted else others).extend(term.names)
+        if term.cause in (LAST_LINK, PAYLOAD, FRICTION):
+            names += term.names
     at = fitted.at(names)
     normal = fitted.equations.data(np.ones(len(sums.joints)))[at[:, None], at]
-    order = fitted.at([*names, *others])
     counts = np.sum(sums.counts, axis=0)
     squares = sums.squared_residuals(fitted.full)
     rmse, rmse_per_joint = rms_of_joints(sums.joints, squares, counts)
     return Estimate(
-        names=(*names, *others),
-        values=fitted.values[order],
+        names=fitted.names,
+        values=fitted.values,
         identifiability=analyse_identifiability(
             square_root(normal), names, sums.joints[-1]
         ),
         rmse=rmse,
         rmse_per_joint=rmse_per_joint,
         samples=dict(zip(sums.joints, counts.astype(int).tolist())),
-        standard_errors=fitted.errors[order],
+        standard_errors=fitted.errors,
         noise_per_joint=fitted.noise_per_joint,
     )
 
