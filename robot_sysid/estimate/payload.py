@@ -109,7 +109,7 @@ def payload_result(
     both = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
     bodies = [
         _in_flange(fitted, flange, values),
-        body_estimate(fitted, robot.body_name, both, values),
+        body_estimate(fitted, f"{robot.body_name} with payload", both, values),
     ]
     missed = missed_friction(fitted)
     notes = [*robot.notes, *sentences]
@@ -120,8 +120,7 @@ def payload_result(
             remarks.append(Verdict.INERTIA_NOT_KNOWN.remark())
     remarks += [Remark(Level.DOUBTS, "friction", missed)] if missed else []
     body, total = bodies
-    rows = [*body_quantities(body, PAYLOAD)]
-    rows += body_quantities(total, f"{total.name} with payload")
+    rows = [*body_quantities(body), *body_quantities(total)]
     if known_mass is not None:
         rows += _torque_scales(fitted, divided)
     written: ModelFile | None = None
@@ -168,7 +167,7 @@ def _in_flange(fitted: Fit, flange: Flange, values: Array) -> BodyEstimate:
     # The change of frame is linear: its matrix has the images of the ten unit bodies as columns.
     to_flange = np.stack(list(map(flange.to_flange, np.eye(10))), axis=1)
     combinations = to_flange @ select(fitted, PAYLOAD_NAMES)
-    return body_estimate(fitted, "payload", combinations, values)
+    return body_estimate(fitted, PAYLOAD, combinations, values)
 
 
 def _without_inertia(body: BodyEstimate) -> BodyEstimate:

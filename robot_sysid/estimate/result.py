@@ -168,10 +168,11 @@ def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
     """
     if link.prior is None:
         return
-    beyond = replace(link, theta=link.theta - link.prior.theta, prior=None)
+    theta = link.theta - link.prior.theta
+    beyond = replace(link, name=BEYOND, theta=theta, prior=None)
     moment, error = beyond.moment_along(beyond.first_moment)
     yield Quantity(MOMENT, BEYOND, PARAMETER_UNITS[1], None, moment, error)
-    yield from itertools.islice(body_quantities(beyond, BEYOND), 4)
+    yield from itertools.islice(body_quantities(beyond), 4)
 
 
 def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
@@ -181,7 +182,7 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
     """
     robot = fitted.arm.robot
     links = {link.name: link for link in link_estimates(fitted)}
-    rows = itertools.chain(*(body_quantities(links[name], name) for name in links))
+    rows = itertools.chain(*map(body_quantities, links.values()))
     return Result(
         robot=robot,
         question=question,

@@ -277,7 +277,7 @@ def run_self_test(
         friction_model="-".join(terms) or "none",
         checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
     )
-    of_body = body_quantities(result.body, robot.body_name)
+    of_body = body_quantities(result.body)
     return replace(result, quantities=(*of_body, *rows))
 
 

@@ -50,14 +50,11 @@ def _numbers(body: InertialParameters) -> list[float]:
     return [*without_rounding(central, scale).tolist(), *theta[1:].tolist()]
 
 
-def body_quantities(body: BodyEstimate, of: str) -> Iterator[Quantity]:
+def body_quantities(body: BodyEstimate) -> Iterator[Quantity]:
     """Yield the rows of a body, whose model is its ``prior``.
 
-    A centre of mass comes from the data as far as both the mass and its first moment do.
-
-    Args:
-        body: the identified body; without errors where its covariance is zero.
-        of: name of the body in the rows.
+    A centre of mass comes from the data as far as both the mass and its first moment do. A body
+    whose covariance is zero has no errors.
     """
     before: list[float | None] = [None] * len(BODY_NAMES)
     if body.prior is not None:
@@ -73,7 +70,9 @@ def body_quantities(body: BodyEstimate, of: str) -> Iterator[Quantity]:
             reason = NOT_SHOWN
         is_from_data = body.prior is None or share >= PRIOR_SHARE
         source = DATA if is_from_data and np.isfinite(error) else MODEL
-        yield Quantity(name, of, unit, model, value, error or None, source, reason)
+        yield Quantity(
+            name, body.name, unit, model, value, error or None, source, reason
+        )
 
 
 def file_quantities(theta: Array, prior: Array, of: str) -> Iterator[Quantity]:

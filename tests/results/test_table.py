@@ -106,7 +106,7 @@ def test_a_share_of_the_prior_is_that_of_mass_and_moment_together():
     shares = np.array([0.9, 0.2, 0.9, 0.9, *[0.9] * 6])
     for mass_share, sources in ((0.9, (MODEL, DATA)), (0.1, (MODEL, MODEL))):
         shares[0] = mass_share
-        rows = body_quantities(replace(body, data_share=shares), "it")
+        rows = body_quantities(replace(body, data_share=shares))
         by_name = {row.name: row.source for row in rows}
         assert (by_name["com_x"], by_name["com_y"]) == sources
         assert by_name["Ixx_about_com"] == DATA
@@ -121,13 +121,11 @@ def test_rounding_is_no_number():
     """A product of inertia of a symmetric body comes back as 1e-18."""
     noisy = made.THETA + np.array([0, 1e-16, 0, 0, 0, 1e-18, 0, 0, 0, 0])
     terminal = made.terminal(made.estimate())
-    rows = {
-        row.name: row for row in body_quantities(replace(terminal, theta=noisy), "")
-    }
+    rows = {row.name: row for row in body_quantities(replace(terminal, theta=noisy))}
     assert (rows["hx"].value, rows["Ixy"].value) == (0.0, 0.0)
     # A gripper jaw's numbers are small, not rounding.
     jaw = 1e-3 * made.THETA
-    rows = {row.name: row for row in body_quantities(replace(terminal, theta=jaw), "")}
+    rows = {row.name: row for row in body_quantities(replace(terminal, theta=jaw))}
     assert (rows["hz"].value, rows["Iyy"].value) == (jaw[3], jaw[7])
 
 

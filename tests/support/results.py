@@ -94,7 +94,7 @@ def found(result: Estimate | None = None, **changes) -> Result:
         changes.setdefault("remarks", (verdict.remark(reason),))
     links = {} if result.standard_errors is None else by_name(terminal(result))
     links = changes.get("links", links)
-    rows = [row for link in links.values() for row in body_quantities(link, link.name)]
+    rows = [row for link in links.values() for row in body_quantities(link)]
     rows += [row for joint in JOINTS for row in joint_rows(result, joint)]
     defaults = Result(
         question=LINK,
@@ -149,7 +149,7 @@ def itself(result: Estimate | None = None, **changes) -> Result:
     full = result or estimate()
     fit = full.names, full.values, full.identifiability, full.rmse, full.rmse_per_joint
     exact = replace(terminal(full), covariance=np.zeros((10, 10)), budget={})
-    rows = [*body_quantities(exact, "link6"), *joint_rows(Estimate(*fit), "j6")]
+    rows = [*body_quantities(exact), *joint_rows(Estimate(*fit), "j6")]
     defaults = found(
         Estimate(*fit),
         data=DataOrigin(ITSELF, 15.0, 1000.0, 1),
@@ -215,14 +215,14 @@ def payload(
     payload_record = Payload(
         flange=Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
         body=own or body(),
-        total=body(2.0, name="link6"),
+        total=body(2.0, name="link6 with payload"),
         recordings={"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
     )
     for name in vars(payload_record).keys() & changes.keys():
         payload_record = replace(payload_record, **{name: changes.pop(name)})
-    rows = [*body_quantities(payload_record.body, PAYLOAD)]
-    rows += body_quantities(body(0.8, name="link6"), "link6")
-    rows += body_quantities(payload_record.total, "link6 with payload")
+    rows = [*body_quantities(payload_record.body)]
+    rows += body_quantities(body(0.8, name="link6"))
+    rows += body_quantities(payload_record.total)
     for joint, scale in torque_scale:
         rows.append(Quantity("torque_scale", joint, "", 1.0, scale, 0.004))
     changes = {"verdict": Verdict.OK, "quantities": tuple(rows), **changes}
@@ -251,7 +251,7 @@ def whole(**changes) -> Result:
     last = terminal(estimate())
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     file = model_file()
-    rows = [*body_quantities(first, "link5"), *body_quantities(last, "link6")]
+    rows = [*body_quantities(first), *body_quantities(last)]
     rows += [row for joint in JOINTS for row in joint_rows(estimate(), joint)]
     rows += [
         Quantity("viscous", "j5+j6", "N·m·s/rad", None, 0.05, 0.002),
