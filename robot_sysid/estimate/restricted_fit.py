@@ -102,7 +102,7 @@ def fit_file(
     fitted = _solved(estimate, terms, held)
     gravity = None
     if TILT_NAMES[0] in fitted.names:
-        angles = np.array([fitted.by_name[name] for name in TILT_NAMES])
+        angles = fitted.values[fitted.at(TILT_NAMES)]
         gravity = turn_gravity(fitted.point.gravity, angles)
     for _ in range(ROUNDS):
         far = _far_masses(estimate, fitted)
@@ -214,14 +214,14 @@ def _far_masses(estimate: Fit, fitted: Fit) -> dict[str, tuple[float, float]]:
     """
     errors = dict(zip(estimate.names, estimate.errors.tolist()))
     far = {}
-    bodies = [term.names for term in fitted.equations.terms if term.bodies]
-    for name in [name for names in bodies for name in names[::N_INERTIAL]]:
+    for index in fitted.equations.bodies[:, 0].tolist():
+        name = fitted.names[index]
         if name not in errors:
             continue
         mass = estimate.by_name[name]
         is_shown = errors[name] < abs(mass)
         error = errors[name] if is_shown else 1e-3 * abs(mass)
-        distance = fitted.by_name[name] - mass
+        distance = fitted.values[index] - mass
         if abs(distance) > INTERVAL * error:
             held = mass + np.copysign(0.95 * INTERVAL * error, distance)
             far[name] = (held, 0.05 * error)

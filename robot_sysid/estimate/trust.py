@@ -99,10 +99,11 @@ def missed_friction(fitted: Fit) -> str:
     terms |= {name: fitted.arm.terms[name] for name in missed}
     complete = fitted.refit([*terms.values()], possible=True)
     joints = []
-    for row, joint in enumerate(fitted.arm.joints):
-        given = fitted.held_out[:, row]
-        least = NEGLIGIBLE**2 * np.sum(fitted.sums.squared_torque[:, row])
-        if np.sum(given) > least and is_clearly_lower(complete.held_out[:, row], given):
+    torques = np.sum(fitted.sums.squared_torque, axis=0)
+    rows = zip(fitted.arm.joints, torques, fitted.held_out.T, complete.held_out.T)
+    for joint, torque, given, better in rows:
+        is_large = np.sum(given) > NEGLIGIBLE**2 * torque
+        if is_large and is_clearly_lower(better, given):
             joints.append(joint)
     if not joints:
         return ""
