@@ -141,7 +141,6 @@ def analyse_identifiability(
     own_rank = visible_space(of_interest).rank
     return Identifiability(
         rank=space.rank - nuisance_rank,
-        n_parameters=int(np.count_nonzero(interest)),
         condition_number=float(sizes[0] / sizes[own_rank - 1]) if own_rank else np.inf,
         unidentifiable=describe(space.null, names),
     )

@@ -291,7 +291,6 @@ def self_test_verdict(estimate: Estimate) -> Verdict:
     # A milligram is small enough whatever the mass is.
     if max(1e-6, 0.5 * estimate.inertial.mass) < mass_error < np.inf:
         return Verdict.TOO_WEAK
-    identifiability = estimate.identifiability
-    if identifiability.rank < identifiability.n_parameters:
+    if estimate.identifiability.unidentifiable:
         return Verdict.PARTLY_FROM_MODEL
     return Verdict.OK

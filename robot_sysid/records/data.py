@@ -115,7 +115,6 @@ class Identifiability:
 
     Attributes:
         rank: number of identifiable combinations.
-        n_parameters: number p of parameters.
         condition_number: of the stacked regressor, or of its identifiable part where it has less
             than full rank.
         unidentifiable: parameters that the data alone does not determine, in words, for instance
@@ -123,7 +122,6 @@ class Identifiability:
     """
 
     rank: int
-    n_parameters: int
     condition_number: float
     unidentifiable: tuple[str, ...]
 

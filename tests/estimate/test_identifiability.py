@@ -38,7 +38,7 @@ def analyse(rng, equations, names):
 def test_last_joint_alone_shows_seven_of_ten_parameters_and_its_friction():
     sums = terminal_sums(np.random.default_rng(0), np.zeros(12))
     identifiability = analyse_sums(sums)
-    assert (identifiability.rank, identifiability.n_parameters) == (9, 12)
+    assert identifiability.rank == 9
     hidden = ("mass", "first moment along z", "inertia Ixx", "inertia Iyy")
     assert identifiability.unidentifiable == hidden
 
@@ -53,7 +53,7 @@ def test_nuisances_of_any_number_and_unit_do_not_count(seed, exponents):
     names += tuple(f"nuisance{k}" for k in range(len(exponents)))
     truth = rng.normal(size=len(names)) / np.append(np.ones(12), units)
     identifiability = analyse_sums(sums_of(equations, names, truth))
-    assert (identifiability.rank, identifiability.n_parameters) == (9, 12)
+    assert identifiability.rank == 9
 
 
 def test_a_column_that_looks_like_a_nuisance_is_not_identified():
@@ -66,7 +66,7 @@ def test_a_column_that_looks_like_a_nuisance_is_not_identified():
     rows[:, 9] = 2.0
     equations[0] = np.column_stack((rows, np.ones(len(rows)))), np.append(columns, 16)
     identifiability = analyse(rng, equations, (*names, "offset[joint0]"))
-    assert (identifiability.rank, identifiability.n_parameters) == (11, 12)
+    assert identifiability.rank == 11
     assert identifiability.unidentifiable == ("inertia Izz", "offset of joint0")
 
 
@@ -199,7 +199,6 @@ def assert_same(sums, visibility):
     """
     identifiability = analyse_sums(sums)
     least, largest = visibility.ranks
-    assert identifiability.n_parameters == 12
     assert least <= identifiability.rank <= largest
     if least < largest:
         return

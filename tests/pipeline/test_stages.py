@@ -194,6 +194,6 @@ def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
     estimate = results.estimate(
         values=np.append(scale * POSSIBLE, np.zeros(4)),
         standard_errors=np.append(error, np.zeros(13)),
-        identifiability=Identifiability(rank, 12, 1.0, ()),
+        identifiability=Identifiability(rank, 1.0, ("mass",) * (12 - rank)),
     )
     assert self_test_verdict(estimate) is expected

@@ -120,7 +120,7 @@ def payload_of(robot, theta, flange_position=None, link=None):
 def result_of(robot, theta=None, file=None, payload=None, **changes):
     """A result with the parameters theta (10,) of the terminal link, by default the model's own."""
     theta = robot.prior.theta if theta is None else theta
-    identifiability = records.Identifiability(10, 10, 5.0, ())
+    identifiability = records.Identifiability(10, 5.0, ())
     estimate = records.Estimate(PARAMETER_NAMES, theta, identifiability, 1e-4, {})
     fields = {"robot": robot, "verdict": record.Verdict.OK, "links": {}}
     fields |= {"file": file, "payload": payload, **changes}

@@ -67,7 +67,7 @@ MODEL_FRICTION = {
 
 def estimate(**changes) -> Estimate:
     """An estimate without any fault: white noise, small errors, all from the data."""
-    identifiability_record = Identifiability(12, 12, 50.0, ())
+    identifiability_record = Identifiability(12, 50.0, ())
     errors = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
     defaults = Estimate(
         names=NAMES,
