@@ -89,10 +89,10 @@ class Result(record.Result):
         """
         if self.payload is not None:
             return dict(zip(PARAMETER_NAMES, self.body.errors.tolist()))
-        errors = self.estimate.standard_errors
-        if errors is None or not self.is_measured:
+        if not self.is_measured:
             return {}
-        return dict(zip(self.estimate.names, errors.tolist()))
+        errors = self.estimate.standard_errors.tolist()
+        return dict(zip(self.estimate.names, errors))
 
     @property
     def trustworthy(self) -> bool:

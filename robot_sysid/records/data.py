@@ -147,9 +147,9 @@ class Estimate:
     identifiability: Identifiability
     rmse: float
     rmse_per_joint: Mapping[str, float]
-    standard_errors: Array | None = None
-    noise_per_joint: Mapping[str, float] = field(default_factory=dict)
-    samples: Mapping[str, int] = field(default_factory=dict)
+    standard_errors: Array
+    noise_per_joint: Mapping[str, float]
+    samples: Mapping[str, int]
 
     def __post_init__(self) -> None:
         check_arrays(self, values=(len(self.names),))
@@ -164,9 +164,7 @@ class Estimate:
         return dict(zip(self.names, self.values.tolist())).get(name)
 
     def error(self, name: str) -> float | None:
-        """Return the standard error of one parameter by name, or None where there is none."""
-        if self.standard_errors is None:
-            return None
+        """Return the standard error of one parameter by name, or None where it has none."""
         return dict(zip(self.names, self.standard_errors.tolist())).get(name)
 
 

@@ -121,7 +121,9 @@ def result_of(robot, theta=None, file=None, payload=None, **changes):
     """A result with the parameters theta (10,) of the terminal link, by default the model's own."""
     theta = robot.prior.theta if theta is None else theta
     identifiability = records.Identifiability(10, 5.0, ())
-    estimate = records.Estimate(PARAMETER_NAMES, theta, identifiability, 1e-4, {})
+    estimate = records.Estimate(
+        PARAMETER_NAMES, theta, identifiability, 1e-4, {}, np.zeros(10), {}, {}
+    )
     fields = {"robot": robot, "verdict": record.Verdict.OK, "links": {}}
     fields |= {"file": file, "payload": payload, **changes}
     return made.found(estimate, **fields)

@@ -92,8 +92,7 @@ def found(result: Estimate | None = None, **changes) -> Result:
         verdict = changes.pop("verdict")
         reason = "because" if verdict.level is not Level.SAYS else ""
         changes.setdefault("remarks", (verdict.remark(reason),))
-    links = {} if result.standard_errors is None else by_name(terminal(result))
-    links = changes.get("links", links)
+    links = changes.get("links", by_name(terminal(result)))
     rows = [row for link in links.values() for row in body_quantities(link)]
     rows += [row for joint in JOINTS for row in joint_rows(result, joint)]
     defaults = Result(
@@ -147,11 +146,11 @@ def joint_rows(result: Estimate, joint: str) -> list[Quantity]:
 def itself(result: Estimate | None = None, **changes) -> Result:
     """The model's own simulation, of which most is not asked."""
     full = result or estimate()
-    fit = full.names, full.values, full.identifiability, full.rmse, full.rmse_per_joint
     exact = replace(terminal(full), covariance=np.zeros((10, 10)), budget={})
-    rows = [*body_quantities(exact), *joint_rows(Estimate(*fit), "j6")]
+    joints = [replace(row, error=None) for row in joint_rows(full, "j6")]
+    rows = [*body_quantities(exact), *joints]
     defaults = found(
-        Estimate(*fit),
+        full,
         data=DataOrigin(ITSELF, 15.0, 1000.0, 1),
         verdict=Verdict.OK,
         links={},
