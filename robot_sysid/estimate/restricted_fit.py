@@ -58,7 +58,7 @@ class RestrictedFit:
     unchanged: tuple[str, ...]
     before: Validation
     after: Validation
-    gravity: Array | None = None
+    gravity: Array | None
 
     @property
     def without_rotors(self) -> Validation:

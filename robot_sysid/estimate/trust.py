@@ -195,7 +195,7 @@ def implausible_joints(
             )
 
 
-def wrong_links(links: Sequence[BodyEstimate], remedy: str = "") -> Iterator[Remark]:
+def wrong_links(links: Sequence[BodyEstimate], remedy: str) -> Iterator[Remark]:
     """Yield a doubt on each link whose first moment in the model the recordings contradict.
 
     Mass and centre of mass of a link are confounded with each other and with those of neighbouring

@@ -190,8 +190,8 @@ class Validation:
     relative_error: float | None
     rmse_per_joint: Mapping[str, float]
     relative_error_per_joint: Mapping[str, float | None]
-    is_informative: bool = True
-    blocks: Array = field(default_factory=lambda: np.zeros((0, 0)), compare=False)
+    is_informative: bool
+    blocks: Array = field(compare=False)
 
 
 ITSELF = "simulation of the model itself"

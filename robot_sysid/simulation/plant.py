@@ -161,8 +161,7 @@ class ArmStepper:
 
     Args:
         robot: the arm; its compiled model is copied and stays as it is.
-        q: (n,) positions at the start [rad or m], where the arm is at rest; the reference
-            configuration if not given.
+        q: (n,) positions at the start [rad or m], where the arm is at rest.
         timestep: length of a step [s].
 
     Attributes:
@@ -172,9 +171,7 @@ class ArmStepper:
         qd: (n,) velocities after the last step [rad/s or m/s].
     """
 
-    def __init__(
-        self, robot: RobotModel, q: Array | None = None, timestep: float = 5e-4
-    ) -> None:
+    def __init__(self, robot: RobotModel, q: Array, timestep: float = 5e-4) -> None:
         self._robot = robot
         self.n_joints = robot.n_joints
         self.timestep = timestep
@@ -193,7 +190,7 @@ class ArmStepper:
         self._friction_axes = np.vstack(
             (np.eye(robot.n_joints), shared / levels[:, None])
         )
-        self.q: Array = np.array(robot.reference if q is None else q, dtype=float)
+        self.q: Array = np.array(q, dtype=float)
         self.qd: Array = np.zeros(robot.n_joints)
         # Change of velocity in the last step.
         self._last_change: Array = np.zeros(robot.n_joints)

@@ -51,7 +51,7 @@ def prediction(relative_error, spread=SPREAD, **joints):
     """Return a held-out error, as a share of the torque."""
     errors = list(joints.values()) or [relative_error or 0.0]
     blocks = np.outer(spread, np.square(errors))
-    return Validation("parts", 100, 0.1, relative_error, {}, joints, blocks=blocks)
+    return Validation("parts", 100, 0.1, relative_error, {}, joints, True, blocks)
 
 
 def first(remarks):
@@ -217,7 +217,7 @@ def test_slow_errors_no_larger_than_other_sensors_are_no_misfit(
 def test_a_link_is_named_whose_first_moment_is_clearly_wrong(distance, error, is_named):
     """By 50 %: beyond two errors of 0.01 kg m, within two of 0.03."""
     link = replace(body_at(distance, error), prior=body_at(0.1))
-    named = list(trust.wrong_links([link]))
+    named = list(trust.wrong_links([link], ""))
     assert len(named) == is_named
     for remark in named:
         assert (remark.level, remark.about) == (Level.DOUBTS, link.name)

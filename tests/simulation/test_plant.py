@@ -122,7 +122,7 @@ HINGE = (
 
 def one_hinge(g=0.0, x=0.0, fc=0.0, fv=0.0, timestep=1e-3):
     robot = robot_of(HINGE.format(g=g, x=x, fc=fc, fv=fv))
-    return ArmStepper(robot, timestep=timestep)
+    return ArmStepper(robot, robot.reference, timestep)
 
 
 def push(arm, torque, seconds, damping=0.0):
@@ -134,7 +134,7 @@ def push(arm, torque, seconds, damping=0.0):
 
 def inverse_error(robot, timestep, seconds=0.2):
     """Largest difference between what acted and the inverse dynamics of the mean motion [N m]."""
-    arm = ArmStepper(robot, timestep=timestep)
+    arm = ArmStepper(robot, robot.reference, timestep)
     positions = [arm.q]
     velocities = [arm.qd]
     acted = []
@@ -184,8 +184,8 @@ def test_damping_adds_no_apparent_armature(damping):
 def test_steps_of_any_length_add_up():
     """A step cut in two where a motor is sampled leads to where one step leads, to third order."""
     robot = robot_of(arms.MODELS["seven"])
-    uncut = ArmStepper(robot, timestep=1e-3)
-    cut = ArmStepper(robot, timestep=1e-3)
+    uncut = ArmStepper(robot, robot.reference, 1e-3)
+    cut = ArmStepper(robot, robot.reference, 1e-3)
     torque = np.ones(robot.n_joints)
     damping = np.full(robot.n_joints, 0.5)
     for _ in range(50):
@@ -220,7 +220,7 @@ def test_a_motor_that_turns_two_joints_holds_and_resists_both():
     robot = robot_of(WRIST)
     friction = robot.friction.torque(np.array([[2.0, -1.0]]))
     np.testing.assert_array_equal(friction, [[0.4, 0.4]])
-    arm = ArmStepper(robot, timestep=1e-3)
+    arm = ArmStepper(robot, robot.reference, 1e-3)
     push(arm, 0.39, 0.5)
     np.testing.assert_array_equal(arm.qd, 0.0)
     for _ in range(20):
@@ -228,7 +228,7 @@ def test_a_motor_that_turns_two_joints_holds_and_resists_both():
     assert np.sum(arm.qd) == pytest.approx(0.0, abs=1e-12)
     assert arm.qd[0] == pytest.approx(0.2 / (0.03 + 0.01) * 0.02)
 
-    arm = ArmStepper(robot, timestep=1e-3)
+    arm = ArmStepper(robot, robot.reference, 1e-3)
     push(arm, 0.6, 0.1)
     assert arm.qd[1] == pytest.approx((0.6 - 0.4) / 0.01 * 0.1, rel=0.01)
 

@@ -182,7 +182,7 @@ def validation_of(
     blocks = np.outer(np.linspace(0.7, 1.3, 10), [rmse**2])
     joints = {"j5": rmse, "j6": rmse}
     return Validation(
-        source, 100, rmse, relative, joints, {"j5": relative}, blocks=blocks
+        source, 100, rmse, relative, joints, {"j5": relative}, True, blocks
     )
 
 
