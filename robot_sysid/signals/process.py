@@ -132,7 +132,7 @@ class ProcessedSignals:
 
 def process(
     uniform: UniformSignals,
-    joint_names: Sequence[str] = (),
+    joint_names: Sequence[str],
     cutoff: float | None = None,
     slides: Collection[str] = (),
 ) -> ProcessedSignals:
@@ -140,7 +140,7 @@ def process(
 
     Args:
         uniform: the log, as ``resample_uniformly`` returns it.
-        joint_names: for the notes; numbers stand for joints without a name.
+        joint_names: for the notes.
         cutoff: of the low-pass [Hz]; None chooses it from the data.
         slides: names of the joints that are slides, for the notes.
 
@@ -205,7 +205,7 @@ def _notes(
 
     Args:
         signals: the processed signals.
-        joint_names: numbers stand for joints without a name.
+        joint_names: names of the joints.
         slides: names of those that are slides.
         longest_hole: length of a hole in the log beyond which rows beside it are not used [s].
     """
@@ -219,8 +219,7 @@ def _notes(
         yield note if missing > 0.05 else Detail(note)
     usable = np.count_nonzero(signals.usable(), axis=0)
     shares = usable / max(np.count_nonzero(is_complete), 1)
-    names = joint_names or range(1, len(shares) + 1)
-    for name, share, deadband in zip(names, shares, signals.deadband):
+    for name, share, deadband in zip(joint_names, shares, signals.deadband):
         if share < 0.5:
             unit = position_unit(name in slides)
             yield (

@@ -42,6 +42,6 @@ def seconds(duration: float, rate: float) -> np.ndarray:
     return np.arange(round(duration * rate) + 1) / rate
 
 
-def processed(log, *args, **options):
+def processed(log, joint_names=("joint0", "joint1", "joint2"), *args, **options):
     """Return the processed signals of a log."""
-    return process(resample_uniformly(log), *args, **options)
+    return process(resample_uniformly(log), joint_names, *args, **options)
