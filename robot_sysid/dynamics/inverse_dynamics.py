@@ -36,7 +36,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_sysid.dynamics.spatial import (
     N_INERTIAL,
@@ -228,14 +227,62 @@ class LinksMotion:
         """Return the joint torque (N, n) [N m] of rigid links with inertial parameters ``thetas``
         (n, 10), base to terminal; a link with zeros has no effect.
         """
-        tau = []
-        wrench = np.zeros_like(self.velocity[0])
+        samples = self.velocity[0].shape[1]
+        tau = np.zeros((samples, len(thetas)))
+        wrench = np.zeros((6, samples))
         for link in reversed(range(len(thetas))):
             if np.any(thetas[link]):
                 wrench = wrench + self._link_wrench(link, thetas[link])
-            tau.append(self.screws[link] @ wrench)
+            tau[:, link] = self.screws[link] @ wrench
             wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
-        return np.stack(tau[::-1], axis=1)
+        return tau
+
+    def slopes(self, thetas: Array, qd: Array) -> Array:
+        """Return the derivative (N, n, n) of joint torques by joint positions [N m/rad].
+
+        Entry [:, i, j] is the derivative of tau_i by q_j. With d_j the derivative by q_j:
+        d_j V_j = -ad(S_j) V_j, d_j A_j = -ad(S_j) A_j, which are passed on to the next links by the
+        recursion of V and A, and d_j Ad(T_j^-1) = -ad(S_j) Ad(T_j^-1).
+
+        Args:
+            thetas: (n, 10) inertial parameters of the links, base to terminal, in the order of
+                ``spatial.PARAMETER_NAMES``, inertia about the link frame's origin.
+            qd: (N, n) joint speeds of this motion.
+        """
+        samples, count = qd.shape
+        # The derivatives (2, 6, j, N) of the present link's velocity and acceleration by q_j.
+        twists = np.zeros((2, 6, 0, samples))
+        slopes = np.zeros((samples, count, count))
+        wrench_slopes = []
+        # Outwards: the derivative (6, j, N) of each link's own wrench by q_j, j up to the link.
+        for link, theta in enumerate(thetas):
+            screw = self.screws[link][:, None]
+            velocity = self.velocity[link]
+            twists = np.einsum("abn,mbjn->majn", self.steps[link], twists)
+            twists[1] -= bracket(screw[:, None], twists[0] * qd[:, link])
+            by_velocity = bracket(screw, velocity)
+            by_acceleration = bracket(screw, self.acceleration[link])
+            by_position = -np.stack((by_velocity, by_acceleration))
+            twists = np.concatenate((twists, by_position[:, :, None]), axis=2)
+            inertia = _inertia(theta)
+            velocity = velocity[:, None]
+            momentum = np.tensordot(inertia, velocity, 1)
+            momentum_slope = np.tensordot(inertia, twists[0], 1)
+            slope = np.tensordot(inertia, twists[1], 1)
+            slope -= bracket_transposed(twists[0], momentum)
+            slope -= bracket_transposed(velocity, momentum_slope)
+            wrench_slopes.append(slope)
+        # Inwards: the wrench of a link and all beyond it, and the derivative of that sum.
+        wrench = np.zeros((6, samples))
+        total = np.zeros((6, count, samples))
+        for link in reversed(range(count)):
+            wrench = wrench + self._link_wrench(link, thetas[link])
+            total[:, : link + 1] += wrench_slopes[link]
+            slopes[:, link] = np.tensordot(self.screws[link], total, 1).T
+            total[:, link] -= bracket_transposed(self.screws[link][:, None], wrench)
+            total = np.einsum("abn,ajn->bjn", self.steps[link], total)
+            wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
+        return slopes
 
     def _link_wrench(self, link: int, theta: Array) -> Array:
         """Return the wrench G A - ad(V)^T G V (6, N) that moves the link of index ``link``, had it
@@ -243,10 +290,8 @@ class LinksMotion:
         """
         inertia = _inertia(theta)
         velocity = self.velocity[link]
-        momentum = inertia @ velocity
-        moment = cross(velocity[:3], momentum[:3]) + cross(velocity[3:], momentum[3:])
-        force = cross(velocity[:3], momentum[3:])
-        return inertia @ self.acceleration[link] + np.concatenate((moment, force))
+        gyroscopic = bracket_transposed(velocity, inertia @ velocity)
+        return inertia @ self.acceleration[link] - gyroscopic
 
 
 class LinkDynamics:
@@ -277,11 +322,9 @@ class LinkDynamics:
         vector = gravity_vector(robot) if gravity is None else gravity
         self._gravity = np.reshape((not is_weightless) * vector, (3, -1))
 
-    def motion(self, q: NDArray[Any], qd: Array, qdd: Array) -> LinksMotion:
+    def motion(self, q: Array, qd: Array, qdd: Array) -> LinksMotion:
         """Return the motion of all links for joint motions q, qd, qdd (N, n) each [rad, rad/s,
         rad/s^2].
-
-        Positions may be complex: all is an analytic function of them.
         """
         velocity, acceleration = np.zeros((2, 6, len(q)))
         acceleration[3:] = -self._gravity
@@ -300,25 +343,6 @@ class LinkDynamics:
             links.append((velocity, acceleration, step, screw))
         return LinksMotion(*zip(*links))
 
-    def slopes(self, q: Array, qd: Array, qdd: Array, thetas: Array) -> Array:
-        """Return the derivative (N, n, n) of joint torques by joint positions [N m/rad].
-
-        Entry [:, i, j] is the derivative of tau_i by q_j: the imaginary part of the torque at an
-        imaginary step of q_j, exact to rounding, as such a step may be as small as it likes (Squire
-        and Trapp, "Using complex variables to estimate derivatives of real functions", SIAM Review
-        40(1), 1998).
-
-        Args:
-            q, qd, qdd: (N, n) motion [rad, rad/s, rad/s^2].
-            thetas: (n, 10) inertial parameters of the links, base to terminal.
-        """
-        size = 1e-30
-        slopes = []
-        for step in size * 1j * np.eye(len(thetas)):
-            torque = self.motion(q + step, qd, qdd).torque(thetas)
-            slopes.append(torque.imag / size)
-        return np.stack(slopes, axis=-1)
-
 
 def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
     """Yield arrays of a motion in chunks of samples, one tuple of arrays (m, ...) per chunk.
@@ -330,6 +354,22 @@ def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
     """
     count = 1 + len(arrays[0]) * width // ARRAY_SIZE
     yield from zip(*(np.array_split(array, count) for array in arrays))
+
+
+def bracket(a: Array, b: Array) -> Array:
+    """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] of two twists [w, v] (6, ...)."""
+    angular = cross(a[:3], b[:3])
+    linear = cross(a[3:], b[:3]) + cross(a[:3], b[3:])
+    return np.concatenate((angular, linear))
+
+
+def bracket_transposed(a: Array, b: Array) -> Array:
+    """Return ad(a)^T b = -[w_a x m + v_a x f, w_a x f] of a twist a = [w_a, v_a] (6, ...) and a
+    wrench or momentum b = [m, f] (6, ...).
+    """
+    moment = cross(a[:3], b[:3]) + cross(a[3:], b[3:])
+    force = cross(a[:3], b[3:])
+    return -np.concatenate((moment, force))
 
 
 def _lower_triangular(turn: Array, shift: Array) -> Array:

@@ -440,10 +440,8 @@ class ArmTerms:
 
     def _zeros(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, n) of encoders that read too much [N m/rad]."""
-        motion = rows.motion
-        dynamics = LinkDynamics(self.robot, point.gravity)
-        thetas = point.carried(rows.is_loaded)
-        slopes = dynamics.slopes(motion.q, motion.qd, motion.qdd, thetas)
+        moves = rows.moves(self.robot, point.gravity)
+        slopes = moves.slopes(point.carried(rows.is_loaded), rows.motion.qd)
         return -slopes[:, self.indices]
 
     def _tilt(self, rows: Rows, point: Point) -> Array:

@@ -198,6 +198,6 @@ def test_slopes_by_positions_equal_differences(xml, seed):
     for offset in (*-offsets, *offsets):
         torques.append(dynamics.motion(q + offset, qd, qdd).torque(thetas))
     below, above = np.split(np.stack(torques, axis=-1), 2, axis=-1)
-    slopes = dynamics.slopes(q, qd, qdd, thetas)
+    slopes = dynamics.motion(q, qd, qdd).slopes(thetas, qd)
     rounding = 1e-9 * np.max(np.abs(above), initial=1.0)
     assert_allclose(slopes, (above - below) / (2.0 * step), rtol=1e-6, atol=rounding)
