@@ -55,7 +55,8 @@ class Explanation:
     """One fault that a log or its model may have.
 
     In text and remedy {value} stands for the size of the number with its standard error,
-    {more|less} for the word that its sign needs, and {inverse} for 1 / (1 + first value).
+    {more|less} for the word that its sign needs, and {inverse} for 1 / sqrt(1 + first value), by
+    which time has to be multiplied where inertial torque is off by the value.
 
     Attributes:
         check: name of the check that reports it, a key of ``logs.CHECKS``.
@@ -105,7 +106,8 @@ class Explanation:
         def fill_in(template: str) -> str:
             """Return a text with the number and the words for its sign."""
             words = _BY_SIGN.sub(r"\1" if value > 0.0 else r"\2", template)
-            inverse = f"{1.0 / (1.0 + value):.3g}"
+            # Values of other causes, which do not show it, may be below -1.
+            inverse = f"{max(1.0 + value, 1e-9) ** -0.5:.3g}"
             return words.replace("{value}", number).replace("{inverse}", inverse)
 
         where = f"in {self.log}, " if self.log else ""
@@ -124,11 +126,11 @@ class Explanation:
 def beside(fitted: Fit) -> list[Term]:
     """Return the terms whose columns causes need, beside those of every fit."""
     arm = fitted.arm
-    first, last = span_of(fitted)
     rates = np.zeros(len(arm.joints))
     residuals = np.nan_to_num(fitted.residuals)
     recordings = fitted.recordings
     time = np.concatenate([recording.motion.time for recording in recordings])
+    first = np.min(time)
     for joint, residual in enumerate(residuals.T):
         rates[joint] = strongest_rate(time - first, residual)
     eye = np.eye(len(arm.joints))
@@ -204,12 +206,6 @@ def last_weight(arm: ArmTerms, rows: Rows, gravity: Array) -> Array:
     """Return the torque (m, J, 4) of the last link's weight, per unit of mass and first moments."""
     moves = at_rest(arm, rows, gravity)
     return moves.columns([arm.robot.n_joints - 1])[:, arm.indices, :4]
-
-
-def span_of(fitted: Fit) -> tuple[float, float]:
-    """Return the times of the first and of the last row of all recordings [s]."""
-    times = [recording.motion.time[[0, -1]] for recording in fitted.recordings]
-    return float(np.min(times)), float(np.max(times))
 
 
 def typical_torque(fitted: Fit) -> Array:

@@ -145,8 +145,7 @@ def check(four_joints):
 def test_a_fault_is_called_by_its_name(check, fault):
     _, findings = check(fault)
     name, _, message = fault.partition(": ")
-    messages = [finding.sentence for finding in findings if finding.about == name]
-    assert any(message in text for text in messages), findings
+    assert any(f.about == name and message in f.sentence for f in findings), findings
 
 
 def number_after(phrase, text):
@@ -165,8 +164,11 @@ def test_a_change_of_load_is_within_its_error_at_any_instant(four_joints, instan
     """The instant need not be that of a row, of which there are a few per second."""
     tau = four_joints.log.tau + late_payload(four_joints, instant)
     log = replace(four_joints.log, tau=tau)
-    findings = findings_of(four_joints.robot, log)
-    (text,) = [finding.text for finding in findings if finding.about == "payload-step"]
+    (text,) = (
+        finding.text
+        for finding in findings_of(four_joints.robot, log)
+        if finding.about == "payload-step"
+    )
     mass, error = map(float, re.search("carries (.*) ± (.*) kg more", text).groups())
     true_mass = 0.8 * four_joints.theta[0]
     assert abs(mass - true_mass) < 2.0 * error < 0.2 * true_mass
@@ -193,10 +195,11 @@ REMEDIES = {
 @pytest.mark.parametrize("fault", REMEDIES)
 def test_the_advised_remedy_puts_the_log_right(check, four_joints, fault):
     log, findings = check(fault)
-    name = fault.partition(":")[0]
-    (named, *_) = [finding for finding in findings if finding.about == name]
+    named = next(each for each in findings if fault.startswith(each.about))
     remedied = REMEDIES[fault](log, named)
     assert findings_of(four_joints.robot, remedied) == ()
+    # A log that is as wrong the other way may be found right: links hide it.
+    assert remedied.time == pytest.approx(four_joints.log.time, rel=0.06)
 
 
 @pytest.mark.parametrize(("seed", "scale", "pull"), [(5, 0.12, 0.0), (1, 0.0, 0.5)])
