@@ -28,6 +28,7 @@ from robot_sysid.damiao.protocol import (
     encode_mit,
     is_special,
 )
+from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import SysidError
 
@@ -218,10 +219,13 @@ def _session(frames: list[Frame]) -> None:
     link = GuardedLink(TalkativeBus(frames, clock), clock)
     scaling = Scaling([(12.5, 10.0, 28.0)] * N)
     zeros = np.zeros(N)
-    with MotorSession(link, _joints(), scaling) as session:
+    far = np.full(N, 99.0)
+    anywhere = CommandRange(-far, far, far)
+    with MotorSession(link, _joints(), scaling, anywhere) as session:
         session.enable()
         for _ in range(3):
             command = MitCommand(zeros, zeros, zeros + 10.0, zeros + 1.0, zeros)
-            replies = session.exchange(command, clock.now() + 1e-3)
+            every = np.ones(N, dtype=bool)
+            replies = session.exchange(command, clock.now() + 1e-3, every, False)
             position = replies.feedback.position[replies.answered]
             assert np.all(np.abs(position) < 12.6) and not np.any(np.isnan(position))
