@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 4529,
     "robot_sysid/commands": 10314,
     "robot_sysid/damiao": 30381,
-    "robot_sysid/diagnosis": 17406,
+    "robot_sysid/diagnosis": 17348,
     "robot_sysid/dynamics": 4639,
     "robot_sysid/estimate": 30548,
     "robot_sysid/logs": 15387,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3755,
     "robot_sysid": 9263,
-    "tests": 227514,
+    "tests": 227509,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -139,6 +139,7 @@ def link_result(
     remarks += () if missed else wrong_links(other_links, remedy)
     bodies = [body.name for body in robot.bodies if body.theta[0] > 0.0]
     sentences = [*robot.notes, *notes]
+    # From a fifth of the acceleration on, it is said.
     if acceleration_error > 0.2:
         sentences.append(
             "the positions are too coarse or too seldom to have accelerations (expected error "
@@ -148,6 +149,7 @@ def link_result(
         sentences.append(
             f"the numbers of {last_link.name} are those of {' + '.join(bodies)} together"
         )
+    # Logs of right models leave up to 3 %.
     if 0.035 < share <= UNEXPLAINED:
         sentences.append(sentence)
     sentences += [*file_notes, *result_notes(fitted, written)]

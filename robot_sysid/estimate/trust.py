@@ -135,7 +135,8 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Remark]:
     slack = INTERVAL * np.linalg.norm(errors[1:4]) / link.mass
     distance = np.linalg.norm(link.com)
     where = f"on a link that reaches {reach:.2g} m"
-    # A tool that the model does not have may be bolted to the link.
+    # A tool that the model does not have may be bolted to the link: its centre of mass may lie 30 %
+    # of the arm's reach beyond it, and the radius of gyration exceed it by 10 %.
     if distance - slack > reach + 0.3 * arm:
         yield Verdict.IMPLAUSIBLE.remark(
             f"the centre of mass is {distance:.2g} m away {where}"

@@ -200,7 +200,7 @@ def select_pieces(pieces: list[Measurement], most_time: float) -> list[Measureme
         return pieces
     ranges = np.array([np.ptp(piece.q, axis=0) for piece in pieces])
     moved = np.max(ranges / np.maximum(np.max(ranges, axis=0), 1e-12), axis=1)
-    # A joint does not move in a piece where it has a tenth of its largest range in any piece.
+    # A joint moves in a piece where its range exceeds a tenth of its largest one in any piece.
     moving = [pieces[k] for k in np.flatnonzero(moved > 0.1)] or pieces
     count = int(len(moving) * min(1.0, most_time / duration(moving)))
     numbers = np.linspace(0, len(moving) - 1, max(1, count)).round().astype(int)
