@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 4529,
     "robot_sysid/commands": 10314,
     "robot_sysid/damiao": 30381,
-    "robot_sysid/diagnosis": 17348,
+    "robot_sysid/diagnosis": 16706,
     "robot_sysid/dynamics": 4639,
     "robot_sysid/estimate": 30548,
     "robot_sysid/logs": 15387,

@@ -11,9 +11,8 @@ Throughout, m is the number of rows of a chunk, J that of joints, B that of bloc
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,17 +27,16 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, parameter_scale
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer
-from robot_sysid.estimate.rows import Rows, Sums
+from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import ArmTerms, Point, Term
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
 
-LONGEST_DELAY = 0.15
-"""Longest delay that changes torques in proportion [s]."""
-LONGEST_TIME = 0.4
-"""Largest relative error of time stamps: beyond it, torque lacks inertia."""
 INERTIAL = "inertial torque"
 """Name of the column of the links' torque without their weight."""
+TIME = 0.5
+"""Relative error of time per relative change of inertial torque: accelerations and squared speeds
+are too small by twice the share by which time stamps are too long."""
 WEIGHT = "weight"
 """Name of the column of the links' weight."""
 SPRING = ("position", "sine of position", "cosine of position")
@@ -46,6 +44,8 @@ HUM = ("cosine of time", "sine of time")
 NEIGHBOURS = ("torque of joint before", "torque of joint after")
 LAST_WEIGHT = tuple(f"weight of last {name}" for name in PARAMETER_NAMES[:4])
 FORCE = tuple(f"force {axis} {name}" for name in PARAMETER_NAMES[:4] for axis in "xyz")
+# Numbers of units that are no SI units.
+_UNITS = {"%": 100.0, "ms": 1e3, "degrees": np.degrees(1.0)}
 # Words of a text for a positive number, and for a negative one.
 _BY_SIGN = re.compile(r"\{([^|{}]*)\|([^|{}]*)\}")
 
@@ -63,13 +63,13 @@ class Explanation:
         effect: its columns, where they act, and their prior.
         text: the fault.
         remedy: what to do; "" for nothing.
+        unit: of the number [SI without one].
         level: level of the finding, where a result without the explanation would be wrong.
-        factor: the number in the text is the first value times it.
-        unit: of the number.
-        relative_error: of the number, beside the standard error of the fit.
+        sizes: least and largest number that exists.
         is_norm: whether the number is the Euclidean norm of the first three values, not the first.
+        factor: the number is the first value times it.
+        relative_error: of the number, beside the standard error of the fit.
         choices: number of similar explanations that are tried, of which only the best one counts.
-        is_possible: whether values with their standard errors are of a size that exists.
         log: name of the only log in which it acts; "" for all.
     """
 
@@ -77,13 +77,13 @@ class Explanation:
     effect: Effect
     text: str
     remedy: str = ""
-    level: Level = Level.DOUBTS
-    factor: float = 1.0
     unit: str = ""
-    relative_error: float = 0.0
+    level: Level = Level.DOUBTS
+    sizes: tuple[float, float] = (-np.inf, np.inf)
     is_norm: bool = False
+    factor: float = 1.0
+    relative_error: float = 0.0
     choices: int = 1
-    is_possible: Callable[[Array, Array], bool] = lambda values, errors: True
     log: str = ""
 
     @property
@@ -93,21 +93,36 @@ class Explanation:
 
     def number(self, offer: Offer) -> tuple[float, float]:
         """Return the number that an offer gives, and its standard error."""
+        value = float(offer.values[0])
+        error = float(offer.errors[0])
         if self.is_norm:
-            return float(np.linalg.norm(offer.values[:3])), np.max(offer.errors[:3])
-        return offer.values[0], offer.errors[0]
+            value = float(np.linalg.norm(offer.values[:3]))
+            error = float(np.max(offer.errors[:3]))
+        return self.factor * value, self.factor * error
+
+    def distance(self, offer: Offer) -> float:
+        """Return an offer's number in its own errors; zero where it is of no size that exists."""
+        value, error = self.number(offer)
+        least, largest = self.sizes
+        if not least < value < largest:
+            return 0.0
+        # What has no single number is judged by all its values.
+        if self.is_norm or "{value}" not in self.text:
+            return offer.distance
+        return abs(value) / max(error, 1e-300)
 
     def describe(self, offer: Offer) -> tuple[str, str]:
         """Return (text, remedy) with the number of an offer."""
         value, error = self.number(offer)
-        error = abs(self.factor) * np.hypot(error, self.relative_error * value)
-        number = with_error(abs(self.factor * value), error, self.unit)
+        size = _UNITS.get(self.unit, 1.0)
+        error = size * float(np.hypot(error, self.relative_error * value))
+        number = with_error(size * abs(value), error, self.unit)
 
         def fill_in(template: str) -> str:
             """Return a text with the number and the words for its sign."""
             words = _BY_SIGN.sub(r"\1" if value > 0.0 else r"\2", template)
             # Values of other causes, which do not show it, may be below -1.
-            inverse = f"{max(1.0 + value, 1e-9) ** -0.5:.3g}"
+            inverse = f"{max(1.0 + offer.values[0], 1e-9) ** -0.5:.3g}"
             return words.replace("{value}", number).replace("{inverse}", inverse)
 
         where = f"in {self.log}, " if self.log else ""
@@ -219,17 +234,11 @@ def typical_torque(fitted: Fit) -> Array:
 
 def explanations(fitted: Fit) -> list[Explanation]:
     """Return all explanations for a fit that has the columns of ``beside``."""
-    every = [
-        *sensors(fitted),
-        *over_time(fitted),
-        *forces(fitted),
-        *shapes_of_joints(fitted),
-    ]
+    every = [*of_arm(fitted), *of_joints(fitted), *over_time(fitted)]
     logs = dict.fromkeys(fitted.sums.logs)
     if len(logs) > 1:
-        whole = [each for each in every if each.check != "payload-step"]
-        every += [each.in_log(fitted, log) for each in whole for log in logs]
-    return every
+        every += [each.in_log(fitted, log) for each in every for log in logs]
+    return [*every, *changes_of_load(fitted)]
 
 
 def effect(
@@ -239,67 +248,26 @@ def effect(
     shares: Array | None = None,
 ) -> Effect:
     """Return the effect of columns with independent prior standard deviations."""
-    return Effect(
-        tuple(names), np.diag(np.broadcast_to(spread, len(names))), joint, shares
-    )
+    factor = np.diag(np.broadcast_to(spread, len(names)))
+    return Effect(tuple(names), factor, joint, shares)
 
 
-def sensors(fitted: Fit) -> Iterator[Explanation]:
-    """Yield errors of torque and position sensors, of the base and of the clock."""
+def of_arm(fitted: Fit) -> Iterator[Explanation]:
+    """Yield errors of the base, of gears and of the torque as a whole, and forces on the last link.
+
+    The weight of the last link is free beside that of a balancer: its mass and first moments.
+    """
     arm = fitted.arm
-    joints = arm.joints
-    scales = names_of("scale", joints)
-    for joint, (name, scale) in enumerate(zip(joints, scales)):
-        owner = f"joint {name}"
-        is_slide = name in arm.robot.slides
-        yield Explanation(
-            "torque-scale",
-            effect([scale], 0.4, joint),
-            f"torque of {owner} reads {{value}} too {{much|little}} for the model's links, or the "
-            "links that it carries are {heavier|lighter} than in the model",
-            "weigh a known mass (--known-mass of payload), and pass the file that it writes as "
-            "--torque-scale",
-            factor=100.0,
-            unit="%",
-            is_possible=lambda v, e: v[0] > -0.5,
-        )
-        yield Explanation(
-            "zero",
-            replace(effect([f"zero[{name}]"], 0.1), joint=None),
-            f"the position of {owner} reads {{value}} too {{much|little}}",
-            "correct the joint's zero",
-            unit=position_unit(is_slide),
-        )
-        yield Explanation(
-            "delay",
-            effect(["delay"], 0.04, joint),
-            f"torque of {owner} is {{value}} {{later|earlier}} than position",
-            "record torques and positions of all joints at the same instant",
-            factor=1e3,
-            unit="ms",
-            is_possible=lambda v, e: abs(v[0]) < LONGEST_DELAY,
-        )
-    if len(joints) > 1:
-        yield Explanation(
-            "delay",
-            effect(["delay"], 0.04),
-            "torque of all joints is {value} {later|earlier} than position",
-            "record torques and positions of all joints at the same instant",
-            factor=1e3,
-            unit="ms",
-            is_possible=lambda v, e: abs(v[0]) < LONGEST_DELAY,
-        )
     if "load" in arm.terms:
-        loads = names_of("load", joints)
+        loads = names_of("load", arm.joints)
         yield Explanation(
             "friction",
             Effect(loads, np.full((len(loads), 1), 0.15)),
             "every gear loses {value} of its load, which no model file can hold: friction in the "
             "file is right at this load alone",
-            level=Level.SAYS,
-            factor=100.0,
             unit="%",
-            is_possible=lambda v, e: 0.0 < v[0] < 0.5,
+            level=Level.SAYS,
+            sizes=(0.0, 0.5),
         )
     if arm.has_gravity:
         yield Explanation(
@@ -307,128 +275,50 @@ def sensors(fitted: Fit) -> Iterator[Explanation]:
             effect(TILT_NAMES, 0.15),
             "the base is tilted by {value} against the model's",
             "level it, or turn the base in the model",
-            factor=np.degrees(1.0),
-            unit="degrees",
+            "degrees",
             is_norm=True,
         )
     yield Explanation(
         "computed",
-        Effect((INERTIAL,), np.ones((1, 1))),
+        effect([INERTIAL], 1.0),
         "the torque holds the links' weight and lacks {value} of their inertia: it is that of a "
         "controller's model, or of an arm that is guided by hand",
         "record the measured joint torque of an arm that its motors move",
-        factor=-100.0,
-        unit="%",
-        is_possible=lambda v, e: abs(v[0] + 1.0) < max(0.2, 3.0 * e[0]) and e[0] < 0.1,
+        "%",
+        sizes=(-1.2, -0.8),
     )
-    # Time stamps that are too long by a small share s make accelerations and squared speeds too
-    # small by 2 s, so they change inertial torque alone.
     yield Explanation(
         "clock",
-        Effect((INERTIAL,), np.full((1, 1), 0.2)),
+        effect([INERTIAL], 0.2),
         "time in the log is {value} too {long, or a balancer carries a part of the weight|short}, "
         "as the torque of inertia shows beside that of gravity",
         "record the controller's own time stamps, or scale these with a line in --columns FILE: "
         "time = {inverse} * TITLE",
-        factor=50.0,
-        unit="%",
-        is_possible=lambda v, e: abs(v[0]) < 2.0 * LONGEST_TIME,
+        "%",
+        # Beyond it, torque lacks inertia.
+        sizes=(-0.4, 0.4),
+        factor=TIME,
     )
-
-
-def over_time(fitted: Fit) -> Iterator[Explanation]:
-    """Yield what changes over a log: scales, the clock, the load."""
-    arm = fitted.arm
-    sums = fitted.sums
-    blocks = np.arange(len(sums.logs))
-    along = np.zeros(len(blocks))
-    for log in dict.fromkeys(sums.logs):
-        own = np.flatnonzero(sums.is_of(log))
-        along[own] = (2.0 * np.arange(len(own)) + 1.0) / len(own) - 1.0
-    owners: dict[str, int | None] = {f"joint {n}": k for k, n in enumerate(arm.joints)}
-    scales = names_of("scale", arm.joints)
-    for owner, joint in {**owners, "all joints": None}.items():
-        names = scales if joint is None else [scales[joint]]
-        yield Explanation(
-            "torque-scale",
-            Effect(tuple(names), np.full((len(names), 1), 0.15), joint, along),
-            f"the torque scale of {owner} {{rises|falls}} by {{value}} over the log",
-            "let motors and sensors warm up, and record again",
-            # The time runs from -1 to 1.
-            factor=200.0,
-            unit="%",
-        )
-    yield Explanation(
-        "clock",
-        Effect((INERTIAL,), np.full((1, 1), 0.2), None, along),
-        "the clock drifts, as the torque of inertia shows beside that of gravity: time stamps grow "
-        "by {value} {more|less} at the end of the log than at its begin",
-        "record the controller's own time stamps",
-        factor=100.0,
-        unit="%",
-    )
-    dry = names_of("coulomb", arm.joints)
-    if "coulomb" in arm.terms:
-        least = 0.01 * typical_torque(fitted)
-        sizes = np.array([abs(fitted.by_name[name]) for name in dry])
-        yield Explanation(
-            "friction",
-            effect(dry, 0.3 * np.maximum(sizes, least), None, along),
-            "friction changes over the log",
-            "let the arm warm up before it is recorded",
-            level=Level.SAYS,
-        )
-    spread = parameter_scale(0.05 * arm.robot.mass, 0.1 * arm.robot.length)
-    scale_errors = fitted.errors[fitted.at([n for n in fitted.names if n in scales])]
-    for first in blocks[1:].tolist():
-        if sums.logs[first] == sums.logs[first - 1]:
-            yield Explanation(
-                "payload-step",
-                effect(PARAMETER_NAMES, spread, None, _after(sums, first)),
-                "from about {instant} on the last link carries {value} {more|less}: something was "
-                "picked up, dropped or moved",
-                "record each state in a log of its own",
-                level=Level.REFUSES,
-                unit="kg",
-                # The torque scales multiply the load, too.
-                relative_error=float(np.max(scale_errors, initial=0.0)),
-                choices=len(blocks),
-            )
-
-
-def _after(sums: Sums, first: int) -> Array:
-    """Return 1 for the blocks (B,) of a log from one of them on, 0 for all others."""
-    is_later = np.array(sums.blocks) >= first
-    return (sums.is_of(sums.logs[first]) & is_later).astype(float)
-
-
-def forces(fitted: Fit) -> Iterator[Explanation]:
-    """Yield forces on the last link: a constant one, one that carries it, and a balancer's.
-
-    The weight of the last link is free beside that of a balancer: its mass and first moments.
-    """
-    arm = fitted.arm
     total = arm.robot.mass
     down = float(np.linalg.norm(gravity_vector(arm.robot))) or 9.81
-    load = parameter_scale(0.1 * total, 0.1)[:4]
     yield Explanation(
         "force",
         effect(FORCE, total * down * np.repeat((0.1, 0.01), (3, 9))),
         "a constant force of {value} acts on the last link, as of a hand, a cable or a spring",
         "take it away, and record again",
-        level=Level.REFUSES,
-        is_possible=lambda v, e: bool(np.any(np.abs(v[:3]) > 3.0 * e[:3])),
-        unit="N",
+        "N",
+        Level.REFUSES,
         is_norm=True,
     )
+    load = parameter_scale(0.1 * total, 0.1)[:4]
     yield Explanation(
         "force",
         effect(LAST_WEIGHT, load),
         "the last link weighs {value} {more|less} than its inertia says: a hand, a hose or a "
         "support holds a part of it or draws at it",
         "take it away, and record again",
-        level=Level.REFUSES,
-        unit="kg",
+        "kg",
+        Level.REFUSES,
     )
     yield Explanation(
         "gravity",
@@ -436,19 +326,36 @@ def forces(fitted: Fit) -> Iterator[Explanation]:
         "{value} of the links' weight is missing from the torque: a spring balancer that the model "
         "lacks, or gravity that is compensated in part",
         "record the measured joint torque, not the command",
-        level=Level.REFUSES,
-        factor=-100.0,
-        unit="%",
-        is_possible=lambda v, e: -1.0 - 3.0 * e[0] < v[0] < -max(0.05, 2.0 * e[0]),
+        "%",
+        Level.REFUSES,
+        sizes=(-1.2, -0.05),
     )
 
 
-def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
-    """Yield torque at each joint in its position, in time or in another joint's torque."""
+def of_joints(fitted: Fit) -> Iterator[Explanation]:
+    """Yield errors of each joint's sensors, and torque that is none of the joint's motion."""
     arm = fitted.arm
+    joints = arm.joints
     torque = typical_torque(fitted)
-    count = sum(map(len, fitted.recordings))
-    for joint, name in enumerate(arm.joints):
+    for joint, name in enumerate(joints):
+        is_slide = name in arm.robot.slides
+        yield Explanation(
+            "torque-scale",
+            effect(names_of("scale", [name]), 0.4, joint),
+            f"torque of joint {name} reads {{value}} too {{much|little}} for the model's links, or "
+            "the links that it carries are {heavier|lighter} than in the model",
+            "weigh a known mass (--known-mass of payload), and pass the file that it writes as "
+            "--torque-scale",
+            "%",
+            sizes=(-0.5, np.inf),
+        )
+        yield Explanation(
+            "zero",
+            effect(names_of("zero", [name]), 0.1),
+            f"the position of joint {name} reads {{value}} too {{much|little}}",
+            "correct the joint's zero",
+            position_unit(is_slide),
+        )
         # A spring at the joint, and one that pulls from a point beside it.
         for shape, largest in ((SPRING[:1], np.inf), (SPRING[1:], 2.0 * torque[joint])):
             yield Explanation(
@@ -459,7 +366,8 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
                 "hose",
                 "take it away, or add it to the model",
                 level=Level.REFUSES,
-                is_possible=partial(is_within, largest),
+                sizes=(0.0, largest),
+                is_norm=True,
             )
         yield Explanation(
             "contact",
@@ -467,25 +375,92 @@ def shapes_of_joints(fitted: Fit) -> Iterator[Explanation]:
             f"torque of joint {name} hums: a sine of {{value}} that neither motion nor friction "
             "makes",
             "find its source",
-            unit=torque_unit(name in arm.robot.slides),
+            torque_unit(is_slide),
             is_norm=True,
-            choices=count,
+            choices=sum(map(len, fitted.recordings)),
         )
         for side, other in zip(NEIGHBOURS, (joint - 1, joint + 1)):
             if 0 <= other < len(torque):
+                ratio = min(1.0, torque[joint] / torque[other])
                 yield Explanation(
                     "crosstalk",
-                    effect(
-                        [side], 0.1 * min(1.0, torque[joint] / torque[other]), joint
-                    ),
+                    effect([side], 0.1 * ratio, joint),
                     f"the torque of joint {name} holds {{value}} of that of joint "
-                    f"{arm.joints[other]}{{|, with the opposite sign}}",
+                    f"{joints[other]}{{|, with the opposite sign}}",
                     "calibrate its sensor",
-                    factor=100.0,
-                    unit="%",
+                    "%",
                 )
 
 
-def is_within(largest: float, values: Array, errors: Array) -> bool:
-    """Return whether no value is larger than one that exists."""
-    return bool(np.max(np.abs(values)) < largest)
+def over_time(fitted: Fit) -> Iterator[Explanation]:
+    """Yield delays, and what changes over a log: scales, the clock, friction."""
+    joints = fitted.arm.joints
+    # The time of each block, from -1/2 to 1/2.
+    along = np.zeros(len(fitted.sums.logs))
+    for log in dict.fromkeys(fitted.sums.logs):
+        own = np.flatnonzero(fitted.sums.is_of(log))
+        along[own] = (np.arange(len(own)) + 0.5) / len(own) - 0.5
+    owners: dict[str, int | None] = {f"joint {n}": k for k, n in enumerate(joints)}
+    for owner, joint in {**owners, "all joints": None}.items():
+        yield Explanation(
+            "delay",
+            effect(["delay"], 0.04, joint),
+            f"torque of {owner} is {{value}} {{later|earlier}} than position",
+            "record torques and positions of all joints at the same instant",
+            "ms",
+            # Torques change in proportion to delays that are no longer.
+            sizes=(-0.15, 0.15),
+        )
+        names = names_of("scale", joints if joint is None else [joints[joint]])
+        yield Explanation(
+            "torque-scale",
+            Effect(names, np.full((len(names), 1), 0.3), joint, along),
+            f"the torque scale of {owner} {{rises|falls}} by {{value}} over the log",
+            "let motors and sensors warm up, and record again",
+            "%",
+        )
+    yield Explanation(
+        "clock",
+        effect([INERTIAL], 0.4, None, along),
+        "the clock drifts, as the torque of inertia shows beside that of gravity: time stamps grow "
+        "by {value} {more|less} at the end of the log than at its begin",
+        "record the controller's own time stamps",
+        "%",
+        factor=TIME,
+    )
+    if "coulomb" in fitted.arm.terms:
+        dry = names_of("coulomb", joints)
+        sizes = np.abs([fitted.by_name[name] for name in dry])
+        least = 0.01 * typical_torque(fitted)
+        yield Explanation(
+            "friction",
+            effect(dry, 0.6 * np.maximum(sizes, least), None, along),
+            "friction changes over the log",
+            "let the arm warm up before it is recorded",
+            level=Level.SAYS,
+        )
+
+
+def changes_of_load(fitted: Fit) -> Iterator[Explanation]:
+    """Yield a change of what the last link carries, from each block on."""
+    robot = fitted.arm.robot
+    logs = fitted.sums.logs
+    blocks = np.arange(len(logs))
+    spread = parameter_scale(0.05 * robot.mass, 0.1 * robot.length)
+    # Torque scales multiply the load, too.
+    scales = [name for name in fitted.names if name.startswith("scale[")]
+    error = float(np.max(fitted.errors[fitted.at(scales)], initial=0.0))
+    for first in blocks[1:].tolist():
+        if logs[first] == logs[first - 1]:
+            after = fitted.sums.is_of(logs[first]) & (blocks >= first)
+            yield Explanation(
+                "payload-step",
+                effect(PARAMETER_NAMES, spread, None, after.astype(float)),
+                "from about {instant} on the last link carries {value} {more|less}: something was "
+                "picked up, dropped or moved",
+                "record each state in a log of its own",
+                "kg",
+                Level.REFUSES,
+                relative_error=error,
+                choices=len(blocks),
+            )

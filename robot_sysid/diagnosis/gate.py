@@ -16,7 +16,7 @@ import numpy as np
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.causes import beside
 from robot_sysid.diagnosis.contest import Evidence, findings
-from robot_sysid.diagnosis.limited_in_time import SLOWEST
+from robot_sysid.diagnosis.limited_in_time import SLOWEST, too_much
 from robot_sysid.diagnosis.log_checks import (
     check_recording,
     time_share,
@@ -38,14 +38,10 @@ from robot_sysid.estimate.rows import (
 )
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records import RobotModel
-from robot_sysid.records.messages import Level, Progress, count_text, position_unit
+from robot_sysid.records.messages import Level, Progress, position_unit
 from robot_sysid.records.usual_errors import SCALE
 from robot_sysid.signals.resampling import duration, sampling_period
 
-ROWS = 40
-"""Least number of independent samples per joint, for ten parameters and the joint's friction."""
-SLOWEST_RATE = 10.0
-"""Sampling rate below which a motion cannot be differentiated [Hz]."""
 TRYING = "Trying explanations"
 """Label of the progress of the contest of explanations."""
 
@@ -167,19 +163,17 @@ def contacts(fitted: Fit, is_else_wrong: bool) -> Iterator[Finding]:
 
     Where it comes back, it is a doubt, unless something else is wrong.
     """
-    notes = []
+    texts = []
     for recording in fitted.recordings:
         for start, stop, joints in recording.touched:
             names = ", ".join(compress(fitted.arm.joints, joints))
             text = f"something touched the arm from {start:.2f} s to {stop:.2f} s ({names})"
-            notes.append(text)
-    if len(notes) > MOST_STRETCHES:
-        if not is_else_wrong:
-            text = f"{notes[0]}; {count_text(len(notes), 'time')} in all, too much to leave out"
-            yield Finding(Level.DOUBTS, "contact", text, "record again without it")
-        return
-    for text in notes:
-        yield Finding(Level.SAYS, "contact", f"{text}: left out")
+            texts.append(text)
+    if len(texts) <= MOST_STRETCHES:
+        for text in texts:
+            yield Finding(Level.SAYS, "contact", f"{text}: left out")
+    elif not is_else_wrong:
+        yield too_much("contact", texts)
 
 
 def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -211,14 +205,17 @@ def enough_findings(
     samples = [piece.samples for piece in pieces]
     span = duration(samples)
     rows = 2.0 * signals.cutoff * span
+    # For ten parameters and the joint's friction.
+    least_rows = 40
     rate = 1.0 / sampling_period(samples[0].time)
-    if rate < SLOWEST_RATE:
+    # A slower motion cannot be differentiated.
+    if rate < 10.0:
         text = f"{rate:.3g} samples per second are too few"
         yield Finding(Level.REFUSES, "too-little", text, "record at 100 or more")
-    if rows < ROWS:
+    if rows < least_rows:
         text = (
             f"{span:.3g} s behind a low-pass of {signals.cutoff:.3g} Hz hold about {rows:.0f} "
-            f"independent samples per joint, and {ROWS} are needed"
+            f"independent samples per joint, and {least_rows} are needed"
         )
         yield Finding(Level.REFUSES, "too-little", text, "record longer")
 

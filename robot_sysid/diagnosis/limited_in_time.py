@@ -77,34 +77,42 @@ def leave_out(
         stretches: may overlap.
     """
     kept = []
-    notes = []
+    texts = []
+    checks = []
     left_out_count = 0
     for piece in pieces:
         wrong = np.zeros(piece.q.shape, dtype=bool)
-        checks = np.full(len(piece), "held", dtype=object)
-        for check, start, stop, joints in stretches:
-            within = (piece.time >= start) & (piece.time <= stop)
-            wrong[within] |= joints
-            checks[within] = check
+        for stretch in stretches:
+            within = (piece.time >= stretch.start) & (piece.time <= stretch.stop)
+            wrong[within] |= stretch.joints
         left_out = np.any(wrong, axis=1)
         for rows in true_runs(left_out):
             start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
             names = ", ".join(compress(joint_names, np.any(wrong[rows], axis=0)))
-            text = "a sensor failed "
-            text += f"from {start:.2f} s to {stop:.2f} s ({names}): left out"
-            notes.append(Finding(Level.SAYS, checks[rows.start], text))
+            texts.append(
+                f"a sensor failed from {start:.2f} s to {stop:.2f} s ({names})"
+            )
+            shown = [s.check for s in stretches if s.start <= start <= s.stop]
+            checks.append(shown[-1])
         left_out_count += int(np.sum(left_out))
         if not np.any(left_out):
             kept.append(piece)
         elif not np.all(left_out):
             kept.append(_mark(piece, left_out))
     is_much = left_out_count > MOST_SHARE * sum(map(len, pieces))
-    if is_much or len(notes) > MOST_STRETCHES:
-        text = f"{notes[0].text}; {count_text(len(notes), 'time')} in all, too much to leave out"
-        text = text.replace(": left out", "")
-        remedy = "record again without it"
-        return list(pieces), [Finding(Level.DOUBTS, notes[0].about, text, remedy)]
+    if is_much or len(texts) > MOST_STRETCHES:
+        return list(pieces), [too_much(checks[0], texts)]
+    notes = [
+        Finding(Level.SAYS, check, f"{text}: left out")
+        for check, text in zip(checks, texts)
+    ]
     return kept, notes
+
+
+def too_much(check: str, texts: Sequence[str]) -> Finding:
+    """Return the doubt for a fault that comes back, from what is said of each time."""
+    text = f"{texts[0]}; {count_text(len(texts), 'time')} in all, too much to leave out"
+    return Finding(Level.DOUBTS, check, text, "record again without it")
 
 
 def _mark(piece: Measurement, left_out: NDArray[np.bool_]) -> Measurement:

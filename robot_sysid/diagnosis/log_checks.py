@@ -21,62 +21,47 @@ from robot_sysid.records.messages import Level, count_text, percent, torque_unit
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
     cut_pieces,
-    duration,
     sampling_period,
     select_pieces,
 )
-
-REPEATED = 0.3
-"""Largest speed of a step that counts as a repeated sample, over that of the steps around it."""
-LOST = (1.6, 4.0)
-"""Least and largest speed of a step with lost samples, over that of the steps around it: 2 for one
-lost sample."""
-FEW = 0.003
-"""Share of steps with lost or repeated samples above which a finding is made."""
-MANY = 0.02
-"""Share of steps with lost samples above which the log is refused."""
-UNEVEN = 0.02
-"""Median deviation of the steps' durations from their median from which time stamps are uneven."""
-# Largest displacement in a jump of the clock, over that of the steps around it.
-_NO_WAY = 1.4
-# Least displacement, over the noise of positions, of the steps that are judged.
-_CLEAR = 8.0
-# Number of samples of a piece, and of steps of all pieces, below which findings are not made.
-_ENOUGH = 100
 
 
 def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
     """Yield findings on the clock: lost samples, repeated samples, and jumps of the time stamps.
 
-    Nothing is found in pieces, or a log, of fewer than ``_ENOUGH`` steps.
+    Nothing is found in pieces, or a log, of fewer than 100 steps.
     """
-    parts = cut_pieces(pieces, _PART)
-    steps = [_steps(part) for part in parts if len(part) > _ENOUGH]
+    enough = 100
+    # A minute of a log is judged at once.
+    parts = cut_pieces(pieces, 60.0)
+    steps = [_steps(part) for part in parts if len(part) > enough]
     if not steps:
         return
     speed, duration = map(np.concatenate, zip(*steps))
-    if len(speed) < _ENOUGH:
+    if len(speed) < enough:
         return
-    # Speeds and durations are relative to those of the steps around, see ``_steps``.
+    # Speeds and durations are relative to those of the steps around, see ``_steps``: a jump of the
+    # clock has the displacement of a single step.
     is_long = duration > GAP_STEPS
-    is_jump = is_long & (speed * duration < _NO_WAY) & (speed > 0.0)
-    jumps = np.sum(is_jump)
+    jumps = np.sum(is_long & (speed * duration < 1.4) & (speed > 0.0))
     speed[is_long] = 1.0
-    lost = float(np.mean((speed > LOST[0]) & (speed < LOST[1])))
     # A lost sample doubles the speed; noise makes smaller excesses, too, and more of them.
+    lost = float(np.mean((speed > 1.6) & (speed < 4.0)))
     uneven = float(np.mean((speed > 1.25) & (speed < 1.5)))
-    repeated = float(np.mean(np.abs(speed) < REPEATED))
+    repeated = float(np.mean(np.abs(speed) < 0.3))
+    # Share of steps above which a finding is made.
+    few = 0.003
     # Stamps that are uneven anyway are those of a slow computer: a lower cut-off makes up for them.
-    is_uneven = np.median(np.abs(duration - 1.0)) > UNEVEN
+    is_uneven = np.median(np.abs(duration - 1.0)) > 0.02
+    level = Level.SAYS if is_uneven else Level.DOUBTS
     remedy = "record the time at which each sample was taken"
     # Noise that makes many steps of the smaller excess may also make those with the larger one.
-    if lost > max(FEW, 3.0 * uneven):
+    if lost > max(few, 3.0 * uneven):
         text = f"{percent(lost)} of the steps have lost samples that the time stamps do not show"
-        level = Level.REFUSES if lost > MANY else Level.DOUBTS
-        level = Level.SAYS if is_uneven else level
-        yield Finding(level, "clock", text, remedy)
+        is_much = lost > 0.02 and not is_uneven
+        yield Finding(Level.REFUSES if is_much else level, "clock", text, remedy)
     # A low-pass smooths a repeated sample away, but not a wrong time.
-    if repeated > FEW:
+    if repeated > few:
         text = (
             f"{percent(repeated)} of the steps repeat the position of the sample before while the "
             "arm moves"
@@ -84,23 +69,12 @@ def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
         yield Finding(Level.SAYS, "clock", text, remedy)
     if jumps:
         text = f"the clock jumps ahead {count_text(jumps, 'time')} without a sample missing"
-        level = Level.SAYS if is_uneven else Level.DOUBTS
         remedy = "use the time stamps of the controller's own clock"
         yield Finding(level, "clock", text, remedy)
 
 
-INTEGRATION_TIME = 1.0
-"""Time over which recorded velocities are integrated [s]: filters of a drive hardly change such
-integrals."""
-WRONG_TIME = 0.03
-"""Relative error of the time stamps above which a log is refused: correct logs have 0.001, a log
-whose velocities pass a low-pass of 3 Hz has 0.028."""
 OTHER = 0.5
-"""Relative difference above which the velocities are of another motion, or in another unit."""
-WRONG_VELOCITY = 0.1
-"""Relative difference above which the velocities of single joints are noted."""
-ALIKE = 0.02
-"""Largest difference between joints in the relative error of the time stamps."""
+"""Relative difference above which velocities are of another motion, or in another unit."""
 
 
 def velocity_ratios(pieces: Sequence[Measurement]) -> Array:
@@ -109,14 +83,15 @@ def velocity_ratios(pieces: Sequence[Measurement]) -> Array:
     It is one of joints that hardly move, and where no velocities were recorded.
 
     The displacements p of a joint by its positions and v by its velocities are compared by the sums
-    p.p and p.v over all stretches of ``INTEGRATION_TIME``, one of which begins at every sample of
-    the windows of ``spread_windows``. The velocities are p.v / p.p times the derivatives.
+    p.p and p.v over all stretches of a second, as filters of a drive hardly change such integrals;
+    one begins at every sample of windows that are spread over a long log. The velocities are
+    p.v / p.p times the derivatives.
     """
     from scipy.integrate import cumulative_trapezoid
 
     displacements = []
-    for piece in spread_windows(pieces):
-        length = max(1, round(INTEGRATION_TIME / sampling_period(piece.time)))
+    for piece in select_pieces([*cut_pieces(pieces, 16.0)], 64.0):
+        length = max(1, round(1.0 / sampling_period(piece.time)))
         if piece.qd is not None and len(piece) > length:
             integral = cumulative_trapezoid(piece.qd, piece.time, axis=0, initial=0.0)
             tracks = np.stack((piece.q, integral))
@@ -140,14 +115,15 @@ def time_share(ratios: Array) -> float:
     """
     off = ratios[ratios != 1.0] - 1.0
     share = float(np.median(off)) if len(off) else 0.0
-    is_common = WRONG_TIME < abs(share) < OTHER and np.ptp(off) < ALIKE
+    # Correct logs have 0.001, a log whose velocities pass a low-pass of 3 Hz has 0.028.
+    is_common = 0.03 < abs(share) < OTHER and np.ptp(off) < 0.02
     return share if is_common else 0.0
 
 
 def velocity_notes(ratios: Array, joint_names: Sequence[str]) -> Iterator[Finding]:
     """Yield a note where ratios (n,) of ``velocity_ratios`` are not one."""
     off = np.abs(ratios - 1.0)
-    odd = np.flatnonzero((off > WRONG_VELOCITY) & (off < OTHER))
+    odd = np.flatnonzero((off > 0.1) & (off < OTHER))
     if len(odd):
         names = ", ".join(joint_names[k] for k in odd.tolist())
         factor = np.median(ratios[odd])
@@ -174,27 +150,21 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
     product = np.sum(displacement[2:-2] * reference, axis=1)
     jitter = np.median(np.abs(np.diff(displacement, axis=0)), axis=0)
     duration = step[2:-2] / typical_step
-    # Steps with a seventh of the fastest speed or less, near a reversal, say little of the clock.
-    is_clear = square > max(_CLEAR**2 * np.sum(jitter**2), 0.02 * np.max(square))
+    # Steps within noise, or with a seventh of the fastest speed or less, near a reversal, say
+    # little of the clock.
+    is_clear = square > max(64.0 * np.sum(jitter**2), 0.02 * np.max(square))
     distance = product[is_clear] / square[is_clear]
     return distance / duration[is_clear], duration[is_clear]
-
-
-OFTEN = 0.005
-"""Share of samples at the end of the range above which a sensor saturates."""
-# Number of samples at the end of the range over that of others within 2 % of the range from it,
-# above which they are not there by chance.
-_CROWDED = 4.0
 
 
 def saturation_findings(
     robot: RobotModel, pieces: Sequence[Measurement]
 ) -> Iterator[Finding]:
     """Yield findings on torque channels that saturate, where they are not left out."""
-    torques = []
-    for piece in pieces:
-        left_out = piece.left_out
-        torques.append(piece.tau if left_out is None else piece.tau[~left_out])
+    torques = [
+        piece.tau if piece.left_out is None else piece.tau[~piece.left_out]
+        for piece in pieces
+    ]
     for name, values in zip(robot.joint_names, np.concatenate(torques).T):
         if len(np.unique(values)) < MANY_VALUES:
             continue
@@ -203,7 +173,8 @@ def saturation_findings(
             # One sample is at the end of any range.
             count = np.sum(values == end) - 1
             others = np.sum(np.abs(values - end) < near) - count
-            if count > max(OFTEN * len(values), _CROWDED * others):
+            # By chance, they are not four times as many as those close to the end.
+            if count > max(0.005 * len(values), 4.0 * others):
                 share = percent(count / len(values))
                 unit = torque_unit(name in robot.slides)
                 text = (
@@ -213,25 +184,6 @@ def saturation_findings(
                 yield Finding(
                     Level.DOUBTS, "saturated", text, "move slower, or carry less"
                 )
-
-
-WINDOW = 16.0
-"""Length of the windows of a long log in which recorded velocities are compared [s]."""
-MOST_WINDOWS = 4
-"""Number of such windows, spread evenly."""
-# Longest part of a log in which the clock is judged at once [s].
-_PART = 56.0
-
-
-def spread_windows(pieces: Sequence[Measurement]) -> list[Measurement]:
-    """Return the pieces of a log, or windows of them where the log is long.
-
-    It is long above ``MOST_WINDOWS`` times ``WINDOW``; at most ``MOST_WINDOWS`` windows, evenly
-    spread, are then returned.
-    """
-    if duration(pieces) <= MOST_WINDOWS * WINDOW:
-        return list(pieces)
-    return select_pieces([*cut_pieces(pieces, WINDOW)], MOST_WINDOWS * WINDOW)
 
 
 def check_recording(

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import ColumnCorrection, Finding
+from robot_sysid.diagnosis.causes import beside
 from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
@@ -33,7 +34,7 @@ from robot_sysid.estimate.fit import Equations, Fit, equations_of, fit, solve
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, ArmTerms, Term
+from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, ArmTerms
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, INTERVAL
@@ -47,14 +48,6 @@ links are off by 20 %, one of them by 40 %, measure at least 0.53 of the weight.
 LARGER = 5.0
 """Torque scale above which they are: the heaviest tool that an arm may carry, which its model
 lacks, makes at least one joint's weight no larger than 3.4 times."""
-REFUSED = 1.6
-"""Torque scale of one joint, or its inverse, above which a log is refused."""
-SAME = 1.35
-"""Ratio between the largest and smallest torque scale below which they have one common cause."""
-CLOSE = 1.25
-"""Largest ratio between a torque scale and the factor of a unit that explains it."""
-FARTHEST = 5.0
-"""Largest factor by which all masses of a model may be off; beyond it torques are no N m."""
 UNITS = {
     1e3: "mN·m",
     100.0: "N·cm",
@@ -70,35 +63,6 @@ WEIGHING = (
 )
 """What to do where torques are motor currents; the command that compares follows the message."""
 COLUMNS = "put the columns right with --columns FILE"
-LOADED = 0.1
-"""Least model torque of a joint that links load, over that of the most loaded one."""
-OPPOSITE = -0.5
-"""Correlation of a foreign torque with the model's below which its sign is the opposite."""
-COMPARED = 250
-"""Number of rows on which steps are compared."""
-WIDE = 70.0
-"""Prior standard deviation of a scale's relative change in one round [%]."""
-KNOWN = 0.4
-"""Relative standard error from which a joint's scale is not identified."""
-OWN_RANGE = 0.4
-"""Prior standard deviation of the logarithm of a joint's scale over the common one."""
-ODD_UNIT = 10.0
-"""Ratio of one joint's torque to the model's, and of its dry friction, over those of the other
-joints, above which the joint has a unit of its own."""
-WIDE_TILT = 15.0
-"""Prior standard deviation of a base's tilt where it is mounted otherwise [degrees]."""
-LEAST_TURN = 5.0
-"""Angle between gravity and the model's above which a base is mounted otherwise [degrees]."""
-# Number of first steps that are followed.
-_FOLLOWED = 3
-# Largest number of steps that act together.
-_MOST_STEPS = 8
-# Rounds in which scales are found.
-_ROUNDS = 4
-# Model torque below which friction makes most of a joint's torque, over the strongest joint's.
-_LEAST_LOAD = 0.03
-# Least residual that counts, as a share of the torque of all joints.
-_LEAST = 0.01
 
 
 @dataclass(frozen=True)
@@ -276,7 +240,8 @@ class Search:
         terms = fitted.arm.terms
         self.arm = fitted.arm.of([terms[key] for key in terms if key in needed])
         self.terms = arm_question(self.arm, question, fitted.sums.rms_torque)
-        every = max(1, sum(map(len, fitted.recordings)) // COMPARED)
+        # 250 rows tell readings apart.
+        every = max(1, sum(map(len, fitted.recordings)) // 250)
         self.recordings = []
         for recording in fitted.recordings:
             fewer = replace(recording, every=every, _kept={})
@@ -292,7 +257,8 @@ class Search:
         sums = arm.sums([reading.apply(each) for each in self.recordings], point)
         torque = sums.rms_torque
         equations = equations_of(arm, sums, self.terms, {})
-        least = _LEAST * np.sqrt(np.mean(torque**2))
+        # Smaller residuals do not count.
+        least = 0.01 * np.sqrt(np.mean(torque**2))
         counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
         noise = np.maximum(0.05 * torque, least)
         # Noise that is found to the end follows a joint that other joints' errors were left to.
@@ -317,7 +283,8 @@ class Search:
         zeros = [step.reading for step in tried if step.check == "zero"]
         # With another zero wrong as well, a right one alone may fit worse than none.
         pairs = [Step("zero", "", one.then(two)) for one, two in combinations(zeros, 2)]
-        firsts = self._ranked([*tried, *pairs], none)[:_FOLLOWED]
+        followed = 3
+        firsts = self._ranked([*tried, *pairs], none)[:followed]
         least = max(CLEAR, 0.5 * (firsts[0][0] - before))
         ways = [
             self._followed(tried, step, score, advance)
@@ -337,7 +304,9 @@ class Search:
         """Return (log likelihood, the steps that fit best together from a first one on)."""
         found = [first]
         reading = first.reading
-        while len(found) < _MOST_STEPS:
+        # Largest number of steps that act together.
+        most_steps = 8
+        while len(found) < most_steps:
             advance()
             better, step = self._ranked(tried, reading)[0]
             if better < score + CLEAR:
@@ -366,7 +335,7 @@ def model_torque(fitted: Fit) -> tuple[Array, Array, NDArray[np.bool_]]:
     It is that of the links' masses and first moments, as inertias may be placeholders, and
     of its inertias where there is no gravity. The share is that of it in the measured torque, by a
     regression. Loaded are hinges whose links make more than
-    ``LOADED`` of the torque of the most loaded one: the force of a slide is in another unit, and
+    a tenth of the torque of the most loaded one: the force of a slide is in another unit, and
     exceeds the torques of an arm that it carries.
     """
     arm = fitted.arm
@@ -382,7 +351,7 @@ def model_torque(fitted: Fit) -> tuple[Array, Array, NDArray[np.bool_]]:
     torque = np.sqrt(squares / sums.row_counts)
     is_slide = arm.robot.is_slide[arm.indices]
     is_compared = ~is_slide | np.all(is_slide)
-    is_loaded = is_compared & (torque > LOADED * np.max(torque[is_compared]))
+    is_loaded = is_compared & (torque > 0.1 * np.max(torque[is_compared]))
     return torque, products / squares, is_loaded
 
 
@@ -428,10 +397,7 @@ def likelier(before: Fit, after: Fit, factors: Array | float = 1.0) -> float:
 
 
 def discrete(
-    fitted: Fit,
-    beside: Callable[[Fit], Sequence[Term]],
-    fits: Callable[[Fit], bool],
-    advance: Callable[[], object],
+    fitted: Fit, fits: Callable[[Fit], bool], advance: Callable[[], object]
 ) -> Iterator[Correction]:
     """Yield the correction of the mistakes that fit best together, if there are any.
 
@@ -439,7 +405,6 @@ def discrete(
 
     Args:
         fitted: the fit of the log.
-        beside: terms beside those of the fit.
         fits: says whether a log fits its model.
         advance: is called after each step.
     """
@@ -458,7 +423,7 @@ def discrete(
         if reading.gravity is None:
             after = solved(robot, recordings, fitted.question, beside=beside)
         else:
-            after, turned = mounted(fitted, recordings, reading.gravity, beside)
+            after, turned = mounted(fitted, recordings, reading.gravity)
             findings += turned
         if fits(after):
             break
@@ -489,10 +454,7 @@ def of_columns(
 
 
 def mounted(
-    fitted: Fit,
-    recordings: Sequence[Recording],
-    gravity: Array,
-    beside: Callable[[Fit], Sequence[Term]],
+    fitted: Fit, recordings: Sequence[Recording], gravity: Array
 ) -> tuple[Fit, list[Finding]]:
     """Return the fit of an arm whose base is mounted otherwise, and the finding, if it is.
 
@@ -501,7 +463,8 @@ def mounted(
     """
     robot = fitted.arm.robot
     level = gravity_vector(robot)
-    question = with_priors(fitted.question, gravity=WIDE_TILT)
+    # The 26 directions are at most some 27 degrees from the true one, usually half as much.
+    question = with_priors(fitted.question, gravity=15.0)
     for _ in range(2):
         after = solved(
             with_gravity(robot, gravity), recordings, question, beside=beside
@@ -519,15 +482,14 @@ def mounted(
         "body; URDF: rpy of the first joint's origin)"
     )
     finding = Finding(Level.REFUSES, "tilt", text, remedy)
-    return after, [finding] if angle > LEAST_TURN else []
+    # A base that is less tilted is mounted as the model says.
+    return after, [finding] if angle > 5.0 else []
 
 
 # ---- torque scales
 
 
-def common_scale(
-    fitted: Fit, divided: Array, beside: Callable[[Fit], Sequence[Term]]
-) -> Iterator[Correction]:
+def common_scale(fitted: Fit, divided: Array) -> Iterator[Correction]:
     """Yield the correction of all masses by one factor, if they are clearly ``ODD`` times off.
 
     Torques do not tell it from torques that are all scaled.
@@ -535,12 +497,11 @@ def common_scale(
     Args:
         fitted: the fit of the log.
         divided: (n,) torque scales by which the torques were divided already.
-        beside: terms beside those of the fit.
     """
     robot = fitted.arm.robot
     factor = 1.0
     after = fitted
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         found = clear_factor(after, factor)
         if found is None:
             return
@@ -583,9 +544,8 @@ def common_finding(
     number = with_error(factor, factor * relative_error)
     text = f"the torques are {number} times those of the model's masses, at all joints alike"
     unit = min(UNITS, key=lambda size: abs(np.log(factor / size)))
-    is_close = abs(np.log(factor / unit)) < max(
-        np.log(CLOSE), INTERVAL * relative_error
-    )
+    # Masses that are a little off stand between the factor and that of its unit.
+    is_close = abs(np.log(factor / unit)) < max(np.log(1.25), INTERVAL * relative_error)
     unit_text = f" (as in {UNITS[unit]})" if is_close else ""
     texts = [f"{value:.4g}" for value in (unit if is_close else factor) * divided]
     numbers = texts if len({*texts}) > 1 else texts[:1]
@@ -593,7 +553,8 @@ def common_finding(
     if mass_unit(robot, factor) != 1.0:
         remedy = f"they are in another unit{unit_text}: divide them"
         return Finding(Level.REFUSES, "torque-unit", text, remedy, (torque_scale,))
-    if not is_close and abs(np.log(factor)) > np.log(FARTHEST):
+    # No arm has all masses off by more.
+    if not is_close and abs(np.log(factor)) > np.log(5.0):
         text += ": they may be motor currents"
         return Finding(
             Level.REFUSES, "torque-unit", text, WEIGHING, (torque_scale,), "payload"
@@ -608,9 +569,7 @@ def common_finding(
     )
 
 
-def own_scales(
-    fitted: Fit, divided: Array, beside: Callable[[Fit], Sequence[Term]]
-) -> Iterator[Correction]:
+def own_scales(fitted: Fit, divided: Array) -> Iterator[Correction]:
     """Yield the correction of torque scales of one per joint.
 
     Found by Gauss-Newton from the ratios of root mean square torques: torques are divided by the
@@ -625,12 +584,13 @@ def own_scales(
     scale[~is_loaded] = np.median(scale[is_loaded])
     signs = np.ones(len(scale))
     if not SMALLER < typical_ratio(fitted) < LARGER:
-        opposes = share * torque < OPPOSITE * fitted.sums.rms_torque
+        opposes = share * torque < -0.5 * fitted.sums.rms_torque
         signs[is_loaded & opposes] = -1.0
+    # In one round, a scale may change by 70 %.
     # Links that explain the scales as they are would leave none to find.
-    question = with_priors(replace(fitted.question, link_scales=AS_STATED), scale=WIDE)
+    question = with_priors(replace(fitted.question, link_scales=AS_STATED), scale=70.0)
     sums = arm.sums(fitted.recordings, arm.start())
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         divided_sums = sums.with_torque_times(signs / scale)
         torque = divided_sums.rms_torque
         terms = arm_question(arm, question, torque)
@@ -648,20 +608,23 @@ def own_scales(
         change = np.clip(1.0 + after.free[at], 0.2, 5.0)
         scale = scale * change
     relative = np.sqrt(np.diag(after.inverse)[at]) / change
-    is_sure = relative < KNOWN
+    # Others are not identified.
+    is_sure = relative < 0.4
     # The torque of the last joint is that of the last link alone, which is not known.
     is_sure[-1] &= is_loaded[-1]
     if not np.all(is_sure[is_loaded]):
         return
     own = np.log(scale[is_sure])
     scale[~is_sure] = np.exp(np.average(own, weights=relative[is_sure] ** -2.0))
-    if np.ptp(own) < np.log(SAME):
+    # Scales that are so alike have one common cause.
+    if np.ptp(own) < np.log(1.35):
         return
     reading = with_factors(arm, signs / scale)
     recordings = [reading.apply(recording) for recording in fitted.recordings]
     after = solved(arm.robot, recordings, fitted.question, beside=beside)
-    # Loss for scales that fit the data instead of being one: the prior's volume over that left.
-    penalty = np.sum(np.log(OWN_RANGE / relative[is_sure]))
+    # Loss for scales that fit the data instead of being one: the prior's volume over that left. The
+    # logarithm of a joint's scale over the common one has a standard deviation of 0.4.
+    penalty = np.sum(np.log(0.4 / relative[is_sure]))
     finding = scale_finding(fitted, signs * scale, np.flatnonzero(is_sure), divided)
     gain = likelier(fitted, after, 1.0 / scale) - penalty
     yield Correction((finding,), float(gain), after)
@@ -688,7 +651,8 @@ def scale_finding(
     listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
     text = f"torque reads {typical:.3g} times what the model takes ({listed}): "
     off = np.max(np.abs(np.log(known)))
-    level = Level.REFUSES if off > np.log(REFUSED) else Level.DOUBTS
+    # No sensor is that far off.
+    level = Level.REFUSES if off > np.log(1.6) else Level.DOUBTS
     # No links, and no tool that an arm may carry, make all torques that small or large.
     is_foreign = np.all(known < SMALLER) or np.all(known > LARGER)
     check = "torque-unit" if is_foreign else "torque-scale"
@@ -715,12 +679,14 @@ def odd_unit(fitted: Fit, dry: Array) -> Iterator[Finding]:
     torque, *_ = model_torque(fitted)
     if len(torque) < 3:
         return
-    least = _LEAST_LOAD * np.max(torque)
+    # Friction makes most of the torque of a joint that has less than this of the model's.
+    least = 0.03 * np.max(torque)
     ratio = fitted.sums.rms_torque / np.maximum(torque, least)
     joint = int(np.argmax(ratio))
     factor = ratio[joint] / max(np.median(np.delete(ratio, joint)), 1e-9)
     friction = dry / np.median(np.maximum(np.delete(dry, joint), 1e-9))
-    if factor > ODD_UNIT and friction[joint] > ODD_UNIT:
+    # Neither links nor gears make one joint so different from the others.
+    if min(factor, friction[joint]) > 10.0:
         name = fitted.arm.joints[joint]
         unit = torque_unit(name in fitted.arm.robot.slides)
         text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in "
