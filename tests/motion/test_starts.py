@@ -7,13 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions, starts
 from robot_sysid.motion.problem import build_problem
-from robot_sysid.records import Motion
 from tests.support.arms import X, Y, Z, robot_of
 from tests.support.excitation_arms import TUBES, make_problem, tube_arm
 
@@ -39,9 +38,7 @@ def build(robot, **limits):
 
 def holding_share(problem, pose):
     """Return the share of the torque limits that holding a pose (n,) takes."""
-    at_rest = np.zeros((1, len(pose)))
-    torque = problem.torque(Motion(np.zeros(1), pose[None], at_rest, at_rest))
-    return np.max(np.abs(torque[0]) / problem.limits.torque)
+    return np.max(np.abs(problem.torque_at(pose[None])) / problem.limits.torque)
 
 
 def restarted(problem):
@@ -61,10 +58,9 @@ def test_a_motion_starts_where_nothing_collides():
 
 def weaken_motors(problem, share):
     """Return the problem with torque limits of ``share`` times the torque that its start needs."""
-    limits = replace(problem.limits, torque=np.full(problem.n_joints, 1.0))
-    unit = replace(problem, limits=limits)
-    torque = np.full(problem.n_joints, share * holding_share(unit, problem.rest))
-    return replace(unit, limits=replace(limits, torque=torque))
+    needed = np.max(np.abs(problem.torque_at(problem.rest[None])))
+    torque = np.full(problem.n_joints, share * needed)
+    return replace(problem, limits=replace(problem.limits, torque=torque))
 
 
 @cache
@@ -76,13 +72,15 @@ def leaning(lean):
 @pytest.mark.slow
 @given(st.sampled_from((0.4, 0.8, 1.2, 1.6)), st.floats(0.02, 0.99))
 def test_a_start_that_cannot_be_held_is_replaced(lean, share):
-    """The tubes need no torque upright, so that such a pose always exists."""
+    """Upright, the tubes only need the reserve for errors of the links: where motors have more than
+    that, such a pose exists."""
     problem = weaken_motors(leaning(lean), share)
+    assume(holding_share(problem, np.zeros(4)) < 0.7)
     startable, note = restarted(problem)
     assert holding_share(startable, startable.rest) < 1.0
     assert startable.obstacles.closest(startable.rest).slack >= 0.0
-    assert np.all(startable.rest >= problem.limits.lower)
-    assert np.all(startable.rest <= problem.limits.upper)
+    limits = problem.limits
+    assert np.all(startable.rest == np.clip(startable.rest, limits.lower, limits.upper))
     assert "dry friction at joint joint1 takes" in note
 
 
@@ -92,8 +90,7 @@ def test_dry_friction_counts_for_the_start():
     problem = weaken_motors(build(arm(stiff)), 1.01)
     startable, note = restarted(problem)
     assert "dry friction at joint" in note
-    share = holding_share(problem, problem.rest)
-    assert holding_share(startable, startable.rest) < share
+    assert holding_share(startable, startable.rest) < 1.0 / 1.01
 
 
 def test_where_no_pose_can_be_held_the_joint_is_named():
