@@ -2,8 +2,8 @@
 
 The arm on the other side is the truth of this example, moved by seven simulated motors that pack
 their measurements into 12 and 16 bits as real ones do, on a simulated CAN bus. The engineer's model
-knows the other links but guesses the terminal one. Exit code 0 when the recording gives the true
-mass within 1 % and the centre of mass within 2 mm.
+knows the other links, and a file of priors says so, but guesses the terminal one. Exit code 0 when
+the recording gives the true mass within 1 % and the centre of mass within 2 mm.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ def main() -> int:
             "2. play and record: robot-sysid motors simulate ... --record measured.csv"
         )
         play_and_record(trajectory, folder / "measured.csv")
-        print("3. identify: robot-sysid identify MODEL measured.csv")
+        print(
+            "3. identify: robot-sysid identify MODEL measured.csv --priors priors.toml"
+        )
         close = compare(identify_log(model, folder / "measured.csv", folder))
     return 0 if close else 1
 
@@ -98,7 +100,9 @@ def play_and_record(trajectory: Path, record: Path) -> None:
 def identify_log(model: Path, log: Path, folder: Path) -> dict[str, object]:
     """Identify the model's terminal link from a log and return params.json."""
     output = folder / "identified"
-    succeeding("identify", model, log, "--output-dir", output)
+    priors = folder / "priors.toml"
+    priors.write_text("link = 0\n")
+    succeeding("identify", model, log, "--priors", priors, "--output-dir", output)
     return dict(json.loads((output / "params.json").read_text()))
 
 
