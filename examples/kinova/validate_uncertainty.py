@@ -26,8 +26,11 @@ CASES = {
     "20 ms, 0.1 to 0.5 N m": Noise(MIXED, 0.02),
     "100 ms, 0.1 to 0.5 N m": Noise(MIXED, 0.1),
 }
-MEDIAN_OVER_BOUND = 1.05
-WORST_OVER_BOUND = 1.25
+# White noise alone would be worth a higher cut-off: at 10.3 Hz instead of 6.2 these are 1.04 and
+# 1.18. Torques of real arms hold more that is not motion the higher the frequency, and the cut-off
+# that commands choose is the one that predicts other logs of real arms best.
+MEDIAN_OVER_BOUND = 1.07
+WORST_OVER_BOUND = 1.4
 COVERAGE = (0.92, 0.97)
 
 
