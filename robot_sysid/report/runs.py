@@ -101,9 +101,8 @@ class Run:
         terminal = self.content["body_name"]
         if self.content["payload"] is not None:
             return [PAYLOAD, terminal, f"{terminal} with payload"]
-        rows = self.content["quantities"]
-        names = [row["of"] for row in rows if row["name"] == "Ixx"]
-        return list(dict.fromkeys([terminal, *names]))
+        links = [r["of"] for r in self.content["quantities"] if r["name"] == "Ixx"]
+        return list(dict.fromkeys([terminal, *links]))
 
     def theta(self, body: str, column: str) -> Array | None:
         """Return the parameters (10,) of a body in a column of its rows; None where it has none.
@@ -144,7 +143,7 @@ def load_run(folder: Path) -> Run:
             f"{remedy}"
         )
     run = Run(folder, content)
-    if content["source"] == ITSELF:
+    if content.get("source") == ITSELF:
         return run
     try:
         return replace(run, traces=load_data(folder / DATA_NAME, fingerprint(folder)))
