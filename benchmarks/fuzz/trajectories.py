@@ -20,7 +20,7 @@ from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
-from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
+from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import at_speed, load_trajectory, save_trajectory
 from robot_sysid.records.messages import Progress
@@ -82,7 +82,6 @@ def use(case: Case, folder: Path) -> None:
         return
     path = input_folder / "motion.json"
     saved = load_trajectory(path)
-    assert saved.joint_names == _robot().joint_names
     require_countable(saved.plan.duration, RATE)
     for _ in zip(range(ENOUGH_CHUNKS), motion_chunks(saved.plan, RATE)):
         pass
@@ -92,7 +91,7 @@ def use(case: Case, folder: Path) -> None:
         1.0, saved.plan.duration / LONGEST
     )  # a day's motion is checked for minutes
     options = TrajectoryOptions(sample_rate=RATE, file=path, speed=faster)
-    settings = ExcitationOptions(), LimitOptions(), "chain", 0.0, True, AimOptions()
-    plan = make_plan(MotionRequest(options, *settings), _robot(), 0, Progress())
+    request = MotionRequest(options, ExcitationOptions(), LimitOptions(), played=True)
+    plan = make_plan(request, _robot(), 0, Progress())
     for _, motion in zip(range(ENOUGH_CHUNKS), motion_chunks(plan.plan, RATE)):
         assert np.all(np.isfinite(motion.q)) or plan.failure
