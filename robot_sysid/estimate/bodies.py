@@ -66,10 +66,11 @@ def consistent_least_squares(
 ) -> Possible:
     """Return x (p,) of nearly the least ||A x - b|| with which all bodies are consistent.
 
-    The squared residuals are at most 3 above the least, which is negligible: fitting is expected to
-    decrease them by the number of parameters. Within this limit, directions that A does not show
-    are held at the reference bodies if that is possible, and bodies have the smallest of some
-    standard deviations from these, so that what data hardly shows stays near them.
+    The squared residuals are at most 3 above the least, where fitting is expected to decrease them
+    by the number of parameters; masses of last links are further off with less. Within this limit,
+    directions that A does not show are held at the reference bodies if that is possible, and bodies
+    have the smallest of some standard deviations from these, so that what data hardly shows stays
+    near them.
 
     Args:
         matrix: A (M, p), whitened, so that residuals have unit variance.
