@@ -27,7 +27,7 @@ BUDGETS = {
     "robot_sysid/model": 8857,
     "robot_sysid/motion": 16441,
     "robot_sysid/pipeline": 6568,
-    "robot_sysid/records": 8097,
+    "robot_sysid/records": 8095,
     "robot_sysid/report": 5035,
     "robot_sysid/results": 11460,
     "robot_sysid/servo": 4921,
