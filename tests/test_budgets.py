@@ -19,13 +19,13 @@ BUDGETS = {
     "robot_sysid/api": 4529,
     "robot_sysid/commands": 10314,
     "robot_sysid/damiao": 30381,
-    "robot_sysid/diagnosis": 16706,
+    "robot_sysid/diagnosis": 16650,
     "robot_sysid/dynamics": 4639,
-    "robot_sysid/estimate": 30548,
+    "robot_sysid/estimate": 30319,
     "robot_sysid/logs": 15387,
     "robot_sysid/mjcf": 7118,
     "robot_sysid/model": 8857,
-    "robot_sysid/motion": 16441,
+    "robot_sysid/motion": 16435,
     "robot_sysid/pipeline": 6568,
     "robot_sysid/records": 8095,
     "robot_sysid/report": 5035,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3755,
     "robot_sysid": 9263,
-    "tests": 227466,
+    "tests": 227460,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

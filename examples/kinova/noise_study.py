@@ -18,7 +18,7 @@ from validate_regressor import with_link
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_terms
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimate.fit import fit
+from robot_sysid.estimate.fit import Problem
 from robot_sysid.estimate.identifiability import square_root, visible_space
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question
@@ -166,7 +166,8 @@ class NoiseStudy:
         point = self.arm.start()
         sums = self.arm.sums([recording], point)
         terms = arm_question(self.arm, question, sums.rms_torque)
-        fitted = fit(self.arm, [recording], point, sums, terms, question)
+        problem = Problem(self.arm, (recording,), point, sums, question)
+        fitted = problem.fit(terms)
         origin = DataOrigin("log", self.plan.duration, SAMPLE_RATE)
         possible, plain = (
             common_result(solution, origin, LINK).estimate

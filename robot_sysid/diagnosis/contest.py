@@ -42,7 +42,7 @@ from robot_sysid.diagnosis.relabelling import (
 from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.contacts import LITTLE
-from robot_sysid.estimate.fit import Fit, equations_of, fit, solve
+from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer, Offers
 from robot_sysid.estimate.questions import PER_CENT
 from robot_sysid.estimate.rows import Rows
@@ -430,7 +430,8 @@ class Contest:
         """Add an explanation to the fit."""
         self.current = score.fitted
         self._effects.append(score.explanation.effect)
-        self.current = self._rebuilt(self.current, [score.explanation.effect])
+        terms = self.current.equations.terms
+        self.current = rebuilt(self.current, terms, [score.explanation.effect])
 
     def _located(self, score: Score) -> Score:
         """Return the score of a change of load at the instant that fits best."""
@@ -449,8 +450,7 @@ class Contest:
         arm = fitted.arm.beside([Term("", names, columns)])
         sums = arm.sums(fitted.recordings, fitted.point)
         terms = [t for t in fitted.equations.terms if t.cause != CAUSE]
-        wider = replace(fitted, arm=arm, equations=equations_of(arm, sums, terms, {}))
-        wider = self._rebuilt(wider, self._effects)
+        wider = rebuilt(replace(fitted, arm=arm, sums=sums), terms, self._effects)
         explanation = score.explanation
         explanation = replace(
             explanation,
@@ -461,29 +461,18 @@ class Contest:
         gain = offer.gain - np.log(len(sums.logs))
         return Score(explanation, offer, float(gain), wider, score.allowed)
 
-    def _rebuilt(self, fitted: Fit, effects: Sequence[Effect]) -> Fit:
-        """Return a fit that effects have joined."""
-        sums = fitted.sums
-        terms = [*fitted.equations.terms]
-        for effect in effects:
-            size = effect.factor.shape[1]
-            names = tuple(f"cause {len(sums.names)} {k}" for k in range(size))
-            at = sums.at(effect.names)
-            sums = sums.with_columns(
-                names, at, effect.factor, effect.joint, effect.shares
-            )
-            terms.append(Term(CAUSE, names, in_sums_alone, independent(np.ones(size))))
-        return fit(
-            fitted.arm,
-            fitted.recordings,
-            fitted.point,
-            sums,
-            terms,
-            fitted.question,
-            noise=fitted.noise,
-            correlation=fitted.correlation,
-            possible=False,
-        )
+
+def rebuilt(fitted: Fit, terms: Sequence[Term], effects: Sequence[Effect]) -> Fit:
+    """Return the fit of terms, and of effects whose columns join the sums of a fit."""
+    sums = fitted.sums
+    terms = [*terms]
+    for effect in effects:
+        size = effect.factor.shape[1]
+        names = tuple(f"cause {len(sums.names)} {k}" for k in range(size))
+        at = sums.at(effect.names)
+        sums = sums.with_columns(names, at, effect.factor, effect.joint, effect.shares)
+        terms.append(Term(CAUSE, names, in_sums_alone, independent(np.ones(size))))
+    return replace(fitted, sums=sums).refit(terms)
 
 
 def in_sums_alone(rows: Rows, point: Point) -> Array:
@@ -678,8 +667,7 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     joints = fitted.arm.joints
     dry = np.zeros(len(joints))
     error = dry + np.inf
-    equations = fitted.equations
-    values, inverse = solve(equations.normal(fitted.weights), equations.reference)
+    values, inverse = fitted.unbounded
     for joint, name in enumerate(names_of("coulomb", joints)):
         if name in fitted.names:
             at = fitted.names.index(name)
@@ -720,7 +708,7 @@ def is_plausible(fitted: Fit) -> bool:
     largest = max(0.6 * robot.mass, robot.prior.mass + 0.3 * robot.mass)
     mass, error = last_mass(fitted)
     is_possible = -SURE * error < mass < largest + SURE * error
-    for term, span in zip(fitted.equations.terms, fitted.equations.spans):
+    for term, span in fitted.equations.spans:
         if term.cause == LINKS and term.prior is not None:
             values = np.append(fitted.free[span], -1.0)
             count = len(term.names)

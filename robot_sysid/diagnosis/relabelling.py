@@ -30,7 +30,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     with_gravity,
 )
 from robot_sysid.estimate.choose import common_factor, solved
-from robot_sysid.estimate.fit import Equations, Fit, equations_of, fit, solve
+from robot_sysid.estimate.fit import Equations, Fit, Problem, equations_of, solve
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.rows import Recording
@@ -594,16 +594,8 @@ def own_scales(fitted: Fit, divided: Array) -> Iterator[Correction]:
         divided_sums = sums.with_torque_times(signs / scale)
         torque = divided_sums.rms_torque
         terms = arm_question(arm, question, torque)
-        after = fit(
-            arm,
-            fitted.recordings,
-            arm.start(),
-            divided_sums,
-            terms,
-            question,
-            noise=0.05 * torque,
-            possible=False,
-        )
+        problem = Problem(arm, fitted.recordings, arm.start(), divided_sums, question)
+        after = problem.fit(terms, noise=0.05 * torque, possible=False)
         at = after.at(names_of("scale", arm.joints))
         change = np.clip(1.0 + after.free[at], 0.2, 5.0)
         scale = scale * change

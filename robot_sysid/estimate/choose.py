@@ -13,7 +13,7 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling, names_of
 from robot_sysid.estimate.contacts import without_contacts
-from robot_sysid.estimate.fit import ROUNDS, Fit, correlation_times, fit, solve
+from robot_sysid.estimate.fit import ROUNDS, Fit, Problem, correlation_times, solve
 from robot_sysid.estimate.links import (
     LinkEvidence,
     average_scales,
@@ -78,16 +78,9 @@ def solved(
     def answer(noise: Array | None = None, possible: bool = False) -> Fit:
         """Return the fit of the question as it is now."""
         terms = arm_question(arm, question, torque)
-        return fit(
-            arm,
-            recordings,
-            point,
-            sums,
-            terms,
-            question,
-            noise=noise,
-            correlation=correlation,
-            possible=possible,
+        problem = Problem(arm, tuple(recordings), point, sums, question)
+        return problem.fit(
+            terms, noise=noise, correlation=correlation, possible=possible
         )
 
     advance(0)
@@ -250,9 +243,9 @@ def links_information(
     be left out.
     """
     equations = fitted.equations
-    for term, span in zip(equations.terms, equations.spans):
+    for term, span in equations.spans:
         if term.cause == LINKS and term.prior is not None:
-            normal = fitted.normal_without(left_out)
+            normal = equations.normal(fitted.weights, left_out)
             values, inverse = solve(normal, equations.reference)
             posterior = np.linalg.inv(inverse[span, span])
             rows = term.prior.rows[:, :-1]

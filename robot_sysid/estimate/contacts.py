@@ -160,4 +160,6 @@ def _refit(fitted: Fit, kept: Sequence[Mask]) -> Fit:
     recordings = [
         recording.only(rows) for recording, rows in zip(fitted.recordings, kept)
     ]
-    return fitted.refit(fitted.equations.terms, recordings)
+    sums = fitted.arm.sums(recordings, fitted.point, in_blocks=False)
+    problem = replace(fitted, recordings=tuple(recordings), sums=sums)
+    return problem.refit(fitted.equations.terms)

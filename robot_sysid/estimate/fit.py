@@ -29,7 +29,7 @@ from robot_sysid.dynamics.friction import split_name
 from robot_sysid.dynamics.inverse_dynamics import link_names
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.bodies import Possible, consistent_least_squares
-from robot_sysid.estimate.questions import Question, scale_spread
+from robot_sysid.estimate.questions import Question, arm_question, scale_spread
 from robot_sysid.estimate.rows import Recording, Sums, indices_of
 from robot_sysid.estimate.terms import (
     FRICTION,
@@ -45,9 +45,6 @@ from robot_sysid.records import Array
 
 ROUNDS = 12
 """Most rounds of an iteration, which ends where nothing changes any more."""
-LEAST_NOISE = 1e-4
-"""Least noise of a joint, as a share of the root mean square torque of all: the error of filtering.
-"""
 # Added to the diagonal of scaled equations: parameters that nothing shows stay at the model's.
 _RIDGE = 1e-12
 
@@ -63,7 +60,7 @@ class Equations:
     Attributes:
         index: (k,) of the estimated parameters in ``sums.names``.
         names: (k,) their names.
-        spans: per term, that of its parameters among the estimated ones.
+        spans: each term with that of its parameters among the estimated ones.
         lower, upper: (k,) bounds.
         reference: (k,) values that stay where nothing shows them.
         prior: (k + 1, k + 1) products of the priors' equations.
@@ -86,9 +83,8 @@ class Equations:
         self.least = np.zeros(size)
         self.lower = np.full(size, -np.inf)
         self.upper = np.full(size, np.inf)
-        self.spans: list[slice] = []
+        self.spans: list[tuple[Term, slice]] = []
         self.bodies = np.zeros((0, N_INERTIAL), dtype=np.int64)
-        self._normal: tuple[Array, Array] | None = None
         left = np.append(-held, 1.0)
         left[self.index] = 0.0
         place = np.full(len(left), -1)
@@ -102,7 +98,7 @@ class Equations:
             span = slice(start, start + len(term.names))
             indices = np.arange(span.start, span.stop)
             start = span.stop
-            self.spans.append(span)
+            self.spans.append((term, span))
             self.lower[span] = term.lower
             self.upper[span] = term.upper
             if term.reference is not None:
@@ -116,26 +112,35 @@ class Equations:
             if term.least is not None:
                 self.least[span] = term.least
 
-    def normal(self, weights: Array) -> Array:
-        """Return the products (k + 1, k + 1) of priors and of weighted rows: do not change them."""
-        if self._normal is None or not np.array_equal(self._normal[0], weights):
-            self._normal = weights, self.prior + self.data(weights)
-        return self._normal[1]
+    @cached_property
+    def totals(self) -> Array:
+        """Products (J, k + 1, k + 1) of the rows of all blocks."""
+        return self.products(None)
 
-    def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
-        """Return the products (k + 1, k + 1) of weighted rows, of all blocks or some.
+    def products(self, blocks: Sequence[int] | None) -> Array:
+        """Return the products (J, k + 1, k + 1) of each joint's rows, of all blocks or some.
 
         The torque of the parameters that are held is subtracted.
         """
-        data = np.zeros_like(self.prior)
-        products = self.sums.of_blocks(blocks)
-        for weight, gram, (own, at, rest) in zip(weights, products, self.joints):
+        products = np.zeros((len(self.joints), *self.prior.shape))
+        grams = self.sums.of_blocks(blocks)
+        for product, gram, (own, at, rest) in zip(products, grams, self.joints):
             torque = gram @ rest
             part = gram[own[:, None], own]
             part[-1] = part[:, -1] = torque[own]
             part[-1, -1] = rest @ torque
-            data[at[:, None], at] += weight**2 * part
-        return data
+            product[at[:, None], at] = part
+        return products
+
+    def normal(self, weights: Array, left_out: Sequence[int] = ()) -> Array:
+        """Return the products (k + 1, k + 1) of priors and of weighted rows.
+
+        Some blocks may be left out.
+        """
+        products = self.totals
+        if left_out:
+            products = products - self.products(left_out)
+        return self.prior + np.tensordot(weights**2, products, 1)
 
     def squared_residuals(
         self, values: Array, blocks: Sequence[int] | None = None
@@ -145,12 +150,8 @@ class Equations:
 
     def spread(self, covariance: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the squared errors (J,) to expect from those of an estimate (k, k) [N^2 m^2]."""
-        spread = []
-        for gram, (own, at, _) in zip(self.sums.of_blocks(blocks), self.joints):
-            own, at = own[:-1], at[:-1]
-            errors = covariance[at[:, None], at]
-            spread.append(np.vdot(gram[own[:, None], own], errors))
-        return np.array(spread)
+        products = self.totals if blocks is None else self.products(blocks)
+        return np.tensordot(products[:, :-1, :-1], covariance)
 
     def are_possible(self, values: Array) -> bool:
         """Tell whether all bodies are possible at values (k,)."""
@@ -220,37 +221,109 @@ class LeftOut(Enum):
 
 
 @dataclass(frozen=True)
-class Fit:
-    """The answer to a question: values, errors, noise.
+class Problem:
+    """Rows to which terms can be fitted, and what is asked of them.
 
     Attributes:
         arm: all terms of the arm.
-        recordings: that were fitted.
+        recordings: to draw them and to take residuals.
         point: around which terms were linearised.
-        equations: the question's equations.
-        noise: (J,) standard deviation of each joint's torque [N m].
-        correlation: (J,) rows that count as one independent row.
-        free: (k,) estimate in which bodies may be impossible.
-        values: (k,) the estimate.
-        inverse: (k, k) covariance that noise and priors imply.
-        alone: (B, k) estimate without each block in turn.
-        start: (k,) values of parameters that are held at a bound, of the others the reference.
-        is_free: (k,) which parameters are not held at a bound.
-        question: that was asked.
-        bodies: the search for possible bodies; None where the free estimate has them.
+        sums: of all rows.
+        question: from which terms are made.
     """
 
     arm: ArmTerms
     recordings: tuple[Recording, ...]
     point: Point
-    equations: Equations
+    sums: Sums
     question: Question
+
+    def fit(
+        self,
+        terms: Sequence[Term],
+        held: Mapping[str, float] | None = None,
+        noise: Array | None = None,
+        correlation: Array | None = None,
+        possible: bool = True,
+    ) -> Fit:
+        """Return the fit of terms.
+
+        Args:
+            terms: its parameters, with priors and bounds.
+            held: name to value of parameters that are not estimated; the model's values, else zero.
+            noise: (J,) to begin with [N m]; that of a joint without rows may be zero.
+            correlation: (J,) rows that count as one independent row; one by default.
+            possible: whether bodies have to be possible ones.
+        """
+        equations = equations_of(self.arm, self.sums, terms, held or {})
+        torque = self.sums.rms_torque
+        noise = self.sums.noise_above_least(0.05 * torque if noise is None else noise)
+        correlation = np.ones_like(noise) if correlation is None else correlation
+        fitted = self._fit_at(equations, noise, correlation, equations.reference)
+        for _ in range(ROUNDS):
+            previous = fitted.noise
+            fitted = replace(fitted, noise=fitted.residual_noise())
+            if np.max(np.abs(fitted.noise / previous - 1.0)) < 1e-3:
+                break
+        fitted = fitted._constrained(fitted.normal, False)
+        fitted = replace(fitted, free=fitted.values)
+        if not possible:
+            return fitted
+        if not equations.are_possible(fitted.free):
+            fitted = fitted._constrained(fitted.normal, True)
+        return replace(fitted, left_out=LeftOut.EACH)
+
+    def expected(self, values: Mapping[str, float], noise: Array) -> Fit:
+        """Return the fit to expect of the question before there is data: errors and their causes.
+
+        Args:
+            values: name to value of parameters that differ from the model's; no torque is read.
+            noise: (J,) of an independent row [N m].
+        """
+        terms = arm_question(self.arm, self.question, self.sums.rms_torque)
+        equations = equations_of(self.arm, self.sums, terms, values)
+        given = equations.held[equations.index]
+        return self._fit_at(equations, noise, np.ones_like(noise), given)
+
+    def _fit_at(
+        self, equations: Equations, noise: Array, correlation: Array, values: Array
+    ) -> Fit:
+        """Return the fit of equations with a noise (J,) that is known, at values (k,)."""
+        return Fit(
+            self.arm,
+            self.recordings,
+            self.point,
+            self.sums,
+            self.question,
+            equations,
+            noise,
+            correlation,
+            values,
+            values,
+            np.ones(len(values), dtype=bool),
+        )
+
+
+@dataclass(frozen=True)
+class Fit(Problem):
+    """The answer to a problem: values, errors, noise.
+
+    Attributes:
+        equations: of the terms.
+        noise: (J,) standard deviation of each joint's torque [N m].
+        correlation: (J,) rows that count as one independent row.
+        free: (k,) estimate in which bodies may be impossible.
+        values: (k,) the estimate.
+        is_free: (k,) which parameters are not held at a bound.
+        bodies: the search for possible bodies; None where the free estimate has them.
+        left_out: which estimates without one block each there are.
+    """
+
+    equations: Equations
     noise: Array
     correlation: Array
     free: Array
     values: Array
-    inverse: Array
-    start: Array
     is_free: NDArray[np.bool_]
     bodies: Possible | None = None
     left_out: LeftOut = LeftOut.NOTHING
@@ -266,19 +339,35 @@ class Fit:
         return tuple(n for n, is_free in zip(self.names, self.is_free) if not is_free)
 
     @property
-    def sums(self) -> Sums:
-        """Sums of all rows."""
-        return self.equations.sums
-
-    @property
     def weights(self) -> Array:
         """Weights (J,) of each joint's rows [1/(N m)]."""
         return 1.0 / (self.noise * np.sqrt(self.correlation))
 
-    @property
+    @cached_property
     def normal(self) -> Array:
         """Products (k + 1, k + 1) of priors and of weighted rows."""
         return self.equations.normal(self.weights)
+
+    @cached_property
+    def unbounded(self) -> tuple[Array, Array]:
+        """Estimate (k,) without bounds, and the covariance (k, k) that noise and priors imply."""
+        return solve(self.normal, self.equations.reference)
+
+    @property
+    def inverse(self) -> Array:
+        """Covariance (k, k) that noise and priors imply."""
+        return self.unbounded[1]
+
+    @property
+    def start(self) -> Array:
+        """Values (k,) of parameters that are held at a bound, of the others the reference."""
+        return np.where(self.is_free, self.equations.reference, self.values)
+
+    def residual_noise(self) -> Array:
+        """Return the noise (J,) of each joint's residuals without bounds [N m]."""
+        values, inverse = self.unbounded
+        leverage = self.weights**2 * self.equations.spread(inverse)
+        return self.sums.noise(self.equations.squared_residuals(values), leverage)
 
     @cached_property
     def full(self) -> Array:
@@ -332,11 +421,10 @@ class Fit:
         question = self.question
         deviations = scale_spread(self.arm, question.options, question.loaded)
         joints = self.arm.joints
-        terms = self.equations.terms
         effects = np.zeros((len(joints) + 1, len(self.names)))
-        if SCALES not in (term.cause for term in terms):
+        if SCALES not in (term.cause for term in self.equations.terms):
             return effects.T @ effects
-        for term, span in zip(terms, self.equations.spans):
+        for term, span in self.equations.spans:
             # The loss of a gear is a share, and has no unit.
             is_in_unit = not term.names[0].startswith("load[")
             if term.cause == PAYLOAD:
@@ -359,7 +447,7 @@ class Fit:
         budget: dict[str, Array] = {}
         moved = combinations @ self.inverse
         rest = np.sum(moved * combinations, axis=1)
-        for term, span in zip(self.equations.terms, self.equations.spans):
+        for term, span in self.equations.spans:
             if term.prior is not None:
                 share = np.sum(
                     (moved[:, span] @ term.prior.rows[:, :-1].T) ** 2, axis=1
@@ -374,7 +462,7 @@ class Fit:
     def share(self) -> Array:
         """Return the share (k,), 0 to 1, of each value that comes from the data, not the prior."""
         share = np.where(self.is_hidden, 0.0, 1.0)
-        for term, span in zip(self.equations.terms, self.equations.spans):
+        for term, span in self.equations.spans:
             if term.prior is not None:
                 left = np.diag(self.inverse)[span] / term.prior.variances
                 share[span] = np.minimum(share[span], np.clip(1.0 - left, 0.0, 1.0))
@@ -422,13 +510,10 @@ class Fit:
         counts = np.sum(self.sums.counts[list(blocks)], axis=0)
         return counts * self.noise**2 + self.equations.spread(inverse, blocks)
 
-    def normal_without(self, blocks: Sequence[int]) -> Array:
-        """Return ``normal`` without the rows of some blocks."""
-        return self.normal - self.equations.data(self.weights, blocks)
-
     def without(self, blocks: Sequence[int]) -> tuple[Array, Array]:
         """Return (estimate (k,), inverse (k, k)) without some blocks."""
-        return solve(self.normal_without(blocks), self.start, self.is_free)
+        normal = self.equations.normal(self.weights, blocks)
+        return solve(normal, self.start, self.is_free)
 
     def _possible_without(self, block: int, values: Array) -> Array:
         """Return the estimate (k,) without a block, its bounds obeyed and its bodies possible.
@@ -438,7 +523,8 @@ class Fit:
         equations = self.equations
         if equations.are_possible(values) and not np.any(equations.crossing(values)):
             return values
-        return self._constrained(self.normal_without([block]), True).values
+        normal = equations.normal(self.weights, [block])
+        return self._constrained(normal, True).values
 
     def _constrained(self, normal: Array, possible: bool) -> Fit:
         """Return the fit with the solution of products (k + 1, k + 1) that obeys all bounds.
@@ -451,10 +537,7 @@ class Fit:
         bodies = self.bodies
         while True:
             if possible:
-                has_hidden = bool(np.any(self.is_hidden))
-                bodies = _possible(
-                    equations, normal, has_hidden, bodies, start, is_free
-                )
+                bodies = self._possible(normal, bodies, start, is_free)
                 values = bodies.values
             else:
                 values, _ = solve(normal, start, is_free)
@@ -464,13 +547,48 @@ class Fit:
             is_free = is_free & ~crosses
             start = np.where(crosses, equations.inside(values), start)
         values = equations.inside(values)
-        return replace(self, values=values, start=start, is_free=is_free, bodies=bodies)
+        return replace(self, values=values, is_free=is_free, bodies=bodies)
+
+    def _possible(
+        self,
+        normal: Array,
+        like: Possible | None,
+        start: Array,
+        is_free: NDArray[np.bool_],
+    ) -> Possible:
+        """Return the best values (k,) of products (k + 1, k + 1) with which bodies are possible.
+
+        ``like`` is such a search for nearly the same equations; None for none.
+        """
+        least = self.equations.least
+        at = np.flatnonzero(is_free)
+        matrix = normal[at[:, None], at]
+        # Searched are bodies without what they have to contain.
+        known = np.where(is_free, least, start)
+        right_side = normal[at, -1] - normal[at, :-1] @ known
+        length = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        scaled = matrix / np.outer(length, length)
+        scaled[np.diag_indices_from(scaled)] += _RIDGE
+        root = np.linalg.cholesky(scaled)
+        target = np.linalg.solve(root, right_side / length)
+        links = np.searchsorted(at, self.equations.bodies)
+        prior = (self.equations.reference - least)[at]
+        if like is not None:
+            like = replace(like, values=(like.values - least)[at])
+        has_hidden = bool(np.any(self.is_hidden))
+        found = consistent_least_squares(
+            root.T * length, target, links, prior, has_hidden, like
+        )
+        values = known.copy()
+        values[at] += found.values
+        return replace(found, values=values)
 
     def of(self, sums: Sums) -> Fit:
         """Return this estimate with the sums of other recordings, to judge it on them."""
         held = dict(zip(self.sums.names, self.equations.held.tolist()))
         values = np.array([held[name] for name in sums.names])
-        return replace(self, equations=Equations(sums, self.equations.terms, values))
+        equations = Equations(sums, self.equations.terms, values)
+        return replace(self, sums=sums, equations=equations)
 
     @cached_property
     def noise_per_joint(self) -> dict[str, float]:
@@ -500,26 +618,10 @@ class Fit:
         torque = float(np.linalg.norm(self.sums.rms_torque))
         return float(np.linalg.norm(self.unexplained)) / max(torque, 1e-300)
 
-    def refit(
-        self,
-        terms: Sequence[Term],
-        recordings: Sequence[Recording] | None = None,
-        possible: bool = False,
-    ) -> Fit:
-        """Return the fit of other terms, or of other recordings, from this noise on."""
-        sums = self.sums
-        if recordings is not None:
-            sums = self.arm.sums(recordings, self.point, in_blocks=False)
-        return fit(
-            self.arm,
-            recordings or self.recordings,
-            self.point,
-            sums,
-            terms,
-            self.question,
-            noise=self.noise,
-            correlation=self.correlation,
-            possible=possible,
+    def refit(self, terms: Sequence[Term], possible: bool = False) -> Fit:
+        """Return the fit of other terms, from this noise on."""
+        return self.fit(
+            terms, noise=self.noise, correlation=self.correlation, possible=possible
         )
 
     @property
@@ -563,111 +665,6 @@ class Fit:
         return np.split(rows, ends[:-1])
 
 
-def fit(
-    arm: ArmTerms,
-    recordings: Sequence[Recording],
-    point: Point,
-    sums: Sums,
-    terms: Sequence[Term],
-    question: Question,
-    held: Mapping[str, float] | None = None,
-    noise: Array | None = None,
-    correlation: Array | None = None,
-    possible: bool = True,
-) -> Fit:
-    """Return the fit of a question.
-
-    Args:
-        arm: all terms of the arm.
-        recordings: the recordings, to draw them and to take residuals.
-        point: around which the sums were made.
-        sums: of all rows.
-        terms: the question's: its parameters, with priors and bounds.
-        question: from which the terms were made.
-        held: name to value of parameters that are not estimated; the model's values, else zero.
-        noise: (J,) to begin with [N m]; that of a joint without rows may be zero.
-        correlation: (J,) rows that count as one independent row; one by default.
-        possible: whether bodies have to be possible ones.
-    """
-    equations = equations_of(arm, sums, terms, held or {})
-    correlation = np.ones(len(sums.joints)) if correlation is None else correlation
-    torque = sums.rms_torque
-    least = max(LEAST_NOISE * np.sqrt(np.mean(torque**2)), 1e-12)
-    noise = np.maximum(0.05 * torque if noise is None else noise, least)
-    reference = equations.reference
-    for _ in range(ROUNDS):
-        weights = 1.0 / (noise * np.sqrt(correlation))
-        values, inverse = solve(equations.normal(weights), reference)
-        previous = noise
-        noise = np.maximum(_noise(equations, values, inverse, weights), least)
-        if np.max(np.abs(noise / previous - 1.0)) < 1e-3:
-            break
-    fitted = _free_fit(arm, recordings, point, equations, question, noise, correlation)
-    fitted = fitted._constrained(fitted.normal, False)
-    fitted = replace(fitted, free=fitted.values)
-    if not possible:
-        return fitted
-    if not equations.are_possible(fitted.free):
-        fitted = fitted._constrained(fitted.normal, True)
-    return replace(fitted, left_out=LeftOut.EACH)
-
-
-def expected(
-    arm: ArmTerms,
-    recordings: Sequence[Recording],
-    point: Point,
-    sums: Sums,
-    terms: Sequence[Term],
-    question: Question,
-    values: Mapping[str, float],
-    noise: Array,
-) -> Fit:
-    """Return the fit to expect of a question before there is data: its errors and their causes.
-
-    Arguments are as in ``fit``, but for these:
-
-    Args:
-        values: name to value of parameters that differ from the model's; no torque is read.
-        noise: (J,) of an independent row [N m].
-    """
-    equations = equations_of(arm, sums, terms, values)
-    independent = np.ones_like(noise)
-    fitted = _free_fit(arm, recordings, point, equations, question, noise, independent)
-    given = equations.held[equations.index]
-    return replace(fitted, free=given, values=given, start=given)
-
-
-def _free_fit(
-    arm: ArmTerms,
-    recordings: Sequence[Recording],
-    point: Point,
-    equations: Equations,
-    question: Question,
-    noise: Array,
-    correlation: Array,
-) -> Fit:
-    """Return the fit with a noise (J,) that is known, without bounds.
-
-    Arguments are as in ``fit``, ``equations`` those of the question.
-    """
-    weights = 1.0 / (noise * np.sqrt(correlation))
-    values, inverse = solve(equations.normal(weights), equations.reference)
-    return Fit(
-        arm,
-        tuple(recordings),
-        point,
-        equations,
-        question,
-        noise,
-        correlation,
-        values,
-        values,
-        inverse,
-        equations.reference,
-        np.ones(len(values), dtype=bool),
-    )
-
-
 def equations_of(
     arm: ArmTerms, sums: Sums, terms: Sequence[Term], held: Mapping[str, float]
 ) -> Equations:
@@ -690,52 +687,6 @@ def _shown(term: Term, sums: Sums) -> Term:
         return term
     squares = np.sum(sums.squares, axis=0)[sums.at(term.names)]
     return term.only([name for name, square in zip(term.names, squares) if square])
-
-
-def _noise(
-    equations: Equations, values: Array, inverse: Array, weights: Array
-) -> Array:
-    """Return the noise (J,) of each joint's residuals at values (k,) [N m].
-
-    sigma_j^2 = |r_j|^2 / (n_j - l_j), l_j the number of parameters that the joint's rows determine.
-    """
-    leverage = weights**2 * equations.spread(inverse)
-    freedom = np.maximum(equations.sums.row_counts - leverage, 1.0)
-    return np.sqrt(equations.squared_residuals(values) / freedom)
-
-
-def _possible(
-    equations: Equations,
-    normal: Array,
-    has_hidden: bool,
-    like: Possible | None,
-    start: Array,
-    is_free: NDArray[np.bool_],
-) -> Possible:
-    """Return the best values (k,) with which all bodies are possible.
-
-    ``like`` is such a search for nearly the same equations; None for none.
-    """
-    at = np.flatnonzero(is_free)
-    matrix = normal[at[:, None], at]
-    # Searched are bodies without what they have to contain.
-    known = np.where(is_free, equations.least, start)
-    right_side = normal[at, -1] - normal[at, :-1] @ known
-    length = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix / np.outer(length, length)
-    scaled[np.diag_indices_from(scaled)] += _RIDGE
-    root = np.linalg.cholesky(scaled)
-    target = np.linalg.solve(root, right_side / length)
-    links = np.searchsorted(at, equations.bodies)
-    prior = (equations.reference - equations.least)[at]
-    if like is not None:
-        like = replace(like, values=(like.values - equations.least)[at])
-    found = consistent_least_squares(
-        root.T * length, target, links, prior, has_hidden, like
-    )
-    values = known.copy()
-    values[at] += found.values
-    return replace(found, values=values)
 
 
 def correlation_times(residuals: Array) -> Array:

@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from robot_sysid.estimate.fit import LEAST_NOISE, Fit, solve
+from robot_sysid.estimate.fit import Fit, solve
 from robot_sysid.estimate.identifiability import ROUNDING
 from robot_sysid.estimate.terms import Term
 from robot_sysid.records import Array
@@ -128,7 +128,6 @@ class Offers:
         slow = np.clip(self.successive / self.squares, 1e-3, 1.0)
         # Rows for which what is slow in the residuals lasts.
         self._memory = (fitted.correlation - 1.0) / slow
-        self._least = LEAST_NOISE * np.sqrt(np.mean(self.sums.rms_torque**2))
 
     def offer(self, effect: Effect) -> Offer:
         """Return what the fit says of an effect, with the weights as they are."""
@@ -232,8 +231,7 @@ class Offers:
         self, squares: Array, leverage: Array, correlation: Array
     ) -> Offers:
         """Return the fit with weights by what residuals, parameters and memory (J,) leave."""
-        freedom = np.maximum(self.sums.row_counts - leverage, 1.0)
-        noise = np.maximum(np.sqrt(squares / freedom), self._least)
+        noise = self.sums.noise(squares, leverage)
         return Offers(self.fitted, 1.0 / (noise * np.sqrt(correlation)))
 
     @cached_property

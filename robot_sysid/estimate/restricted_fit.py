@@ -16,7 +16,7 @@ import numpy as np
 from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
 from robot_sysid.dynamics.spatial import N_INERTIAL
-from robot_sysid.estimate.fit import ROUNDS, Fit, LeftOut, fit
+from robot_sysid.estimate.fit import ROUNDS, Fit, LeftOut
 from robot_sysid.estimate.held_out import error_in, validation
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import (
@@ -69,7 +69,7 @@ class RestrictedFit:
             beyond += motor.parameter_names
         bare = {name: arm.model.get(name, 0.0) for name in beyond}
         held = {**self.fit.by_name, **bare}
-        return validation(_solved(self.fit, [arm.terms["offset"]], held))
+        return validation(self.fit.fit([arm.terms["offset"]], held))
 
 
 def fit_file(
@@ -88,18 +88,18 @@ def fit_file(
     held = {**payload, **rotors}
     terms = _terms(estimate, unchanged)
     offset = arm.terms["offset"]
-    before = _solved(estimate, [offset], payload)
+    before = estimate.fit([offset], payload)
     # Errors of offsets are the same whatever bodies are possible.
-    free = _solved(estimate, [*terms, offset], held, False)
+    free = estimate.fit([*terms, offset], held, possible=False)
     terms.append(_known_offsets(replace(free, left_out=LeftOut.EACH)))
     if TILT in arm.terms and FILE_GRAVITY not in unchanged:
         prior = independent(np.full(2, np.radians(GRAVITY_IN_FILE)))
         tilt = replace(arm.terms[TILT], prior=prior)
         # Gravity is turned only where the torques clearly show it, whatever bodies are possible.
-        free = _solved(estimate, terms, held, False)
+        free = estimate.fit(terms, held, possible=False)
         if Offers(free, free.weights).offer(Effect.of(tilt)).gain > CLEAR:
             terms.append(tilt)
-    fitted = _solved(estimate, terms, held)
+    fitted = estimate.fit(terms, held)
     gravity = None
     if TILT_NAMES[0] in fitted.names:
         angles = fitted.values[fitted.at(TILT_NAMES)]
@@ -109,7 +109,7 @@ def fit_file(
         if not far:
             break
         terms = [_with_known(term, far) for term in fitted.equations.terms]
-        fitted = _solved(estimate, terms, held)
+        fitted = estimate.fit(terms, held)
     # What is printed as held-out is the error of such files, not of fits without their bounds.
     fitted = replace(fitted, left_out=LeftOut.WITH_BOUNDS)
     return RestrictedFit(
@@ -137,7 +137,7 @@ def errors_on(
     blocks = other.sums.blocks
     errors = []
     for values in ({}, fitted.by_name):
-        solved = _solved(other, [other.arm.terms["offset"]], values)
+        solved = other.fit([other.arm.terms["offset"]], values)
         errors.append(error_in(solved, solved.values, solved.inverse, blocks, source))
     before, after = errors
     return before, after
@@ -159,25 +159,6 @@ def _known_offsets(fitted: Fit) -> Term:
     ]
     known = OFFSET * torque * np.any(is_clear)
     return replace(term, prior=independent(np.where(is_clear, WIDE * torque, known)))
-
-
-def _solved(
-    estimate: Fit,
-    terms: Sequence[Term],
-    held: Mapping[str, float],
-    possible: bool = True,
-) -> Fit:
-    """Return the fit of a file's terms around the estimate."""
-    return fit(
-        estimate.arm,
-        estimate.recordings,
-        estimate.point,
-        estimate.sums,
-        terms,
-        estimate.question,
-        held,
-        possible=possible,
-    )
 
 
 def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:

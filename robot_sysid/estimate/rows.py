@@ -26,6 +26,9 @@ from robot_sysid.signals.resampling import resample_uniformly
 
 Mask = NDArray[np.bool_]
 """Boolean mask, True where a row is used."""
+LEAST_NOISE = 1e-4
+"""Least noise of a joint, as a share of the root mean square torque of all: the error of filtering.
+"""
 BLOCKS = 10
 """Number of blocks that held-out validation and the jackknife leave out in turn."""
 
@@ -221,6 +224,20 @@ class Sums:
     def rms_torque(self) -> Array:
         """Root mean square (J,) of the right-hand sides [N m]; zero of a joint without rows."""
         return np.sqrt(np.sum(self.squared_torque, axis=0) / self.row_counts)
+
+    def noise(self, squares: Array, leverage: Array) -> Array:
+        """Return the noise (J,) of residuals with sums of squares (J,) [N m].
+
+        It is sigma_j^2 = |r_j|^2 / (n_j - l_j), ``leverage`` l_j (J,) the number of parameters that
+        the joint's rows determine.
+        """
+        freedom = np.maximum(self.row_counts - leverage, 1.0)
+        return self.noise_above_least(np.sqrt(squares / freedom))
+
+    def noise_above_least(self, noise: Array) -> Array:
+        """Return a noise (J,) that is nowhere below the least that rows have [N m]."""
+        least = LEAST_NOISE * np.sqrt(np.mean(self.rms_torque**2))
+        return np.maximum(noise, max(least, 1e-12))
 
     @cached_property
     def squares(self) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from robot_sysid.dynamics.friction import split_name
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.estimate.choose import motors_of
-from robot_sysid.estimate.fit import Fit, expected
+from robot_sysid.estimate.fit import Fit, Problem
 from robot_sysid.estimate.identifiability import describe
 from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.options import EstimationOptions
@@ -219,8 +219,8 @@ def expected_fit(
     if loaded:
         noise = np.hypot(noise, UNMODELLED_TORQUE * torque)
     question = _question(arm, options, torque, loaded)
-    terms = arm_question(arm, question, torque)
-    return expected(arm, recordings, point, sums, terms, question, values, noise)
+    rows = Problem(arm, recordings, point, sums, question)
+    return rows.expected(values, noise)
 
 
 def _processed_motion(

@@ -255,7 +255,7 @@ def test_link_scales_that_the_data_shows_are_found(scales):
 def test_the_evidence_of_a_fit_is_that_without_the_links_prior(noisy_fit):
     """The best deviation by evidence and prior together is the estimate."""
     evidence = link_evidence(noisy_fit)
-    terms = zip(noisy_fit.equations.terms, noisy_fit.equations.spans)
+    terms = noisy_fit.equations.spans
     ((term, span),) = [pair for pair in terms if pair[0].cause == LINKS]
     arm = noisy_fit.arm
     directions = link_directions(arm.robot, arm.others)

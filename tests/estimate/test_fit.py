@@ -18,7 +18,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import neighbours
-from robot_sysid.estimate.fit import correlation_times, fit
+from robot_sysid.estimate.fit import Problem, correlation_times
 from robot_sysid.estimate.links import link_factor
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -140,7 +140,8 @@ def test_scaling_all_torques_scales_the_estimate(seed):
     for factor in (1.0, 0.1, 40.0):
         scaled = add_torque(recording, (factor - 1.0) * recording.torque)
         sums = arm.sums([scaled], arm.start())
-        fitted = fit(arm, [scaled], arm.start(), sums, terms, QUESTION, possible=False)
+        problem = Problem(arm, (scaled,), arm.start(), sums, QUESTION)
+        fitted = problem.fit(terms, possible=False)
         (rows,) = scaled.chunks(1)
         torques.append(arm.torque(rows, fitted.point, fitted.by_name) / factor)
         assert fitted.noise[0] == pytest.approx(0.1 * factor, rel=0.2)
@@ -253,11 +254,10 @@ def test_what_is_put_in_is_found_with_its_value_and_nothing_else_is(key, seed):
             logs.append(add_torque(recording, torque))
         sums = arm.sums(logs, point)
         terms = arm_question(arm, QUESTION, sums.rms_torque)
-        arguments = arm, logs, point, sums
-        base = fit(*arguments, terms, QUESTION, possible=False)
+        base = Problem(arm, logs, point, sums, QUESTION).fit(terms, possible=False)
         gain = Offers(base, base.weights).offer(Effect.of(term)).gain
         assert gain > 100.0 if factor else gain < 0.0
-        wider = fit(*arguments, [*terms, term], QUESTION, noise=base.noise)
+        wider = base.fit([*terms, term], noise=base.noise)
         at = wider.at(term.names)
         off = np.abs(wider.values[at] - factor * sizes)
         assert np.all(off < 3.0 * wider.errors[at])

@@ -42,9 +42,10 @@ def test_only_what_is_lower_in_most_blocks_is_clearly_lower(factors, is_lower):
 def test_each_block_is_predicted_from_the_others(noisy_fit):
     """Against least squares without it, written down in full."""
     equations = noisy_fit.equations
-    for block in range(len(noisy_fit.sums.logs)):
-        others = [k for k in range(len(noisy_fit.sums.logs)) if k != block]
-        normal = equations.data(noisy_fit.weights, others) + equations.prior
+    for block in noisy_fit.sums.blocks:
+        others = [k for k in noisy_fit.sums.blocks if k != block]
+        products = equations.products(others)
+        normal = np.tensordot(noisy_fit.weights**2, products, 1) + equations.prior
         size = np.sqrt(np.diag(normal)[:-1])
         matrix = normal[:-1, :-1] / np.outer(size, size)
         values = np.linalg.solve(matrix, normal[:-1, -1] / size) / size
