@@ -101,16 +101,14 @@ class Equations:
             self.spans.append((term, span))
             self.lower[span] = term.lower
             self.upper[span] = term.upper
-            if term.reference is not None:
-                self.reference[span] = term.reference
+            self.reference[span] = term.reference
+            self.least[span] = term.least
             if term.prior is not None:
                 at = np.append(indices, size)
                 self.prior[at[:, None], at] += term.prior.rows.T @ term.prior.rows
                 self.reference[span] = term.prior.mean
             if term.bodies:
                 self.bodies = np.vstack((self.bodies, indices.reshape(-1, N_INERTIAL)))
-            if term.least is not None:
-                self.least[span] = term.least
 
     @cached_property
     def totals(self) -> Array:

@@ -64,6 +64,7 @@ class Offer:
         distance: of the values from zero, in their errors.
         change: (k,) of the fit's own parameters.
         relief: by which the squared deviations from priors become smaller.
+        moves: (p + 1, m) of all parameters per unit of the further ones.
     """
 
     effect: Effect
@@ -73,7 +74,7 @@ class Offer:
     distance: float
     change: Array
     relief: float
-    _moves: Array
+    moves: Array
     _offers: Offers
 
     @property
@@ -84,7 +85,7 @@ class Offer:
     @cached_property
     def _after(self) -> tuple[Array, Array]:
         """What the columns change in squared residuals (J,), and their leverage (J,)."""
-        return self._offers.after(self, self._moves, False)
+        return self._offers.after(self, False)
 
     @cached_property
     def squares(self) -> Array:
@@ -95,7 +96,7 @@ class Offer:
     @cached_property
     def successive(self) -> Array:
         """Sums of products of successive residuals (J,), with the columns [N^2 m^2]."""
-        change, _ = self._offers.after(self, self._moves, True)
+        change, _ = self._offers.after(self, True)
         return self._offers.successive + change
 
     @property
@@ -131,19 +132,20 @@ class Offers:
 
     def offer(self, effect: Effect) -> Offer:
         """Return what the fit says of an effect, with the weights as they are."""
-        sums = self.sums
         index = self.fitted.equations.index
-        at = sums.at(effect.names)
-        joints = range(len(sums.joints)) if effect.joint is None else (effect.joint,)
-        rows = np.zeros((len(at), len(self._full)))
-        own = np.zeros((len(at), len(at)))
-        for joint in joints:
+        selection = self._selection(effect)
+        size, count = selection.shape
+        rows = np.zeros((count, size))
+        own = np.zeros((count, count))
+        for joint, columns in enumerate(self.sums.columns):
             weight = self.weights[joint] ** 2
-            of_joint, own_of_joint = sums.products(at, joint, effect.shares)
-            rows += weight * of_joint
-            own += weight * own_of_joint
+            shares, products = self._shared(effect, joint, False)
+            further = weight * selection[columns].T
+            rows[:, columns] += further @ np.tensordot(shares, products, 1)
+            squares = np.tensordot(shares**2, products, 1)
+            own += further @ squares @ selection[columns]
         # How all parameters move per unit of the further ones.
-        moves = np.zeros((len(self._full), len(at)))
+        moves = np.zeros((size, count))
         moves[index] = -self.inverse @ rows[:, index].T
         factor = effect.factor
         inner = factor.T @ (own + rows @ moves) @ factor + np.eye(factor.shape[1])
@@ -166,30 +168,38 @@ class Offers:
             self,
         )
 
-    def after(self, offer: Offer, moves: Array, lagged: bool) -> tuple[Array, Array]:
-        """Return what an offer changes in each joint's sums of squares (J,), and determines (J,).
+    def _selection(self, effect: Effect) -> Array:
+        """Return the 0/1 matrix (p + 1, m) of the columns of an effect among all."""
+        return np.eye(len(self._full))[:, self.sums.at(effect.names)]
 
-        Args:
-            offer: its values and their covariance.
-            moves: (p + 1, m) of all parameters per unit of the further ones.
-            lagged: whether sums are those of products of successive rows.
+    def _shared(self, effect: Effect, joint: int, lagged: bool) -> tuple[Array, Array]:
+        """Return (shares of an effect's columns at a joint, products (k, k) of rows) per block.
+
+        Blocks with the same share are one. Products are those of successive rows if ``lagged``.
         """
         sums = self.sums
-        effect, values = offer.effect, offer.values
-        at = sums.at(effect.names)
-        change = np.zeros(len(sums.joints))
-        explained = np.zeros(len(sums.joints))
+        acts = effect.joint in (None, joint)
+        if acts and effect.shares is not None:
+            return effect.shares, (sums.lagged if lagged else sums.grams)[joint]
         totals = sums.lagged_totals if lagged else sums.totals
-        for joint, (columns, total) in enumerate(zip(sums.columns, totals)):
-            shown = moves[columns]
-            moved = total @ shown
-            slope = self._full[columns] @ moved
-            bend = shown.T @ moved
-            if effect.joint in (None, joint):
-                rows, own = sums.products(at, joint, effect.shares, lagged)
-                crossed = rows @ moves
-                slope = slope + rows @ self._full
-                bend = bend + crossed + crossed.T + own
+        return np.array([float(acts)]), totals[joint][None]
+
+    def after(self, offer: Offer, lagged: bool) -> tuple[Array, Array]:
+        """Return what an offer changes in each joint's sums of squares (J,), and determines (J,).
+
+        Sums are those of products of successive rows if ``lagged``.
+        """
+        values = offer.values
+        selection = self._selection(offer.effect)
+        change = np.zeros(len(self.weights))
+        explained = np.zeros(len(self.weights))
+        for joint, columns in enumerate(self.sums.columns):
+            shares, products = self._shared(offer.effect, joint, lagged)
+            further = shares[:, None, None] * selection[columns]
+            shown = offer.moves[columns] + further
+            moved = products @ shown
+            slope = self._full[columns] @ np.sum(moved, axis=0)
+            bend = np.sum(np.swapaxes(shown, 1, 2) @ moved, axis=0)
             change[joint] = 2.0 * slope @ values + values @ bend @ values
             explained[joint] = np.vdot(offer.covariance, bend)
         return change, explained

@@ -150,7 +150,6 @@ def _payload(arm: ArmTerms, question: Question) -> Term:
 def links_term(arm: ArmTerms, question: Question) -> Term:
     """Return the term of all links but the last, with the model's bodies as prior."""
     term = arm.terms[LINKS]
-    assert term.reference is not None
     share = PER_CENT * question.options.priors.link
     factor = link_factor(arm.robot, arm.others, share, question.link_scales)
     return replace(term, prior=Prior(term.reference, factor))
@@ -188,7 +187,6 @@ def _unknown_friction(
                 cause=FURTHER_FRICTION,
                 prior=independent(deviations),
                 lower=-np.inf,
-                reference=None,
             )
 
 

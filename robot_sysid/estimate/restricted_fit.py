@@ -224,7 +224,6 @@ def _with_known(term: Term, known: Mapping[str, tuple[float, float]]) -> Term:
         row[-1] = value / deviation
     prior = term.prior
     if prior is None:
-        assert term.reference is not None
         wide = WIDE * InertialParameters(term.reference).scale
         prior = independent(wide, term.reference)
     triangle = np.asarray(np.linalg.qr(np.vstack((prior.rows, rows)), mode="r"))[:-1]

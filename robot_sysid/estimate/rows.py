@@ -279,38 +279,6 @@ class Sums:
         pairs = zip(self.columns, products)
         return np.array([change[at] @ gram @ change[at] for at, gram in pairs])
 
-    def products(
-        self,
-        at: NDArray[np.int64],
-        joint: int,
-        shares: Array | None = None,
-        lagged: bool = False,
-    ) -> tuple[Array, Array]:
-        """Return the products of columns with all others (m, p + 1) and with themselves (m, m).
-
-        Args:
-            at: (m,) indices of the columns.
-            joint: whose rows are summed.
-            shares: (B,) by which the columns are multiplied in each block; None for one.
-            lagged: whether products are those of successive rows.
-        """
-        columns = self.columns[joint]
-        places = np.searchsorted(columns, at)
-        shown = np.flatnonzero(columns[places] == at)
-        places = places[shown]
-        if shares is None:
-            of_rows = (self.lagged_totals if lagged else self.totals)[joint][places]
-            own = of_rows[:, places]
-        else:
-            of_blocks = (self.lagged if lagged else self.grams)[joint][:, places]
-            of_rows = np.tensordot(shares, of_blocks, 1)
-            own = np.tensordot(shares**2, of_blocks[:, :, places], 1)
-        rows = np.zeros((len(at), len(self.names) + 1))
-        rows[shown[:, None], columns] = of_rows
-        squares = np.zeros((len(at), len(at)))
-        squares[shown[:, None], shown] = own
-        return rows, squares
-
     def with_torque_times(self, factors: Array) -> Sums:
         """Return the sums with each joint's right-hand sides times a factor (J,)."""
         turns = []
@@ -330,7 +298,12 @@ class Sums:
     ) -> Sums:
         """Return the sums with new columns (r,) that are columns (m,) times a factor (m, r).
 
-        The other arguments are as in ``products``; without a joint they act at all of them.
+        Args:
+            names: (r,) of the new columns.
+            at: (m,) indices of the columns.
+            factor: (m, r).
+            joint: index of the joint at which they act; None for all.
+            shares: (B,) by which the columns are multiplied in each block; None for one.
         """
         size = len(self.names)
         shares = np.ones(len(self.logs)) if shares is None else shares

@@ -158,9 +158,9 @@ class Term:
         lower, upper: bounds of all of them, infinite where there is none.
         in_file: whether a model file can hold the parameters.
         bodies: whether each ten parameters have to be a possible body.
-        reference: (k,) values that parameters keep which nothing shows; the model's.
+        reference: (k,) values that parameters keep which nothing shows; the model's, or (1,) zero.
         least: (k,) bodies beside which each of the term's bodies has to be possible, such as
-            fingers on joints of their own, which keep their inertia; None for none.
+            fingers on joints of their own, which keep their inertia; (1,) zero for none.
     """
 
     cause: str
@@ -171,22 +171,17 @@ class Term:
     upper: float = np.inf
     in_file: bool = False
     bodies: bool = False
-    reference: Array | None = None
-    least: Array | None = None
+    reference: Array = field(default_factory=partial(np.zeros, 1))
+    least: Array = field(default_factory=partial(np.zeros, 1))
 
     def only(self, names: Sequence[str]) -> Term:
-        """Return the term with some of its parameters, whose errors have to be independent."""
+        """Return a term of joints or motors, which has no prior, with some of its parameters."""
         at = [self.names.index(name) for name in names]
-        prior = self.prior
-        if prior is not None:
-            prior = Prior(prior.mean[at], prior.factor[np.ix_(at, at)])
-        reference = None if self.reference is None else self.reference[at]
         return replace(
             self,
             names=tuple(names),
             columns=partial(self._columns_at, at),
-            prior=prior,
-            reference=reference,
+            reference=self.reference[at],
         )
 
     def _columns_at(self, at: Sequence[int], rows: Rows, point: Point) -> Array:
