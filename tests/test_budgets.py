@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 30381,
     "robot_sysid/diagnosis": 16650,
     "robot_sysid/dynamics": 4639,
-    "robot_sysid/estimate": 30126,
+    "robot_sysid/estimate": 30065,
     "robot_sysid/logs": 15387,
     "robot_sysid/mjcf": 7118,
     "robot_sysid/model": 8857,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3755,
     "robot_sysid": 9263,
-    "tests": 227460,
+    "tests": 227438,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -180,7 +180,7 @@ class Offers:
         sums = self.sums
         acts = effect.joint in (None, joint)
         if acts and effect.shares is not None:
-            return effect.shares, (sums.lagged if lagged else sums.grams)[joint]
+            return effect.shares, sums.products[joint][int(lagged)]
         totals = sums.lagged_totals if lagged else sums.totals
         return np.array([float(acts)]), totals[joint][None]
 

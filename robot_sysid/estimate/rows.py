@@ -174,8 +174,8 @@ class Sums:
         names: (p,) of the parameters.
         joints: names of the J joints with equations.
         columns: per joint (k,) indices of the parameters in its equations, and p for the torque.
-        grams: per joint (B, k, k) the products [A b]' [A b] of each block's rows.
-        lagged: per joint (B, k, k) the products of each row with the next one, made symmetric.
+        products: per joint (2, B, k, k) the products [A b]' [A b] of each block's rows, and those
+            of each row with the next one, made symmetric.
         counts: (B, J) number of rows.
         logs: (B,) the log that a block belongs to.
         triangles: (J, p + 1, p + 1) triangles R of each joint with R' R = [A b]' [A b], of all
@@ -185,8 +185,7 @@ class Sums:
     names: tuple[str, ...]
     joints: tuple[str, ...]
     columns: tuple[NDArray[np.int64], ...]
-    grams: tuple[Array, ...]
-    lagged: tuple[Array, ...]
+    products: tuple[Array, ...]
     counts: Array
     logs: tuple[str, ...]
     triangles: Array | None = None
@@ -203,12 +202,12 @@ class Sums:
     @cached_property
     def totals(self) -> tuple[Array, ...]:
         """Per joint (k, k) the products of all blocks."""
-        return tuple(gram.sum(axis=0) for gram in self.grams)
+        return tuple(rows.sum(axis=0) for rows, _ in self.products)
 
     @cached_property
     def lagged_totals(self) -> tuple[Array, ...]:
         """Per joint (k, k) the products of successive rows of all blocks."""
-        return tuple(lagged.sum(axis=0) for lagged in self.lagged)
+        return tuple(lagged.sum(axis=0) for _, lagged in self.products)
 
     @cached_property
     def row_counts(self) -> Array:
@@ -218,7 +217,7 @@ class Sums:
     @cached_property
     def squared_torque(self) -> Array:
         """Sum of squares (B, J) of the right-hand sides [N^2 m^2]."""
-        return np.stack([gram[:, -1, -1] for gram in self.grams], axis=1)
+        return np.stack([rows[:, -1, -1] for rows, _ in self.products], axis=1)
 
     @cached_property
     def rms_torque(self) -> Array:
@@ -255,9 +254,7 @@ class Sums:
         """Return per joint (k, k) the products of some blocks; of all of them with None."""
         if blocks is None:
             return self.totals
-        if len(blocks) == 1:
-            return [gram[blocks[0]] for gram in self.grams]
-        return [gram[list(blocks)].sum(axis=0) for gram in self.grams]
+        return [rows[list(blocks)].sum(axis=0) for rows, _ in self.products]
 
     def squared_residuals(
         self, values: Array, blocks: Sequence[int] | None = None
@@ -326,11 +323,11 @@ class Sums:
         columns: tuple[NDArray[np.int64], ...],
     ) -> Sums:
         """Return the sums of each joint's rows times a matrix, of all blocks or one per block."""
-        grams, lagged = (
-            tuple(np.swapaxes(t, -1, -2) @ own @ t for own, t in zip(products, turns))
-            for products in (self.grams, self.lagged)
+        products = tuple(
+            np.swapaxes(turn, -1, -2) @ own @ turn
+            for own, turn in zip(self.products, turns)
         )
-        return replace(self, names=names, columns=columns, grams=grams, lagged=lagged)
+        return replace(self, names=names, columns=columns, products=products)
 
 
 def block_numbers(
@@ -401,8 +398,7 @@ def add_up(
         tuple(names),
         tuple(joints),
         tuple(sums.columns for sums in joint_sums),
-        tuple(sums.products[0] for sums in joint_sums),
-        tuple(sums.products[1] for sums in joint_sums),
+        tuple(sums.products for sums in joint_sums),
         counts,
         tuple(logs),
         triangles,

@@ -50,11 +50,7 @@ def test_each_explanation_is_found_with_the_value_that_is_put_in(right):
         wider = sums.with_columns(
             ("put in",), at, value[:, None], effect.joint, effect.shares
         )
-        grams, lagged = (
-            tuple(add_to_torque(gram) for gram in kind)
-            for kind in (wider.grams, wider.lagged)
-        )
-        wrong = replace(sums, grams=grams, lagged=lagged)
+        wrong = replace(sums, products=tuple(map(add_to_torque, wider.products)))
         offer = Offers(right.of(wrong), unspoilt.weights).offer(effect)
         before = unspoilt.offer(effect)
         error = offer.values - value - before.values
@@ -68,8 +64,8 @@ def test_each_explanation_is_found_with_the_value_that_is_put_in(right):
 
 
 def add_to_torque(gram):
-    """Return products (B, k + 1, k + 1) whose torque has the column before it added."""
-    turn = np.delete(np.eye(gram.shape[1]), -2, axis=1)
+    """Return products (2, B, k + 1, k + 1) whose torque has the column before it added."""
+    turn = np.delete(np.eye(gram.shape[-1]), -2, axis=1)
     turn[-2, -1] = 1.0
     return turn.T @ gram @ turn
 

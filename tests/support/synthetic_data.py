@@ -99,7 +99,7 @@ class Samples:
             triangle[:] = np.linalg.qr(full, mode="r")
         joints = tuple(f"joint{j}" for j in range(len(self.equations)))
         counts = np.array([[float(len(tau)) for tau in self.torques]])
-        return Sums(tuple(names), joints, (), (), (), counts, ("",), triangles)
+        return Sums(tuple(names), joints, (), (), counts, ("",), triangles)
 
 
 def noisy_samples(seed, noises=(0.1, 0.1, 0.1), count=200):
