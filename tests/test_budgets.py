@@ -20,7 +20,7 @@ BUDGETS = {
     "robot_sysid/commands": 10314,
     "robot_sysid/damiao": 30381,
     "robot_sysid/diagnosis": 16650,
-    "robot_sysid/dynamics": 4639,
+    "robot_sysid/dynamics": 4553,
     "robot_sysid/estimate": 30065,
     "robot_sysid/logs": 15387,
     "robot_sysid/mjcf": 7118,

@@ -186,12 +186,14 @@ class LinksMotion:
         steps: per link Ad(T^-1) (6, 6, N), which takes twists from the previous link's frame (the
             base's for the first link) to its own.
         screws: per link the screw (6,) of its joint in the link's frame.
+        brackets: per link ad(S) (6, 6) of this screw.
     """
 
     velocity: tuple[Array, ...]
     acceleration: tuple[Array, ...]
     steps: tuple[Array, ...]
     screws: tuple[Array, ...]
+    brackets: tuple[Array, ...]
 
     def jacobians(self) -> Iterator[Array]:
         """Yield, link by link, the twists J_ij (n, 6, N) of the joints up to it in its frame.
@@ -232,7 +234,9 @@ class LinksMotion:
         wrench = np.zeros((6, samples))
         for link in reversed(range(len(thetas))):
             if np.any(thetas[link]):
-                wrench = wrench + self._link_wrench(link, thetas[link])
+                wrench = wrench + wrench_of(
+                    thetas[link], self.velocity[link], self.acceleration[link]
+                )
             tau[:, link] = self.screws[link] @ wrench
             wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
         return tau
@@ -256,42 +260,29 @@ class LinksMotion:
         wrench_slopes = []
         # Outwards: the derivative (6, j, N) of each link's own wrench by q_j, j up to the link.
         for link, theta in enumerate(thetas):
-            screw = self.screws[link][:, None]
-            velocity = self.velocity[link]
+            bracket = self.brackets[link]
+            motion = np.stack((self.velocity[link], self.acceleration[link]))
             twists = np.einsum("abn,mbjn->majn", self.steps[link], twists)
-            twists[1] -= bracket(screw[:, None], twists[0] * qd[:, link])
-            by_velocity = bracket(screw, velocity)
-            by_acceleration = bracket(screw, self.acceleration[link])
-            by_position = -np.stack((by_velocity, by_acceleration))
+            twists[1] -= np.tensordot(bracket, twists[0] * qd[:, link], 1)
+            by_position = -bracket @ motion
             twists = np.concatenate((twists, by_position[:, :, None]), axis=2)
-            inertia = _inertia(theta)
-            velocity = velocity[:, None]
-            momentum = np.tensordot(inertia, velocity, 1)
-            momentum_slope = np.tensordot(inertia, twists[0], 1)
-            slope = np.tensordot(inertia, twists[1], 1)
-            slope -= bracket_transposed(twists[0], momentum)
-            slope -= bracket_transposed(velocity, momentum_slope)
-            wrench_slopes.append(slope)
+            # A wrench is quadratic in the motion, so that this difference is exact.
+            ahead = wrench_of(theta, *(motion[:, :, None] + twists))
+            behind = wrench_of(theta, *(motion[:, :, None] - twists))
+            wrench_slopes.append(0.5 * (ahead - behind))
         # Inwards: the wrench of a link and all beyond it, and the derivative of that sum.
         wrench = np.zeros((6, samples))
         total = np.zeros((6, count, samples))
         for link in reversed(range(count)):
-            wrench = wrench + self._link_wrench(link, thetas[link])
+            wrench = wrench + wrench_of(
+                thetas[link], self.velocity[link], self.acceleration[link]
+            )
             total[:, : link + 1] += wrench_slopes[link]
             slopes[:, link] = np.tensordot(self.screws[link], total, 1).T
-            total[:, link] -= bracket_transposed(self.screws[link][:, None], wrench)
+            total[:, link] -= self.brackets[link].T @ wrench
             total = np.einsum("abn,ajn->bjn", self.steps[link], total)
             wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
         return slopes
-
-    def _link_wrench(self, link: int, theta: Array) -> Array:
-        """Return the wrench G A - ad(V)^T G V (6, N) that moves the link of index ``link``, had it
-        the inertial parameters ``theta`` (10,); G is its spatial inertia.
-        """
-        inertia = _inertia(theta)
-        velocity = self.velocity[link]
-        gyroscopic = bracket_transposed(velocity, inertia @ velocity)
-        return inertia @ self.acceleration[link] - gyroscopic
 
 
 class LinkDynamics:
@@ -340,7 +331,7 @@ class LinkDynamics:
             acceleration = np.einsum("abn,bn->an", step, acceleration)
             acceleration = acceleration + np.outer(screw, qdd[:, i])
             acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
-            links.append((velocity, acceleration, step, screw))
+            links.append((velocity, acceleration, step, screw, self._brackets[i]))
         return LinksMotion(*zip(*links))
 
 
@@ -356,11 +347,15 @@ def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
     yield from zip(*(np.array_split(array, count) for array in arrays))
 
 
-def bracket(a: Array, b: Array) -> Array:
-    """Return ad(a) b = [w_a x w_b, v_a x w_b + w_a x v_b] of two twists [w, v] (6, ...)."""
-    angular = cross(a[:3], b[:3])
-    linear = cross(a[3:], b[:3]) + cross(a[:3], b[3:])
-    return np.concatenate((angular, linear))
+def wrench_of(theta: Array, velocity: Array, acceleration: Array) -> Array:
+    """Return the wrench G A - ad(V)^T G V (6, ...) that moves a link with twists (6, ...).
+
+    G is the spatial inertia of its inertial parameters ``theta`` (10,).
+    """
+    inertia = _inertia(theta)
+    momentum = np.tensordot(inertia, velocity, 1)
+    gyroscopic = bracket_transposed(velocity, momentum)
+    return np.tensordot(inertia, acceleration, 1) - gyroscopic
 
 
 def bracket_transposed(a: Array, b: Array) -> Array:
