@@ -18,12 +18,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.dynamics.friction import names_of
-from robot_sysid.dynamics.inverse_dynamics import (
-    TILT_NAMES,
-    LinkDynamics,
-    LinksMotion,
-    gravity_vector,
-)
+from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES, parameter_scale
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer
@@ -204,22 +199,15 @@ def strongest_rate(time: Array, residual: Array) -> float:
     )
 
 
-def at_rest(arm: ArmTerms, rows: Rows, gravity: Array) -> LinksMotion:
-    """Return all links at rest in the positions of rows, under a gravity (3,)."""
-    q = rows.motion.q
-    still = np.zeros_like(q)
-    return LinkDynamics(arm.robot, gravity).motion(q, still, still)
-
-
 def weight(arm: ArmTerms, rows: Rows, point: Point) -> Array:
     """Return the torque (m, J) of the weight of the point's links [N m]."""
-    moves = at_rest(arm, rows, point.gravity)
+    moves = rows.at_rest(arm.robot, point.gravity)
     return moves.torque(point.carried(rows.is_loaded))[:, arm.indices]
 
 
 def last_weight(arm: ArmTerms, rows: Rows, gravity: Array) -> Array:
     """Return the torque (m, J, 4) of the last link's weight, per unit of mass and first moments."""
-    moves = at_rest(arm, rows, gravity)
+    moves = rows.at_rest(arm.robot, gravity)
     return moves.columns([arm.robot.n_joints - 1])[:, arm.indices, :4]
 
 

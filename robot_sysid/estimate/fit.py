@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.friction import split_name
-from robot_sysid.dynamics.inverse_dynamics import link_names
 from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.bodies import Possible, consistent_least_squares
 from robot_sysid.estimate.questions import Question, arm_question, scale_spread
@@ -625,12 +624,10 @@ class Fit(Problem):
     @property
     def thetas(self) -> Array:
         """All links (n, 10), those that are held included; zero for one without mass."""
-        robot = self.arm.robot
         values = self.by_name
-        thetas = robot.thetas
-        for link in self.arm.others:
-            thetas[link] = [values[name] for name in link_names(robot, link)]
-        thetas[-1] = [values[name] for name in spatial.PARAMETER_NAMES]
+        thetas = self.arm.robot.thetas
+        for link, names in self.arm.links.items():
+            thetas[link] = [values[name] for name in names]
         return thetas
 
     def next_point(self) -> Point:

@@ -14,8 +14,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from robot_sysid.dynamics.friction import split_name
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector, link_names
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import held_out_logs, validation
@@ -233,12 +232,10 @@ def body_estimate(
 
 def link_estimates(fitted: Fit) -> Iterator[BodyEstimate]:
     """Yield the estimate of every link whose parameters were estimated, base to terminal."""
-    robot = fitted.arm.robot
-    last = robot.n_joints - 1
-    for index in (*fitted.arm.others, last):
-        names = PARAMETER_NAMES if index == last else link_names(robot, index)
+    arm = fitted.arm
+    for index, names in arm.links.items():
         if names[0] in fitted.names:
-            link = robot.links[index]
+            link = arm.robot.links[index]
             chosen = select(fitted, names)
             yield body_estimate(
                 fitted, link.body_name, chosen, fitted.values, link.theta

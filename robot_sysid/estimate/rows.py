@@ -146,6 +146,12 @@ class Rows:
             self._moves[key] = dynamics.motion(motion.q, motion.qd, motion.qdd)
         return self._moves[key]
 
+    def at_rest(self, robot: RobotModel, gravity: Array) -> LinksMotion:
+        """Return an arm's links at rest in the positions of these rows, gravity as in ``moves``."""
+        q = self.motion.q
+        still = np.zeros_like(q)
+        return LinkDynamics(robot, gravity).motion(q, still, still)
+
     @property
     def is_loaded(self) -> bool:
         """Whether the arm carries the payload."""

@@ -38,7 +38,6 @@ from robot_sysid.dynamics.friction import (
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     BeyondRigidBodies,
-    LinkDynamics,
     gravity_vector,
     link_names,
     other_links,
@@ -128,11 +127,6 @@ class Point:
     gravity: Array
     friction: Mapping[str, float] = field(default_factory=dict)
 
-    def sizes(self, term: str, joints: Sequence[str]) -> Array:
-        """Return the values (J,) of a friction term at joints."""
-        names = names_of(term, joints)
-        return np.array([self.friction.get(name, 0.0) for name in names])
-
     def carried(self, is_loaded: bool) -> Array:
         """Return the links (n, 10), the last one with the payload if ``is_loaded``."""
         if not is_loaded:
@@ -202,6 +196,7 @@ class ArmTerms:
     Attributes:
         joints: names of the J joints with equations.
         indices: (J,) their numbers among the joints of the chain.
+        links: number of each link with parameters, base to terminal, to the names of these.
         terms: cause, or name of a friction term or motor, to the term.
         model: name of a parameter to the model's value; a missing one is zero.
     """
@@ -221,6 +216,8 @@ class ArmTerms:
         self.indices = np.arange(0 if torques == "chain" else n - 1, n)
         self.joints = tuple(robot.joint_names[j] for j in self.indices)
         self.others = other_links(robot) if torques == "chain" else ()
+        self.links = {link: link_names(robot, link) for link in self.others}
+        self.links[n - 1] = PARAMETER_NAMES
         self.has_gravity = bool(np.any(gravity_vector(robot)))
         self._beyond = BeyondRigidBodies(robot)
         self.model = self._model_values()
@@ -239,10 +236,9 @@ class ArmTerms:
     def _model_values(self) -> dict[str, float]:
         """Return the model's value of each parameter that the model has."""
         robot = self.robot
-        values = dict(zip(PARAMETER_NAMES, robot.prior.theta.tolist()))
-        for link in self.others:
-            theta = robot.links[link].theta
-            values.update(zip(link_names(robot, link), theta.tolist()))
+        values: dict[str, float] = {}
+        for link, names in self.links.items():
+            values.update(zip(names, robot.links[link].theta.tolist()))
         for term, numbers in (
             ("coulomb", robot.friction.coulomb),
             ("viscous", robot.friction.viscous),
@@ -272,7 +268,7 @@ class ArmTerms:
             reference=last,
         )
         if self.others:
-            names = [name for link in self.others for name in link_names(robot, link)]
+            names = [name for link in self.others for name in self.links[link]]
             yield Term(
                 LINKS,
                 tuple(names),
@@ -364,15 +360,12 @@ class ArmTerms:
         """Return the torque (m, J) of springs, tendons and actuators, which no term has [N m]."""
         motion = rows.motion
         torque = self._beyond.torque(motion.q, motion.qd, motion.qdd)
-        torque = torque - self.robot.armature * motion.qdd
+        torque = (torque - self.robot.armature * motion.qdd)[:, self.indices]
         for motor in self.motors:
             if motor.tendon is not None:
-                _, viscous, armature = motor.model
-                speed = viscous * (motion.qd @ motor.ratios)
-                torque -= np.outer(
-                    speed + armature * (motion.qdd @ motor.ratios), motor.ratios
-                )
-        return torque[:, self.indices]
+                # That of its term, of which MuJoCo has all but the dry friction.
+                torque = torque - self._motor(motor, rows)[..., 1:] @ motor.model[1:]
+        return torque
 
     def _links(self, links: Sequence[int], rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 10 links) of links by their numbers in the chain."""
@@ -406,7 +399,7 @@ class ArmTerms:
         """Return the columns (m, J, J) of a friction term."""
         return self._per_joint(self.friction_column(name, rows, point))
 
-    def _motor(self, motor: Coupling, rows: Rows, point: Point) -> Array:
+    def _motor(self, motor: Coupling, rows: Rows, _: Point | None = None) -> Array:
         """Return the columns (m, J, 3) of a motor that turns several joints.
 
         One that turns at s = sum_j r_j qd_j puts its torque on each of these joints r_j times,
@@ -441,37 +434,36 @@ class ArmTerms:
 
     def _tilt(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, 2) of gravity turned about two horizontal axes [N m/rad]."""
-        motion = rows.motion
-        still = np.zeros_like(motion.q)
+        thetas = point.carried(rows.is_loaded)
         columns = []
         for axis in tilt_axes(point.gravity):
-            dynamics = LinkDynamics(self.robot, np.cross(axis, point.gravity))
-            moves = dynamics.motion(motion.q, still, still)
-            columns.append(moves.torque(point.carried(rows.is_loaded)))
+            moves = rows.at_rest(self.robot, np.cross(axis, point.gravity))
+            columns.append(moves.torque(thetas))
         return np.stack(columns, axis=-1)[:, self.indices]
 
     def _delay(self, rows: Rows, point: Point) -> Array:
         """Return the column (m, J, 1) of a torque that lags, -d tau / dt [N m/s]."""
-        recording = rows.recording
-        thetas = point.carried(rows.is_loaded)
-        torque = recording.links_torque(self.robot, point.gravity, thetas)[
-            :, self.indices
-        ]
-        for name in _SMOOTH:
-            rates = recording.motion.qd if name == "viscous" else recording.motion.qdd
-            sizes = point.sizes(name, self.joints)
-            torque = torque + rates[:, self.indices] * sizes
-        late = -np.gradient(torque, recording.motion.time, axis=0)
+        # A derivative needs the rows beside those of the chunk.
+        of_log = Rows(rows.recording, slice(None))
+        torque = self.links_torque(of_log, point)
+        torque = torque + self._friction_torque(_SMOOTH, of_log, point)
+        late = -np.gradient(torque, of_log.motion.time, axis=0)
         return late[rows.span][:, :, None]
 
     def _drift(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of friction's drift from recording to recording."""
-        friction = np.zeros((len(rows.motion.q), len(self.joints)))
-        for name in _DRIFTING:
-            sizes = point.sizes(name, self.joints)
-            if np.any(sizes):
-                friction += self.friction_column(name, rows, point) * sizes
+        friction = self._friction_torque(_DRIFTING, rows, point)
         return self._per_joint(rows.recording.order * friction)
+
+    def _friction_torque(self, terms: Sequence[str], rows: Rows, point: Point) -> Array:
+        """Return the torque (m, J) of the point's friction by some terms [N m]."""
+        friction = np.zeros((len(rows.motion.q), len(self.joints)))
+        for term in terms:
+            names = names_of(term, self.joints)
+            sizes = np.array([point.friction.get(name, 0.0) for name in names])
+            if np.any(sizes):
+                friction += self.friction_column(term, rows, point) * sizes
+        return friction
 
 
 def term_key(term: Term) -> str:
