@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.estimate.bodies import consistent_least_squares
 from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
-from robot_sysid.estimate.rows import Recording, Rows, Sums, add_up
+from robot_sysid.estimate.rows import Recording, Rows, Sums
 from robot_sysid.estimate.terms import LAST_LINK, ArmTerms
 from robot_sysid.records import Array, Estimate, Measurement, RobotModel
 from robot_sysid.records.data import rms_of_joints
@@ -78,12 +77,11 @@ class LastLinkTerms(ArmTerms):
         The measurements, chunks with velocities and accelerations, are read one at a time, so that
         the memory does not grow with their number.
         """
-        make = partial(self.equations, point=self._point)
         pairs = (
             (exact_recording(measurement), np.zeros(len(measurement), dtype=np.int64))
             for measurement in measurements
         )
-        return add_up(pairs, [""], self.names, self.joints, make, True)
+        return self.add_up(pairs, [""], self._point, with_triangles=True)
 
 
 def exact_recording(measurement: Measurement) -> Recording:

@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 30381,
     "robot_sysid/diagnosis": 16596,
     "robot_sysid/dynamics": 4553,
-    "robot_sysid/estimate": 29992,
+    "robot_sysid/estimate": 29966,
     "robot_sysid/logs": 15387,
     "robot_sysid/mjcf": 7118,
     "robot_sysid/model": 8857,
@@ -33,7 +33,7 @@ BUDGETS = {
     "robot_sysid/servo": 4921,
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3755,
-    "robot_sysid": 9263,
+    "robot_sysid": 9241,
     "tests": 227438,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""

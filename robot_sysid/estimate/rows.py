@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import ARRAY_SIZE, LinkDynamics, LinksMotion
-from robot_sysid.errors import InputError, prefix_input_errors
+from robot_sysid.errors import prefix_input_errors
 from robot_sysid.estimate.identifiability import RELATIVE_CUT
 from robot_sysid.records import Array, Measurement, Motion, RobotModel
 from robot_sysid.signals.process import ProcessedSignals, check_losses, process
@@ -359,59 +359,7 @@ def block_numbers(
     return numbers, [name for name in names for _ in range(per_log)]
 
 
-def add_up(
-    recordings: Iterable[tuple[Recording, NDArray[np.int64]]],
-    logs: Sequence[str],
-    names: Sequence[str],
-    joints: Sequence[str],
-    make: Callable[[Rows], tuple[Array, Mask]],
-    with_triangles: bool = False,
-) -> Sums:
-    """Return the sums of all rows; columns that are nothing but rounding are zero.
-
-    Args:
-        recordings: one at least, each with the block (K,) of its rows; read one at a time.
-        logs: (B,) the log that a block belongs to.
-        names: (p,) of the parameters.
-        joints: names of the J joints with equations.
-        make: returns (rows [A b] (m, J, p + 1), used (m, J)) of a chunk.
-        with_triangles: whether to keep triangles beside the products, of rows that are all used.
-
-    Raises:
-        InputError: no row can be used.
-    """
-    size = len(names) + 1
-    joint_sums = [_JointSums(len(logs), size) for _ in joints]
-    triangles = np.zeros((len(joints), size, size)) if with_triangles else None
-    for recording, blocks in recordings:
-        for chunk in recording.chunks(size * len(joints)):
-            rows, used = make(chunk)
-            for joint, sums in enumerate(joint_sums):
-                block = np.where(used[:, joint], blocks[chunk.span], -1)
-                sums.add(rows[:, joint], block)
-            if triangles is not None:
-                stacked = np.concatenate((triangles, np.swapaxes(rows, 0, 1)), axis=1)
-                triangles = np.asarray(np.linalg.qr(stacked, mode="r"))
-    counts = np.stack([sums.counts for sums in joint_sums], axis=1)
-    if not np.any(counts):
-        raise InputError(
-            f"none of the joints {', '.join(joints)} moves faster than its velocity deadband for "
-            "long enough; move faster, and turn round less often"
-        )
-    for sums in joint_sums:
-        sums.clear_rounding()
-    return Sums(
-        tuple(names),
-        tuple(joints),
-        tuple(sums.columns for sums in joint_sums),
-        tuple(sums.products for sums in joint_sums),
-        counts,
-        tuple(logs),
-        triangles,
-    )
-
-
-class _JointSums:
+class JointSums:
     """Products of one joint's rows, of the torque and of columns that were not always zero so far.
 
     Attributes:

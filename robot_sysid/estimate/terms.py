@@ -26,6 +26,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.friction import (
     DRY_TERMS,
@@ -44,8 +45,16 @@ from robot_sysid.dynamics.inverse_dynamics import (
     tilt_axes,
 )
 from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
+from robot_sysid.errors import InputError
 from robot_sysid.estimate.links import reference_links
-from robot_sysid.estimate.rows import Mask, Recording, Rows, Sums, add_up, block_numbers
+from robot_sysid.estimate.rows import (
+    JointSums,
+    Mask,
+    Recording,
+    Rows,
+    Sums,
+    block_numbers,
+)
 from robot_sysid.records import Array, RobotModel
 
 # Causes, as they are called in results.
@@ -330,10 +339,61 @@ class ArmTerms:
 
         Only jackknife, held-out validation and what changes over a log need them ``in_blocks``.
         """
-        make = partial(self.equations, point=point)
         numbers, logs = block_numbers(recordings, in_blocks)
-        pairs = zip(recordings, numbers)
-        return add_up(pairs, logs, self.names, self.joints, make)
+        return self.add_up(zip(recordings, numbers), logs, point)
+
+    def add_up(
+        self,
+        recordings: Iterable[tuple[Recording, NDArray[np.int64]]],
+        logs: Sequence[str],
+        point: Point,
+        with_triangles: bool = False,
+    ) -> Sums:
+        """Return the sums of all rows; columns that are nothing but rounding are zero.
+
+        Args:
+            recordings: one at least, each with the block (K,) of its rows; read one at a time.
+            logs: (B,) the log that a block belongs to.
+            point: around which terms are linearised.
+            with_triangles: whether to keep triangles beside the products, of rows that are all
+                used.
+
+        Raises:
+            InputError: no row can be used.
+        """
+        names = self.names
+        joints = self.joints
+        size = len(names) + 1
+        joint_sums = [JointSums(len(logs), size) for _ in joints]
+        triangles = np.zeros((len(joints), size, size)) if with_triangles else None
+        for recording, blocks in recordings:
+            for chunk in recording.chunks(size * len(joints)):
+                rows, used = self.equations(chunk, point)
+                for joint, sums in enumerate(joint_sums):
+                    block = np.where(used[:, joint], blocks[chunk.span], -1)
+                    sums.add(rows[:, joint], block)
+                if triangles is not None:
+                    stacked = np.concatenate(
+                        (triangles, np.swapaxes(rows, 0, 1)), axis=1
+                    )
+                    triangles = np.asarray(np.linalg.qr(stacked, mode="r"))
+        counts = np.stack([sums.counts for sums in joint_sums], axis=1)
+        if not np.any(counts):
+            raise InputError(
+                f"none of the joints {', '.join(joints)} moves faster than its velocity deadband "
+                "for long enough; move faster, and turn round less often"
+            )
+        for sums in joint_sums:
+            sums.clear_rounding()
+        return Sums(
+            names,
+            joints,
+            tuple(sums.columns for sums in joint_sums),
+            tuple(sums.products for sums in joint_sums),
+            counts,
+            tuple(logs),
+            triangles,
+        )
 
     def equations(self, rows: Rows, point: Point) -> tuple[Array, Mask]:
         """Return (rows [A b] (m, J, p + 1), used (m, J)) of a chunk."""
