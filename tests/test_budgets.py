@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 30381,
     "robot_sysid/diagnosis": 16596,
     "robot_sysid/dynamics": 4553,
-    "robot_sysid/estimate": 29966,
+    "robot_sysid/estimate": 29874,
     "robot_sysid/logs": 15387,
     "robot_sysid/mjcf": 7118,
     "robot_sysid/model": 8857,

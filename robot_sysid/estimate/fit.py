@@ -462,7 +462,7 @@ class Fit(Problem):
         for term, span in self.equations.spans:
             if term.prior is not None:
                 left = np.diag(self.inverse)[span] / term.prior.variances
-                share[span] = np.minimum(share[span], np.clip(1.0 - left, 0.0, 1.0))
+                share[span] *= np.clip(1.0 - left, 0.0, 1.0)
         return share
 
     def at(self, names: Sequence[str]) -> NDArray[np.int64]:

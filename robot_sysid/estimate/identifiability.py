@@ -57,9 +57,9 @@ class VisibleSpace:
         return len(self.singular)
 
     @property
-    def is_identified(self) -> tuple[bool, ...]:
+    def is_identified(self) -> NDArray[np.bool_]:
         """Per parameter (p,), whether it is zero in all invisible directions."""
-        return tuple((~_is_hidden(self.null)).tolist())
+        return ~_is_hidden(self.null)
 
     def solve(self, right_hand_side: Array) -> Array:
         """Return the least-squares solution x (p,) of A x = b (M,), of minimum norm in scaled y."""

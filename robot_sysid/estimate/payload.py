@@ -54,13 +54,11 @@ def written_payload(fitted: Fit) -> tuple[Array, str]:
     aluminium of the estimated mass at the estimated centre of mass. The parameters are in the frame
     of the terminal body.
     """
-    theta = fitted.values[fitted.at(PAYLOAD_NAMES)]
-    mass, com, _ = spatial.com_from_theta(theta)
     body = body_estimate(
         fitted, "payload", select(fitted, PAYLOAD_NAMES), fitted.values
     )
-    if mass <= 0.0 or is_inertia_known(body):
-        return theta, ""
+    if body.mass <= 0.0 or is_inertia_known(body):
+        return body.theta, ""
     moments, errors = principal_moments(body)
     listed = ", ".join(map(with_error, moments.tolist(), errors.tolist()))
     reason = (
@@ -69,7 +67,7 @@ def written_payload(fitted: Fit) -> tuple[Array, str]:
     )
     if not np.all(np.isfinite(errors)):
         reason = "the payload's inertia is not identifiable from these torques"
-    return spatial.aluminium_ball(mass, com), reason
+    return spatial.aluminium_ball(body.mass, body.com), reason
 
 
 def payload_result(

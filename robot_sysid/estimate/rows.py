@@ -284,12 +284,12 @@ class Sums:
 
     def with_torque_times(self, factors: Array) -> Sums:
         """Return the sums with each joint's right-hand sides times a factor (J,)."""
-        turns = []
-        for columns, factor in zip(self.columns, factors):
-            turn = np.eye(len(columns))
-            turn[-1, -1] = factor
-            turns.append(turn)
-        return self._turned(turns, self.names, self.columns)
+        products = []
+        for own, factor in zip(self.products, factors):
+            scale = np.ones(own.shape[-1])
+            scale[-1] = factor
+            products.append(scale[:, None] * own * scale)
+        return replace(self, products=tuple(products))
 
     def with_columns(
         self,
@@ -311,29 +311,21 @@ class Sums:
         size = len(self.names)
         shares = np.ones(len(self.logs)) if shares is None else shares
         new = np.arange(size, size + len(names) + 1)
-        turns = []
+        products = []
         for number, columns in enumerate(self.columns):
             mix = np.zeros((size + 1, len(names)))
             if joint in (None, number):
                 mix[at] = factor
             eye = np.tile(np.eye(len(columns)), (len(shares), 1, 1))
             mixed = shares[:, None, None] * mix[columns]
-            turns.append(np.concatenate((eye[..., :-1], mixed, eye[..., -1:]), axis=2))
-        wider = tuple(np.append(own[:-1], new) for own in self.columns)
-        return self._turned(turns, (*self.names, *names), wider)
-
-    def _turned(
-        self,
-        turns: Sequence[Array],
-        names: tuple[str, ...],
-        columns: tuple[NDArray[np.int64], ...],
-    ) -> Sums:
-        """Return the sums of each joint's rows times a matrix, of all blocks or one per block."""
-        products = tuple(
-            np.swapaxes(turn, -1, -2) @ own @ turn
-            for own, turn in zip(self.products, turns)
+            turn = np.concatenate((eye[..., :-1], mixed, eye[..., -1:]), axis=2)
+            products.append(np.swapaxes(turn, 1, 2) @ self.products[number] @ turn)
+        return replace(
+            self,
+            names=(*self.names, *names),
+            columns=tuple(np.append(own[:-1], new) for own in self.columns),
+            products=tuple(products),
         )
-        return replace(self, names=names, columns=columns, products=products)
 
 
 def block_numbers(
