@@ -20,8 +20,8 @@ BUDGETS = {
     "robot_sysid/commands": 10314,
     "robot_sysid/damiao": 30381,
     "robot_sysid/diagnosis": 16596,
-    "robot_sysid/dynamics": 4553,
-    "robot_sysid/estimate": 29874,
+    "robot_sysid/dynamics": 4542,
+    "robot_sysid/estimate": 29852,
     "robot_sysid/logs": 15387,
     "robot_sysid/mjcf": 7118,
     "robot_sysid/model": 8857,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3755,
     "robot_sysid": 9241,
-    "tests": 227438,
+    "tests": 227435,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

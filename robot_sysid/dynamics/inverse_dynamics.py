@@ -233,10 +233,9 @@ class LinksMotion:
         tau = np.zeros((samples, len(thetas)))
         wrench = np.zeros((6, samples))
         for link in reversed(range(len(thetas))):
-            if np.any(thetas[link]):
-                wrench = wrench + wrench_of(
-                    thetas[link], self.velocity[link], self.acceleration[link]
-                )
+            wrench = wrench + wrench_of(
+                thetas[link], self.velocity[link], self.acceleration[link]
+            )
             tau[:, link] = self.screws[link] @ wrench
             wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
         return tau

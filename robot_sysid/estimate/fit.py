@@ -667,21 +667,18 @@ def equations_of(
 
     All others are held at ``held``, else at the model's values, else at zero.
     """
+    squares = np.sum(sums.squares, axis=0)
+    shown = []
+    for term in terms:
+        if term.prior is None and not term.bodies:
+            own = squares[sums.at(term.names)]
+            term = term.only([name for name, square in zip(term.names, own) if square])
+        if term.names:
+            shown.append(term)
     values = {**arm.model, **held}
-    shown = [_shown(term, sums) for term in terms]
     return Equations(
-        sums,
-        [term for term in shown if term.names],
-        np.array([values.get(name, 0.0) for name in sums.names]),
+        sums, shown, np.array([values.get(name, 0.0) for name in sums.names])
     )
-
-
-def _shown(term: Term, sums: Sums) -> Term:
-    """Return a term without the parameters that have neither data nor prior."""
-    if term.prior is not None or term.bodies:
-        return term
-    squares = np.sum(sums.squares, axis=0)[sums.at(term.names)]
-    return term.only([name for name, square in zip(term.names, squares) if square])
 
 
 def correlation_times(residuals: Array) -> Array:

@@ -144,7 +144,7 @@ def _payload(arm: ArmTerms, question: Question) -> Term:
     wide[0] = 1e-6 * question.known_mass
     mean = np.zeros(N_INERTIAL)
     mean[0] = question.known_mass
-    return replace(term, prior=Prior(mean, np.diag(wide)))
+    return replace(term, prior=independent(wide, mean))
 
 
 def links_term(arm: ArmTerms, question: Question) -> Term:
