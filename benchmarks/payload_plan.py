@@ -22,7 +22,7 @@ import robot_sysid as rs
 from robot_sysid.motion import AimOptions
 from robot_sysid.motion.expected_errors import predict, typical_load
 from robot_sysid.parser import load_robot_model
-from robot_sysid.results.body_errors import load_covariance
+from robot_sysid.results.quantities import load_covariance
 from tests.support.places import GUESS, MODELS
 from tests.support.walk import RATE, TrueArm
 

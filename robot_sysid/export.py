@@ -24,10 +24,10 @@ from robot_sysid.results.lines import (
     block_lines,
     clamping_lines,
     folder_text,
+    last_lines,
     more_lines,
 )
 from robot_sysid.results.record import ModelTarget, Result, Verdict
-from robot_sysid.results.verdict import last_lines
 from robot_sysid.results.written_model import write_model
 
 if TYPE_CHECKING:

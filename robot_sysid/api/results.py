@@ -29,8 +29,7 @@ from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress, torque_unit, with_error
 from robot_sysid.results import record
 from robot_sysid.results.content import content_of
-from robot_sysid.results.lines import result_lines
-from robot_sysid.results.verdict import verdict_line
+from robot_sysid.results.lines import result_lines, verdict_line
 from robot_sysid.results.written_model import spec_of
 from robot_sysid.trajectory import sample_count
 

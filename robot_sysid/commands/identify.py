@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from robot_sysid import __version__
 from robot_sysid.commands import PROGRAM, Console, overview
 from robot_sysid.commands.arguments import Parser, parse_command
+from robot_sysid.commands.remedies import add_weighing
 from robot_sysid.commands.report import draw_report
 from robot_sysid.config import (
     Config,
@@ -29,6 +30,7 @@ from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import file_access
 from robot_sysid.records.option_fields import given_values
 from robot_sysid.report.drawing import require_matplotlib
+from robot_sysid.results.next_steps import values_of
 
 
 class CommandSpec(NamedTuple):
@@ -214,8 +216,6 @@ def run_command(config: Config, console: Console) -> None:
 
 def _add_weighing(error: InputError, config: LogConfig) -> None:
     """Add the command that weighs torque scales to an error that asks for it."""
-    from robot_sysid.pipeline.run_words import add_weighing_commands
-
     logs: Sequence[Path] = ()
     if isinstance(config, IdentifyConfig):
         logs = config.log.measurements
@@ -223,7 +223,7 @@ def _add_weighing(error: InputError, config: LogConfig) -> None:
         # A payload of known mass has all that the weighing needs, but for the first scales.
         logs = () if config.payload.known_mass else config.payload.empty
     for log in logs[:1]:
-        add_weighing_commands(error, config.model, config.log, log)
+        add_weighing(error, values_of(config.model, config.log), log)
 
 
 def _write_settings(config: Config) -> None:

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import Parser, parse_command
+from robot_sysid.commands.remedies import add_commands, add_weighing
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.messages import NextStep
-from robot_sysid.records.option_fields import (
-    command_arguments,
-    given_values,
-    record_from,
-)
+from robot_sysid.records.option_fields import given_values, record_from
+from robot_sysid.results.next_steps import step_after, values_of
 
 INTERRUPTED = "interrupted; nothing was written"
 """What is said where the user interrupts the command."""
@@ -46,22 +42,18 @@ def main(arguments: Sequence[str]) -> int:
     log_options = record_from(LogOptions, values)
     model_options = replace(record_from(ModelOptions, values), path=values["path"])
     path = values["log"]
+    repeated = {**vars(model_options), **vars(log_options)}
     try:
         _check_log(path, log_options, model_options, console)
     except InputError as error:
-        # A columns file that the error suggests replaces the one in use.
-        is_replaced = isinstance(error, ColumnsError)
-        if error.command == "payload":
-            from robot_sysid.pipeline.run_words import add_weighing_commands
-
-            add_weighing_commands(error, model_options, log_options, path)
+        reading = values_of(model_options, log_options)
+        add_weighing(error, reading, path)
         # Only that command has these options, or who has stated columns goes on to it.
-        elif error.command == "identify" or is_replaced:
-            columns = None if is_replaced else values.get("columns")
-            options = {**values, "columns": columns}
-            words = _next_step(model_options.path, path, options).command[1:]
-            error.command_lines = [[*words, *o] for o in error.options]
+        if error.command == "identify" or isinstance(error, ColumnsError):
+            add_commands(error, "log is fine", repeated, log=path)
         raise
+    console.stage("Usable: nothing that stops an identification was found")
+    console.stage(*step_after("log is fine", repeated, log=path).lines())
     return 0
 
 
@@ -106,18 +98,3 @@ def _check_log(
         }
     )
     require_acceptable([log], findings, log_options.accept)
-    console.stage("Usable: nothing that stops an identification was found")
-    values = {**vars(model_options), **vars(log_options)}
-    console.stage(*_next_step(model_options.path, path, values).lines())
-
-
-def _next_step(model_path: Path, path: Path, options: Mapping[str, Any]) -> NextStep:
-    """Return the step that identifies an arm from a log.
-
-    ``options``: key to value, of which those of the model and the log are used.
-    """
-    from robot_sysid.results.next_steps import step_after
-
-    arguments = command_arguments(options, ModelOptions, LogOptions)
-    files = {"model": str(model_path), "log": str(path)}
-    return step_after("log is fine", options=arguments, **files)

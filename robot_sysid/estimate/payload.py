@@ -34,8 +34,11 @@ from robot_sysid.estimate.trust import (
 from robot_sysid.records import Array, DataOrigin, Flange
 from robot_sysid.records.levels import CLEAR
 from robot_sysid.records.messages import Detail, Level, Remark, says, with_error
-from robot_sysid.results.body_errors import is_inertia_known, principal_moments
-from robot_sysid.results.quantities import body_quantities
+from robot_sysid.results.quantities import (
+    body_quantities,
+    is_inertia_known,
+    principal_moments,
+)
 from robot_sysid.results.record import (
     PAYLOAD,
     BodyEstimate,

@@ -21,8 +21,7 @@ from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_fil
 from robot_sysid.records.messages import NextStep, Progress, percent
 from robot_sysid.records.option_fields import given_arguments, joint_values
 from robot_sysid.results.lines import clamping_lines
-from robot_sysid.results.next_steps import step_after
-from robot_sysid.results.verdict import plan_conditions, plan_verdict
+from robot_sysid.results.next_steps import step_after, step_with_motion
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 
@@ -108,30 +107,19 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
     """
     prediction, lines = predict_plan(config, checked)
     failure = checked.failure
+    shortfall = _shortfall(config, prediction)
     paths: tuple[Path, ...] = ()
+    step = None
     if failure:
         failure = f"{failure}; nothing was written"
+        verdict = [f"Not usable: {failure}"]
     else:
         paths, clamping = _write_motion(config, robot, checked.plan)
         lines += clamping
-    shortfall = _shortfall(config, prediction)
-    conditions = []
-    problem = checked.problem
-    if problem is not None and not failure:
-        from robot_sysid.motion.starts import contact_on_the_way
-
-        start = checked.plan.evaluate(np.zeros(1)).q[0]
-        conditions = plan_conditions(
-            contact_on_the_way(problem, start),
-            n_unguarded=len(problem.unguarded),
-            n_links=problem.n_joints,
-            lacks_meshes=robot.lacks_meshes,
-        )
-    verdict = [plan_verdict(failure, shortfall, conditions)]
-    step = None
-    if not (failure or shortfall):
-        step = _step_after(config, paths)
-    verdict += () if step is None else step.lines()
+        verdict = [plan_verdict(shortfall, plan_conditions(checked))]
+        if not shortfall:
+            step = _step_after(config, paths)
+            verdict += step.lines()
     answer = {
         "verdict": verdict,
         "next_step": step and vars(step),
@@ -143,26 +131,63 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
     return Written(paths, lines, verdict, failure, answer)
 
 
+def plan_verdict(shortfall: str, conditions: Sequence[str]) -> str:
+    """Return one line: whether to play a motion that keeps all limits.
+
+    Args:
+        shortfall: why the motion does not serve its purpose; "" where it does.
+        conditions: what has to be done before it is played, each with its reason.
+    """
+    if shortfall:
+        return f"Not ready: {shortfall}"
+    if conditions:
+        return f"Usable once {', and once '.join(conditions)}"
+    return "Usable: play it on the arm, slowly at first, and record it"
+
+
+def plan_conditions(checked: CheckedPlan) -> list[str]:
+    """Return what has to be done before a motion is played, each with its reason."""
+    from robot_sysid.motion.starts import contact_on_the_way
+
+    problem = checked.problem
+    if problem is None:
+        return []
+    conditions = []
+    contact = contact_on_the_way(problem, checked.plan.evaluate(np.zeros(1)).q[0])
+    if contact is not None:
+        conditions.append(
+            "the arm has been brought to the start of this motion another way: the straight way "
+            f"from the model's pose at rest is not free, by the clearance of {contact}"
+        )
+    n_unguarded = len(problem.unguarded)
+    if n_unguarded:
+        remedy = "watch it in a viewer that shows them"
+        if problem.robot.lacks_meshes:
+            meshes = "--mesh-dir FOLDER, the folder of its meshes (STL or OBJ)"
+            remedy = f"plan again with {meshes}, or {remedy}"
+        conditions.append(
+            f"contacts have been checked: without collision geometry, {n_unguarded} of "
+            f"{problem.n_joints} moving links may touch anything; {remedy}"
+        )
+    return conditions
+
+
 def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
     """Return what to do with a planned motion: rehearse it on motors, or record and identify.
 
     ``paths``: the files that were written.
     """
-    folder = config.plan_file.parent
-    step = partial(step_after, model=str(config.model.path), folder=folder)
+    values = vars(config.model)
     for path in paths:
         if path.name == DAMIAO_NAME:
             from robot_sysid.damiao.trajectory import LIMITS
 
-            options = given_arguments(config.model)
-            options += given_arguments(config.limits, LIMITS)
+            limits = given_arguments(config.limits, LIMITS)
             state = "motion planned for motors"
-            return step(state, options=options, trajectory=str(path))
-    options = given_arguments(config.model, ("mesh_dir", "joint"))
-    if config.aim.purpose == "payload":
-        return step("motion planned for payload", options=options)
-    options += ["--links"] if config.aim.purpose == "arm" else []
-    return step("motion planned", options=options, log=str(folder / "log.csv"))
+            return step_after(state, values, *limits, trajectory=path)
+    folder = config.plan_file.parent
+    log = folder / "log.csv"
+    return step_with_motion("motion planned", config.aim.purpose, values, folder, log)
 
 
 def _write_motion(

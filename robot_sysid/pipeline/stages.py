@@ -33,14 +33,21 @@ from robot_sysid.pipeline.planning import (
     motor_writer,
     write_plan,
 )
-from robot_sysid.pipeline.run_words import step_after_run
 from robot_sysid.records import ITSELF, DataOrigin, Estimate, MotionPlan, RobotModel
 from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.file_access import atomic_files
-from robot_sysid.records.messages import Detail, Progress, says, term_unit
+from robot_sysid.records.levels import INTERVAL
+from robot_sysid.records.messages import Detail, NextStep, Progress, says, term_unit
 from robot_sysid.records.option_fields import given_values, write_torque_scale
-from robot_sysid.results.quantities import body_quantities, without_rounding
+from robot_sysid.results.next_steps import step_after, values_of
+from robot_sysid.results.quantities import (
+    BEYOND,
+    MOMENT,
+    body_quantities,
+    without_rounding,
+)
 from robot_sysid.results.record import LINK, Quantity, Result, Verdict
+from robot_sysid.results.table import KNOWN
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.solver import TERMINAL_FRICTION, LastLinkTerms, identify_parameters
@@ -124,19 +131,17 @@ def identify(
     Raises:
         InputError: a log cannot be used, or the motion breaks a limit.
     """
-    if isinstance(config, LogConfig):
-        estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
-        config = replace(config, estimation=estimation)
+    if isinstance(config, SelfTestConfig):
+        return identify_simulated(config, robot, progress)
+    from robot_sysid.pipeline.recordings import identify_logs, identify_payload
+
+    assert isinstance(config, LogConfig)
+    estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
+    config = replace(config, estimation=estimation)
     if isinstance(config, PayloadConfig):
-        from robot_sysid.pipeline.payload import identify_payload
-
         return identify_payload(config, robot, progress), None
-    if isinstance(config, IdentifyConfig):
-        from robot_sysid.pipeline.recordings import identify_logs
-
-        return identify_logs(config, robot, progress), None
-    assert isinstance(config, SelfTestConfig)
-    return identify_simulated(config, robot, progress)
+    assert isinstance(config, IdentifyConfig)
+    return identify_logs(config, robot, progress), None
 
 
 def identify_simulated(
@@ -229,6 +234,35 @@ def write_results(
         except Exception as error:  # The results must stand.
             progress.note(f"nothing was left for a later report: {error}")
     return written
+
+
+def step_after_run(config: Config, result: Result) -> NextStep | None:
+    """Return what to do after an identification that may be used, or None for nothing more."""
+    arm = vars(config.model)
+    folder = config.output.output_dir
+    if not result.is_measured:
+        return step_after("self-test passed", arm, folder=folder)
+    if isinstance(config, PayloadConfig):
+        payload = config.payload
+        scales = payload.save_torque_scale
+        empty = [log for log in payload.empty if isinstance(log, Path)]
+        if scales is None or not empty:
+            return None
+        # The scales that the run began with are in those that it writes.
+        values = values_of(config.model, config.log)
+        return step_after("torque scales known", values, log=empty, scales=scales)
+    parts = [result.quantity(name, BEYOND) for name in (MOMENT, "mass")]
+    ratios = [part.value / part.error for part in parts if part and part.error]
+    if isinstance(config, IdentifyConfig) and max(ratios, default=0.0) >= INTERVAL:
+        # Weighing it by difference, to 1 to 5 %, gains little.
+        if ratios[-1] > 20.0:
+            return None
+        logs = config.log.measurements
+        values = values_of(config.model, config.log)
+        return step_after("part bolted on", values, log=logs, folder=folder)
+    if result.body.errors[0] < KNOWN * result.body.mass:
+        return None
+    return step_after("mass not known", arm, folder=folder)
 
 
 def run_self_test(

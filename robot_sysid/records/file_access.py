@@ -122,17 +122,15 @@ def read_toml(path: Path) -> Mapping[str, Any]:
         raise InputError(f"cannot read {path}: {error_text(error)}") from None
 
 
-def plan_settings(folder: Path) -> tuple[Path, Mapping[str, Any]] | None:
-    """Return path and content of the settings file of the plan in a folder.
+def plan_settings(folder: Path) -> Mapping[str, Any]:
+    """Return the content of the settings file of the plan in a folder.
 
-    None where there is no such file or it cannot be read: the settings only serve to suggest the
+    Empty where there is no such file or it cannot be read: the settings only serve to suggest the
     next command.
     """
-    path = folder / SETTINGS_NAME
-    try:
-        return (path, read_toml(path)) if path.is_file() else None
-    except InputError:
-        return None
+    with contextlib.suppress(InputError):
+        return read_toml(folder / SETTINGS_NAME)
+    return {}
 
 
 class AtomicFiles:

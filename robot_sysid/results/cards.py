@@ -18,7 +18,7 @@ from robot_sysid.errors import ExportError
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, makers_of
 from robot_sysid.records.messages import with_error
-from robot_sysid.results.body_errors import load_errors, principal_moments
+from robot_sysid.results.quantities import load_errors, principal_moments
 from robot_sysid.results.record import BodyEstimate, Payload
 
 # Folder with a template for the plain form and for each of ``controllers.CHOICES`` but two.

@@ -1,7 +1,12 @@
-"""What the console prints of a result: a view of the content of params.json."""
+"""What the console prints of a result: a view of the content of params.json.
+
+The verdict says in one line whether to use the result, how much better it is than the model before,
+and what limits it. It is printed last, with the files to use and the next step.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,13 +14,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import ITSELF
-from robot_sysid.records.messages import Detail, percent, with_error
+from robot_sysid.records.file_access import CARD_NAME, models_in
+from robot_sysid.records.messages import Detail, NextStep, percent, with_error
 from robot_sysid.results.cards import NOT_KNOWN
 from robot_sysid.results.content import Content
-from robot_sysid.results.record import PAYLOAD
+from robot_sysid.results.record import PAYLOAD, Verdict
 from robot_sysid.results.table import (
+    KNOWN,
     all_cells,
     beyond_line,
     body_rows,
@@ -23,21 +31,30 @@ from robot_sysid.results.table import (
     friction_rows,
     label,
     largest_changes,
+    rows_of,
     table_lines,
 )
-from robot_sysid.results.verdict import before_after_text, verdict_line
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.trajectory import DamiaoExportReport
 
 
-def result_lines(content: Content, links: bool = False) -> list[str]:
+# Name of a verdict to the sentence on the result's use, where that is not "Usable".
+_USE_TEXTS = {
+    Verdict.TORQUES_ONLY.name: "Only for torques of motions like the log's, not for the numbers",
+    Verdict.AS_GOOD.name: "Usable, but the model was about as good before",
+    Verdict.PARTLY_FROM_MODEL.name: "Usable (not identifiable, model's values kept: {unseen})",
+    Verdict.INERTIA_NOT_KNOWN.name: "Usable for mass and centre of mass (the inertia is not known)",
+}
+
+
+def result_lines(content: Content, links: bool) -> list[str]:
     """Return the lines of a result without those of files and without --verbose."""
     lines = (*block_lines(content, links), *more_lines(content), verdict_line(content))
     return [line for line in lines if not isinstance(line, Detail)]
 
 
-def block_lines(content: Content, links: bool = False) -> list[str]:
+def block_lines(content: Content, links: bool) -> list[str]:
     """Return the identified numbers line by line: a table, or the block of a self-test.
 
     Args:
@@ -80,10 +97,12 @@ def _self_test_lines(content: Content) -> list[str]:
         lines.append(f"  {title}: {numbers} {rows[names[0]]['unit']}")
     for term in ("coulomb", "viscous"):
         if term in rows:
-            number = _friction_text(rows[term]["value"])
-            lines.append(
-                f"  {term.capitalize()} friction: {number} {rows[term]['unit']}"
-            )
+            value = rows[term]["value"]
+            # Adding zero turns the -0.00 that rounding leaves into 0.00.
+            rounded = round(value, 2) + 0.0
+            number = f"{value:.1g}" if value and not rounded else f"{rounded:.2f}"
+            name = term.capitalize()
+            lines.append(f"  {name} friction: {number} {rows[term]['unit']}")
     return [*lines, *_quality_lines(content)]
 
 
@@ -102,13 +121,6 @@ def _decimals_text(values: Sequence[float]) -> str:
     is_small = 0.0 < largest < 0.01
     decimals = 1 - math.floor(math.log10(largest)) if is_small else 3
     return ", ".join(f"{value:.{decimals}f}" for value in values)
-
-
-def _friction_text(value: float) -> str:
-    """Return a number with two decimals, or with one significant digit instead of 0.00."""
-    # Adding zero turns the -0.00 that rounding leaves into 0.00.
-    rounded = round(value, 2) + 0.0
-    return f"{value:.1g}" if value and not rounded else f"{rounded:.2f}"
 
 
 def more_lines(content: Content) -> list[str]:
@@ -192,3 +204,94 @@ def folder_text(folder: Path) -> str:
     text = folder.as_posix()
     prefix = "" if folder.is_absolute() or text.startswith(".") else "./"
     return f"{prefix}{text}/" if text != "." else "./"
+
+
+def verdict_line(content: Content) -> str:
+    """Return one line: whether to use a result, how good it is, and what limits it."""
+    if content["failure"] is not None:
+        return f"Not usable: {content['failure']}"
+    unseen = ", ".join(content["unidentifiable"])
+    if content["source"] == ITSELF:
+        use = (
+            "Self-test passed: the model's own numbers came back from its own simulation, which "
+            "says nothing of the real arm"
+        )
+        return use + (f" (not identifiable: {unseen})" if unseen else "")
+    use = _USE_TEXTS.get(content["status"], "Usable").format(unseen=unseen)
+    return f"{use}: {'; '.join(_improvements(content))}"
+
+
+def before_after_text(before: Content, after: Content | None) -> str:
+    """Return the relative errors of two models as text, such as "27 % -> 0.3 %".
+
+    An error that is not known is left out, "not known" stands for both.
+    """
+    errors = [test["relative_error"] for test in (before, after) if test is not None]
+    texts = [percent(error) for error in errors if error is not None]
+    return " -> ".join(texts) or "not known"
+
+
+def _improvements(content: Content) -> Iterator[str]:
+    """Yield phrases on the torque error before and after, and on the error of the mass."""
+    file = content["file"]
+    payload = content["payload"]
+    if file:
+        # A payload is part of both models: the change is that of links and friction.
+        load = " with the payload" if payload else ""
+        shares = before_after_text(file["before"], file["after"])
+        yield f"torque error{load} on held-out data, torque offsets aside, {shares}"
+    if payload and payload["known_mass"]:
+        yield "torque scales follow from the known mass"
+        return
+    of = PAYLOAD if payload else content["body_name"]
+    row = next((row for row in rows_of(content, of) if row["name"] == "mass"), None)
+    if row is None or row["error"] is None or row["value"] <= 0.0:
+        yield f"the mass of {of} alone is not identifiable"
+        return
+    mass = with_error(row["value"], row["error"], "kg")
+    text = f"{of} weighs {mass}"
+    if row["error"] >= KNOWN * row["value"]:
+        text = f"the mass of {of} alone is not known: {mass}"
+    yield f"{text}, ± mostly from {row['reason']}" if row["reason"] else text
+
+
+def use_lines(path: Path, contents: str = "") -> tuple[str, str, str]:
+    """Return which model file to use, which MuJoCo loads it, and a line of Python that does.
+
+    Args:
+        path: of the written file, which has been compiled by the installed MuJoCo.
+        contents: what the file is of, behind a comma; "" for the arm.
+    """
+    text = json.dumps(str(path), ensure_ascii=False)
+    return (
+        f"Use this file{contents}: {path}",
+        f"  mujoco.MjModel.from_xml_path({text})",
+        f"It loads in MuJoCo {MUJOCO_VERSION} (tested); others from 3.0 on load it if they load "
+        "your model",
+    )
+
+
+def last_lines(
+    content: Content, files: Sequence[Path], step: NextStep | None
+) -> list[str]:
+    """Return the last lines of the console: the verdict, which files to use, and the next step.
+
+    Args:
+        content: of params.json.
+        files: the written files, among them the model and a payload's card.
+        step: the next step, or None.
+    """
+    lines = [verdict_line(content)]
+    if content["failure"] is not None:
+        return lines
+    contents = ", the arm with its payload" if content["payload"] else ""
+    # A self-test writes back what its model says already.
+    if content["source"] != ITSELF:
+        for path in models_in(files)[:1]:
+            lines += use_lines(path, contents)
+    if content["payload"] is not None:
+        flange = content["payload"]["flange"]["name"]
+        start = f"Copy into the controller, in the frame of {flange}"
+        lines += [f"{start}: {path}" for path in files if path.name == CARD_NAME]
+    lines += step.lines() if step else ()
+    return lines

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Union
+from typing import Any
 
+from robot_sysid.logs import LogOptions
+from robot_sysid.model import ModelOptions
 from robot_sysid.motion import PAYLOAD_ORDER
 from robot_sysid.records.messages import NextStep
+from robot_sysid.records.option_fields import command_arguments
 
 _WEIGHED = (
     "payload {model} --empty {folder}/empty.csv {folder}/empty_again.csv --loaded "
@@ -61,19 +64,64 @@ STEPS: Mapping[str, tuple[str, str]] = {
 }
 """State after a command to a sentence on what to do next and the words of the command that does it,
 behind the program's name. A name in braces stands for what ``step_after`` is given for it."""
-Words = Union[str, Path, Sequence[str]]
-"""What fills a place of a template: a word, or several of them."""
 
 
-def step_after(state: str, **words: Words) -> NextStep:
-    """Return the sentence and the command of a state in ``STEPS``, filled with words."""
+def step_after(
+    state: str, values: Mapping[str, Any], *further: str, **words: Any
+) -> NextStep:
+    """Return the sentence and the command of a state in ``STEPS``.
+
+    Args:
+        state: of ``STEPS``.
+        values: "path" to the model file, and the keys of options to their values. The command
+            repeats those that choose the arm and say how its logs are read, but for options that
+            it states itself.
+        further: more arguments of the command.
+        words: what fills the other names in braces, a word, a path, or several of them.
+    """
     sentence, template = STEPS[state]
+    parts = template.split()
+    stated = {*parts, *further}
+    if parts[0] in ("identify", "payload"):
+        # Only a motion starts at a keyframe.
+        stated.add("--keyframe")
+    repeated = {
+        key: value
+        for key, value in values.items()
+        if f"--{key.replace('_', '-')}" not in stated
+    }
+    options = command_arguments(repeated, ModelOptions, LogOptions)
+    words = {"model": values["path"], "options": [*options, *further], **words}
     command = ["robot-sysid"]
-    for part in template.split():
+    for part in parts:
         filling = words.get(part.strip("{}"))
         if isinstance(filling, (list, tuple)):
-            command += filling
+            command += map(str, filling)
             continue
         filled = part.format(**words)
         command.append(str(Path(filled)) if "{folder}" in part else filled)
     return NextStep(sentence.format(**words), tuple(command))
+
+
+def step_with_motion(
+    state: str, purpose: str, values: Mapping[str, Any], folder: Path, log: Path
+) -> NextStep:
+    """Return what to do with a motion: identify the arm, or weigh a payload, from logs of it.
+
+    Args:
+        state: of ``STEPS``, where the motion is for no payload.
+        purpose: what the motion was planned for.
+        values: see ``step_after``.
+        folder: for the logs and the results.
+        log: that the motion is recorded in.
+    """
+    if purpose == "payload":
+        return step_after("motion planned for payload", values, folder=folder)
+    links = ["--links"] if purpose == "arm" else []
+    return step_after(state, values, *links, folder=folder, log=log)
+
+
+def values_of(model: ModelOptions, log: LogOptions) -> dict[str, Any]:
+    """Return the values of the options that hold for every log of the same arm."""
+    keys = ("columns", "units", "torque_scale", "torque_constants", "topic")
+    return {**vars(model), **{key: getattr(log, key) for key in keys}}

@@ -1,19 +1,36 @@
-"""The rows of a result: numbers of bodies, in the order of the tables, and the words of causes."""
+"""The rows of a result: numbers of bodies with their errors, in the order of the tables.
+
+A body's ten parameters theta (10,) are mass m [kg], first moments h [kg m] and the inertia about
+the origin of its frame [kg m^2], six elements; its centre of mass is c = h / m. Errors of the
+centre of mass, of the inertia about it and of principal axes follow from those of theta.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import Array, InertialParameters
+from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import PARAMETER_UNITS
-from robot_sysid.results.body_errors import ERROR_NAMES, load_errors
 from robot_sysid.results.record import DATA, FILE, MODEL, BodyEstimate, Quantity
 
-BODY_NAMES = (*ERROR_NAMES, *PARAMETER_NAMES[1:])
+CENTRAL = (
+    "mass",
+    "com_x",
+    "com_y",
+    "com_z",
+    *(f"{name}_about_com" for name in PARAMETER_NAMES[4:]),
+)
+"""Names of a body's mass [kg], centre of mass [m] and inertia about the centre of mass [kg m^2], in
+the axes of the body's frame."""
+# How often each of xx, xy, xz, yy, yz, zz stands in a symmetric matrix.
+_MULTIPLICITY = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
+BODY_NAMES = (*CENTRAL, *PARAMETER_NAMES[1:])
 """Names of a body's rows: mass, centre of mass, inertia about it; then what torques are linear in,
 first moments and inertia about the origin of the body's frame."""
 PRIOR_SHARE = 0.5
@@ -27,6 +44,78 @@ NOT_SHOWN = "these torques do not show it"
 _UNITS = ("kg", *"mmm", *PARAMETER_UNITS[4:], *PARAMETER_UNITS[1:])
 # Index of the inertial parameter whose share and causes a row has.
 _INDICES = (*range(10), *range(1, 10))
+
+
+def load_covariance(body: BodyEstimate) -> Array:
+    """Return the covariance (10, 10) of mass, centre of mass c and inertia about c of a body.
+
+    The order is that of ``CENTRAL``. It follows to first order from I_com = I - m (|c|^2 1 -
+    c c^T) and c = h / m, by their slopes: dc = (dh - c dm) / m, and with a = dh along an axis
+    dI_com = dI - dm (c c^T - |c|^2 1) - (2 (a c) 1 - a c^T - c a^T). The change of c is not
+    symmetric in the mass, larger where the mass is smaller: its slope is therefore that to the body
+    that is lighter by one standard error of the mass, at most twice that of the body itself.
+    Variances of what is not determined are infinite.
+    """
+    is_com_known = body.mass > 0.0 and np.all(body.is_determined[:4])
+    is_inertia_known = is_com_known and np.all(body.is_determined)
+    mass = body.mass if is_com_known else 1.0
+    mass_error = np.sqrt(max(body.covariance[0, 0], 0.0))
+    com = body.com
+    identity = np.eye(3)
+    jacobian = np.eye(10)
+    com_slopes = np.column_stack((-com, identity))
+    jacobian[1:4, :4] = com_slopes / max(mass - mass_error, 0.5 * mass)
+    # Of the inertia about c: by the mass, then by each first moment.
+    inertia_slopes = [com @ com * identity - np.outer(com, com)]
+    for axis in identity:
+        products = np.outer(axis, com) + np.outer(com, axis)
+        inertia_slopes.append(products - 2.0 * (axis @ com) * identity)
+    for column, slope in enumerate(inertia_slopes):
+        jacobian[4:, column] = spatial.six_from_symmetric(slope)
+    covariance = jacobian @ body.covariance @ jacobian.T
+    is_known = [body.is_determined[0], is_com_known, is_inertia_known]
+    is_hidden = ~np.repeat(is_known, [1, 3, 6])
+    covariance[is_hidden] = 0.0
+    covariance[:, is_hidden] = 0.0
+    covariance[is_hidden, is_hidden] = np.inf
+    return covariance
+
+
+def load_errors(body: BodyEstimate) -> Array:
+    """Return the standard errors (10,) of mass, centre of mass and inertia about it of a body.
+
+    The order and units are those of ``CENTRAL``. An error that is not known is infinite.
+    """
+    return np.sqrt(np.maximum(np.diag(load_covariance(body)), 0.0))
+
+
+def principal_moments(body: BodyEstimate) -> tuple[Array, Array]:
+    """Return the principal moments (3,) of a body and their standard errors (3,).
+
+    They are about the centre of mass [kg m^2]; infinite errors where not known. To first order,
+    the moment about the axis a changes by a^T dI a.
+    """
+    moments, axes = spatial.principal_axes(body.inertia_com)
+    covariance = load_covariance(body)[4:, 4:]
+    if not np.all(np.isfinite(covariance)):
+        return moments, np.full(3, np.inf)
+    # Rows (3, 6) that take the six elements of dI to a^T dI a.
+    squares = [spatial.six_from_symmetric(np.outer(axis, axis)) for axis in axes.T]
+    rows = _MULTIPLICITY * np.array(squares)
+    variances = np.diag(rows @ covariance @ rows.T)
+    return moments, np.sqrt(np.maximum(variances, 0.0))
+
+
+def is_inertia_known(body: BodyEstimate) -> bool:
+    """Return whether any principal moment exceeds ``SURE`` standard errors.
+
+    One is enough: the smallest moment of a rod never does, and a wrist that only spins determines
+    one moment alone. Bodies that had to be made possible ones have too large moments: some of 48
+    simulated payloads that exceed two errors are 183 times too large (arms of
+    benchmarks/payload_by_difference.py).
+    """
+    moments, errors = principal_moments(body)
+    return bool(np.any(moments > SURE * errors))
 
 
 def without_rounding(values: Array, scale: Array | float) -> Array:
@@ -77,7 +166,6 @@ def body_quantities(body: BodyEstimate) -> Iterator[Quantity]:
 
 def file_quantities(theta: Array, prior: Array, of: str) -> Iterator[Quantity]:
     """Yield the rows of a written link, parameters (10,); those of the model are ``prior``."""
-    models = _numbers(InertialParameters(prior))
-    values = _numbers(InertialParameters(theta))
-    for name, unit, model, value in zip(BODY_NAMES, _UNITS, models, values):
-        yield Quantity(name, of, unit, model, value, None, FILE)
+    body = BodyEstimate(theta, of, prior=InertialParameters(prior))
+    for row in body_quantities(body):
+        yield replace(row, source=FILE)

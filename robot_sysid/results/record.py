@@ -159,8 +159,10 @@ class BodyEstimate(InertialParameters):
     """
 
     name: str
-    covariance: Array
-    is_determined: NDArray[np.bool_]
+    covariance: Array = field(default_factory=lambda: np.zeros((10, 10)))
+    is_determined: NDArray[np.bool_] = field(
+        default_factory=lambda: np.ones(10, dtype=bool)
+    )
     budget: Mapping[str, Array] = field(default_factory=dict)
     data_share: Array = field(default_factory=lambda: np.ones(10))
     prior: InertialParameters | None = None
@@ -337,13 +339,8 @@ class Result:
             return self.payload.body
         if self.links:
             return [*self.links.values()][-1]
-        return BodyEstimate(
-            theta=self.estimate.inertial.theta,
-            name=self.robot.body_name,
-            covariance=np.zeros((10, 10)),
-            is_determined=np.ones(10, dtype=bool),
-            prior=self.robot.prior,
-        )
+        theta = self.estimate.inertial.theta
+        return BodyEstimate(theta, self.robot.body_name, prior=self.robot.prior)
 
     @property
     def failure(self) -> str | None:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import aligned_lines, number_text, percent, with_error
 from robot_sysid.results.content import FORMULAS, Content
-from robot_sysid.results.quantities import BEYOND, BODY_NAMES
+from robot_sysid.results.quantities import BEYOND, BODY_NAMES, CENTRAL
 from robot_sysid.results.record import BOUND, DATA, FILE, MODEL, PAYLOAD
 
 _AXES = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -39,8 +39,6 @@ _LABELS = dict(
     tilt_1="tilt of the base, first axis",
     tilt_2="tilt of the base, second axis",
 )
-CENTRAL = BODY_NAMES[:10]
-"""Names of mass, centre of mass and inertia about it."""
 ORIGIN = (BODY_NAMES[0], *BODY_NAMES[10:])
 """Names of mass, first moments and inertia about the origin of the body's frame."""
 HEADINGS = ("", "model", "identified", "±", "in the file", "unit", "change")

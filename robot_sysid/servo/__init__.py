@@ -30,10 +30,9 @@ from robot_sysid.records import (
     file_access,
 )
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.lines import folder_text
+from robot_sysid.results.lines import folder_text, use_lines
 from robot_sysid.results.record import DATA, MODEL, ModelTarget, Quantity
 from robot_sysid.results.table import cells, label, table_lines
-from robot_sysid.results.verdict import use_lines
 from robot_sysid.results.written_model import versions, write_joints
 from robot_sysid.servo.commands import check_commands
 from robot_sysid.servo.fit import (

@@ -394,7 +394,7 @@ def test_the_package_is_light_and_its_functions_survive_imports_of_their_folders
     code = (
         "import sys, robot_sysid as rs; light = 'numpy' not in sys.modules; "
         "import robot_sysid.commands.motors; light &= 'mujoco' not in sys.modules; "
-        "import robot_sysid.commands.identify, robot_sysid.pipeline.payload; "
+        "import robot_sysid.commands.identify, robot_sysid.pipeline.recordings; "
         "functions = [callable(getattr(rs, name)) for name in rs.__all__ if name.islower()]; "
         "sys.exit(0 if light and functions.count(False) == 1 else 1)"  # motors is a module
     )

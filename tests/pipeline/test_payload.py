@@ -16,8 +16,8 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline import payload, stages
-from robot_sysid.pipeline.payload import is_drift_identifiable, order_positions
+from robot_sysid.pipeline import recordings, stages
+from robot_sysid.pipeline.recordings import is_drift_identifiable, order_positions
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
 from tests.support.measured_logs import XML, log_of
@@ -92,7 +92,7 @@ def test_logs_are_judged_together_with_the_options_of_the_run(
         assert is_loaded == [False, True] and order == [-1.0, 1.0]
         raise Checked
 
-    monkeypatch.setattr(payload, "judge", check)
+    monkeypatch.setattr(recordings, "judge", check)
     with pytest.raises(Checked):
         stages.run(config, Progress())
 

@@ -1,12 +1,15 @@
-"""The planning stage: the torque that motors are sent with a planned motion."""
+"""The planning stage: the torque that motors are sent, and when a motion may be played."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from robot_sysid.config import MotorOptions, PlanConfig
 from robot_sysid.errors import InputError
+from robot_sysid.motion import starts
 from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.motion.prediction import Prediction
 from robot_sysid.parser import load_robot_model
@@ -15,6 +18,8 @@ from robot_sysid.pipeline.planning import (
     motor_commands,
     motor_joints,
     motor_writer,
+    plan_conditions,
+    plan_verdict,
     write_plan,
 )
 from robot_sysid.simulator import ArmTorque
@@ -57,6 +62,11 @@ def test_no_motor_file_is_written_that_no_option_asks_for(robot):
     assert motor_writer(MotorOptions(), robot, None, 100.0) is None
 
 
+def still():
+    """A motion of two joints that stand still."""
+    return SineTrajectory(*np.zeros((1, 2)), *np.zeros((3, 2, 1)), 4.0, fade=1.0)
+
+
 def predicted(mass_error):
     """A made-up prediction for a mass of 1 kg."""
     errors = np.full(10, mass_error)
@@ -81,7 +91,28 @@ def test_the_step_after_a_motion_that_is_not_ready_does_not_play_it(
 ):
     monkeypatch.setattr(planning, "predict_plan", lambda *_: (prediction, []))
     config = PlanConfig.of(robot.path, output_dir=tmp_path)
-    plan = SineTrajectory(*np.zeros((1, 2)), *np.zeros((3, 2, 1)), 4.0, fade=1.0)
-    written = write_plan(config, robot, CheckedPlan(plan))
+    written = write_plan(config, robot, CheckedPlan(still()))
     assert written.verdict[0].startswith(verdict)
     assert (written.result["next_step"] is None) == verdict.startswith("Not ready")
+
+
+@pytest.mark.parametrize(
+    ("contact", "n_unguarded", "lacks_meshes", "phrases"),
+    [
+        (None, 0, True, []),
+        ("link0 and link5", 0, False, ["free, by the clearance of link0 and link5"]),
+        (None, 2, False, ["2 of 6 moving links", "watch it in a viewer"]),
+        (None, 6, True, ["6 of 6 moving links", "--mesh-dir FOLDER"]),
+        ("link0 and link5", 6, True, ["brought to the start", "--mesh-dir FOLDER"]),
+    ],
+)
+def test_a_plan_is_usable_once_what_was_not_checked_is(
+    monkeypatch, contact, n_unguarded, lacks_meshes, phrases
+):
+    monkeypatch.setattr(starts, "contact_on_the_way", lambda *_: contact)
+    arm = SimpleNamespace(lacks_meshes=lacks_meshes)
+    links = range(n_unguarded)
+    problem = SimpleNamespace(robot=arm, n_joints=6, unguarded=links)
+    verdict = plan_verdict("", plan_conditions(CheckedPlan(still(), problem)))
+    assert all(phrase in verdict for phrase in phrases)
+    assert verdict.startswith("Usable once ") is bool(phrases)

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from robot_sysid.config import SelfTestConfig
+from robot_sysid.config import IdentifyConfig, SelfTestConfig
 from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline.stages import run, run_self_test, self_test_verdict
+from robot_sysid.pipeline.stages import (
+    run,
+    run_self_test,
+    self_test_verdict,
+    step_after_run,
+)
 from robot_sysid.records import ITSELF, Identifiability
 from robot_sysid.records.messages import Progress
-from robot_sysid.results.record import Verdict
+from robot_sysid.results.quantities import BEYOND, MOMENT
+from robot_sysid.results.record import Quantity, Verdict
 from robot_sysid.trajectory import CHUNK
 from tests.support import arms, results
 from tests.support.measured_logs import plan_of, true_arm
@@ -197,3 +204,43 @@ def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
         identifiability=Identifiability(rank, 1.0, ("mass",) * (12 - rank)),
     )
     assert self_test_verdict(estimate) is expected
+
+
+@pytest.mark.parametrize(
+    ("part", "error", "command"),
+    [
+        (0.8, 1.2, "plan"),
+        (0.8, 0.2, "payload"),
+        (0.3, 0.2, None),
+        (-0.8, 0.2, None),
+        (0.8, 0.02, None),
+    ],
+)
+def test_what_is_bolted_on_is_weighed_where_one_log_shows_it_roughly(
+    part, error, command
+):
+    result = results.found(results.with_value("m", 2.0, error))
+    rows = [Quantity(MOMENT, BEYOND, "kg·m", None, 0.1 * part, 0.1 * error)]
+    rows += [Quantity("mass", BEYOND, "kg", None, part, error)]
+    result = replace(result, quantities=(*result.quantities, *rows))
+    options = IdentifyConfig.of(path="arm.xml", measurements=("log.csv",), units="deg")
+    step = step_after_run(options, result)
+    if command is None:
+        assert step is None
+        return
+    assert step.command[1:3] == (command, "arm.xml")
+    if command == "payload":
+        at = step.command.index("--loaded")
+        assert step.command[at + 1 : at + 4] == ("log.csv", "--units", "deg")
+
+
+def test_a_part_whose_mass_one_log_does_not_show_is_weighed_by_its_moment():
+    """Mass times distance is clearly there, the mass alone is not."""
+    rows = (
+        Quantity(MOMENT, BEYOND, "kg·m", None, 0.1, 0.01),
+        Quantity("mass", BEYOND, "kg", None, 0.8, 0.7),
+    )
+    found = results.found(results.with_value("m", 2.0, 0.7))
+    result = replace(found, quantities=(*found.quantities, *rows))
+    options = IdentifyConfig.of(path="arm.xml", measurements=("log.csv",))
+    assert step_after_run(options, result).command[1] == "payload"

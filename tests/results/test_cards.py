@@ -19,8 +19,8 @@ from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records import Flange
 from robot_sysid.records.controllers import CHOICES
-from robot_sysid.results.body_errors import load_errors
 from robot_sysid.results.cards import NOT_KNOWN, card_text, number_groups
+from robot_sysid.results.quantities import load_errors
 from robot_sysid.results.record import Payload
 from tests.support import results as made
 from tests.support.arms import SEEDS

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 
-from robot_sysid.records.messages import Detail
+import pytest
+
+from robot_sysid.records.messages import Detail, Level
 from robot_sysid.results import lines as module
 from robot_sysid.results.content import content_of
+from robot_sysid.results.record import Verdict
 from tests.support import results as made
 
 
@@ -84,7 +87,7 @@ def test_a_result_takes_no_more_than_a_screen():
     """A screen has 25 lines, of which stages take four."""
     complete_result = made.whole(validation=())
     for result in (complete_result, made.payload(), made.itself()):
-        assert len(module.result_lines(content_of(result))) <= 21
+        assert len(module.result_lines(content_of(result), False)) <= 21
 
 
 def test_a_parameter_that_the_data_does_not_show_has_a_reason_instead_of_an_error():
@@ -101,3 +104,77 @@ def test_a_payloads_block():
     assert len(brief_lines(lines)) == 13
     assert re.split(r"  +", lines[2].strip()) == ["mass", "1.200", "0.010", "kg"]
     assert line_starting(lines, "Terminal link with it: 2.000 ± 0.010 kg")
+
+
+def verdict_line(result, failure=None):
+    """The verdict of a result in one line."""
+    return module.verdict_line(content_of(result, failure=failure))
+
+
+BETTER = "Usable: torque error on held-out data, torque offsets aside, 27 % -> 0.25 %; "
+
+
+@pytest.mark.parametrize(
+    ("result", "verdict"),
+    [
+        (
+            made.whole(),
+            f"{BETTER}link6 weighs 2.0000 ± 0.0020 kg, ± mostly from the other links' parameters",
+        ),
+        (
+            made.found(
+                made.with_value("m", 2.0, 1.2),
+                file=made.model_file(other_validations=()),
+            ),
+            f"{BETTER}the mass of link6 alone is not known: 2.0 ± 1.2 kg, ± mostly from the other "
+            "links' parameters",
+        ),
+        (
+            made.found(
+                verdict=Verdict.AS_GOOD, file=made.model_file(other_validations=())
+            ),
+            "Usable, but the model was about as good before: torque error on held-out data, "
+            "torque offsets aside, 27 % -> 0.25 %; link6 weighs 2.0000 ± 0.0020 kg, ± mostly "
+            "from the other links' parameters",
+        ),
+        (
+            made.found(made.without_mass(), verdict=Verdict.PARTLY_FROM_MODEL),
+            "Usable (not identifiable, model's values kept: mass): the mass of link6 alone is not "
+            "identifiable",
+        ),
+        (
+            made.payload(),
+            "Usable: payload weighs 1.200 ± 0.010 kg, ± mostly from the torque scales",
+        ),
+        (
+            made.payload(known_mass=1.2),
+            "Usable: torque scales follow from the known mass",
+        ),
+        (
+            made.itself(),
+            "Self-test passed: the model's own numbers came back from its own simulation, which "
+            "says nothing of the real arm",
+        ),
+    ],
+)
+def test_the_verdict_states_use_and_limit(result, verdict):
+    assert verdict_line(result) == verdict
+
+
+def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
+    result = made.found(verdict=Verdict.TORQUES_ONLY)
+    assert verdict_line(result).startswith(
+        "Only for torques of motions like the log's, not for the numbers: "
+    )
+    assert result.failure is None
+
+
+@pytest.mark.parametrize("verdict", [v for v in Verdict if v.level is Level.REFUSES])
+def test_a_result_that_is_not_usable_has_one_sentence_with_the_reason(verdict):
+    for result in (made.found(verdict=verdict), made.payload(verdict=verdict)):
+        sentence = verdict_line(result)
+        assert (
+            sentence.startswith("Not usable: no model ") and verdict.value in sentence
+        )
+    refused = verdict_line(made.found(), "the disk is gone")
+    assert refused == "Not usable: the disk is gone"

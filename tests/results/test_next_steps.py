@@ -10,12 +10,11 @@ import pytest
 from robot_sysid.commands import identify, motors
 from robot_sysid.records.messages import NextStep
 from robot_sysid.results.content import content_of
+from robot_sysid.results.lines import last_lines, use_lines
 from robot_sysid.results.next_steps import STEPS, step_after
-from robot_sysid.results.verdict import last_lines, use_lines
 from tests.support import results as made
 
 WORDS = {
-    "model": "an arm.xml",
     "log": ["first log.csv", "b.csv"],
     "weight": "weight.csv",
     "scales": "1.1",
@@ -26,7 +25,8 @@ WORDS = {
 
 @pytest.mark.parametrize("state", STEPS)
 def test_the_command_of_every_state_is_taken(state):
-    step = step_after(state, options=["--joint", "j6"], **WORDS)
+    values = {"path": "an arm.xml", "joint": "j6", "keyframe": "home"}
+    step = step_after(state, values, **WORDS)
     program, name, *words = step.command
     assert program == "robot-sysid" and "{" not in step.sentence
     parser = identify.build_parser(name) if name != "motors" else None

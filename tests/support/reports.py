@@ -16,8 +16,8 @@ from robot_sysid.report.page import REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run, save_data
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.content import content_of
+from robot_sysid.results.lines import verdict_line
 from robot_sysid.results.record import Verdict
-from robot_sysid.results.verdict import verdict_line
 from tests.support import arms
 from tests.support import results as made
 

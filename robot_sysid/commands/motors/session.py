@@ -28,7 +28,7 @@ from robot_sysid.motion import LimitOptions
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
-from robot_sysid.results.next_steps import step_after
+from robot_sysid.results.next_steps import step_with_motion
 
 # Classes whose options ``Session.command`` repeats.
 _RECORDS = (
@@ -223,26 +223,20 @@ def step_after_play(session: Session, plan: Plan, is_real: bool) -> NextStep:
         command = session.command("check", speed=None, record=None, channel=channel)
         return NextStep("Next, with the arm connected, check its motors", command)
     folder = plan.trajectory.path.parent
-    settings = plan_settings(folder)
-    planned = {} if settings is None else settings[1]
-    is_payload = planned.get("for_") == "payload"
+    planned = plan_settings(folder)
+    purpose = planned.get("for_", "")
     record = plan.recording.record or folder / "measured.csv"
     is_slow = plan.recording.record is None or plan.settings.speed < 1.0
-    if is_slow and not is_payload:
+    if is_slow and purpose != "payload":
         sentence = "Next, play it at full speed and record it, to identify from"
         record = folder / "measured.csv"
         return NextStep(sentence, session.command("play", speed=None, record=record))
-    arm = session.values if session.values.get("model") else planned
-    options = command_arguments(arm, ModelOptions)
-    state = "motion recorded"
-    if is_payload:
-        state = "motion planned for payload"
-    elif planned.get("for_") == "arm":
-        options.append("--links")
-    return step_after(
-        state,
-        model=str(arm.get("model") or arm.get("path", "arm.xml")),
-        log=str(record),
-        options=options,
-        folder=record.parent if planned else record.with_suffix(""),
+    model = session.values.get("model")
+    values = {**session.values, "path": model} if model else planned
+    return step_with_motion(
+        "motion recorded",
+        purpose,
+        {"path": "arm.xml", **values},
+        record.parent if planned else record.with_suffix(""),
+        record,
     )

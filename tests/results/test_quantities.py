@@ -8,8 +8,8 @@ from hypothesis import assume, given
 from numpy.testing import assert_allclose
 
 from robot_sysid.dynamics import spatial
-from robot_sysid.results.body_errors import (
-    ERROR_NAMES,
+from robot_sysid.results.quantities import (
+    CENTRAL,
     is_inertia_known,
     load_errors,
     principal_moments,
@@ -42,7 +42,7 @@ def test_errors_of_centre_of_mass_and_inertia_follow_from_those_of_theta(seed):
     errors = load_errors(body)
     expected = propagated_errors(outcome, body.theta, factor)
     assert_allclose(errors, expected, rtol=1e-4)
-    assert ERROR_NAMES[:5] == ("mass", "com_x", "com_y", "com_z", "Ixx_about_com")
+    assert CENTRAL[:5] == ("mass", "com_x", "com_y", "com_z", "Ixx_about_com")
 
 
 @pytest.mark.parametrize("mass_error", [0.1, 0.3, 0.5])
