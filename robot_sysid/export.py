@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO, Union
+from typing import Any
 
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
@@ -20,25 +20,16 @@ from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.messages import Level, NextStep, Progress, says
 from robot_sysid.results.cards import card_text, number_groups
 from robot_sysid.results.content import content_of
-from robot_sysid.results.lines import (
-    block_lines,
-    clamping_lines,
-    folder_text,
-    last_lines,
-    more_lines,
-)
+from robot_sysid.results.lines import block_lines, folder_text, last_lines, more_lines
 from robot_sysid.results.record import ModelTarget, Result, Verdict
 from robot_sysid.results.written_model import write_model
-
-if TYPE_CHECKING:
-    from robot_sysid.damiao.trajectory import DamiaoExportReport
 
 # Files that a command writes after the results.
 _LATER_NAMES = ("report_data.npz", file_access.RUN_NAME)
 RESULT_NAMES = (*file_access.RESULT_NAMES, file_access.DAMIAO_NAME, "report.html")
 """Result files of all commands and releases; a planned motion is no result."""
-MotorFile = Callable[[Union[Path, TextIO]], "DamiaoExportReport"]
-"""Writes the motor trajectory to a path or into an open file and returns a report on it."""
+MotorFile = Callable[[file_access.AtomicFiles, Path], tuple[Sequence[Path], list[str]]]
+"""Drafts the motor trajectory in a folder; returns its path and lines on it."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +87,7 @@ def save(
         mesh_dir: the user's mesh folder, if any.
         as_body: name of a new body for the payload; None merges it into the terminal link.
         card_choice: whose cards of a payload are written, of ``controllers.CHOICES``.
-        motor_file: writes the motor trajectory; None for none.
+        motor_file: drafts the motor trajectory; None for none.
         inputs: files that this run reads, beside the model; they stay whatever they are called.
         links: whether the printed table shows every link.
         step: what to do after a result that may be used; None for nothing more.
@@ -111,7 +102,7 @@ def save(
     payload = result.payload
     is_calibration = payload is not None and payload.known_mass is not None
     failure = result.failure
-    report = None
+    clamping: list[str] = []
     card = None
     written: list[Path] = []
     notes: list[str] = []
@@ -134,9 +125,8 @@ def save(
                 text = card_text(payload, card, result.robot, card_choice)
                 files.write(written[-1], text)
         if motor_file is not None:
-            written.append(folder / file_access.DAMIAO_NAME)
-            with files.open(written[-1]) as file:
-                report = motor_file(file)
+            motor_paths, clamping = motor_file(files, folder)
+            written += motor_paths
         content = content_of(result, card, notes, failure)
         step = None if content["failure"] else step
         verdict = last_lines(content, written, step)
@@ -149,7 +139,7 @@ def save(
         *block_lines(content, links),
         f"Results saved to {folder_text(folder)}",
         *more_lines(content),
-        *clamping_lines(report, result.robot.joint_names),
+        *clamping,
     )
     # What lets a result be used is in the verdict.
     uses = [verdict.name for verdict in Verdict if verdict.level is Level.SAYS]

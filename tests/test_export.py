@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import jsonschema
 import mujoco
@@ -145,15 +144,20 @@ def test_a_result_that_is_not_trusted_gets_a_params_json_alone(
 
 
 def test_the_motor_trajectory_stands_beside_the_others_or_nothing_does(robot, out):
-    def fail_halfway(file):
-        file.write("half a file")
-        raise InputError("no such motor")
+    errors = [InputError("no such motor")]
+
+    def motor_file(files, folder):
+        path = folder / "damiao_trajectory.csv"
+        files.write(path, "half a file")
+        for error in errors:
+            raise error
+        return (path,), ["  beyond it"]
 
     with pytest.raises(InputError, match="no such motor"):
-        save_result(robot, heavier(robot), out, motor_file=fail_halfway)
+        save_result(robot, heavier(robot), out, motor_file=motor_file)
     assert not out.exists()
-    report = SimpleNamespace(joints=(), clamped_percent=(), warnings=("beyond it",))
-    output = save_result(robot, heavier(robot), out, motor_file=lambda file: report)
+    errors.clear()
+    output = save_result(robot, heavier(robot), out, motor_file=motor_file)
     names = ["updated_model.xml", "damiao_trajectory.csv", "params.json"]
     assert [path.name for path in output.files] == names
     assert output.lines[-1] == "  beyond it"

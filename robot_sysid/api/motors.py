@@ -18,7 +18,7 @@ from robot_sysid.damiao.preflight import require_playable
 from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records.file_access import DAMIAO_NAME, temporary_folder
+from robot_sysid.records.file_access import atomic_files, temporary_folder
 from robot_sysid.records.option_fields import given_values, keys_of
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _motor_file(
         InputError: the plan was made without motors.
     """
     from robot_sysid.api.results import PlanResult
-    from robot_sysid.pipeline.planning import motor_writer
+    from robot_sysid.pipeline.planning import draft_motor_file
 
     if not isinstance(trajectory, PlanResult):
         yield Path(trajectory), {}
@@ -109,13 +109,13 @@ def _motor_file(
     if trajectory.failure:
         raise SysidError(f"{trajectory.failure}; not played")
     config = trajectory.config
-    rate = config.trajectory.sample_rate
-    write = motor_writer(config.motors, trajectory.robot, trajectory.checked.plan, rate)
-    if write is None:
-        raise InputError(
-            "the plan is for no motors; give rs.plan export_damiao and motor_type"
-        )
     arm_options = {"model": config.model.path, **given_values(config.model)}
     with temporary_folder() as folder:
-        write(folder / DAMIAO_NAME)
-        yield folder / DAMIAO_NAME, arm_options
+        with atomic_files() as files:
+            plan = trajectory.checked.plan
+            paths, _ = draft_motor_file(config, trajectory.robot, plan, files, folder)
+        if not paths:
+            raise InputError(
+                "the plan is for no motors; give rs.plan export_damiao and motor_type"
+            )
+        yield paths[0], arm_options

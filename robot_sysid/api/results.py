@@ -229,10 +229,7 @@ class PlanResult:
         trajectory = replace(self.config.trajectory, save=Path(path))
         config = replace(self.config, trajectory=trajectory)
         with in_python(), one_thread(), atomic_files() as files:
-            rate = config.trajectory.sample_rate
-            return draft_plan(
-                files, config.plan_file, self.robot, self.checked.plan, rate
-            )
+            return draft_plan(config, self.robot, self.checked.plan, files)
 
     def __str__(self) -> str:
         return "\n".join(self.prediction)

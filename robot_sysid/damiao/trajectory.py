@@ -46,12 +46,10 @@ class DamiaoExportReport:
     """Result of the export of a trajectory with n joints.
 
     Attributes:
-        joints: joints in the file with their motors, base to terminal.
         clamped_percent: share (n,) of each joint's samples that have a clamped value [%].
         warnings: sentences about ratings and clamped samples.
     """
 
-    joints: tuple[DamiaoJoint, ...]
     clamped_percent: Array
     warnings: tuple[str, ...]
 
@@ -161,7 +159,7 @@ def export_damiao_trajectory(
                 f"{joint.motor_type}; use a stronger motor or a slower trajectory"
             )
         warnings += rating_warnings(joint, velocity, torque)
-    return DamiaoExportReport(joints, percent, tuple(warnings))
+    return DamiaoExportReport(percent, tuple(warnings))
 
 
 def _head(joints: Sequence[DamiaoJoint]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from robot_sysid.config import MotionConfig, MotorOptions, PlanConfig
 from robot_sysid.errors import InputError
-from robot_sysid.export import MotorFile, Written
+from robot_sysid.export import Written
 from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.motion.plan import MotionRequest, make_plan
@@ -20,7 +19,6 @@ from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
 from robot_sysid.records.messages import NextStep, Progress, percent
 from robot_sysid.records.option_fields import given_arguments, joint_values
-from robot_sysid.results.lines import clamping_lines
 from robot_sysid.results.next_steps import step_after, step_with_motion
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
@@ -114,7 +112,12 @@ def write_plan(config: PlanConfig, robot: RobotModel, checked: CheckedPlan) -> W
         failure = f"{failure}; nothing was written"
         verdict = [f"Not usable: {failure}"]
     else:
-        paths, clamping = _write_motion(config, robot, checked.plan)
+        with atomic_files() as files:
+            paths = draft_plan(config, robot, checked.plan, files)
+            motor_paths, clamping = draft_motor_file(
+                config, robot, checked.plan, files, config.output.output_dir
+            )
+        paths += motor_paths
         lines += clamping
         verdict = [plan_verdict(shortfall, plan_conditions(checked))]
         if not shortfall:
@@ -190,22 +193,6 @@ def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
     return step_with_motion("motion planned", config.aim.purpose, values, folder, log)
 
 
-def _write_motion(
-    config: PlanConfig, robot: RobotModel, plan: MotionPlan
-) -> tuple[tuple[Path, ...], list[str]]:
-    """Write all files of a planned motion; return their paths, and lines on clamped torques."""
-    rate = config.trajectory.sample_rate
-    motor_file = motor_writer(config.motors, robot, plan, rate)
-    with atomic_files() as files:
-        paths = draft_plan(files, config.plan_file, robot, plan, rate)
-        if motor_file is None:
-            return paths, []
-        motor_path = config.output.output_dir / DAMIAO_NAME
-        with files.open(motor_path) as file:
-            report = motor_file(file)
-    return (*paths, motor_path), clamping_lines(report, robot.joint_names)
-
-
 def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
     """Return what keeps a motion from its purpose; "" for nothing.
 
@@ -234,24 +221,20 @@ def _shortfall(config: PlanConfig, prediction: Prediction | None) -> str:
 
 
 def draft_plan(
-    files: AtomicFiles,
-    path: Path | None,
-    robot: RobotModel,
-    plan: MotionPlan,
-    rate: float,
+    config: MotionConfig, robot: RobotModel, plan: MotionPlan, files: AtomicFiles
 ) -> tuple[Path, ...]:
     """Draft a trajectory, and beside it a table of its samples, among files that appear together.
 
     Args:
-        files: which receive both drafts.
-        path: of the trajectory (.json); the samples get the ending .csv. None writes nothing.
+        config: names the trajectory's file, if there is one, and the rate of the samples.
         robot: the arm that the motion was planned for.
         plan: the motion.
-        rate: of the samples [Hz].
+        files: which receive both drafts.
 
     Returns:
-        The paths that both will have; empty where ``path`` is None.
+        The paths that both will have; empty where the options name no file.
     """
+    path = config.plan_file
     if path is None:
         return ()
     from robot_sysid.motion.trajectories import save_samples, save_trajectory
@@ -260,7 +243,7 @@ def draft_plan(
     with files.open(path) as file:
         save_trajectory(file, plan, robot.joint_names, robot.sha256)
     with files.open(samples_path) as file:
-        save_samples(file, plan, robot.joint_names, rate)
+        save_samples(file, plan, robot.joint_names, config.trajectory.sample_rate)
     return path, samples_path
 
 
@@ -282,19 +265,31 @@ def motor_joints(motors: MotorOptions, robot: RobotModel) -> tuple[DamiaoJoint, 
     )
 
 
-def motor_writer(
-    motors: MotorOptions, robot: RobotModel, plan: MotionPlan, rate: float
-) -> MotorFile | None:
-    """Return the function that writes a motion, sampled at a rate [Hz], for Damiao motors.
+def draft_motor_file(
+    config: MotionConfig,
+    robot: RobotModel,
+    plan: MotionPlan,
+    files: AtomicFiles,
+    folder: Path,
+) -> tuple[tuple[Path, ...], list[str]]:
+    """Draft a motion for Damiao motors, if an option asks for it, among files in a folder.
 
-    It can be called once only. None where no option asks for an export.
+    Returns:
+        The path that it will have, and lines on what was clamped of the commands.
     """
-    joints = motor_joints(motors, robot)
+    joints = motor_joints(config.motors, robot)
     if not joints:
-        return None
+        return (), []
     from robot_sysid.damiao.trajectory import export_damiao_trajectory
 
-    return partial(export_damiao_trajectory, motor_commands(robot, plan, rate), joints)
+    path = folder / DAMIAO_NAME
+    commands = motor_commands(robot, plan, config.trajectory.sample_rate)
+    with files.open(path) as file:
+        report = export_damiao_trajectory(commands, joints, file)
+    lines = ["Damiao export, clamped to motor limits:"]
+    for name, joint, share in zip(robot.joint_names, joints, report.clamped_percent):
+        lines.append(f"  {name} ({joint.motor_type}): {share:.1f} %")
+    return (path,), [*lines, *map("  {}".format, report.warnings)]
 
 
 def motor_commands(

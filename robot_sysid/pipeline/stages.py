@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +29,9 @@ from robot_sysid.export import Written, save, writable_folder
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.planning import (
     design_motion,
+    draft_motor_file,
     draft_plan,
     motor_joints,
-    motor_writer,
     write_plan,
 )
 from robot_sysid.records import ITSELF, DataOrigin, Estimate, MotionPlan, RobotModel
@@ -151,7 +152,6 @@ def identify_simulated(
 
     The motion is saved where the configuration names a file for it.
     """
-    rate = config.trajectory.sample_rate
     config = config.with_seed()
     # A run that draws nothing has no seed.
     seed = config.trajectory.seed or 0
@@ -163,7 +163,7 @@ def identify_simulated(
                 remedy = "slow the motion down with --speed, or design one for this arm"
             raise InputError(f"{checked.failure}; relax that limit, {remedy}")
         with atomic_files() as files:
-            draft_plan(files, config.plan_file, robot, checked.plan, rate)
+            draft_plan(config, robot, checked.plan, files)
     plan = checked.plan
     if config.arm.plant_model is None:
         result = run_self_test(config, robot, plan, seed, progress)
@@ -171,7 +171,9 @@ def identify_simulated(
         if log_path is not None:
             from robot_sysid.logs.text import write_measurement_csv
 
-            simulated = simulate_inverse(robot, motion_chunks(plan, rate))
+            simulated = simulate_inverse(
+                robot, motion_chunks(plan, config.trajectory.sample_rate)
+            )
             write_measurement_csv(log_path, robot.joint_names, simulated)
     else:
         from robot_sysid.pipeline.recordings import identify_plant
@@ -204,8 +206,7 @@ def write_results(
         card_choice = config.payload.cards
         scale_path = config.payload.save_torque_scale
     elif isinstance(config, MotionConfig) and plan is not None:
-        rate = config.trajectory.sample_rate
-        motor_file = motor_writer(config.motors, result.robot, plan, rate)
+        motor_file = partial(draft_motor_file, config, result.robot, plan)
     written = save(
         result,
         folder,

@@ -10,7 +10,6 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,10 +33,6 @@ from robot_sysid.results.table import (
     rows_of,
     table_lines,
 )
-
-if TYPE_CHECKING:
-    from robot_sysid.damiao.trajectory import DamiaoExportReport
-
 
 # Name of a verdict to the sentence on the result's use, where that is not "Usable".
 _USE_TEXTS = {
@@ -182,21 +177,6 @@ def _validation_lines(content: Content) -> Iterator[str]:
         share = test["relative_error"]
         relative = "" if share is None else f" ({percent(share)})"
         yield f"Validation on {test['source']}: {test['rmse']:.4f} N·m{relative}"
-
-
-def clamping_lines(
-    report: DamiaoExportReport | None, joints: Sequence[str]
-) -> list[str]:
-    """Return what the Damiao export clamped of each joint's command, and its warnings.
-
-    Nothing where there was no export. The joints are those of the report, in its order.
-    """
-    if report is None:
-        return []
-    lines = ["Damiao export, clamped to motor limits:"]
-    for joint, motor, share in zip(joints, report.joints, report.clamped_percent):
-        lines.append(f"  {joint} ({motor.motor_type}): {share:.1f} %")
-    return [*lines, *map("  {}".format, report.warnings)]
 
 
 def folder_text(folder: Path) -> str:

@@ -15,9 +15,9 @@ from robot_sysid.motion.prediction import Prediction
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import planning
 from robot_sysid.pipeline.planning import (
+    draft_motor_file,
     motor_commands,
     motor_joints,
-    motor_writer,
     plan_conditions,
     plan_verdict,
     write_plan,
@@ -55,11 +55,10 @@ def test_motors_of_another_number_of_joints_are_refused(robot):
     motors = MotorOptions(export_damiao=True, motor_type=("DM4340",))
     with pytest.raises(InputError, match="motor"):
         motor_joints(motors, robot)
-    motor_joints(MotorOptions(), robot)
 
 
 def test_no_motor_file_is_written_that_no_option_asks_for(robot):
-    assert motor_writer(MotorOptions(), robot, None, 100.0) is None
+    assert draft_motor_file(PlanConfig(), robot, None, None, None) == ((), [])
 
 
 def still():
@@ -111,8 +110,7 @@ def test_a_plan_is_usable_once_what_was_not_checked_is(
 ):
     monkeypatch.setattr(starts, "contact_on_the_way", lambda *_: contact)
     arm = SimpleNamespace(lacks_meshes=lacks_meshes)
-    links = range(n_unguarded)
-    problem = SimpleNamespace(robot=arm, n_joints=6, unguarded=links)
+    problem = SimpleNamespace(robot=arm, n_joints=6, unguarded=range(n_unguarded))
     verdict = plan_verdict("", plan_conditions(CheckedPlan(still(), problem)))
     assert all(phrase in verdict for phrase in phrases)
     assert verdict.startswith("Usable once ") is bool(phrases)

@@ -223,7 +223,7 @@ def test_what_is_bolted_on_is_weighed_where_one_log_shows_it_roughly(
     rows = [Quantity(MOMENT, BEYOND, "kg·m", None, 0.1 * part, 0.1 * error)]
     rows += [Quantity("mass", BEYOND, "kg", None, part, error)]
     result = replace(result, quantities=(*result.quantities, *rows))
-    options = IdentifyConfig.of(path="arm.xml", measurements=("log.csv",), units="deg")
+    options = IdentifyConfig.of("arm.xml", measurements=("log.csv",), units="deg")
     step = step_after_run(options, result)
     if command is None:
         assert step is None
@@ -242,5 +242,5 @@ def test_a_part_whose_mass_one_log_does_not_show_is_weighed_by_its_moment():
     )
     found = results.found(results.with_value("m", 2.0, 0.7))
     result = replace(found, quantities=(*found.quantities, *rows))
-    options = IdentifyConfig.of(path="arm.xml", measurements=("log.csv",))
+    options = IdentifyConfig.of("arm.xml", measurements=("log.csv",))
     assert step_after_run(options, result).command[1] == "payload"
