@@ -16,8 +16,8 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 4511,
-    "robot_sysid/commands": 10294,
+    "robot_sysid/api": 4487,
+    "robot_sysid/commands": 10231,
     "robot_sysid/damiao": 30371,
     "robot_sysid/diagnosis": 16596,
     "robot_sysid/dynamics": 4542,
@@ -27,7 +27,7 @@ BUDGETS = {
     "robot_sysid/model": 8857,
     "robot_sysid/motion": 16435,
     "robot_sysid/pipeline": 6146,
-    "robot_sysid/records": 8077,
+    "robot_sysid/records": 8076,
     "robot_sysid/report": 5035,
     "robot_sysid/results": 11357,
     "robot_sysid/servo": 4915,

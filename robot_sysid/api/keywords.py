@@ -30,7 +30,7 @@ from robot_sysid.records import RobotModel
 from robot_sysid.records.option_fields import (
     Option,
     given_values,
-    options_of,
+    options_of_all,
     record_from,
     refuse_unknown,
     value_text,
@@ -102,21 +102,17 @@ def with_keywords(
             flag = "--" + key.replace("_", "-")
             _KEYWORDS.setdefault(flag, Option(flag, ""))
         helps = []
-        for record in records:
-            for option in options_of(record).values():
-                key = option.key
-                is_left_out = only and key not in only
-                # A log is an argument of its own, which has no flag either.
-                if is_left_out or not option.flag.startswith("-"):
-                    continue
-                _KEYWORDS[option.flag] = option
-                if key in parameters:
-                    continue
-                default = defaults.get(key, option.default)
-                parameters[key] = inspect.Parameter(
-                    key, inspect.Parameter.KEYWORD_ONLY, default=default
-                )
-                helps.append(_keyword_help(option, default))
+        for option in options_of_all(records, only, **defaults):
+            # A log is an argument of its own, which has no flag either.
+            if not option.flag.startswith("-"):
+                continue
+            _KEYWORDS[option.flag] = option
+            if option.key in parameters:
+                continue
+            parameters[option.key] = inspect.Parameter(
+                option.key, inspect.Parameter.KEYWORD_ONLY, default=option.default
+            )
+            helps.append(_keyword_help(option))
 
         @functools.wraps(function)
         def call(*arguments: Any, **keywords: Any) -> Any:
@@ -162,8 +158,9 @@ def _with_keyword_help(docstring: str, helps: Iterable[str]) -> str:
     return "\n".join([summary, *map(wrapper.fill, helps), "", sections]).rstrip()
 
 
-def _keyword_help(option: Option, default: Any) -> str:
+def _keyword_help(option: Option) -> str:
     """Return a keyword with the type, unit and default of its value, and its meaning."""
+    default = option.default
     default_text = f"default {default}"
     if option.default_text:
         default_text = f"default: {option.default_text}"

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
@@ -115,11 +114,7 @@ class Parser(argparse.ArgumentParser):
             print_line(line, file or sys.stdout)
 
     def add(
-        self,
-        title: str,
-        *records: Any,
-        only: Collection[str] = (),
-        defaults: Mapping[str, Any] | None = None,
+        self, title: str, *records: Any, only: Collection[str] = (), **defaults: Any
     ) -> Any:
         """Add the options of records as one group of the help and return the group.
 
@@ -129,15 +124,10 @@ class Parser(argparse.ArgumentParser):
             defaults: by key, defaults of this command in place of the records'.
         """
         group = self.add_argument_group(title)
-        for record in records:
-            for option in options.options_of(record).values():
-                if only and option.key not in only:
-                    continue
-                if defaults and option.key in defaults:
-                    option = replace(option, default=defaults[option.key])
-                is_hidden = self._main is not None and option.key not in self._main
-                is_flag = option.flag.startswith("-")
-                _add_option(group if is_flag else self, option, is_hidden and is_flag)
+        for option in options.options_of_all(records, only, **defaults):
+            is_hidden = self._main is not None and option.key not in self._main
+            is_flag = option.flag.startswith("-")
+            _add_option(group if is_flag else self, option, is_hidden and is_flag)
         return group
 
     def add_console_options(self) -> Parser:

@@ -52,8 +52,8 @@ def build_parser(full: bool = True) -> Parser:
     parser.add_argument(
         "name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES)
     )
-    defaults = {"output_dir": "the example's name"}
-    parser.add("output", OutputOptions, only=("output_dir",), defaults=defaults)
+    folder = "the example's name"
+    parser.add("output", OutputOptions, only=("output_dir",), output_dir=folder)
     return parser.add_console_options()
 
 

@@ -29,8 +29,8 @@ def build_parser(full: bool = True) -> Parser:
         type=Path,
         help="folder that a run wrote to",
     )
-    defaults = {"output_dir": "the first run's own"}
-    parser.add("page", OutputOptions, only=("output_dir",), defaults=defaults)
+    folder = "the first run's own"
+    parser.add("page", OutputOptions, only=("output_dir",), output_dir=folder)
     parser.add("model", ModelOptions, only=("mesh_dir",))
     return parser.add_console_options()
 

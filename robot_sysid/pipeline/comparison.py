@@ -56,28 +56,26 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
         options = read_toml(run.folder / RUN_NAME)
         values = {key: immutable_value(value) for key, value in options.items()}
         configs.append(IdentifyConfig.of(**values))
-    first, second = (config.model for config in configs)
-    if first.mass_scale != second.mass_scale:
+    if len({config.model.mass_scale for config in configs}) > 1:
         raise InputError("the runs differ in --mass-scale")
     robot = load_arm(configs[0], Progress())
     if robot.sha256 != runs[0].content["model"]["sha256"]:
-        raise InputError(f"{first.path} has changed since the runs")
+        raise InputError(f"{robot.path} has changed since the runs")
     logs = []
     orders: list[float] = []
     accepted: set[str] = set()
-    estimates = []
     for config, order in zip(configs, (-1.0, 1.0)):
-        estimation = with_scale_prior(config.estimation, config.log, robot.joint_names)
-        estimates.append(estimation)
+        accepted |= {*config.log.accept}
         for path in config.log.measurements:
             progress.stage(f"Reading {path}...")
             log = open_log(robot, path, config.log)
             logs.append(log)
             orders.append(order)
-            accepted |= {*config.log.accept}
     refuse_repeated_logs(logs)
     progress.stage("Fitting both runs at once...")
-    estimation = replace(estimates[0], torques="chain", no_friction=False)
+    first = configs[0]
+    estimation = with_scale_prior(first.estimation, first.log, robot.joint_names)
+    estimation = replace(estimation, torques="chain", no_friction=False)
     question = Question(estimation, loaded=True, drifts=True)
     is_loaded = [order > 0.0 for order in orders]
     judged = judge(robot, logs, question, progress, is_loaded, orders)

@@ -18,7 +18,11 @@ from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
 from robot_sysid.records.messages import NextStep, Progress, percent
-from robot_sysid.records.option_fields import given_arguments, joint_values
+from robot_sysid.records.option_fields import (
+    command_arguments,
+    given_values,
+    joint_values,
+)
 from robot_sysid.results.next_steps import step_after, step_with_motion
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
@@ -185,7 +189,8 @@ def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
         if path.name == DAMIAO_NAME:
             from robot_sysid.damiao.trajectory import LIMITS
 
-            limits = given_arguments(config.limits, LIMITS)
+            given = given_values(config.limits)
+            limits = command_arguments(given, config.limits, only=LIMITS)
             state = "motion planned for motors"
             return step_after(state, values, *limits, trajectory=path)
     folder = config.plan_file.parent

@@ -215,7 +215,7 @@ def write_results(
         as_body=as_body,
         card_choice=card_choice,
         motor_file=motor_file,
-        inputs=[Path(path) for path in config.input_files() if path is not None],
+        inputs=[*filter(None, config.input_files())],
         links=config.output.links,
         step=step_after_run(config, result),
     )

@@ -182,16 +182,19 @@ def given_values(record: Any) -> dict[str, Any]:
     return values
 
 
-def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
+def command_arguments(
+    values: Mapping[str, Any], *records: Any, only: Collection[str] = ()
+) -> list[str]:
     """Return the arguments of a command line that state the options of some records.
 
     Args:
         values: option's key to its value; an option without a value, or with None or False, is
             left out. Floats are written with 12 digits.
         records: records of options, or their classes.
+        only: keys of the options to state; empty for all.
     """
     arguments = []
-    for stated in _options_of_all(records):
+    for stated in options_of_all(records, only):
         value = values.get(stated.key)
         if value is None or value is False:
             continue
@@ -208,14 +211,6 @@ def command_arguments(values: Mapping[str, Any], *records: Any) -> list[str]:
             else:
                 arguments.append(",".join(texts))
     return arguments
-
-
-def given_arguments(record: Any, keys: Collection[str] | None = None) -> list[str]:
-    """Return the arguments of a command line that state a record's given options, of some keys."""
-    values = given_values(record)
-    if keys is not None:
-        values = {key: values[key] for key in values.keys() & keys}
-    return command_arguments(values, record)
 
 
 def record_from(record_class: type[Record], values: Mapping[str, Any]) -> Record:
@@ -300,13 +295,24 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 def keys_of(*records: Any) -> set[str]:
     """Return the keys of all options of some records, or of their classes."""
-    return {stated.key for stated in _options_of_all(records)}
+    return {stated.key for stated in options_of_all(records)}
 
 
-def _options_of_all(records: Collection[Any]) -> Iterator[Option]:
-    """Yield the options of some records, or of their classes."""
+def options_of_all(
+    records: Collection[Any], only: Collection[str] = (), **defaults: Any
+) -> Iterator[Option]:
+    """Yield the options of some records, or of their classes.
+
+    Args:
+        records: in whose order the options come.
+        only: keys of the options to yield; empty for all.
+        defaults: by key, defaults in place of the records'.
+    """
     for record in records:
-        yield from options_of(record).values()
+        for stated in options_of(record).values():
+            if not only or stated.key in only:
+                default = defaults.get(stated.key, stated.default)
+                yield replace(stated, default=default)
 
 
 def refuse_unknown(keys: Collection[str], valid_keys: Collection[str]) -> None:

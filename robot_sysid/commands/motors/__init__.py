@@ -235,7 +235,7 @@ def build_parser(command: str, full: bool = True) -> Parser:
             help="how each joint's motor is mounted (see: motors map)",
         )
         # By default only the model limits the motion.
-        parser.add("limits", LimitOptions, only=LIMITS, defaults=dict.fromkeys(LIMITS))
+        parser.add("limits", LimitOptions, only=LIMITS, **dict.fromkeys(LIMITS))
     return parser.add_console_options()
 
 
