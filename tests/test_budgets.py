@@ -29,7 +29,7 @@ BUDGETS = {
     "robot_sysid/pipeline": 6146,
     "robot_sysid/records": 8076,
     "robot_sysid/report": 5035,
-    "robot_sysid/results": 11357,
+    "robot_sysid/results": 11181,
     "robot_sysid/servo": 4915,
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3755,

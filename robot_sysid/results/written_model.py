@@ -306,7 +306,7 @@ def _write(
         )
         if change.welded is not None or len(tendons) < len(change.tendons):
             draft = _write_draft(robot.path, change, target)
-            written_model = verification.compiled_draft(draft).mj_model
+            written_model = verification.compiled_draft(draft)
         verification.require_reproduction(
             robot, thetas, change, written_model, target.checkpoints, path
         )
