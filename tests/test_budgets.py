@@ -26,7 +26,7 @@ BUDGETS = {
     "robot_sysid/mjcf": 7118,
     "robot_sysid/model": 8857,
     "robot_sysid/motion": 16435,
-    "robot_sysid/pipeline": 6146,
+    "robot_sysid/pipeline": 6059,
     "robot_sysid/records": 8076,
     "robot_sysid/report": 5035,
     "robot_sysid/results": 11181,

@@ -23,7 +23,6 @@ from robot_sysid.logs.reader import open_log, refuse_repeated_logs
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records.file_access import RUN_NAME, read_toml
 from robot_sysid.records.messages import PARAMETER_UNITS, Progress, with_error
-from robot_sysid.records.option_fields import immutable_value
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.report.runs import Run
 from robot_sysid.results.record import Quantity
@@ -51,11 +50,7 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
         raise InputError("only identifications from logs have a common fit")
     if len({run.content["model"]["sha256"] for run in runs}) > 1:
         raise InputError("the runs are of different model files")
-    configs = []
-    for run in runs:
-        options = read_toml(run.folder / RUN_NAME)
-        values = {key: immutable_value(value) for key, value in options.items()}
-        configs.append(IdentifyConfig.of(**values))
+    configs = [IdentifyConfig.of(**read_toml(run.folder / RUN_NAME)) for run in runs]
     if len({config.model.mass_scale for config in configs}) > 1:
         raise InputError("the runs differ in --mass-scale")
     robot = load_arm(configs[0], Progress())

@@ -52,10 +52,9 @@ def design_motion(
         max_torque = joint_values(
             limits.max_torque or np.inf, robot.n_joints, "--max-torque"
         )
-        for k, joint in enumerate(joints):
-            spec = joint.spec
-            # The last limit is TMAX, which no command of torque can exceed.
-            max_torque[k] = min(max_torque[k], spec.peak_torque, spec.limits[2])
+        # The last limit is TMAX, which no command of torque can exceed.
+        peaks = [min(j.spec.peak_torque, j.spec.limits[2]) for j in joints]
+        max_torque = np.minimum(max_torque, peaks)
         limits = replace(limits, max_torque=tuple(max_torque.tolist()))
     request = MotionRequest(
         config.trajectory,

@@ -79,11 +79,7 @@ def identify_logs(
 
 
 def identify_plant(
-    config: SelfTestConfig,
-    robot: RobotModel,
-    plan: MotionPlan,
-    seed: int,
-    progress: Progress,
+    config: SelfTestConfig, robot: RobotModel, plan: MotionPlan, progress: Progress
 ) -> Result:
     """Let another model play the real arm along a motion, and identify from its sensors.
 
@@ -93,11 +89,11 @@ def identify_plant(
         config: names the other model, its sensors' noise, and how the samples are fitted.
         robot: the arm as in the model that is to be corrected.
         plan: the motion.
-        seed: of the simulated noise, and of the motion, for the record.
         progress: receives stages and notes.
     """
     arm = config.arm
     rate = config.trajectory.sample_rate
+    seed = config.trajectory.seed or 0
     assert arm.plant_model is not None
     plant = load_plant(robot, arm.plant_model, config.model.mesh_dir)
     progress.stage(f"Running MuJoCo simulation of {arm.plant_model}...")

@@ -19,6 +19,7 @@ from robot_sysid.config import (
     LogConfig,
     MotionConfig,
     PayloadConfig,
+    PayloadOptions,
     PlanConfig,
     SelfTestConfig,
     with_scale_prior,
@@ -31,11 +32,9 @@ from robot_sysid.pipeline.planning import (
     design_motion,
     draft_motor_file,
     draft_plan,
-    motor_joints,
     write_plan,
 )
 from robot_sysid.records import ITSELF, DataOrigin, Estimate, MotionPlan, RobotModel
-from robot_sysid.records.controllers import AUTO
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Detail, NextStep, Progress, says, term_unit
@@ -95,11 +94,11 @@ def load_arm(config: Config, progress: Progress) -> RobotModel:
     """Load the model, find its terminal joint, and report both.
 
     Args:
-        config: names the model file, and a limit of speed and motors if there is a motion.
+        config: names the model file, and a limit of speed if there is a motion.
         progress: receives stages and notes.
 
     Raises:
-        InputError: the model cannot be used, or the motors do not fit it.
+        InputError: the model cannot be used.
     """
     model = config.model
     progress.stage(f"Loading robot model from {model.path}...")
@@ -110,9 +109,6 @@ def load_arm(config: Config, progress: Progress) -> RobotModel:
     progress.stage(f"Identified terminal joint: {robot.terminal_joint}")
     progress.note(*robot.notes)
     progress.stage(Detail(f"Joints that carry it: {', '.join(robot.joint_names)}"))
-    if isinstance(config, MotionConfig):
-        # Refuses an export that is impossible for this arm.
-        motor_joints(config.motors, robot)
     return robot
 
 
@@ -153,8 +149,6 @@ def identify_simulated(
     The motion is saved where the configuration names a file for it.
     """
     config = config.with_seed()
-    # A run that draws nothing has no seed.
-    seed = config.trajectory.seed or 0
     with ignore_repeated_ctrl_c():
         checked = design_motion(config, robot, progress)
         if checked.failure:
@@ -166,7 +160,7 @@ def identify_simulated(
             draft_plan(config, robot, checked.plan, files)
     plan = checked.plan
     if config.arm.plant_model is None:
-        result = run_self_test(config, robot, plan, seed, progress)
+        result = run_self_test(config, robot, plan, progress)
         log_path = config.arm.save_measurements
         if log_path is not None:
             from robot_sysid.logs.text import write_measurement_csv
@@ -178,7 +172,7 @@ def identify_simulated(
     else:
         from robot_sysid.pipeline.recordings import identify_plant
 
-        result = identify_plant(config, robot, plan, seed, progress)
+        result = identify_plant(config, robot, plan, progress)
     return result, plan
 
 
@@ -197,14 +191,10 @@ def write_results(
         plan: the motion that a simulation followed.
     """
     folder = config.output.output_dir
-    as_body = None
-    card_choice = AUTO
+    payload = PayloadOptions()
     motor_file = None
-    scale_path = None
     if isinstance(config, PayloadConfig):
-        as_body = config.payload.as_body
-        card_choice = config.payload.cards
-        scale_path = config.payload.save_torque_scale
+        payload = config.payload
     elif isinstance(config, MotionConfig) and plan is not None:
         motor_file = partial(draft_motor_file, config, result.robot, plan)
     written = save(
@@ -212,14 +202,15 @@ def write_results(
         folder,
         progress,
         mesh_dir=config.model.mesh_dir,
-        as_body=as_body,
-        card_choice=card_choice,
+        as_body=payload.as_body,
+        card_choice=payload.cards,
         motor_file=motor_file,
         inputs=[*filter(None, config.input_files())],
         links=config.output.links,
         step=step_after_run(config, result),
     )
-    if scale_path is not None and written.failure is None and result.payload:
+    scale_path = payload.save_torque_scale
+    if scale_path is not None and written.failure is None:
         scales = {}
         for row in result.quantities:
             if row.name == "torque_scale":
@@ -267,11 +258,7 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
 
 
 def run_self_test(
-    config: SelfTestConfig,
-    robot: RobotModel,
-    plan: MotionPlan,
-    seed: int,
-    progress: Progress,
+    config: SelfTestConfig, robot: RobotModel, plan: MotionPlan, progress: Progress
 ) -> Result:
     """Simulate the model along a trajectory and identify its terminal link, in constant memory.
 
@@ -279,7 +266,6 @@ def run_self_test(
         config: holds the rate of the simulated samples, and which torques and friction are fitted.
         robot: the arm that is simulated and identified.
         plan: the motion.
-        seed: that the trajectory was drawn with, for the record.
         progress: receives stages.
     """
     options = config.estimation
@@ -308,7 +294,7 @@ def run_self_test(
         estimate=estimate,
         remarks=(verdict, *says(robot.notes)),
         torques=options.torques,
-        data=DataOrigin(ITSELF, plan.duration, rate, seed),
+        data=DataOrigin(ITSELF, plan.duration, rate, config.trajectory.seed or 0),
         friction_model="-".join(terms) or "none",
         checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
     )

@@ -152,11 +152,16 @@ def test_a_motion_keeps_the_peak_torque_of_the_motors_it_is_exported_for(arm):
 )
 def test_the_models_own_values_come_back_with_where_they_are_from(torques, friction):
     plant = true_arm()
-    options = {"torques": torques, "no_friction": not friction, "sample_rate": 500.0}
+    options = {
+        "torques": torques,
+        "no_friction": not friction,
+        "sample_rate": 500.0,
+        "seed": 7,
+    }
     config = SelfTestConfig.of(plant.path, **options)
     plan = plan_of(plant, 1, 4.0)
     progress = Listener()
-    result = run_self_test(config, plant, plan, 7, progress)
+    result = run_self_test(config, plant, plan, progress)
     estimate = result.estimate
     np.testing.assert_allclose(
         estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10
@@ -168,8 +173,9 @@ def test_the_models_own_values_come_back_with_where_they_are_from(torques, frict
     assert coefficients == (
         pytest.approx([0.3, 0.2], abs=1e-10) if friction else [None, None]
     )
-    is_full = torques == "chain"
-    assert result.verdict is (Verdict.OK if is_full else Verdict.PARTLY_FROM_MODEL)
+    assert result.verdict is (
+        Verdict.OK if torques == "chain" else Verdict.PARTLY_FROM_MODEL
+    )
     assert result.torques == torques
     assert all(row.error is None for row in result.quantities)
     assert not result.is_measured
