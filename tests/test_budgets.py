@@ -16,8 +16,8 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 4487,
-    "robot_sysid/commands": 10231,
+    "robot_sysid/api": 4483,
+    "robot_sysid/commands": 10196,
     "robot_sysid/damiao": 30371,
     "robot_sysid/diagnosis": 16596,
     "robot_sysid/dynamics": 4542,
@@ -29,7 +29,7 @@ BUDGETS = {
     "robot_sysid/pipeline": 6059,
     "robot_sysid/records": 8076,
     "robot_sysid/report": 5035,
-    "robot_sysid/results": 11181,
+    "robot_sysid/results": 11152,
     "robot_sysid/servo": 4915,
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3755,

@@ -158,38 +158,29 @@ def build_parser(command: str = "", full: bool = True) -> Parser:
 
 
 def main(arguments: Sequence[str], command: str = "") -> int:
-    """Run a command of ``SPECS`` and return its exit code.
-
-    Args:
-        arguments: words behind the command's name on the command line.
-        command: "plan", "identify" or "payload"; "" for ``robot-sysid MODEL`` alone.
-    """
-    values, console = parse_command(partial(build_parser, command), arguments)
-    run_command(SPECS[command].config.of(**values), console)
-    return 0
-
-
-def run_command(config: Config, console: Console) -> None:
-    """Run a command, print what it has written and draw its report.
+    """Run a command of ``SPECS``, print what it has written, draw its report; return the exit code.
 
     The verdict is printed last, and not at all where the run failed: the error states it then.
 
     Args:
-        config: options of the run.
-        console: prints the result; the TOML file that the options came from is not replaced.
+        arguments: words behind the command's name on the command line.
+        command: "plan", "identify" or "payload"; "" for ``robot-sysid MODEL`` alone.
 
     Raises:
         SysidError: the run failed, its result cannot be used, or a wanted report is missing.
     """
+    values, console = parse_command(partial(build_parser, command), arguments)
+    config = SPECS[command].config.of(**values)
     if config.output.report:
         require_matplotlib()
     # Imported here so that --help and usage errors do not wait for MuJoCo.
     from robot_sysid.pipeline.stages import run
 
+    # No output replaces the file that the options came from.
     config = replace(config, output=replace(config.output, config=console.config))
     if isinstance(config, MotionConfig):
         config = config.with_seed()
-    with warnings_as_notes(console):
+    with library_warnings_as_notes(console):
         try:
             written = run(config, console)
         except InputError as error:
@@ -203,7 +194,7 @@ def run_command(config: Config, console: Console) -> None:
             answer = path.read_text(encoding="utf-8")
     console.result(answer)
     if written.files:
-        _write_settings(config)
+        _write_settings(config, command)
     missing = None
     if config.output.report:
         missing = draw_report(config, console)
@@ -212,6 +203,7 @@ def run_command(config: Config, console: Console) -> None:
     console.stage(*written.verdict)
     if missing:
         raise SysidError(missing)
+    return 0
 
 
 def _add_weighing(error: InputError, config: LogConfig) -> None:
@@ -226,14 +218,13 @@ def _add_weighing(error: InputError, config: LogConfig) -> None:
         add_weighing(error, values_of(config.model, config.log), log)
 
 
-def _write_settings(config: Config) -> None:
+def _write_settings(config: Config, command: str) -> None:
     """Write the file that repeats a run, but not over the file of its own --config."""
     path = config.output.output_dir / file_access.RUN_NAME
     if isinstance(config, PlanConfig):
         path = config.plan_file.with_suffix(".toml")
     if path.resolve() == Path(config.output.config or "").resolve():
         return
-    (command,) = (name for name in SPECS if SPECS[name].config is type(config))
     words = f"{PROGRAM} {command}".strip()
     text = f"# In {Path.cwd()}: {words} --config {quote(str(path))}\n"
     file_access.write_atomically(path, text + settings_text(config))
@@ -258,7 +249,7 @@ def _toml_value(value: Any) -> str:
 
 
 @contextlib.contextmanager
-def warnings_as_notes(console: Console) -> Iterator[None]:
+def library_warnings_as_notes(console: Console) -> Iterator[None]:
     """Turn warnings of Python libraries into notes; --debug shows where they come from."""
 
     def show(message: Any, *_: Any, **__: Any) -> None:

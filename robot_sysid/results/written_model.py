@@ -74,10 +74,16 @@ def write_model(
         ExportError: the model cannot hold the numbers, or the compiled draft does not have them or
             takes other torques; the draft is withdrawn.
     """
-    thetas = _links_without_payload(result)
+    file = result.file
+    payload = result.payload
+    thetas = result.robot.thetas
+    if file is not None:
+        thetas = file.thetas.copy()
+    elif payload is None:
+        thetas[-1] = result.estimate.inertial.theta
     robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
     robot, target = _arm_of_kind(robot, file_kind, target)
-    terms = {} if result.file is None else result.file.joints
+    terms = {} if file is None else file.joints
     rotors = {}
     joints = []
     for name in robot.joint_names:
@@ -87,7 +93,6 @@ def write_model(
             rotors[name] = numbers.pop("armature")
         if name in terms:
             joints.append(JointChange(name, numbers))
-    payload = result.payload
     welded = None
     comment = ""
     # Parameters of a payload in a body of its own, which only the torque check adds to the terminal
@@ -118,10 +123,9 @@ def write_model(
                     BodyChange(body_label(model, body), body, body_theta(model, body)),
                 )
     change = ModelChange(bodies, target.rmse, tuple(joints), welded, rotors=rotors)
-    if result.file is not None:
-        change = replace(change, gravity=result.file.gravity)
-        if robot.kind == "mjcf":
-            change = replace(change, tendons=tuple(_tendon_changes(robot, result.file)))
+    if file is not None:
+        tendons = _tendon_changes(robot, file) if robot.kind == "mjcf" else ()
+        change = replace(change, gravity=file.gravity, tendons=tuple(tendons))
     _write(robot, change, target, written_thetas)
     return notes
 
@@ -167,20 +171,6 @@ def write_joints(
     robot, target = _arm_of_kind(robot, "mjcf", target)
     change = ModelChange((), target.rmse, tuple(joints), None, tuple(actuators))
     _write(robot, change, target, robot.thetas)
-
-
-def _links_without_payload(result: Result) -> Array:
-    """Return the links' inertial parameters to write (n, 10), a new array.
-
-    They are those of the fit for a model file (``result.file``) if there is one, else the model's
-    own; without a payload, the terminal link then has its estimate.
-    """
-    if result.file is not None:
-        return result.file.thetas.copy()
-    thetas = result.robot.thetas
-    if result.payload is None:
-        thetas[-1] = result.estimate.inertial.theta
-    return thetas
 
 
 def _numbers(terms: Mapping[str, float]) -> dict[str, float]:
