@@ -72,7 +72,8 @@ def arm_and_plan(folder, rate: float) -> tuple[SimulatedArm, Plan]:
     joints = damiao_joints(["DM4340"] * JOINTS, JOINTS)
     path = folder / "damiao_trajectory.csv"
     motion = swing(JOINTS, SECONDS, rate=1000.0)
-    export_damiao_trajectory([motion], joints, path)
+    with path.open("w") as file:
+        export_damiao_trajectory([motion], joints, file)
     # Measure lateness instead of stopping for it.
     settings = PlaySettings(
         rate=rate, max_lateness=10.0, max_missed=10_000, max_tracking_error=3.0

@@ -16,9 +16,9 @@ from pathlib import Path
 from tests.support.places import ROOT
 
 BUDGETS = {
-    "robot_sysid/api": 4483,
-    "robot_sysid/commands": 10196,
-    "robot_sysid/damiao": 30371,
+    "robot_sysid/api": 4438,
+    "robot_sysid/commands": 10157,
+    "robot_sysid/damiao": 30360,
     "robot_sysid/diagnosis": 16596,
     "robot_sysid/dynamics": 4542,
     "robot_sysid/estimate": 29849,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3755,
     "robot_sysid": 9203,
-    "tests": 227433,
+    "tests": 227425,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

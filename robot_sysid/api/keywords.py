@@ -19,9 +19,6 @@ from pathlib import Path
 from typing import Any, TypeVar, Union
 
 from robot_sysid.config import Config
-from robot_sysid.damiao.adapters import BusAddress
-from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import InMemory, file_of, is_in_memory
@@ -67,15 +64,6 @@ def arm_of(model: Model, values: Mapping[str, Any]) -> RobotModel:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a decorated function, which the decorator keeps."""
-MOTORS = (
-    BusAddress,
-    BusTiming,
-    PlaySettings,
-    Permissions,
-    RecordingOptions,
-    ModelOptions,
-)
-"""Records of options of the motor commands."""
 
 
 def with_keywords(

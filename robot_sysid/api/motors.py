@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_sysid.api.keywords import MOTORS, Model, path_of, with_keywords
+from robot_sysid.api.keywords import Model, path_of, with_keywords
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.player import PlayReport, StopRequest
@@ -36,7 +36,10 @@ Say = Callable[[str], None]
 
 
 @with_keywords(
-    *(*MOTORS, LimitOptions), only={*keys_of(*MOTORS), *LIMITS}, **dict.fromkeys(LIMITS)
+    *execution.RECORDS,
+    LimitOptions,
+    only={*keys_of(*execution.RECORDS), *LIMITS},
+    **dict.fromkeys(LIMITS),
 )
 def play(
     trajectory: Path | str | PlanResult,

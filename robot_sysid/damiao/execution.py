@@ -36,7 +36,17 @@ from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Remark
-from robot_sysid.records.option_fields import record_from
+from robot_sysid.records.option_fields import given_values, record_from
+
+RECORDS: tuple[Any, ...] = (
+    BusAddress,
+    BusTiming,
+    ModelOptions,
+    PlaySettings,
+    Permissions,
+    RecordingOptions,
+)
+"""Classes of the options of a run, but for limits of the motion."""
 
 
 class MotorRun:
@@ -70,8 +80,7 @@ class MotorRun:
         or a recording would replace an input, or another file without --overwrite.
         """
         robot = self.robot
-        model_options = record_from(ModelOptions, self.values)
-        for key in (*vars(model_options), *motion.MODEL_LIMITS):
+        for key in (*vars(ModelOptions()), *motion.MODEL_LIMITS):
             if robot is None and self.values.get(key) is not None:
                 raise InputError(
                     f"--{key.replace('_', '-')} is about a model; add --model"
@@ -173,14 +182,8 @@ class MotorRun:
             return None
         from robot_sysid.parser import load_robot_model
 
-        model = record_from(ModelOptions, self.values)
-        return load_robot_model(
-            path,
-            model.mesh_dir,
-            model.joint,
-            max_velocity=np.inf,
-            keyframe=model.keyframe,
-        )
+        options = given_values(record_from(ModelOptions, self.values))
+        return load_robot_model(path, max_velocity=np.inf, **options)
 
     @contextlib.contextmanager
     def open_simulated(self, plan: Plan) -> Iterator[GuardedLink]:

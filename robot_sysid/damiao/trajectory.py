@@ -28,7 +28,7 @@ from robot_sysid.damiao.joints import MASTER_ID_OFFSET, RPM, DamiaoJoint, motor_
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
-from robot_sysid.records.file_access import atomic_file, read_text
+from robot_sysid.records.file_access import read_text
 from robot_sysid.records.option_fields import joint_values
 
 # A name and a value in a comment line of a file.
@@ -110,9 +110,7 @@ class DamiaoTrajectory:
 
 
 def export_damiao_trajectory(
-    motion_chunks: Iterable[MotionChunk],
-    joints: tuple[DamiaoJoint, ...],
-    path_or_file: str | os.PathLike[str] | TextIO,
+    motion_chunks: Iterable[MotionChunk], joints: tuple[DamiaoJoint, ...], file: TextIO
 ) -> DamiaoExportReport:
     """Write a trajectory for Damiao motors, clamped to the limits of their frames; return a report.
 
@@ -120,7 +118,7 @@ def export_damiao_trajectory(
         motion_chunks: successive pieces of the motion in joint space: time, position, velocity and
             torque. They are written one after the other.
         joints: the n joints with their motors, base to terminal.
-        path_or_file: open text file, or a path, which gets its file when everything is written.
+        file: to write to.
 
     Raises:
         InputError: there are no samples, or a value is not finite.
@@ -136,20 +134,17 @@ def export_damiao_trajectory(
     peaks = np.zeros((3, len(joints)))
     # Milliseconds where all times of the first chunk are whole ones, else microseconds.
     decimals = 3 if np.all(np.abs(first[0] - np.round(first[0], 3)) < 1e-9) else 6
-    with atomic_file(path_or_file) as file:
-        file.write(_head(joints))
-        for chunk in chain([first], chunks):
-            # Position, velocity and torque (3, N, n).
-            signals = np.stack(chunk[1:])
-            if not np.all(np.isfinite(signals)):
-                raise InputError(
-                    "the trajectory to export has values that are not finite"
-                )
-            clamped = np.clip(signals, -limits, limits)
-            n_clamped += np.any(clamped != signals, axis=0).sum(axis=0)
-            peaks = np.maximum(peaks, np.abs(signals).max(axis=1, initial=0.0))
-            n_rows += len(chunk[0])
-            file.write(_rows(chunk[0], clamped, decimals))
+    file.write(_head(joints))
+    for chunk in chain([first], chunks):
+        # Position, velocity and torque (3, N, n).
+        signals = np.stack(chunk[1:])
+        if not np.all(np.isfinite(signals)):
+            raise InputError("the trajectory to export has values that are not finite")
+        clamped = np.clip(signals, -limits, limits)
+        n_clamped += np.any(clamped != signals, axis=0).sum(axis=0)
+        peaks = np.maximum(peaks, np.abs(signals).max(axis=1, initial=0.0))
+        n_rows += len(chunk[0])
+        file.write(_rows(chunk[0], clamped, decimals))
     percent = 100.0 * n_clamped / n_rows
     warnings = []
     for joint, share, velocity, torque in zip(joints, percent, *peaks[1:]):

@@ -55,9 +55,6 @@ def test_motors_of_another_number_of_joints_are_refused(robot):
     motors = MotorOptions(export_damiao=True, motor_type=("DM4340",))
     with pytest.raises(InputError, match="motor"):
         motor_joints(motors, robot)
-
-
-def test_no_motor_file_is_written_that_no_option_asks_for(robot):
     assert draft_motor_file(PlanConfig(), robot, None, None, None) == ((), [])
 
 

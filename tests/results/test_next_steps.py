@@ -29,10 +29,11 @@ def test_the_command_of_every_state_is_taken(state):
     step = step_after(state, values, **WORDS)
     program, name, *words = step.command
     assert program == "robot-sysid" and "{" not in step.sentence
-    parser = identify.build_parser(name) if name != "motors" else None
-    if parser is None:
-        parser = motors.build_parser(words.pop(0))
-    assert parser.parse_args(words).joint == "j6"
+    build_parser = identify.build_parser
+    if name == "motors":
+        name = words.pop(0)
+        build_parser = motors.build_parser
+    assert build_parser(name).parse_args(words).joint == "j6"
     assert ("b.csv" in words) == ("{log}" in STEPS[state][1])
 
 

@@ -32,6 +32,7 @@ from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
+from robot_sysid.records.file_access import atomic_file
 from robot_sysid.simulation import plant
 from robot_sysid.simulation.plant import ArmStepper
 from tests.support.clocks import ScriptedClock
@@ -176,7 +177,8 @@ def two_motor_arm(watchdog=0.1):
 def export(chunks, types, path, **ids):
     """Write a motion for motors of these types, and return the report."""
     joints = damiao_joints(types, len(types), **ids)
-    return export_damiao_trajectory(chunks, joints, path)
+    with atomic_file(path) as file:
+        return export_damiao_trajectory(chunks, joints, file)
 
 
 def trajectory_file(folder, motion, motor_type="DM4340"):

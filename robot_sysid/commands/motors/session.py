@@ -11,35 +11,18 @@ import numpy as np
 
 from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.bus import InspectedMotor
-from robot_sysid.damiao.execution import MotorRun
+from robot_sysid.damiao.execution import RECORDS, MotorRun
 from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
 from robot_sysid.damiao.player import PlayReport
-from robot_sysid.damiao.settings import (
-    Permissions,
-    Plan,
-    PlaySettings,
-    RecordingOptions,
-)
+from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import InputError
-from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
 from robot_sysid.results.next_steps import step_with_motion
 
-# Classes whose options ``Session.command`` repeats.
-_RECORDS = (
-    BusAddress,
-    protocol.BusTiming,
-    ModelOptions,
-    PlaySettings,
-    Permissions,
-    RecordingOptions,
-    LimitOptions,
-)
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""
 
@@ -105,7 +88,7 @@ class Session(MotorRun):
         for key in ("model", "joint_map"):
             if values.get(key):
                 arguments += [f"--{key.replace('_', '-')}", str(values[key])]
-        return (*arguments, *command_arguments(values, *_RECORDS))
+        return (*arguments, *command_arguments(values, *RECORDS, LimitOptions))
 
 
 _HEADINGS = (
