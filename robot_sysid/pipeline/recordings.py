@@ -240,9 +240,7 @@ def identify_payload(
         carried, _ = written_payload(weighed)
         file = fit_file(weighed, config.estimation.keep, carried)
     # Scales are those of the log before its torques were divided by known ones.
-    divided = np.ones(robot.n_joints)
-    if config.log.torque_scale is not None:
-        divided, _ = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
+    divided, _ = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
     result = payload_result(
         fitted, weighed, file, flange, origin_of(logs), notes, divided
     )

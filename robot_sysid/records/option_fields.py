@@ -14,7 +14,6 @@ in it. A file lists them by joint, without or with their standard errors::
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
@@ -28,6 +27,7 @@ from typing import TYPE_CHECKING, Any, Optional, TypeVar, Union
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.file_access import (
+    json_text,
     read_json,
     refuse_special_file,
     write_atomically,
@@ -458,7 +458,7 @@ def write_torque_scale(path: Path, scales: Mapping[str, tuple[float, float]]) ->
             "value": _checked_factor(path, joint, scale),
             "standard_error": _checked_factor(path, joint, error),
         }
-    write_atomically(path, json.dumps({"version": 2, SCALE: entries}, indent=2) + "\n")
+    write_atomically(path, json_text({"version": 2, SCALE: entries}))
 
 
 def _checked_factor(path: Path, joint: str, value: object) -> float:

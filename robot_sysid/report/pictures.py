@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,8 @@ _COLOURS: dict[str, Colour] = {
     "before": (0.9, 0.45, 0.05, 0.3),
     "after": (0.05, 0.38, 0.75, 0.5),
 }
-Bodies = Sequence[tuple[int, Mapping[str, Array]]]
-"""Pairs (MuJoCo id of a body, version to parameters (10,) in the frame of that body)."""
+Body = tuple[int, str, Array]
+"""MuJoCo id of a body, version of its parameters, and these (10,) in the frame of that body."""
 
 
 def pictures(run: Run, mesh_dir: Path | None = None) -> tuple[list[Figure], str]:
@@ -47,7 +47,7 @@ def pictures(run: Run, mesh_dir: Path | None = None) -> tuple[list[Figure], str]
         return [], f"No pictures of the arm: {error}."
 
 
-def _ellipsoid_pictures(robot: RobotModel, bodies: Bodies) -> list[Figure]:
+def _ellipsoid_pictures(robot: RobotModel, bodies: Sequence[Body]) -> list[Figure]:
     """Return a picture of the whole arm and one of its last link, in the reference posture.
 
     SysidError if there is no graphics library to render with.
@@ -57,7 +57,7 @@ def _ellipsoid_pictures(robot: RobotModel, bodies: Bodies) -> list[Figure]:
         bodies: the bodies to draw, one of them at the last link.
     """
     figures = []
-    last = [pair for pair in bodies if pair[0] == robot.body_id]
+    last = [body for body in bodies if body[0] == robot.body_id]
     with Studio(robot, width=800, height=620) as studio:
         target, distance = studio.arm_view()
         distance *= 1.25  # beyond the one at which just the arm fits
@@ -65,20 +65,16 @@ def _ellipsoid_pictures(robot: RobotModel, bodies: Bodies) -> list[Figure]:
             if drawn is last:
                 target = studio.data.xpos[robot.body_id]
                 distance *= 0.3
-            # Of each ellipsoid in the picture: MuJoCo id of its body, version, parameters.
-            shown = [(i, key, theta) for i, v in drawn for key, theta in v.items()]
-            sizes = [characteristic_length(theta) for _, _, theta in shown]
+            sizes = [characteristic_length(theta) for _, _, theta in drawn]
             studio.start(target, max(distance, 6.0 * max(sizes)))
-            for body_id, version, theta in shown:
+            for body_id, version, theta in drawn:
                 studio.add_ellipsoid(body_id, theta, _COLOURS[version])
             caption = f"Ellipsoids of inertia on {subject}, in its reference posture."
             figures.append(Figure(caption, png=png_bytes(studio.render())))
     return figures
 
 
-def _drawn_bodies(
-    robot: RobotModel, run: Run
-) -> Iterator[tuple[int, Mapping[str, Array]]]:
+def _drawn_bodies(robot: RobotModel, run: Run) -> Iterator[Body]:
     """Yield the bodies to draw.
 
     These are the terminal link with the payload, before it without, and the payload; of a run
@@ -90,12 +86,13 @@ def _drawn_bodies(
         )
         entry = run.content["payload"]["flange"]
         pose = (np.array(entry["rotation"]), np.array(entry["translation"]))
-        yield robot.body_id, {"after": Flange("flange", *pose).from_flange(payload)}
-        yield robot.body_id, {"before": link, "after": total}
+        yield robot.body_id, "after", Flange("flange", *pose).from_flange(payload)
+        yield robot.body_id, "before", link
+        yield robot.body_id, "after", total
         return
     ids = {link.body_name: link.body_id for link in robot.links}
     for body in run.bodies:
-        drawn = {"before": run.theta(body, "model"), "after": run.theta(body, "value")}
-        if body in ids:
-            known = {key: theta for key, theta in drawn.items() if theta is not None}
-            yield ids[body], known
+        for version, column in (("before", "model"), ("after", "value")):
+            theta = run.theta(body, column)
+            if theta is not None:
+                yield ids[body], version, theta
