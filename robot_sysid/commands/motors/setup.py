@@ -44,7 +44,8 @@ from robot_sysid.records.option_fields import (
     record_from,
 )
 
-_SILENT = "no motor answers: check power, wiring and bit rate"
+# Verdict of a command that finds no motor.
+_SILENT = ("Not usable: no motor answers: check power, wiring and bit rate",)
 
 
 @dataclass(frozen=True)
@@ -165,8 +166,8 @@ class MotorSetup:
 def setup(session: Session) -> int:
     """List the motors on a bus, change one of them if the options say so; return the exit code.
 
-    Errors are those of ``MotorSetup`` and ``_motor_to_change``, and InputError for a change without
-    --motor.
+    It is 1 where there is no motor, else 0. Errors are those of ``MotorSetup`` and
+    ``_motor_to_change``, and InputError for a change without --motor.
     """
     options = record_from(SetupOptions, session.values)
     changes = given_values(options).keys() - {"motor"}
@@ -179,23 +180,15 @@ def setup(session: Session) -> int:
             motor = _motor_to_change(inspection, options)
             for line in MotorSetup(link, motor).apply(options):
                 session.console.stage(line)
-    summary = f"motor {options.motor} is changed" if changes else ""
-    return _conclude_listing(session, len(inspection.motors), summary)
-
-
-def _conclude_listing(session: Session, count: int, summary: str = "") -> int:
-    """Set the verdict of a command that found ``count`` motors; return its exit code.
-
-    The code is 1 where there is no motor, else 0. ``summary`` says in the verdict what was done; ""
-    for the number of motors instead.
-    """
-    if not count:
-        session.verdict = (f"Not usable: {_SILENT}",)
+    if not inspection.motors:
+        session.verdict = _SILENT
         return 1
-    verdict = f"Done: {summary or f'motors that answer: {count}'}"
+    done = f"motors that answer: {len(inspection.motors)}"
+    if changes:
+        done = f"motor {options.motor} is changed"
     command = session.command("check", trajectory=DAMIAO_NAME)
     step = NextStep("Next, check the motors for a trajectory", command)
-    session.conclude(verdict, step)
+    session.conclude(f"Done: {done}", step)
     return 0
 
 
@@ -237,7 +230,8 @@ def monitor(session: Session) -> int:
     with session.open_guarded(is_motion) as link:
         motors = list(inspect_bus(link).motors.values())
         if not motors:
-            return _conclude_listing(session, count=0)
+            session.verdict = _SILENT
+            return 1
         clock = link.clock
         client = RegisterClient(link)
         end = clock.now() + (options.lifetime or float("inf"))
