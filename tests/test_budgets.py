@@ -25,7 +25,7 @@ BUDGETS = {
     "robot_sysid/logs": 15387,
     "robot_sysid/mjcf": 7118,
     "robot_sysid/model": 8857,
-    "robot_sysid/motion": 16435,
+    "robot_sysid/motion": 16327,
     "robot_sysid/pipeline": 6039,
     "robot_sysid/records": 8068,
     "robot_sysid/report": 4978,

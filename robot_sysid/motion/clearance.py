@@ -84,10 +84,12 @@ class _Near(NamedTuple):
     wall: Any
 
     def tightest(self) -> _Near:
-        """Return the pair with the least slack of each configuration that has one."""
+        """Return the pair with the least slack of each configuration, if below ``HORIZON``."""
         order = np.lexsort((self.slack, self.posture))
         _, first = np.unique(self.posture[order], return_index=True)
-        return _Near(*(values[order[first]] for values in self))
+        tightest = order[first]
+        tightest = tightest[self.slack[tightest] < HORIZON]
+        return _Near(*(values[tightest] for values in self))
 
 
 class Clearance:
@@ -145,7 +147,6 @@ class Clearance:
         """
         frames = np.empty((2, len(q), self._model.njnt, 3))
         near = self._near(q, frames).tightest()
-        near = _Near(*(values[near.slack < HORIZON] for values in near))
         value = np.full(len(q), HORIZON)
         value[near.posture] = near.slack
         # Component first, (3, C, n): a cross product by hand costs a tenth of numpy's.
@@ -179,7 +180,7 @@ class Clearance:
         configuration q (n,) [rad or m].
         """
         near = self._near(q[None]).tightest()
-        if not np.any(near.slack < HORIZON):
+        if not len(near.slack):
             return Closest(HORIZON)
         first, second = near.bodies[0].tolist()
         label = self._label(first, second)
@@ -201,36 +202,24 @@ class Clearance:
         n_bodies = self._model.nbody
         positions = np.empty((len(q), n_bodies, 3))
         rotations = np.empty((len(q), n_bodies, 9))
-        counts = np.zeros(len(q), dtype=int)
-        found: list[tuple[Any, ...]] = [
-            (
-                np.zeros((0, 2), dtype=int),
-                np.zeros(0),
-                np.zeros((0, 9)),
-                np.zeros((0, 3)),
-            )
-        ]
+        found = []
         for k, configuration in enumerate(q):
             data.qpos[self._robot.qpos_index] = configuration
             update_contacts(self._model, data)
-            counts[k] = data.ncon
-            if data.ncon:
-                contact = data.contact
-                geoms = contact.geom.reshape(-1, 2)
-                fields = (geoms, contact.dist, contact.frame, contact.pos)
-                found.append(tuple(map(np.array, fields)))
+            contact = data.contact
+            fields = (contact.geom, contact.dist, contact.frame, contact.pos)
+            found.append((np.full(data.ncon, k), *map(np.array, fields)))
             # Entire arrays: choosing bodies in each posture takes ten times as long.
             if self._walls:
                 positions[k] = data.xpos
                 rotations[k] = data.xmat
             if frames is not None:
                 frames[:, k] = data.xaxis, data.xanchor
-        geoms, distance, frame, point = map(np.concatenate, zip(*found))
+        posture, geoms, distance, frame, point = map(np.concatenate, zip(*found))
         bodies = self._model.geom_bodyid[geoms]
         # A contact of a deformable body has no geom, so no body here.
         distance = np.where(np.all(geoms >= 0, axis=1), distance, np.inf)
         slack = distance - self._required[bodies[:, 0], bodies[:, 1]]
-        posture = np.repeat(np.arange(len(q)), counts)
         wall = np.full(len(posture), -1)
         pairs = _Near(posture, bodies, distance, slack, frame[:, :3], point, wall)
         parts = [pairs, *self._near_walls(positions, rotations)]
