@@ -45,6 +45,16 @@ def inertia_about_com(mj_model: Any, body_id: int) -> Array:
     return axes @ np.diag(mj_model.body_inertia[body_id]) @ axes.T
 
 
+def pose_in(frame: Any, other: Any) -> tuple[Array, Array]:
+    """Return rotation (3, 3) and origin (3,) [m] of a frame in another one.
+
+    Both are bodies or sites of MuJoCo's data.
+    """
+    axes = other.xmat.reshape(3, 3)
+    origin = axes.T @ (frame.xpos - other.xpos)
+    return axes.T @ frame.xmat.reshape(3, 3), origin
+
+
 def subtree_bodies(
     mj_model: Any, qpos: Array, body_id: int, excluded: Collection[int] = ()
 ) -> tuple[SubtreeBody, ...]:
@@ -54,16 +64,14 @@ def subtree_bodies(
     of this body, and of those without a joint between it and them.
     """
     data = data_at_pose(mj_model, qpos)
-    axes = data.xmat[body_id].reshape(3, 3)
     bodies: dict[int, SubtreeBody] = {}
     for i in subtree(mj_model, body_id):
         if i in excluded:
             continue
         theta = body_theta(mj_model, i)
         if i != body_id:
-            rotation = axes.T @ data.xmat[i].reshape(3, 3)
-            translation = axes.T @ (data.xpos[i] - data.xpos[body_id])
-            theta = spatial.transform_theta(theta, rotation, translation)
+            pose = pose_in(data.body(i), data.body(body_id))
+            theta = spatial.transform_theta(theta, *pose)
         parent = bodies.get(mj_model.body_parentid[i])
         is_welded = parent is None or (parent.welded and not mj_model.body_jntnum[i])
         bodies[i] = SubtreeBody(i, body_label(mj_model, i), theta, is_welded)
@@ -103,32 +111,29 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
     dofs = mj_model.jnt_dofadr[list(chain)].tolist()
     links = []
     ids = []
-    # Pose of the previous link.
-    axes = np.eye(3)
-    origin = np.zeros(3)
+    # Frame of the previous link.
+    previous = data.body(0)
     jac_linear = np.zeros((3, mj_model.nv))
     jac_angular = np.zeros((3, mj_model.nv))
     for index, body_id in enumerate(body_ids):
-        new_axes = data.xmat[body_id].reshape(3, 3)
-        new_origin = data.xpos[body_id]
+        body = data.body(body_id)
+        rotation, translation = pose_in(body, previous)
         mujoco.mj_jacBody(mj_model, data, jac_linear, jac_angular, body_id)
-        # Angular and linear velocity of the body per unit of the joint's, in world axes.
-        turn = jac_angular[:, dofs[index]]
-        slide = jac_linear[:, dofs[index]]
+        # Angular and linear velocity (2, 3) of the body per unit of the joint's, in world axes.
+        velocity = np.stack((jac_angular, jac_linear))[:, :, dofs[index]]
         bodies = link_bodies(mj_model, qpos, body_id, body_ids[index + 1 :])
         links.append(
             ArmLink(
                 body_id=body_id,
                 body_name=body_label(mj_model, body_id),
-                screw=np.concatenate([new_axes.T @ turn, new_axes.T @ slide]),
-                rotation=axes.T @ new_axes,
-                translation=axes.T @ (new_origin - origin),
+                screw=np.ravel(velocity @ body.xmat.reshape(3, 3)),
+                rotation=rotation,
+                translation=translation,
                 theta=sum_theta(bodies),
             )
         )
         ids.append([body.body_id for body in bodies])
-        axes = new_axes
-        origin = new_origin
+        previous = body
     return with_references(mj_model, qpos, links, ids)
 
 
@@ -203,8 +208,6 @@ def _fixed_frames(robot: RobotModel) -> Iterator[tuple[str, Flange]]:
     """
     mj_model = robot.mj_model
     data = data_at_pose(mj_model, robot.reference_qpos)
-    axes = data.xmat[robot.body_id].reshape(3, 3)
-    origin = data.xpos[robot.body_id]
     fixed = {body.body_id: body.name for body in robot.bodies if body.welded}
     frames = []
     for site, body in enumerate(mj_model.site_bodyid.tolist()):
@@ -213,10 +216,9 @@ def _fixed_frames(robot: RobotModel) -> Iterator[tuple[str, Flange]]:
             frames.append(("site", name, data.site(site)))
     for body, name in fixed.items():
         frames.append(("body", name, data.body(body)))
-    for kind, name, pose in frames:
-        rotation = axes.T @ pose.xmat.reshape(3, 3)
-        translation = axes.T @ (pose.xpos - origin)
-        yield name, Flange(f"{kind} '{name}'", rotation, translation, robot.body_name)
+    for kind, name, frame in frames:
+        pose = pose_in(frame, data.body(robot.body_id))
+        yield name, Flange(f"{kind} '{name}'", *pose, robot.body_name)
 
 
 def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
@@ -343,12 +345,12 @@ def _never_part(
 ) -> bool:
     """Return whether two bodies touch at all tried positions of the chain joints between them.
 
-    ``data``, with all joints at reference, is used and left so.
+    ``data`` is used; its joints are moved.
     """
     model = robot.mj_model
     lowest, highest = joint_ranges(robot)
     grid = np.linspace(lowest[between], highest[between], 7)
-    is_touching = True
+    data.qpos[:] = robot.reference_qpos
     for positions in product(*grid.T):
         data.qpos[robot.qpos_index[between]] = positions
         update_contacts(model, data)
@@ -356,8 +358,6 @@ def _never_part(
         # A flexible body's contact has the geom -1.
         geoms = geoms[np.all(geoms >= 0, axis=1)]
         bodies = np.sort(model.geom_bodyid[geoms], axis=1)
-        is_touching = list(pair) in bodies.tolist()
-        if not is_touching:
-            break
-    data.qpos[:] = robot.reference_qpos
-    return is_touching
+        if list(pair) not in bodies.tolist():
+            return False
+    return True
