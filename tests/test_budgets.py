@@ -24,7 +24,7 @@ BUDGETS = {
     "robot_sysid/estimate": 29849,
     "robot_sysid/logs": 15387,
     "robot_sysid/mjcf": 7118,
-    "robot_sysid/model": 8806,
+    "robot_sysid/model": 8782,
     "robot_sysid/motion": 16327,
     "robot_sysid/pipeline": 6039,
     "robot_sysid/records": 8068,

@@ -15,7 +15,7 @@ positions or speeds but no force, so that only its forcerange counts.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -74,38 +74,35 @@ def actuators_on(
 
 def driven_joints(mj_model: Any) -> set[int]:
     """Return the ids of joints that an actuator moves, directly or by a fixed tendon."""
-    joints = set[int]()
-    for ratios in _transmissions(mj_model):
-        joints.update(mj_model.dof_jntid[np.flatnonzero(ratios)].tolist())
-    return joints
+    is_driven = np.any(_transmissions(mj_model), axis=0)
+    return set(mj_model.dof_jntid[is_driven].tolist())
 
 
-def _transmissions(mj_model: Any) -> Iterator[Array]:
-    """Yield each actuator's speed before its gear per speed of each joint (nv,), in their order.
+def _transmissions(mj_model: Any) -> Array:
+    """Return each actuator's speed before its gear per speed of each joint (k, nv).
 
     It is zero for all joints where an actuator acts neither on a joint nor on a fixed tendon.
     """
     kinds = mj_model.actuator_trntype.tolist()
-    for kind, target in zip(kinds, mj_model.actuator_trnid[:, 0].tolist()):
-        ratios = np.zeros(mj_model.nv)
+    transmissions = np.zeros((len(kinds), mj_model.nv))
+    targets = mj_model.actuator_trnid[:, 0].tolist()
+    for ratios, kind, target in zip(transmissions, kinds, targets):
         if kind in _AT_JOINT:
             ratios[mj_model.jnt_dofadr[target]] = 1.0
         elif kind in AT_TENDON:
-            coefficients = tendon_coefficients(mj_model, target)
-            ratios = ratios if coefficients is None else coefficients
-        yield ratios
+            ratios[:] = tendon_coefficients(mj_model, target)
+    return transmissions
 
 
-def tendon_coefficients(mj_model: Any, tendon: int) -> Array | None:
-    """Return a fixed tendon's (id) speed per speed of each joint (nv,), of another one None."""
+def tendon_coefficients(mj_model: Any, tendon: int) -> Array:
+    """Return a fixed tendon's (id) speed per speed of each joint (nv,); zeros of another one."""
     first = mj_model.tendon_adr[tendon]
     # The joints, sites or geoms that the tendon runs over; a fixed one has joints alone.
     wraps = slice(first, first + mj_model.tendon_num[tendon])
-    if not np.all(mj_model.wrap_type[wraps] == _WRAPS_JOINT):
-        return None
     coefficients = np.zeros(mj_model.nv)
-    addresses = mj_model.jnt_dofadr[mj_model.wrap_objid[wraps]]
-    np.add.at(coefficients, addresses, mj_model.wrap_prm[wraps])
+    if np.all(mj_model.wrap_type[wraps] == _WRAPS_JOINT):
+        addresses = mj_model.jnt_dofadr[mj_model.wrap_objid[wraps]]
+        np.add.at(coefficients, addresses, mj_model.wrap_prm[wraps])
     return coefficients
 
 

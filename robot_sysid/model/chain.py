@@ -302,8 +302,6 @@ def shared_motors(mj_model: Any, dofs: NDArray[np.int64]) -> dict[int, Array]:
     motors = {}
     for tendon in range(mj_model.ntendon):
         coefficients = tendon_coefficients(mj_model, tendon)
-        if coefficients is None:
-            continue
         ratios = coefficients[dofs]
         n_joints = np.count_nonzero(coefficients)
         if n_joints > 1 and np.count_nonzero(ratios) == n_joints:

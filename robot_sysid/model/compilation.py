@@ -13,7 +13,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Union
 
@@ -119,31 +119,39 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     # Refuses pipes, for which MuJoCo would wait for ever.
     find_assets(document)
     with captured_warnings() as warnings:
-        compile_document = _compile_urdf if document.is_urdf else _compile_mjcf
-        compiled = compile_document(document)
-    _check_values(compiled.mj_model, document)
-    mj_model = with_actuators_in_joints(compiled.mj_model)
-    notes = (*compiled.notes, *dict.fromkeys(warnings))
-    return replace(compiled, mj_model=mj_model, notes=notes)
+        notes: tuple[str, ...] = ()
+        if document.is_urdf:
+            mj_model, notes = _compile_urdf(document)
+        else:
+            mj_model = _compile_mjcf(document)
+    _check_values(mj_model, document)
+    return CompiledModel(
+        with_actuators_in_joints(mj_model),
+        (*notes, *dict.fromkeys(warnings)),
+        document.sha256,
+        "urdf" if document.is_urdf else "mjcf",
+        velocity_limits(document),
+    )
 
 
-def _compile_mjcf(document: ModelDocument) -> CompiledModel:
+def _compile_mjcf(document: ModelDocument) -> Any:
     """Return an MJCF document, which may be changed, compiled; or raise ModelError."""
     text = None
     if document.mesh_dir is not None or not document.is_utf8:
         relocate(document, folder=None)
         text = document.text().decode()
     try:
-        mj_model = _compile(document.path, text)
+        return _compile(document.path, text)
     except ModelError:
         # Asked only now, so that MuJoCo's own rules decide what is missing.
         refuse_missing_assets(document)
         raise
-    return CompiledModel(mj_model, (), document.sha256, "mjcf")
 
 
-def _compile_urdf(document: ModelDocument) -> CompiledModel:
-    """Return a URDF document, which is changed, compiled; or raise ModelError.
+def _compile_urdf(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
+    """Return a URDF document, which is changed, compiled, and notes on what was changed.
+
+    ModelError where it cannot be compiled.
 
     Moving links without mass get a minimum, and moments of inertia that no body has are raised.
     Other inertias are exact.
@@ -155,8 +163,7 @@ def _compile_urdf(document: ModelDocument) -> CompiledModel:
         raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
     mj_model = _compile(document.path, document.text().decode())
     restore_exact_inertias(mj_model, inertias)
-    speeds = velocity_limits(document)
-    return CompiledModel(mj_model, notes, document.sha256, "urdf", speeds)
+    return mj_model, notes
 
 
 def _compile(path: Path, text: str | None) -> Any:
