@@ -23,7 +23,7 @@ BUDGETS = {
     "robot_sysid/dynamics": 4542,
     "robot_sysid/estimate": 29849,
     "robot_sysid/logs": 15387,
-    "robot_sysid/mjcf": 7118,
+    "robot_sysid/mjcf": 7082,
     "robot_sysid/model": 8782,
     "robot_sysid/motion": 16327,
     "robot_sysid/pipeline": 6039,

@@ -13,6 +13,7 @@ from itertools import islice
 from pathlib import Path
 
 from lxml import etree
+from lxml.builder import E
 
 from robot_sysid.dynamics import spatial
 from robot_sysid.errors import ExportError
@@ -235,22 +236,25 @@ def _write_welded_body(
             f"{document.path}: the new body cannot be called '{body.name}', because that name is "
             "empty or taken; choose another"
         )
-    comment = _comment(f"body '{body.name}'", change.rmse, body.comment)
+    text = _comment(f"body '{body.name}'", change.rmse, body.comment)
+    comment = etree.Comment(text)
     position = format_numbers(body.translation)
-    link = etree.Element("link" if document.is_urdf else "body", name=body.name)
-    link.append(etree.fromstring(_inertial(document, body.theta, change.principal)))
-    append(document.root if document.is_urdf else carrier, etree.Comment(comment), link)
+    inertial = etree.fromstring(_inertial(document, body.theta, change.principal))
     if document.is_urdf:
         # All links of a URDF stand side by side.
-        joint = etree.Element("joint", name=joint_name, type="fixed")
-        etree.SubElement(joint, "parent", link=body.carrier)
-        etree.SubElement(joint, "child", link=body.name)
         angles = format_numbers(spatial.roll_pitch_yaw(body.rotation))
-        etree.SubElement(joint, "origin", xyz=position, rpy=angles)
-        append(document.root, joint)
+        joint = E.joint(
+            E.parent(link=body.carrier),
+            E.child(link=body.name),
+            E.origin(xyz=position, rpy=angles),
+            name=joint_name,
+            type="fixed",
+        )
+        append(document.root, comment, E.link(inertial, name=body.name), joint)
     else:
-        link.set("pos", position)
-        link.set("quat", format_numbers(spatial.quaternion(body.rotation)))
+        turn = format_numbers(spatial.quaternion(body.rotation))
+        new = E.body(inertial, name=body.name, pos=position, quat=turn)
+        append(carrier, comment, new)
 
 
 # MuJoCo's own, where a model states none [m/s^2].
@@ -273,7 +277,7 @@ def _write_gravity(document: ModelDocument, gravity: Array, rmse: float) -> None
             raise ExportError(f"{document.path}: {fault}")
     # The last option that states it counts, in whichever file it stands.
     if not document.settings("option"):
-        document.add_setting(etree.Element("option"))
+        document.add_setting(E.option())
     options = document.settings("option")
     stating = [option for option in options if option.get("gravity")]
     changed = (stating or options)[-1]
@@ -316,7 +320,7 @@ def write_joint(document: ModelDocument, change: JointChange) -> None:
         joint = node
         node = joint.find("dynamics")
         if node is None and texts:
-            node = etree.Element("dynamics")
+            node = E.dynamics()
             append(joint, node)
     _set_numbers(node, texts)
 
@@ -335,13 +339,13 @@ def _write_rotor(document: ModelDocument, joint: str, rotor: float) -> None:
         if get(transmission.find("joint"), "name") == joint and actuator is not None:
             break
     else:
-        transmission = etree.Element("transmission", name=f"{joint}_transmission")
-        kind = etree.SubElement(transmission, "type")
-        kind.text = "transmission_interface/SimpleTransmission"
-        etree.SubElement(transmission, "joint", name=joint)
-        actuator = etree.SubElement(transmission, "actuator", name=f"{joint}_motor")
-        reduction = etree.SubElement(actuator, "mechanicalReduction")
-        reduction.text = "1"
+        actuator = E.actuator(E.mechanicalReduction("1"), name=f"{joint}_motor")
+        transmission = E.transmission(
+            E.type("transmission_interface/SimpleTransmission"),
+            E.joint(name=joint),
+            actuator,
+            name=f"{joint}_transmission",
+        )
         append(document.root, transmission)
     text = actuator.findtext("mechanicalReduction") or "1"
     ratio = abs(float(text)) or 1.0
@@ -376,13 +380,13 @@ def _write_tendon(document: ModelDocument, change: TendonChange, rmse: float) ->
         put_comment(node, comment)
         _set_numbers(node, texts)
         return
-    fixed = etree.Element("fixed", texts)
+    fixed = E.fixed(texts)
     for joint, coefficient in change.coefficients.items():
-        etree.SubElement(fixed, "joint", joint=joint, coef=format_number(coefficient))
+        fixed.append(E.joint(joint=joint, coef=format_number(coefficient)))
     sections = document.root.findall("tendon")
     if not sections:
-        sections = [etree.Element("tendon")]
-        append(document.root, sections[0])
+        sections = [E.tendon()]
+        append(document.root, *sections)
     append(sections[-1], etree.Comment(comment), fixed)
 
 
