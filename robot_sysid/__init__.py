@@ -45,7 +45,7 @@ _NAMES = {
     "estimate.options": ("Priors",),
     "logs.column_map": ("ColumnMap",),
     "logs.reader": ("MeasurementLog",),
-    "motion.checked": ("CheckedPlan",),
+    "motion.plan": ("CheckedPlan",),
     "parser": ("load_robot_model",),
     "records.arm": (
         "ArmLink",

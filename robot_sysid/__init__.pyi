@@ -28,7 +28,7 @@ from robot_sysid.errors import SysidError as SysidError
 from robot_sysid.estimate.options import Priors as Priors
 from robot_sysid.logs.column_map import ColumnMap as ColumnMap
 from robot_sysid.logs.reader import MeasurementLog as MeasurementLog
-from robot_sysid.motion.checked import CheckedPlan as CheckedPlan
+from robot_sysid.motion.plan import CheckedPlan as CheckedPlan
 from robot_sysid.parser import load_robot_model as load_robot_model
 from robot_sysid.records.arm import ArmLink as ArmLink
 from robot_sysid.records.arm import InertialParameters as InertialParameters

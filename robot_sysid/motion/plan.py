@@ -11,9 +11,8 @@ from robot_sysid import trajectory
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import WEIGHT, AimOptions, ExcitationOptions, LimitOptions
-from robot_sysid.motion.checked import CheckedPlan
 from robot_sysid.motion.trajectories import at_speed, load_trajectory
-from robot_sysid.records import RobotModel
+from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import (
     TrajectoryOptions,
@@ -23,6 +22,7 @@ from robot_sysid.records.option_fields import (
 
 # A random motion that nothing plays imports nothing that checks and designs.
 if TYPE_CHECKING:
+    from robot_sysid.motion.limit_check import LimitCheck
     from robot_sysid.motion.problem import ExcitationProblem
 
 
@@ -63,6 +63,26 @@ class MotionRequest:
     def is_designed(self) -> bool:
         """Whether a trajectory is to be designed, unless there is a file."""
         return self.excitation.kind == "optimal"
+
+
+@dataclass(frozen=True)
+class CheckedPlan:
+    """A trajectory and the check of its limits.
+
+    Attributes:
+        plan: the trajectory.
+        problem: the arm and the limits that it has to keep; None where nothing plays it.
+        check: of the limits; None where nothing plays it.
+    """
+
+    plan: MotionPlan
+    problem: ExcitationProblem | None = None
+    check: LimitCheck | None = None
+
+    @property
+    def failure(self) -> str | None:
+        """Why the trajectory must not be run, or None."""
+        return None if self.check is None else self.check.failure
 
 
 def make_plan(

@@ -13,8 +13,7 @@ from robot_sysid.config import MotionConfig, MotorOptions, PlanConfig
 from robot_sysid.errors import InputError
 from robot_sysid.export import Written
 from robot_sysid.motion import WEIGHT
-from robot_sysid.motion.checked import CheckedPlan
-from robot_sysid.motion.plan import MotionRequest, make_plan
+from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
 from robot_sysid.records.messages import NextStep, Progress, percent

@@ -34,7 +34,6 @@ from robot_sysid.results.lines import folder_text, use_lines
 from robot_sysid.results.record import DATA, MODEL, ModelTarget, Quantity
 from robot_sysid.results.table import cells, label, table_lines
 from robot_sysid.results.written_model import versions, write_joints
-from robot_sysid.servo.commands import check_commands
 from robot_sysid.servo.fit import (
     LINK_ERROR,
     ServoFit,
@@ -42,7 +41,7 @@ from robot_sysid.servo.fit import (
     goal_error,
     refine_played,
 )
-from robot_sysid.servo.windows import WINDOW, ServoProblem, rms
+from robot_sysid.servo.windows import WINDOW, ServoProblem, check_commands, rms
 from robot_sysid.signals.resampling import slice_samples
 from robot_sysid.simulation.playback import (
     ServoRollouts,

@@ -10,7 +10,7 @@ import pytest
 from robot_sysid.config import MotorOptions, PlanConfig
 from robot_sysid.errors import InputError
 from robot_sysid.motion import starts
-from robot_sysid.motion.checked import CheckedPlan
+from robot_sysid.motion.plan import CheckedPlan
 from robot_sysid.motion.prediction import Prediction
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import planning

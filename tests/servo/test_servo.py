@@ -16,9 +16,8 @@ from robot_sysid.logs import FittedLogOptions
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.records.data import DataOrigin
-from robot_sysid.servo.commands import check_commands
 from robot_sysid.servo.fit import ServoFit
-from robot_sysid.servo.windows import ServoProblem, low_pass_motion
+from robot_sysid.servo.windows import ServoProblem, check_commands, low_pass_motion
 from robot_sysid.simulation.playback import (
     ServoParameters,
     ServoRollouts,
