@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16596,
     "robot_sysid/dynamics": 4542,
     "robot_sysid/estimate": 29849,
-    "robot_sysid/logs": 15387,
+    "robot_sysid/logs": 15314,
     "robot_sysid/mjcf": 7082,
     "robot_sysid/model": 8782,
     "robot_sysid/motion": 16292,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3755,
     "robot_sysid": 9203,
-    "tests": 227419,
+    "tests": 227394,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

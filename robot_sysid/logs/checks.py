@@ -5,7 +5,7 @@ cannot be those of this arm). Both name the first line and a remedy.
 
 The usable rows are ``LogRows``: ``samples`` in SI units (N rows, n chain joints), ``lines`` (N,)
 their numbers in the file. Of all rows of the file, ``n_read`` hold something of this arm;
-``anomalies`` says how many were left out why, and where the first one is.
+``anomalies`` says which were left out why.
 """
 
 from __future__ import annotations
@@ -87,7 +87,11 @@ def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
     ``anomaly`` is a key of ``_TOLERANCES``.
     """
     share, remedy = _TOLERANCES[anomaly]
-    count, first = rows.anomalies[anomaly]
+    lines, first = rows.anomalies[anomaly]
+    count = len(lines)
+    if not count:
+        return
+    first = first or rows.cite(lines[:1])
     # One is always allowed: the last row is often cut off.
     allowed = max(1, share * rows.n_read) if share else 0
     if count > allowed:
@@ -95,8 +99,7 @@ def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
             f"{count} of {rows.n_read} rows {anomaly}, more than {100.0 * share:g} % "
             f"(first: {first}); {remedy}"
         )
-    if count:
-        yield f"left out rows that {anomaly}: {count} (first: {first})"
+    yield f"left out rows that {anomaly}: {count} (first: {first})"
 
 
 def clock_notes(rows: LogRows) -> Iterator[str]:

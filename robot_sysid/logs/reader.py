@@ -9,9 +9,8 @@ columns are held in memory.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations
 from operator import attrgetter
 from pathlib import Path
@@ -30,13 +29,7 @@ from robot_sysid.logs.column_map import (
 )
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.table import (
-    Block,
-    LogSource,
-    LogTable,
-    as_input_errors,
-    read_rows,
-)
+from robot_sysid.logs.table import LogSource, LogTable, as_input_errors, read_rows
 from robot_sysid.logs.text import text_table
 from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
@@ -231,8 +224,7 @@ _FACTOR_OPTIONS = ("torque_scale", "torque_constants")
 def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
     """Return a log as a table, its form recognised.
 
-    Whatever a reader raises, now or while blocks are read, becomes an InputError here, also where
-    the form is not known.
+    Whatever a reader raises becomes an InputError, also where the form is not known.
 
     Args:
         path: file or folder.
@@ -261,10 +253,4 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
     form, reader = forms[0] if forms else _TEXT
     with as_input_errors(path, form):
         table = reader(LogSource(path, first_bytes, joint_names, options))
-    return replace(table, blocks=partial(_blocks, table, form))
-
-
-def _blocks(table: LogTable, form: str, columns: Sequence[int]) -> Iterator[Block]:
-    """Yield the blocks of a table with these columns; what its reader raises is an InputError."""
-    with as_input_errors(table.path, form):
-        yield from table.blocks(columns)
+    return replace(table, form=form)

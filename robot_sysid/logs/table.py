@@ -87,6 +87,7 @@ class LogTable:
         row_noun: what a row is called in messages: "line", "message" or "row".
         first_row: the cells of the first row as text, where they may hold names; else empty.
         notes: sentences for the user on what was taken from the file.
+        form: what the file has to be, for the error where its rows cannot be read.
     """
 
     path: Path
@@ -97,6 +98,7 @@ class LogTable:
     row_noun: str = "row"
     first_row: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    form: str = "a log"
 
     def __fspath__(self) -> str:
         """The path, so that arrays may stand where a file is expected."""
@@ -157,8 +159,9 @@ BACKWARDS = "run backwards in time"
 _TURN = 2.0 * np.pi
 
 
-Anomaly = tuple[int, str]
-"""How many rows have an anomaly, and where the first one is, for the user."""
+Anomaly = tuple[Lines, str]
+"""Lines with an anomaly, and what is wrong in the first one, where more than its number is known.
+"""
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,7 @@ class LogRows:
         lines: (N,) file lines.
         samples: the rows as a measurement (N rows).
         n_read: number of rows in the file that hold something of this arm.
-        anomalies: UNREADABLE, MISSING, REPEATED and BACKWARDS to their counts.
+        anomalies: UNREADABLE, MISSING, REPEATED and BACKWARDS to the rows left out for them.
         row_noun: what a row is called: "line", "message" or "row".
     """
 
@@ -214,16 +217,16 @@ def read_rows(
         is_empty = ~np.isfinite(cells[missing[0], -len(titles) :])
         listed = ", ".join(compress(titles, is_empty))
         first = f"{table.row_noun} {lines[missing[0]]}, columns {listed}"
-    anomalies = {
-        UNREADABLE: _anomaly(table, lines[is_impossible], complaint),
-        MISSING: _anomaly(table, lines[missing], first),
-    }
     # Rows after a step backwards that are not yet later than all before are not counted.
     time = cells[is_usable, 1]
     step = np.diff(time)
     after = lines[is_usable][1:]
-    anomalies[BACKWARDS] = _anomaly(table, after[step < 0.0])
-    anomalies[REPEATED] = _anomaly(table, after[step == 0.0])
+    anomalies = {
+        UNREADABLE: (lines[is_impossible], complaint),
+        MISSING: (lines[missing], first),
+        BACKWARDS: (after[step < 0.0], ""),
+        REPEATED: (after[step == 0.0], ""),
+    }
     is_later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0.0
     rows = np.flatnonzero(is_usable)[is_later]
     if len(rows) < len(cells):
@@ -267,22 +270,23 @@ def _read_cells(
     count = 0
     complaint = ""
     label = f"Reading {table.path.name}"
-    for block in table.blocks([column.index for column in used]):
-        last = count + len(block.lines)
-        if last > len(cells):
-            # Memory beyond the rows that are read is not touched, and so not taken.
-            size = round(1.1 * last / block.share_read)
-            larger = np.empty((size, cells.shape[1]))
-            larger[:count] = cells[:count]
-            cells = larger
-        cells[count:last, 0] = block.lines
-        cells[count:last, -len(used) :] = block.cells
-        count = last
-        complaint = complaint or block.complaint
-        # All is done only behind the loop, though the last blocks may report a share of 1.
-        done = min(block.share_read, 0.999)
-        text = f"{table.row_noun} {block.lines[-1]}"
-        progress.advance(label, done, 1.0, text)
+    with as_input_errors(table.path, table.form):
+        for block in table.blocks([column.index for column in used]):
+            last = count + len(block.lines)
+            if last > len(cells):
+                # Memory beyond the rows that are read is not touched, and so not taken.
+                size = round(1.1 * last / block.share_read)
+                larger = np.empty((size, cells.shape[1]))
+                larger[:count] = cells[:count]
+                cells = larger
+            cells[count:last, 0] = block.lines
+            cells[count:last, -len(used) :] = block.cells
+            count = last
+            complaint = complaint or block.complaint
+            # All is done only behind the loop, though the last blocks may report a share of 1.
+            done = min(block.share_read, 0.999)
+            text = f"{table.row_noun} {block.lines[-1]}"
+            progress.advance(label, done, 1.0, text)
     progress.advance(label, 1.0, 1.0, "")
     cells = cells[:count]
     for column, numbers in zip(used, cells.T[-len(used) :]):
@@ -290,10 +294,3 @@ def _read_cells(
     if columns.time is None:
         cells[:, 1] = np.arange(count) / (columns.rate or 1.0)
     return cells, complaint
-
-
-def _anomaly(table: LogTable, lines: Lines, first: str = "") -> Anomaly:
-    """Return the number of lines (K,) with an anomaly, and ``first`` or else the first line."""
-    if not len(lines):
-        return 0, ""
-    return len(lines), first or f"{table.row_noun} {lines[0]}"
