@@ -95,7 +95,7 @@ class ChainActuators:
         index: (n,) MuJoCo ids; ``NO_ACTUATOR`` where there is none that a rollout can use.
         gear: (n,) gear ratios.
         stiffness: (n,) Kp of position actuators [N m/rad]; NaN for others.
-        damping: (n,) kv of position actuators [N m s/rad]; NaN for others.
+        damping: (n,) D of the joints, that of position actuators included [N m s/rad].
         limit: (n,) largest torque, infinite where the model has no limit [N m].
         damping_share: (n,) kv/D, the servo's share of the joint's damping, between 0 and 1.
     """
@@ -112,21 +112,20 @@ def chain_actuators(robot: RobotModel) -> ChainActuators:
     """Return each chain joint's actuator: the first position actuator on it, or else the first."""
     joints = robot.mj_model.dof_jntid[robot.dof_index].tolist()
     rows = [_joint_actuator(robot.mj_model, joint) for joint in joints]
-    index, gear, stiffness, damping = map(np.array, zip(*rows))
+    index, gear, stiffness, kv = map(np.array, zip(*rows))
     # An index of -1, which stands for no actuator, finds the last value.
     largest = np.max(np.abs(output_ranges(robot.mj_model)), axis=1)
     limit = np.minimum(np.append(largest, np.inf)[index], robot.limits.torque)
-    kv = np.nan_to_num(damping)
-    total_damping = kv + robot.mj_model.dof_damping[robot.dof_index]
-
-    share = kv / np.maximum(total_damping, 1e-300)
+    damping = kv + robot.mj_model.dof_damping[robot.dof_index]
+    share = kv / np.maximum(damping, 1e-300)
     return ChainActuators(index, gear, stiffness, damping, limit, share)
 
 
 def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
     """Return (id, gear, Kp, kv) of the actuator that drives a joint.
 
-    They are as in ``ChainActuators``; without a usable actuator, gear 1 and no gains.
+    They are as in ``ChainActuators``, kv that of a position actuator; zero for others. Without a
+    usable actuator, the gear is 1.
 
     Args:
         model: compiled MuJoCo model.
@@ -138,9 +137,9 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
         k for k in moving if is_static(model, k) and len(control_rows(model, k)) == 1
     ]
     if not usable:
-        return NO_ACTUATOR, 1.0, np.nan, np.nan
+        return NO_ACTUATOR, 1.0, np.nan, 0.0
     gear = gear_ratio(model, usable[0])
-    kp, kv = servo_gains(model, usable[0]) or (np.nan, np.nan)
+    kp, kv = servo_gains(model, usable[0]) or (np.nan, 0.0)
     return usable[0], gear, gear**2 * kp, gear**2 * kv
 
 
@@ -154,7 +153,7 @@ def servos_in_model(robot: RobotModel) -> ServoParameters:
     actuators = chain_actuators(robot)
     numbers = (
         actuators.stiffness,
-        model.dof_damping[dofs] + np.nan_to_num(actuators.damping),
+        actuators.damping,
         model.dof_frictionloss[dofs],
         model.dof_armature[dofs],
     )
