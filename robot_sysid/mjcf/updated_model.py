@@ -167,7 +167,7 @@ def changed_model_text(
     written = []
     for body in change.bodies:
         node = find_element(document, "body", body.label)
-        put_comment(node, _comment(f"body '{body.label}'", change.rmse, body.addition))
+        _state_origin(node, f"body '{body.label}'", change.rmse, body.addition)
         put_inertial(node, _inertial(document, body.theta, change.principal))
         written.append(node)
     for joint in change.joints:
@@ -205,10 +205,12 @@ def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
     return mjcf_inertial(theta, principal)
 
 
-def _comment(subject: str, rmse: float, addition: str = "") -> str:
-    """Return the text of the XML comment that a subject, such as "body 'hand'", was identified.
+def _state_origin(node: Node, subject: str, rmse: float, addition: str = "") -> None:
+    """Put the XML comment before an element that a subject, such as "body 'hand'", was identified.
 
     Args:
+        node: the element.
+        subject: what its numbers are those of.
         rmse: residual of the identification [N m].
         addition: further text; "" for none.
     """
@@ -216,7 +218,7 @@ def _comment(subject: str, rmse: float, addition: str = "") -> str:
     text = f"{OWN_COMMENT} {subject} identified with RMSE {residual} Nm"
     text += f"; {addition}" if addition else ""
     # A name may hold ends of lines, and dashes that would end the comment.
-    return f" {re.sub('-(?=-)', '- ', ' '.join(text.split()))} "
+    put_comment(node, f" {re.sub('-(?=-)', '- ', ' '.join(text.split()))} ")
 
 
 def _write_welded_body(
@@ -236,8 +238,6 @@ def _write_welded_body(
             f"{document.path}: the new body cannot be called '{body.name}', because that name is "
             "empty or taken; choose another"
         )
-    text = _comment(f"body '{body.name}'", change.rmse, body.comment)
-    comment = etree.Comment(text)
     position = format_numbers(body.translation)
     inertial = etree.fromstring(_inertial(document, body.theta, change.principal))
     if document.is_urdf:
@@ -250,11 +250,13 @@ def _write_welded_body(
             name=joint_name,
             type="fixed",
         )
-        append(document.root, comment, E.link(inertial, name=body.name), joint)
+        link = E.link(inertial, name=body.name)
+        append(document.root, link, joint)
     else:
         turn = format_numbers(spatial.quaternion(body.rotation))
-        new = E.body(inertial, name=body.name, pos=position, quat=turn)
-        append(carrier, comment, new)
+        link = E.body(inertial, name=body.name, pos=position, quat=turn)
+        append(carrier, link)
+    _state_origin(link, f"body '{body.name}'", change.rmse, body.comment)
 
 
 # MuJoCo's own, where a model states none [m/s^2].
@@ -283,27 +285,33 @@ def _write_gravity(document: ModelDocument, gravity: Array, rmse: float) -> None
     changed = (stating or options)[-1]
     old = changed.get("gravity", _DEFAULT_GRAVITY)
     addition = f"in place of {old}, because the arm does not stand as the file said"
-    put_comment(changed, _comment("gravity", rmse, addition))
+    _state_origin(changed, "gravity", rmse, addition)
     changed.set("gravity", format_numbers(gravity))
 
 
-def _resistance_texts(owner: str, numbers: Mapping[str, float]) -> dict[str, str]:
-    """Return friction and rotor inertia, by name, as text.
+def _set_resistances(node: Node, owner: str, numbers: Mapping[str, float]) -> None:
+    """Set friction and rotor inertia of an element; nonlinear damping stays behind linear one.
 
-    ExportError unless they are finite and not negative.
+    ExportError unless the numbers are finite and not negative.
 
     Args:
+        node: a joint, a tendon, or the <dynamics> of a URDF's joint.
         owner: of the numbers, such as "joint 'elbow'", for the message.
-        numbers: name of a number to its value.
+        numbers: name of a number in MJCF to its value.
     """
-    texts = {}
     for name, value in numbers.items():
         if not 0.0 <= value < math.inf:
             raise ExportError(
                 f"{owner} cannot get {name} {value:.4g}: it would drive itself, or is no number"
             )
-        texts[name] = format_number(value)
-    return texts
+        attribute = name
+        text = format_number(value)
+        if name == "damping":
+            nonlinear = (node.get(name) or "").split()[1:]
+            text = " ".join([text, *nonlinear])
+        elif node.tag == "dynamics" and name == "frictionloss":
+            attribute = "friction"
+        node.set(attribute, text)
 
 
 def write_joint(document: ModelDocument, change: JointChange) -> None:
@@ -312,17 +320,14 @@ def write_joint(document: ModelDocument, change: JointChange) -> None:
     ExportError where a number is negative or not finite, or the file does not contain the joint
     itself (see ``find_element``).
     """
-    texts = _resistance_texts(f"joint '{change.label}'", change.numbers)
     node = find_element(document, "joint", change.label)
     if document.is_urdf:
-        if "frictionloss" in texts:
-            texts["friction"] = texts.pop("frictionloss")
         joint = node
         node = joint.find("dynamics")
-        if node is None and texts:
+        if node is None and change.numbers:
             node = E.dynamics()
             append(joint, node)
-    _set_numbers(node, texts)
+    _set_resistances(node, f"joint '{change.label}'", change.numbers)
 
 
 # Namespace of Drake's elements, which state the rotor of an actuator in a URDF.
@@ -358,36 +363,25 @@ def _write_rotor(document: ModelDocument, joint: str, rotor: float) -> None:
         node.set("value", format_number(value))
 
 
-def _set_numbers(node: Node, texts: Mapping[str, str]) -> None:
-    """Set attributes of an element; nonlinear damping stays behind a new linear one."""
-    for name, text in texts.items():
-        if name == "damping":
-            nonlinear = (node.get(name) or "").split()[1:]
-            text = " ".join([text, *nonlinear])
-        node.set(name, text)
-
-
 def _write_tendon(document: ModelDocument, change: TendonChange, rmse: float) -> None:
     """Give a fixed tendon its new numbers, or add it; ExportError where the file cannot hold it."""
     subject = f"motor that turns {' and '.join(change.coefficients)}"
-    texts = _resistance_texts(f"the {subject}", change.numbers)
-    comment = _comment(subject, rmse)
-    if not change.is_new:
+    if change.is_new:
+        node = E.fixed()
+        for joint, coefficient in change.coefficients.items():
+            node.append(E.joint(joint=joint, coef=format_number(coefficient)))
+        sections = document.root.findall("tendon")
+        if not sections:
+            sections = [E.tendon()]
+            append(document.root, *sections)
+        append(sections[-1], node)
+    else:
         node = _section_child(document, "tendon", change.tendon)
         if node is None or node.tag != "fixed":
             fault = f"tendon number {change.tendon} is not written out in the file"
             raise ExportError(f"{document.path}: {fault} as a <fixed>; write it out")
-        put_comment(node, comment)
-        _set_numbers(node, texts)
-        return
-    fixed = E.fixed(texts)
-    for joint, coefficient in change.coefficients.items():
-        fixed.append(E.joint(joint=joint, coef=format_number(coefficient)))
-    sections = document.root.findall("tendon")
-    if not sections:
-        sections = [E.tendon()]
-        append(document.root, *sections)
-    append(sections[-1], etree.Comment(comment), fixed)
+    _state_origin(node, subject, rmse)
+    _set_resistances(node, f"the {subject}", change.numbers)
 
 
 def _section_child(document: ModelDocument, section: str, index: int) -> Node | None:
