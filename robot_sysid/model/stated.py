@@ -30,7 +30,8 @@ LEAST_SHARE = 1e-3
 which the distance of a centre of mass from its joint is one: public arms have 0.08 and 0.005."""
 ALIKE = 3
 """Number of links with one and the same inertia from which it is a placeholder."""
-_SHAPELESS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+GROUND_TYPES = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+"""MuJoCo's types of geoms that are ground, and no shape of a link."""
 
 
 def with_references(
@@ -90,7 +91,7 @@ def _copied(links: Sequence[ArmLink]) -> dict[str, set[str]]:
     or that is the same about all axes, was copied; so was a mass that comes with it in all links.
     """
     groups = defaultdict(list)
-    copied: dict[str, set[str]] = {link.body_name: set() for link in links}
+    copied: dict[str, set[str]] = defaultdict(set)
     present = [link for link in links if link.has_mass]
     for link in present:
         moments = InertialParameters(link.theta).principal_moments
@@ -121,7 +122,7 @@ def _boxes(
     theta = np.zeros(spatial.N_INERTIAL)
     for geom in np.flatnonzero(np.isin(mj_model.geom_bodyid, bodies)).tolist():
         middle, half = np.split(mj_model.geom_aabb[geom], 2)
-        if mj_model.geom_type[geom] in _SHAPELESS or not np.all(half > 0.0):
+        if mj_model.geom_type[geom] in GROUND_TYPES or not np.all(half > 0.0):
             continue
         box = np.prod(half)
         inertia = box / 3.0 * (half @ half * np.eye(3) - np.diag(half**2))

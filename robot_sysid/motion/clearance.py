@@ -253,30 +253,28 @@ class Clearance:
 
         ``clearance`` is the distance of pairs that are farther apart there [m].
         """
-        distances = dict[tuple[int, int], float]()
-        link = self._link_of_body
         near = self._near(start[None])
-        for distance, (a, b) in zip(near.distance.tolist(), near.bodies.tolist()):
-            if link[a] != link[b]:  # else they do not move against each other
-                pair = (min(a, b), max(a, b))
-                distances[pair] = min(distances.get(pair, np.inf), distance)
-        touching = [pair for pair, distance in distances.items() if distance <= 0.0]
+        distances = np.full_like(self._required, np.inf)
+        np.minimum.at(distances, tuple(near.bodies.T), near.distance)
+        distances = np.minimum(distances, distances.T)
+        self._required = np.minimum(clearance, KEPT_SHARE * distances)
+        # Bodies of one link do not move against each other.
+        is_rigid = self._link_of_body[:, None] == self._link_of_body
+        self._required[is_rigid] = -np.inf
+        is_touching = np.triu(~is_rigid & (distances <= 0.0))
+        touching = [(a, b) for a, b in np.argwhere(is_touching).tolist()]
         by_design = touching_by_design(self._robot, touching)
-        self._required[link[:, None] == link] = -np.inf
         collisions = []
-        for (a, b), distance in distances.items():
-            required = min(clearance, KEPT_SHARE * distance)
+        for a, b in touching:
+            # Deeper by the error of MuJoCo's depths.
+            required = distances[a, b] - 1e-4
             if (a, b) in by_design:
                 required = -np.inf
             # Parked arms touch; no motion may start where bodies collide.
-            elif distance < -1e-3:
+            elif distances[a, b] < -1e-3:
                 required = clearance
-                collisions.append(
-                    f"{self._label(a, b)} ({-1e3 * distance:.2g} mm deep)"
-                )
-            elif distance <= 0.0:
-                # Deeper by the error of MuJoCo's depths.
-                required = distance - 1e-4
+                depth = -1e3 * distances[a, b]
+                collisions.append(f"{self._label(a, b)} ({depth:.2g} mm deep)")
             self._required[a, b] = self._required[b, a] = required
         return collisions
 
@@ -314,19 +312,17 @@ class Clearance:
         To ignore a pair, its entry in ``self._required`` is set to minus infinity.
         """
         # Links next to each other are always near; to know that this is harmless saves most tests.
-        is_harmless = np.zeros(self._required.shape, dtype=bool)
+        slacks = np.full_like(self._required, np.inf)
         for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
-            positions = np.linspace(low, high, 361)
-            q = np.tile(start, (len(positions), 1))
-            q[:, joint] = positions
+            q = np.tile(start, (361, 1))
+            q[:, joint] = np.linspace(low, high, len(q))
             near = self._near(q)
             links = np.sort(self._link_of_body[near.bodies], axis=1)
             is_neighbour = np.all(links == (joint, joint + 1), axis=1)
-            is_missed = is_neighbour & (near.slack < 0.0)
-            first, second = np.sort(near.bodies, axis=1).T
-            is_harmless[first[is_neighbour], second[is_neighbour]] = True
-            is_harmless[first[is_missed], second[is_missed]] = False
-        self._required[is_harmless | is_harmless.T] = -np.inf
+            pairs = tuple(near.bodies[is_neighbour].T)
+            np.minimum.at(slacks, pairs, near.slack[is_neighbour])
+        slacks = np.minimum(slacks, slacks.T)
+        self._required[(slacks >= 0.0) & np.isfinite(slacks)] = -np.inf
 
 
 def _with_margin(mj_model: Any, margin: float) -> Any:

@@ -148,15 +148,16 @@ class Candidate:
 
     Attributes:
         x: (n, M) free coefficients of each joint [rad or m]; the motion may break a limit.
-        multipliers: (N, 4 n + 2) Lagrange multipliers of the constraints at the N grid points.
-        score: the criterion at ``x``, smaller is better; infinite if singular.
         feasible_x: (n, M) the best coefficients so far that keep all limits.
+        multipliers: (N, 4 n + 2) Lagrange multipliers of the constraints at the N grid points; zero
+            at first.
+        score: the criterion at ``x``, smaller is better; infinite if singular.
         feasible_score: the criterion at ``feasible_x``; infinite where none are known.
     """
 
     x: Array
-    multipliers: Array
     feasible_x: Array
+    multipliers: Array | float = 0.0
     score: float = np.inf
     feasible_score: float = np.inf
 
@@ -244,8 +245,7 @@ def first_candidate(design: Design, x: Array) -> Candidate:
     """Return a candidate at free coefficients x (n, M) with zero multipliers, its score, and the
     largest multiple of x that keeps all limits as ``feasible_x``.
     """
-    multipliers = np.zeros((len(design.grid), 4 * design.problem.n_joints + 2))
-    return _update_feasible(design, Candidate(x, multipliers, np.zeros_like(x)))
+    return _update_feasible(design, Candidate(x, np.zeros_like(x)))
 
 
 def improve(

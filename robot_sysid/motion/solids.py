@@ -17,13 +17,12 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.bodies import count_moving_joints
+from robot_sysid.model.stated import GROUND_TYPES
 from robot_sysid.motion import HalfSpace
 from robot_sysid.records import Array, RobotModel
 
 # MuJoCo's types of geoms.
 _TYPES = mujoco.mjtGeom
-# Types of geoms that are ground where they do not move.
-_GROUND_TYPES = (int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_HFIELD))
 # Corners (8, 3) of a cube with half sides of one.
 _CORNERS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0
 # Ends (2, 3) of a capsule's or cylinder's axis with a half length of one.
@@ -142,7 +141,7 @@ def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
     down = np.array(model.opt.gravity, dtype=float)
     is_static = model.body_weldid[model.geom_bodyid] == 0
     is_solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    is_ground = np.isin(model.geom_type, _GROUND_TYPES)
+    is_ground = np.isin(model.geom_type, GROUND_TYPES)
     if np.any(is_static & is_solid & is_ground) or not np.any(down):
         return None
     up = -down / np.linalg.norm(down)

@@ -114,7 +114,7 @@ def test_gradient_equals_differences(seed):
     multipliers = rng.uniform(size=(len(design.grid), 14))
     x = random_x(design, seed)
     direction = random_x(design, seed + 1, 1.0)
-    candidate = search.Candidate(x, multipliers, x)
+    candidate = search.Candidate(x, x, multipliers)
     objective = partial(search.penalised_objective, design, candidate)
     exact = np.sum(objective(x)[1] * direction)
     value = slope(lambda at: objective(at)[0], x, direction)
