@@ -73,7 +73,7 @@ def arrays_table(path: Path, layout: str, arrays: Mapping[str, Any]) -> LogTable
         if len(rows) == n_rows:
             width = rows.size // n_rows
             titles += [f"{name}[{k}]" for k in range(width)] if width > 1 else [name]
-            samples.append(rows.reshape(n_rows, width))
+            samples.append(rows)
     return LogTable(path, layout, tuple(titles), partial(array_blocks, samples))
 
 

@@ -81,7 +81,7 @@ class MeasurementLog:
     @property
     def duration(self) -> float:
         """Time from the first to the last sample [s]."""
-        return float(self.samples.time[-1] - self.samples.time[0])
+        return float(np.ptp(self.samples.time))
 
 
 def open_log(

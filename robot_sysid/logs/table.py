@@ -70,8 +70,7 @@ def chunk_blocks(
             raise ValueError("its rows differ in length")
         lines = count + 1 + np.arange(len(cells))
         count += len(cells)
-        if len(cells):
-            yield Block(lines, cells[:, list(columns)], "", count / n_rows)
+        yield Block(lines, cells[:, list(columns)], "", count / n_rows)
 
 
 @dataclass(frozen=True)

@@ -208,7 +208,7 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
     phrase = f" {' '.join(tokens)} "
     for separate, joined in _JOINED.items():
         phrase = phrase.replace(separate, joined)
-    joint = _words_beside_quantity(text)
+    joint = _words_beside_quantity(unitless)
     return Title(
         text, tuple(phrase.split()), tuple(numbers), unit or trailing_unit, joint
     )
@@ -305,10 +305,12 @@ def _columns_by_joint_name(
     return columns
 
 
-def _words_beside_quantity(text: str) -> str:
-    """Return a title without its quantity and unit; "" for a bare number, which is counted."""
+def _words_beside_quantity(unitless: str) -> str:
+    """Return a title without its quantity and unit; "" for a bare number, which is counted.
+
+    ``unitless``: the title without a unit in brackets.
+    """
     not_names = {*QUANTITY_OF_TOKEN, *_UNIT_TOKENS, *_CURRENT, *_COMMANDED}
-    _, unitless = _split_bracketed_unit(text)
     pieces = re.split(r"([^\W\d_]+)", split_camel_case(unitless))
     kept = [piece for piece in pieces if piece.lower() not in not_names]
     name = "".join(kept).strip(" ._/:-")
