@@ -80,24 +80,24 @@ def match_joint_names(names: Sequence[str], joint_names: Sequence[str]) -> Joint
             other arm of two.
     """
     names = list(dict.fromkeys(names))
-    arm = _NameSet.of(joint_names)
-    frames = arm.frames_in(names).items()
-    complete = {f: by_core for f, by_core in frames if len(by_core) == len(arm.cores)}
+    arm_frame, cores = _frame_and_cores(joint_names)
+    frames = _frames_in(names, cores).items()
+    complete = {f: by_core for f, by_core in frames if len(by_core) == len(cores)}
     if not complete:
         return NO_MATCH
-    frame = _choose_frame(complete, arm)
+    frame = _choose_frame(complete, arm_frame, joint_names)
     arm_joints = list(joint_names)
     # Equal names come before those that differ in signs only, such as arm-1 and arm_1.
     if not {*joint_names} <= {*names}:
         by_core = complete[frame]
-        for core, joint_name in zip(arm.cores, joint_names):
+        for core, joint_name in zip(cores, joint_names):
             if len(by_core[core]) > 1:
                 listed = " and ".join(by_core[core])
                 raise InputError(
                     f"the log's {listed} could both be the joint {joint_name}"
                 )
-        arm_joints = [by_core[core][0] for core in arm.cores]
-    if are_opposite_sides({*chain(*frame)}, {*chain(*arm.frame)}):
+        arm_joints = [by_core[core][0] for core in cores]
+    if are_opposite_sides({*chain(*frame)}, {*chain(*arm_frame)}):
         raise InputError(
             f"the log's joints {join_names(arm_joints)} are those of another arm than the model's "
             f"{join_names(joint_names)}: give the model of the arm that was recorded"
@@ -108,51 +108,37 @@ def match_joint_names(names: Sequence[str], joint_names: Sequence[str]) -> Joint
 
 def name_numbers(joint_names: Sequence[str]) -> list[int]:
     """Return the numbers that tell joints apart, such as 1 to 7; [] where words do."""
-    cores = _NameSet.of(joint_names).cores
+    _, cores = _frame_and_cores(joint_names)
     if not all(len(core) == 1 and core[0].isdecimal() for core in cores):
         return []
     return [int(core[0]) for core in cores]
 
 
-@dataclass(frozen=True)
-class _NameSet:
-    """The names of a model's arm.
+def _frame_and_cores(names: Sequence[str]) -> tuple[Frame, Sequence[NamePieces]]:
+    """Return what all names of an arm begin and end with, and the pieces of each between these."""
+    cores = list(map(split_name, names))
+    front = tuple(os.path.commonprefix(cores))
+    reversed_ends = [pieces[len(front) :][::-1] for pieces in cores]
+    back = tuple(os.path.commonprefix(reversed_ends))[::-1]
+    short_cores = [tuple(end[len(back) :])[::-1] for end in reversed_ends]
+    if len(names) == 1 or not all(short_cores):
+        # Of one name, or where one is all that the others share, whole names count.
+        return ((), ()), cores
+    return (front, back), short_cores
 
-    Attributes:
-        names: (n,) as the model has them.
-        frame: pieces that all of them begin and end with.
-        cores: (n,) the pieces between these, by which each joint is told apart.
-    """
 
-    names: Sequence[str]
-    frame: Frame
-    cores: Sequence[NamePieces]
-
-    @classmethod
-    def of(cls, names: Sequence[str]) -> _NameSet:
-        """Return the names with the pieces that they share taken off."""
-        cores = list(map(split_name, names))
-        front = tuple(os.path.commonprefix(cores))
-        reversed_ends = [pieces[len(front) :][::-1] for pieces in cores]
-        back = tuple(os.path.commonprefix(reversed_ends))[::-1]
-        short_cores = [tuple(end[len(back) :])[::-1] for end in reversed_ends]
-        frame = front, back
-        if len(names) == 1 or not all(short_cores):
-            # Of one name, or where one is all that the others share, whole names count.
-            frame = (), ()
-            short_cores = cores
-        return cls(names, frame, short_cores)
-
-    def frames_in(self, names: Sequence[str]) -> dict[Frame, NamesByCore]:
-        """Return the frame of each core in names."""
-        frames: dict[Frame, NamesByCore] = defaultdict(lambda: defaultdict(list))
-        for name in names:
-            pieces = split_name(name)
-            for start, end in combinations(range(len(pieces) + 1), 2):
-                core = pieces[start:end]
-                if core in self.cores:
-                    frames[pieces[:start], pieces[end:]][core].append(name)
-        return frames
+def _frames_in(
+    names: Sequence[str], cores: Sequence[NamePieces]
+) -> dict[Frame, NamesByCore]:
+    """Return the frame of each core in names."""
+    frames: dict[Frame, NamesByCore] = defaultdict(lambda: defaultdict(list))
+    for name in names:
+        pieces = split_name(name)
+        for start, end in combinations(range(len(pieces) + 1), 2):
+            core = pieces[start:end]
+            if core in cores:
+                frames[pieces[:start], pieces[end:]][core].append(name)
+    return frames
 
 
 def split_camel_case(text: str) -> str:
@@ -166,22 +152,25 @@ def split_name(name: str) -> NamePieces:
     return tuple(str(int(piece)) if piece.isdecimal() else piece for piece in pieces)
 
 
-def _choose_frame(complete: Mapping[Frame, NamesByCore], arm: _NameSet) -> Frame:
+def _choose_frame(
+    complete: Mapping[Frame, NamesByCore], arm_frame: Frame, joint_names: Sequence[str]
+) -> Frame:
     """Return the model's own frame, or the one with most words of the model's frame.
 
     InputError where several frames fit alike.
     """
-    if arm.frame in complete:
-        return arm.frame
-    arm_pieces = {*chain(*arm.frame)}
+    if arm_frame in complete:
+        return arm_frame
+    arm_pieces = {*chain(*arm_frame)}
     shared = {frame: len(arm_pieces & {*chain(*frame)}) for frame in complete}
     fitting = [frame for frame in complete if shared[frame] == max(shared.values())]
     if len(fitting) == 1:
         return fitting[0]
-    sets = [[names[c][0] for c in arm.cores] for names in complete.values()]
+    _, cores = _frame_and_cores(joint_names)
+    sets = [[names[c][0] for c in cores] for names in complete.values()]
     raise InputError(
         f"the log holds {len(sets)} sets of joints that could be the model's "
-        f"{join_names(arm.names)}: {' and '.join(map(join_names, sets))}"
+        f"{join_names(joint_names)}: {' and '.join(map(join_names, sets))}"
     )
 
 
