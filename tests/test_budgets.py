@@ -24,7 +24,7 @@ BUDGETS = {
     "robot_sysid/estimate": 29849,
     "robot_sysid/logs": 15260,
     "robot_sysid/mjcf": 7012,
-    "robot_sysid/model": 8774,
+    "robot_sysid/model": 8752,
     "robot_sysid/motion": 16237,
     "robot_sysid/pipeline": 6033,
     "robot_sysid/records": 8068,
@@ -32,7 +32,7 @@ BUDGETS = {
     "robot_sysid/results": 11152,
     "robot_sysid/servo": 4871,
     "robot_sysid/signals": 4799,
-    "robot_sysid/simulation": 3731,
+    "robot_sysid/simulation": 3705,
     "robot_sysid": 9203,
     "tests": 227339,
 }

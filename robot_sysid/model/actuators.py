@@ -48,16 +48,15 @@ def control_rows(mj_model: Any, actuator: int) -> NDArray[np.int64]:
     return first + np.arange(mj_model.actuator_ctrlnum[actuator])
 
 
-def output_row(mj_model: Any, actuator: int) -> int:
-    """Return the row of an actuator (id) in ``actuator_gear`` and other arrays of outputs."""
-    if not hasattr(mj_model, "actuator_outadr"):
-        return actuator
-    return int(mj_model.actuator_outadr[actuator])
+def output_rows(mj_model: Any) -> NDArray[np.int64]:
+    """Return the row of each actuator (k,) in ``actuator_gear`` and other arrays of outputs."""
+    # Older releases have one output, and one control, per actuator.
+    return getattr(mj_model, "actuator_outadr", np.arange(mj_model.nu))
 
 
 def gear_ratio(mj_model: Any, actuator: int) -> float:
     """Return the gear ratio of an actuator (id) on a hinge, slide or tendon."""
-    return mj_model.actuator_gear[output_row(mj_model, actuator), 0]
+    return mj_model.actuator_gear[output_rows(mj_model)[actuator], 0]
 
 
 def actuators_on(
@@ -135,8 +134,7 @@ def output_ranges(mj_model: Any) -> Array:
     MuJoCo computes it, at rest, with all controls at their ends; errors of servos have none. It is
     infinite where a control without end moves it without end.
     """
-    count = len(mj_model.actuator_trntype)
-    outputs = [output_row(mj_model, actuator) for actuator in range(count)]
+    outputs = output_rows(mj_model)
     gears = mj_model.actuator_gear[outputs, 0]
     by_speed = -mj_model.actuator_biasprm[:, 2]
     gain = mj_model.actuator_gainprm[:, 0]

@@ -39,7 +39,7 @@ from robot_sysid.model.actuators import (
     gear_ratio,
     is_static,
     output_ranges,
-    output_row,
+    output_rows,
     servo_gains,
 )
 from robot_sysid.model.compilation import captured_warnings
@@ -206,7 +206,7 @@ def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
     driven = actuators.index != NO_ACTUATOR
     ids = actuators.index[driven]
     # At the joint: Kp and kv are reduced by the gear ratio already.
-    model.actuator_gear[[output_row(model, actuator) for actuator in ids], 0] = 1.0
+    model.actuator_gear[output_rows(model)[ids], 0] = 1.0
     model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
     model.actuator_biasprm[ids, 0] = 0.0
     model.actuator_biasprm[ids, 1] = -stiffness[driven]
@@ -333,9 +333,14 @@ class ServoRollouts:
         for start, window in zip(starts, windows):
             set_chain_state(self.robot, model, data, window.q, window.qd)
             mujoco.mj_getState(model, data, start, _STATE)
-        run = self._run_stepwise if self._pool is None else self._run_threads
         with captured_warnings():
-            states = run(starts, inputs)
+            if self._pool is None:
+                states = self._run_stepwise(starts, inputs)
+            else:
+                models = [model] * len(starts)
+                states, _ = self._pool.rollout(
+                    models, self._data, starts, inputs, control_spec=_INPUTS
+                )
         # A state is the time, then the positions, then more.
         states = np.concatenate((starts[:, None], states), axis=1)
         q = states[:, :, 1 + self.robot.qpos_index]
@@ -345,13 +350,6 @@ class ServoRollouts:
         is_well = np.all(np.abs(q) < 1e6, axis=2) & (late < 0.5 * timestep)
         q[~np.logical_and.accumulate(is_well, axis=1)] = np.nan
         return q
-
-    def _run_threads(self, starts: Array, inputs: Array) -> Array:
-        """Return the states (W, S, s) after each step from starts (W, s), on all processors."""
-        states, _ = self._pool.rollout(
-            [self.model] * len(starts), self._data, starts, inputs, control_spec=_INPUTS
-        )
-        return states
 
     def _run_stepwise(self, starts: Array, inputs: Array) -> Array:
         """Return the states (W, S, s) after each step, from starts (W, s), one after the other.
