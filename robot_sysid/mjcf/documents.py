@@ -272,17 +272,14 @@ def insert(parent: Node, index: int, node: Node) -> None:
     if isinstance(node.tag, str):
         etree.indent(node, level=depth + 1)
     white_space = re.search(r"\n[ \t]*\Z", parent.text or "")
-    if len(parent) == 0:
-        parent.append(node)
-        etree.indent(parent, level=depth)
-    elif index < len(parent):
-        node.tail = white_space and white_space[0]
-        parent.insert(index, node)
-    else:
+    node.tail = white_space and white_space[0]
+    if 0 < index == len(parent):
+        # What stood behind the last one ends the parent.
         last = parent[-1]
-        node.tail = last.tail
-        last.tail = white_space and white_space[0]
-        parent.append(node)
+        node.tail, last.tail = last.tail, node.tail
+    parent.insert(index, node)
+    if len(parent) == 1:
+        etree.indent(parent, level=depth)
 
 
 def append(parent: Node, *nodes: Node) -> None:
