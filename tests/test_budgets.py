@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16596,
     "robot_sysid/dynamics": 4542,
     "robot_sysid/estimate": 29849,
-    "robot_sysid/logs": 15260,
+    "robot_sysid/logs": 15249,
     "robot_sysid/mjcf": 6998,
     "robot_sysid/model": 8752,
     "robot_sysid/motion": 16237,

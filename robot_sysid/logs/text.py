@@ -13,7 +13,7 @@ import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from io import TextIOWrapper
 from itertools import product
 from pathlib import Path
@@ -48,7 +48,7 @@ class Dialect:
         separator: "," ";" tab, "|", or " " for any run of blanks.
         titles: of the columns, as written; "#1", "#2", ... where the file has none.
         header_line: file line of the header; 0 where it has none, or in a comment.
-        first_row: the cells of the first row of data.
+        first_row: the cells of the first row of data, as many as titles; "" for missing ones.
     """
 
     path: Path
@@ -57,6 +57,63 @@ class Dialect:
     titles: tuple[str, ...]
     header_line: int
     first_row: tuple[str, ...]
+
+    def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
+        """Yield the rows of a log, with the columns of these indices; dates as seconds."""
+        chunks = _read_lines(self.path, self.encoding, CHUNK, self.header_line)
+        for first, lines, share in chunks:
+            cells = self._read_plain_rows(lines)
+            if cells is not None:
+                line_numbers = np.arange(first, first + len(cells))
+                yield Block(line_numbers, cells[:, list(columns)], "", share)
+                continue
+            numbers = []
+            rows = []
+            complaint = ""
+            for number, line in enumerate(lines, first):
+                text = line.lstrip()
+                if not text or text.startswith(_COMMENT):
+                    continue
+                try:
+                    row = self._read_row(columns, line)
+                except ValueError as error:
+                    row = [np.inf] * len(columns)
+                    complaint = complaint or f"line {number}{error}"
+                numbers.append(number)
+                rows.append(row)
+            if rows:
+                yield Block(np.array(numbers), np.array(rows), complaint, share)
+
+    def _read_plain_rows(self, lines: Sequence[str]) -> Array | None:
+        """Return the cells (R, C) of lines that are all rows of plain numbers, else None.
+
+        That is several times as fast as ``_read_row``.
+        """
+        delimiter = self.separator.strip(" ") or None
+        try:
+            cells = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
+        except ValueError:
+            return None
+        return cells if cells.shape == (len(lines), len(self.titles)) else None
+
+    def _read_row(self, columns: Sequence[int], line: str) -> list[float]:
+        """Return the numbers of a row in the columns of these indices.
+
+        ValueError, with the fault as it follows the line's number, where the row is not numbers.
+        """
+        titles = self.titles
+        texts = split_line(line, self.separator)
+        # A row may end in a separator.
+        if len(texts) != len(titles) and texts[len(titles) :] != [""]:
+            raise ValueError(f": {len(texts)} cells instead of {len(titles)}")
+        row = []
+        for column in columns:
+            try:
+                row.append(_parse_cell(texts[column], self.first_row[column]))
+            except ValueError:
+                fault = f"{texts[column][:40]!r} is not a number"
+                raise ValueError(f", column {titles[column]!r}: {fault}") from None
+        return row
 
 
 def text_table(source: LogSource) -> LogTable:
@@ -72,10 +129,10 @@ def text_table(source: LogSource) -> LogTable:
         source.path,
         layout,
         dialect.titles,
-        partial(_blocks, dialect),
+        dialect.blocks,
         choices,
         "line",
-        dialect.first_row[: len(dialect.titles)],
+        dialect.first_row,
     )
 
 
@@ -112,7 +169,9 @@ def read_dialect(path: Path, first_bytes: bytes) -> Dialect:
         raise InputError(
             f"{path} has a header but no rows; check that the recording ran"
         )
-    return Dialect(path, encoding, separator, titles, header_line, row)
+    # As many cells as titles, though the first row may have another number.
+    cells = (*row, *[""] * len(titles))[: len(titles)]
+    return Dialect(path, encoding, separator, titles, header_line, cells)
 
 
 def _find_separator(line: str) -> str:
@@ -236,68 +295,6 @@ def _is_mostly_numbers(cells: Sequence[str]) -> bool:
             _parse_cell(cell)
             count += 1
     return 2 * count > len(cells)
-
-
-def _blocks(dialect: Dialect, columns: Sequence[int]) -> Iterator[Block]:
-    """Yield the rows of a log, with the columns of these indices; dates as seconds."""
-    chunks = _read_lines(dialect.path, dialect.encoding, CHUNK, dialect.header_line)
-    for first, lines, share in chunks:
-        cells = _read_plain_rows(dialect, lines)
-        if cells is not None:
-            line_numbers = np.arange(first, first + len(cells))
-            yield Block(line_numbers, cells[:, list(columns)], "", share)
-            continue
-        numbers = []
-        rows = []
-        complaint = ""
-        for number, line in enumerate(lines, first):
-            text = line.lstrip()
-            if not text or text.startswith(_COMMENT):
-                continue
-            try:
-                row = _read_row(dialect, columns, line)
-            except ValueError as error:
-                row = [np.inf] * len(columns)
-                complaint = complaint or f"line {number}{error}"
-            numbers.append(number)
-            rows.append(row)
-        if rows:
-            yield Block(np.array(numbers), np.array(rows), complaint, share)
-
-
-def _read_plain_rows(dialect: Dialect, lines: Sequence[str]) -> Array | None:
-    """Return the cells (R, C) of lines that are all rows of plain numbers, else None.
-
-    That is several times as fast as ``_read_row``.
-    """
-    delimiter = dialect.separator.strip(" ") or None
-    try:
-        cells = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
-    except ValueError:
-        return None
-    return cells if cells.shape == (len(lines), len(dialect.titles)) else None
-
-
-def _read_row(dialect: Dialect, columns: Sequence[int], line: str) -> list[float]:
-    """Return the numbers of a row in the columns of these indices.
-
-    ValueError, with the fault as it follows the line's number, where the row is not numbers.
-    """
-    titles = dialect.titles
-    texts = split_line(line, dialect.separator)
-    # A row may end in a separator.
-    if len(texts) != len(titles) and texts[len(titles) :] != [""]:
-        raise ValueError(f": {len(texts)} cells instead of {len(titles)}")
-    row = []
-    for column in columns:
-        # A row of data may be longer than the first one.
-        start = dialect.first_row[column] if column < len(dialect.first_row) else ""
-        try:
-            row.append(_parse_cell(texts[column], start))
-        except ValueError:
-            fault = f"{texts[column][:40]!r} is not a number"
-            raise ValueError(f", column {titles[column]!r}: {fault}") from None
-    return row
 
 
 # Quantity, as titles end in it, to attribute of a measurement.
