@@ -23,7 +23,7 @@ BUDGETS = {
     "robot_sysid/dynamics": 4542,
     "robot_sysid/estimate": 29849,
     "robot_sysid/logs": 15249,
-    "robot_sysid/mjcf": 6998,
+    "robot_sysid/mjcf": 6975,
     "robot_sysid/model": 8752,
     "robot_sysid/motion": 16237,
     "robot_sysid/pipeline": 6033,

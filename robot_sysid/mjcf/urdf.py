@@ -129,18 +129,32 @@ def _mesh_problem(asset: Asset | None) -> str | None:
 
 
 def give_minimum(document: ModelDocument, excluded: Collection[Node] = ()) -> list[str]:
-    """Give moving links that weigh nothing, but for the excluded ones, a minimum of inertia.
+    """Give links on joints of their own that weigh nothing a minimum of inertia.
 
-    Returns the names of the links that got one.
+    Left out are the excluded ones, and those that links with mass are welded to. Returns the names
+    of the links that got one.
     """
+    links = {link.get("name"): link for link in document.root.findall("link")}
+    carrying_mass = set()
+    moving_links = []
+    for joint in document.root.findall("joint"):
+        link = links.get(get(joint.find("child"), "link"))
+        if link is None:
+            continue
+        if joint.get("type") != "fixed":
+            moving_links.append(link)
+        elif _mass(link) > 0.0:
+            carrying_mass.add(get(joint.find("parent"), "link"))
     names = []
-    for link in _massless_moving_links(document):
-        if link in excluded:
+    for link in moving_links:
+        name = link.get("name")
+        is_kept = link in excluded or name in carrying_mass
+        if is_kept or not _lacks_inertia(link):
             continue
         mass = max(_mass(link), _MINIMUM_MASS)
         inertia = _MINIMUM_INERTIA * np.eye(3)
         put_inertial(link, urdf_inertial_about_com(mass, _origin(link, "xyz"), inertia))
-        names.append(str(link.get("name")))
+        names.append(str(name))
     return names
 
 
@@ -236,24 +250,6 @@ def _origin(link: Node, name: str) -> Array:
     """Return the "xyz" or "rpy" of a link's inertial, three numbers in a valid file; else zeros."""
     text = get(link.find("inertial/origin"), name)
     return np.array(list(map(float, text.split()))) if text else np.zeros(3)
-
-
-def _massless_moving_links(document: ModelDocument) -> Iterator[Node]:
-    """Yield links on joints of their own that weigh nothing, nor do the links welded to them."""
-    links = {link.get("name"): link for link in document.root.findall("link")}
-    carrying_mass = set()
-    moving_links = []
-    for joint in document.root.findall("joint"):
-        link = links.get(get(joint.find("child"), "link"))
-        if link is None:
-            continue
-        if joint.get("type") != "fixed":
-            moving_links.append(link)
-        elif _mass(link) > 0.0:
-            carrying_mass.add(get(joint.find("parent"), "link"))
-    for link in moving_links:
-        if _lacks_inertia(link) and link.get("name") not in carrying_mass:
-            yield link
 
 
 def _lacks_inertia(link: Node) -> bool:
