@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -128,11 +128,12 @@ class LimitOptions(OptionRecord):
         Raises:
             InputError: a plane or the box is not valid.
         """
-        planes = [
+        spaces = [
             _plane(plane, self.clearance, tuple(moving)) for plane in self.keep_out
         ]
-        box = () if self.workspace is None else _box(self.workspace, tuple(link))
-        return (*planes, *box)
+        if self.workspace is not None:
+            spaces += _box(self.workspace, tuple(link))
+        return tuple(spaces)
 
 
 def _plane(
@@ -162,8 +163,8 @@ def _plane(
     return HalfSpace(np.array(normal), offset, clearance, bodies, label)
 
 
-def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ...]:
-    """Return a half-space per finite side of the box of ``--workspace`` in the world, with zero
+def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> Iterator[HalfSpace]:
+    """Yield a half-space per finite side of the box of ``--workspace`` in the world, with zero
     clearance: the sides may be touched.
 
     Args:
@@ -182,7 +183,6 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ..
             "--workspace takes six numbers, XMIN XMAX YMIN YMAX ZMIN ZMAX, each minimum below its "
             f"maximum, not {' '.join(f'{side:g}' for side in sides)}"
         )
-    half_spaces = []
     for number, bound in enumerate(sides):
         axis, is_maximum = divmod(number, 2)
         if math.isfinite(bound):
@@ -190,8 +190,7 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> tuple[HalfSpace, ..
             side = ("xmin", "xmax", "ymin", "ymax", "zmin", "zmax")[number]
             label = f"the workspace's {side} = {bound:g} m"
             inward = sign * np.eye(3)[axis]
-            half_spaces.append(HalfSpace(inward, sign * bound, 0.0, bodies, label))
-    return tuple(half_spaces)
+            yield HalfSpace(inward, sign * bound, 0.0, bodies, label)
 
 
 @dataclass(frozen=True)

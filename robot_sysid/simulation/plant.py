@@ -125,12 +125,11 @@ def forward_model(robot: RobotModel) -> Any:
     joints outside the chain get an armature that holds them still. The copy may be changed.
     """
     model = analysis_copy(robot.mj_model)
-    flags = int(model.opt.disableflags)
     disable = mujoco.mjtDisableBit
     for name in ("EQUALITY", "LIMIT", "ACTUATION"):
-        flags |= int(getattr(disable, f"mjDSBL_{name}"))
+        model.opt.disableflags |= int(getattr(disable, f"mjDSBL_{name}"))
     # MuJoCo's frictionloss, which the copy for analysis switches off, is a constraint.
-    model.opt.disableflags = flags & ~int(disable.mjDSBL_CONSTRAINT)
+    model.opt.disableflags &= ~int(disable.mjDSBL_CONSTRAINT)
     model.opt.solver = int(mujoco.mjtSolver.mjSOL_NEWTON)
     model.opt.iterations = 100
     chain = robot.dof_index
