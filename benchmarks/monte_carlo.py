@@ -42,7 +42,7 @@ def line(study, title, noise) -> str:
     text = f"  {title:>10} N m, memory {1e3 * noise.memory:3.0f} ms: "
     if noise.memory == 0.0:
         ratio = outcome.over_bound(bound)
-        noise_free_errors = study.errors(study.identify(study.samples)[0])
+        noise_free_errors = study.errors(study.identify(study.recording)[0])
         worst = outcome.names[int(np.argmax(ratio))]
         text += f"error / bound median {np.median(ratio):.3f}, worst {ratio.max():.3f} ({worst}); "
         text += f"encoder {np.max(np.abs(noise_free_errors) / bound):.2f}; "

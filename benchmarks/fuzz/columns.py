@@ -34,10 +34,10 @@ FACTORS = {
     SCALE: {"base": 1.3, "elbow": 1.2, "wrist": 1.1},
     CONSTANTS: {"base": 0.1},
 }
-MAP = """joint,can_id,master_id,direction,offset
-base,1,0x11,+1,0.0
-elbow,2,0x12,-1,0.785
-wrist,3,19,1,
+MAP = """joint,can_id,master_id,direction,offset,verified
+base,1,0x11,+1,0.0,hand
+elbow,2,0x12,-1,0.785,
+wrist,3,19,1,0.0,
 """
 
 
@@ -80,7 +80,7 @@ def use(case: Case, folder: Path) -> None:
             joint_factors(path, log_files.JOINTS[:1], table)
     elif name == "map.csv":
         joints = damiao_joints(["DM4340"] * 3, 3)
-        map_joints(joints, read_joint_map(path), ("can0", "can1"), log_files.JOINTS)
+        map_joints(joints, read_joint_map(path), log_files.JOINTS)
     else:
         titles = (
             ("", "<script>", *_log().titles[2:]) if len(case[name]) % 50 == 0 else None
