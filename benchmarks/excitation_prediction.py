@@ -171,9 +171,7 @@ def lines(path, runs, exact):
     covariance = predicted.covariance[:10, :10]
     if exact:
         moved = predicted.inverse[:10]
-        equations = predicted.equations
-        weighted = equations.normal(predicted.weights) - equations.prior
-        weighted = weighted[:-1, :-1]
+        weighted = predicted.equations.data(predicted.weights)[:-1, :-1]
         covariance = moved @ weighted @ moved.T
     moves = plan.evaluate(np.arange(sample_count(plan.duration, RATE)) / RATE)
     began = time.process_time()

@@ -110,34 +110,38 @@ class Equations:
                 self.bodies = np.vstack((self.bodies, indices.reshape(-1, N_INERTIAL)))
 
     @cached_property
-    def totals(self) -> Array:
-        """Products (J, k + 1, k + 1) of the rows of all blocks."""
+    def totals(self) -> list[Array]:
+        """Products per joint of the rows of all blocks."""
         return self.products(None)
 
-    def products(self, blocks: Sequence[int] | None) -> Array:
-        """Return the products (J, k + 1, k + 1) of each joint's rows, of all blocks or some.
+    def products(self, blocks: Sequence[int] | None) -> list[Array]:
+        """Return the products of each joint's rows by its own parameters, of all blocks or some.
 
         The torque of the parameters that are held is subtracted.
         """
-        products = np.zeros((len(self.joints), *self.prior.shape))
+        products = []
         grams = self.sums.of_blocks(blocks)
-        for product, gram, (own, at, rest) in zip(products, grams, self.joints):
+        for gram, (own, _, rest) in zip(grams, self.joints):
             torque = gram @ rest
-            part = gram[own[:, None], own]
-            part[-1] = part[:, -1] = torque[own]
-            part[-1, -1] = rest @ torque
-            product[at[:, None], at] = part
+            product = gram[own[:, None], own]
+            product[-1] = product[:, -1] = torque[own]
+            product[-1, -1] = rest @ torque
+            products.append(product)
         return products
 
-    def normal(self, weights: Array, left_out: Sequence[int] = ()) -> Array:
-        """Return the products (k + 1, k + 1) of priors and of weighted rows.
-
-        Some blocks may be left out.
-        """
+    def data(self, weights: Array, left_out: Sequence[int] = ()) -> Array:
+        """Return the products (k + 1, k + 1) of weighted rows; some blocks may be left out."""
         products = self.totals
         if left_out:
-            products = products - self.products(left_out)
-        return self.prior + np.tensordot(weights**2, products, 1)
+            products = [*map(np.subtract, products, self.products(left_out))]
+        data = np.zeros_like(self.prior)
+        for weight, product, (_, at, _) in zip(weights, products, self.joints):
+            data[at[:, None], at] += weight**2 * product
+        return data
+
+    def normal(self, weights: Array, left_out: Sequence[int] = ()) -> Array:
+        """Return the products (k + 1, k + 1) of priors and of weighted rows."""
+        return self.prior + self.data(weights, left_out)
 
     def squared_residuals(
         self, values: Array, blocks: Sequence[int] | None = None
@@ -148,7 +152,11 @@ class Equations:
     def spread(self, covariance: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the squared errors (J,) to expect from those of an estimate (k, k) [N^2 m^2]."""
         products = self.totals if blocks is None else self.products(blocks)
-        return np.tensordot(products[:, :-1, :-1], covariance)
+        spread = []
+        for product, (_, at, _) in zip(products, self.joints):
+            errors = covariance[at[:-1, None], at[:-1]]
+            spread.append(np.vdot(product[:-1, :-1], errors))
+        return np.array(spread)
 
     def are_possible(self, values: Array) -> bool:
         """Tell whether all bodies are possible at values (k,)."""

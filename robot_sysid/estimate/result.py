@@ -303,7 +303,7 @@ def _estimate(fitted: Fit) -> Estimate:
         if term.cause in (LAST_LINK, PAYLOAD, FRICTION):
             names += term.names
     at = fitted.at(names)
-    normal = np.sum(fitted.equations.totals, axis=0)[at[:, None], at]
+    normal = fitted.equations.data(np.ones(len(sums.joints)))[at[:, None], at]
     counts = np.sum(sums.counts, axis=0)
     squares = sums.squared_residuals(fitted.full)
     rmse, rmse_per_joint = rms_of_joints(sums.joints, squares, counts)
