@@ -70,7 +70,8 @@ def chunk_blocks(
             raise ValueError("its rows differ in length")
         lines = count + 1 + np.arange(len(cells))
         count += len(cells)
-        yield Block(lines, cells[:, list(columns)], "", count / n_rows)
+        if len(cells):
+            yield Block(lines, cells[:, list(columns)], "", count / n_rows)
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,15 @@ class LogTable:
         return str(self.path)
 
     __str__ = __fspath__
+
+    def rows(self, columns: Sequence[int]) -> Iterator[Block]:
+        """Yield all rows with these columns; what their reader raises is an InputError.
+
+        What the caller's loop raises, such as where progress cannot be printed, is no fault of the
+        file, and passes.
+        """
+        with as_input_errors(self.path, self.form):
+            yield from self.blocks(columns)
 
 
 @dataclass(frozen=True)
@@ -269,23 +279,22 @@ def _read_cells(
     count = 0
     complaint = ""
     label = f"Reading {table.path.name}"
-    with as_input_errors(table.path, table.form):
-        for block in table.blocks([column.index for column in used]):
-            last = count + len(block.lines)
-            if last > len(cells):
-                # Memory beyond the rows that are read is not touched, and so not taken.
-                size = round(1.1 * last / block.share_read)
-                larger = np.empty((size, cells.shape[1]))
-                larger[:count] = cells[:count]
-                cells = larger
-            cells[count:last, 0] = block.lines
-            cells[count:last, -len(used) :] = block.cells
-            count = last
-            complaint = complaint or block.complaint
-            # All is done only behind the loop, though the last blocks may report a share of 1.
-            done = min(block.share_read, 0.999)
-            text = f"{table.row_noun} {block.lines[-1]}"
-            progress.advance(label, done, 1.0, text)
+    for block in table.rows([column.index for column in used]):
+        last = count + len(block.lines)
+        if last > len(cells):
+            # Memory beyond the rows that are read is not touched, and so not taken.
+            size = round(1.1 * last / block.share_read)
+            larger = np.empty((size, cells.shape[1]))
+            larger[:count] = cells[:count]
+            cells = larger
+        cells[count:last, 0] = block.lines
+        cells[count:last, -len(used) :] = block.cells
+        count = last
+        complaint = complaint or block.complaint
+        # All is done only behind the loop, though the last blocks may report a share of 1.
+        done = min(block.share_read, 0.999)
+        text = f"{table.row_noun} {block.lines[-1]}"
+        progress.advance(label, done, 1.0, text)
     progress.advance(label, 1.0, 1.0, "")
     cells = cells[:count]
     for column, numbers in zip(used, cells.T[-len(used) :]):

@@ -16,9 +16,11 @@ from scipy.io import savemat
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays, reader
+from robot_sysid.records.messages import Progress
 from tests.support import recorded
 from tests.support.log_files import (
     JOINTS,
+    arm_of,
     assert_refused,
     assert_samples,
     motion,
@@ -240,3 +242,13 @@ def test_logs_with_the_same_samples_are_refused(tmp_path):
     reader.refuse_repeated_logs([other, log])
     with pytest.raises(InputError, match="copy.csv has the samples of .*log.csv: "):
         reader.refuse_repeated_logs([other, log, copy])
+
+
+def test_a_console_that_closes_is_no_fault_of_the_log(tmp_path):
+    class Closed(Progress):
+        def advance(self, *_):
+            raise BrokenPipeError
+
+    path = write(tmp_path / "log.csv", table(DATA))
+    with pytest.raises(BrokenPipeError):
+        reader.open_log(arm_of(JOINTS), path, LogOptions(), Closed())
