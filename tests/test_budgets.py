@@ -17,7 +17,7 @@ from tests.support.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 4438,
-    "robot_sysid/commands": 10122,
+    "robot_sysid/commands": 10126,
     "robot_sysid/damiao": 30360,
     "robot_sysid/diagnosis": 16596,
     "robot_sysid/dynamics": 4542,

@@ -46,10 +46,10 @@ def main(arguments: Sequence[str]) -> int:
     try:
         _check_log(path, log_options, model_options, console)
     except InputError as error:
-        reading = values_of(model_options, log_options)
-        add_weighing(error, reading, path)
+        if error.command == "payload":
+            add_weighing(error, values_of(model_options, log_options), path)
         # Only that command has these options, or who has stated columns goes on to it.
-        if error.command == "identify" or isinstance(error, ColumnsError):
+        elif error.command == "identify" or isinstance(error, ColumnsError):
             add_commands(error, "log is fine", repeated, log=path)
         raise
     console.stage("Usable: nothing that stops an identification was found")
