@@ -216,7 +216,7 @@ def test_servos_friction_and_rotor_inertia_are_found_and_written(
     gains = [rows[joint, "gain"]["value"] for joint in ("joint0", "joint1")]
     np.testing.assert_allclose(written.actuator_gainprm[:, 0], gains, rtol=1e-6)
     damping = written.dof_damping - written.actuator_biasprm[:, 2]
-    np.testing.assert_allclose(damping[1], truth.damping[1], rtol=0.1)
+    np.testing.assert_allclose(damping[1], truth.numbers[1, 1], rtol=0.1)
     text = (folder / "updated_model.xml").read_text()
     assert text.count("<inertial") == servo_logs.XML.count("<inertial")
 
