@@ -29,7 +29,7 @@ BUDGETS = {
     "robot_sysid/pipeline": 6033,
     "robot_sysid/records": 8068,
     "robot_sysid/report": 4978,
-    "robot_sysid/results": 11152,
+    "robot_sysid/results": 11324,
     "robot_sysid/servo": 4871,
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3697,

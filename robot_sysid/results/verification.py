@@ -1,15 +1,15 @@
 """Verification of a written model: it differs from the original in the identified numbers alone.
 
-Both files are compiled. The inertial parameters of every body are compared, and every field of the
-compiled models, but for those listed here, each with its reason. The written model must then take
-the torques that the identification predicts. A new body or tendon makes other fields of a model:
-such a file is compared without them, and with them by its torques.
+Both files are compiled and every field of the compiled models is compared, but for those listed
+here, each with its reason. The written model must then take the torques that the identification
+predicts. A new body or tendon makes other fields of a model: such a file is compared without them,
+and with them by its torques.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.updated_model import ModelChange
-from robot_sysid.model.bodies import body_theta
+from robot_sysid.model.bodies import body_theta, inertia_about_com
 from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import Array, Motion, RobotModel
@@ -36,9 +36,11 @@ TOLERANCE = 1e-9
 """Largest relative deviation of a compiled number from the written one, and of a torque relative to
 its joint's largest: MuJoCo's transformation to principal axes and back leaves up to 1e-10."""
 
-# Inertial fields of a body, and whether its frame and its inertial frame coincide. Rounding may
-# turn principal axes, of equal moments by any angle: parameters of bodies are compared instead.
-BODY_FIELDS = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe"}
+# Inertial fields of a body, and whether its frame and its inertial frame coincide: compared row by
+# row, because only the changed bodies may differ.
+BODY_FIELDS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe")
+# Fields of a body that rounding of its inertia may change: principal moments and axes.
+_AXES_FIELDS = ("body_inertia", "body_iquat", "body_sameframe")
 # What MuJoCo computes from masses and inertias when it compiles.
 DERIVED = {
     "body_subtreemass",
@@ -183,30 +185,49 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
         is_computed[servo.actuator] &= servo.stiffness is None
     damping = changed.actuator_biasprm[: len(is_computed), 2]
     expected.actuator_biasprm[is_computed, 2] = damping[is_computed]
-    require_same_model(expected, changed)
-    thetas = {body.body_id: body.theta for body in change.bodies}
-    for body_id in range(original.nbody):
-        theta_before = body_theta(original, body_id)
-        theta = thetas.get(body_id, theta_before)
-        scale_theta = theta if np.any(theta) else theta_before
-        require_theta(changed, body_id, theta, scale_theta)
+    require_same_model(expected, changed, {body.body_id for body in change.bodies})
+    for body in change.bodies:
+        has_mass = np.any(body.theta)
+        scale_theta = body.theta if has_mass else body_theta(original, body.body_id)
+        require_theta(changed, body.body_id, body.theta, scale_theta)
 
 
-def require_same_model(original: Any, other: Any) -> None:
+def require_same_model(
+    original: Any, other: Any, changed_bodies: Collection[int] = ()
+) -> None:
     """Raise ExportError if two compiled models differ in a field by more than rounding.
 
-    The message names the first such field. Fields of ``BODY_FIELDS``, ``DERIVED`` and ``PATHS`` may
-    differ.
+    The message names the first such field. Fields of ``DERIVED`` and ``PATHS`` may differ.
+
+    Args:
+        original, other: compiled models.
+        changed_bodies: ids of bodies whose inertia may differ.
     """
     other_fields = dict(compiled_fields(other))
+    equal_bodies = set(_bodies_of_equal_inertia(original, other))
     for name, value in compiled_fields(original):
-        if name in BODY_FIELDS | DERIVED | PATHS:
+        if name in DERIVED | PATHS:
             continue
-        if not _is_same(value, other_fields.get(name)):
+        rows = set(changed_bodies) if name in BODY_FIELDS else set()
+        if name in _AXES_FIELDS:
+            rows |= equal_bodies
+        if not _is_same(value, other_fields.get(name), rows):
             raise ExportError(
                 f"the written model has another {name} than it should have; "
                 f"{_ADVICE.get(name, _SETTINGS_ADVICE)}"
             )
+
+
+def _bodies_of_equal_inertia(original: Any, other: Any) -> Iterator[int]:
+    """Yield the ids of bodies whose inertia is the same in two compiled models but for rounding.
+
+    Rounding turns principal axes, of equal moments by any angle.
+    """
+    for body in range(min(original.nbody, other.nbody)):
+        inertia = inertia_about_com(original, body)
+        difference = inertia_about_com(other, body) - inertia
+        if np.max(np.abs(difference)) <= TOLERANCE * np.max(np.abs(inertia)):
+            yield body
 
 
 def require_theta(
@@ -251,12 +272,22 @@ def compiled_fields(mj_model: Any, prefix: str = "") -> Iterator[tuple[str, Any]
             yield from compiled_fields(value, f"{prefix}{name}.")
 
 
-def _is_same(original: Any, other: Any) -> bool:
-    """Return whether a number or array of two compiled models is the same, but for rounding."""
+def _is_same(original: Any, other: Any, changed_rows: Collection[int]) -> bool:
+    """Return whether a field of two compiled models is the same, but for rows that may differ.
+
+    Args:
+        original: number or array in the original model.
+        other: number or array in the other model.
+        changed_rows: rows of the arrays that may differ.
+    """
     if not isinstance(original, np.ndarray) or not isinstance(other, np.ndarray):
         return bool(original == other)
     if original.shape != other.shape:
         return False
+    if changed_rows:
+        rows = np.setdiff1d(np.arange(len(original)), list(changed_rows))
+        original = original[rows]
+        other = other[rows]
     if original.dtype.kind == "f":
         return np.allclose(original, other, rtol=TOLERANCE, atol=0.0, equal_nan=True)
     return np.array_equal(original, other)
