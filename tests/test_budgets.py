@@ -26,15 +26,15 @@ BUDGETS = {
     "robot_sysid/mjcf": 6975,
     "robot_sysid/model": 8752,
     "robot_sysid/motion": 16220,
-    "robot_sysid/pipeline": 6033,
-    "robot_sysid/records": 8068,
+    "robot_sysid/pipeline": 6027,
+    "robot_sysid/records": 8070,
     "robot_sysid/report": 4978,
     "robot_sysid/results": 11324,
     "robot_sysid/servo": 4871,
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3697,
     "robot_sysid": 9203,
-    "tests": 227446,
+    "tests": 227458,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

@@ -153,14 +153,8 @@ def _result(
         errors.append(predicted(fitted, others, name))
         of_file.append(errors_on(file.fit, others, name))
     result = link_result(fitted, file, errors, origin, notes, of_file)
-    return _with_motion(result, file.fit)
-
-
-def _with_motion(result: Result, fitted: Fit) -> Result:
-    """Return a result with checkpoints of the first recording, and the traces of a fit."""
-    signals = fitted.recordings[0].signals
     samples = np.linspace(0, len(signals) - 1, CHECKPOINTS).astype(int)
-    traces = partial(traces_of, fitted)
+    traces = partial(traces_of, file.fit)
     return replace(result, checkpoints=signals.motion(samples), traces=traces)
 
 
@@ -244,7 +238,9 @@ def identify_payload(
     result = payload_result(
         fitted, weighed, file, flange, origin_of(logs), notes, divided
     )
-    return _with_motion(result, fitted)
+    checkpoints = fitted.recordings[-1].motion
+    traces = partial(traces_of, fitted)
+    return replace(result, checkpoints=checkpoints, traces=traces)
 
 
 def order_positions(logs: Sequence[MeasurementLog], order: str | None) -> Array | None:

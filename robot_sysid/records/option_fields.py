@@ -310,9 +310,11 @@ def options_of_all(
     """
     for record in records:
         for stated in options_of(record).values():
-            if not only or stated.key in only:
-                default = defaults.get(stated.key, stated.default)
-                yield replace(stated, default=default)
+            if only and stated.key not in only:
+                continue
+            if stated.key in defaults:
+                stated = replace(stated, default=defaults[stated.key])
+            yield stated
 
 
 def refuse_unknown(keys: Collection[str], valid_keys: Collection[str]) -> None:

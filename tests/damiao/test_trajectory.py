@@ -105,6 +105,7 @@ def test_values_that_are_not_finite_are_refused(where, tmp_path):
     chunk[where][2, 1] = np.nan
     with pytest.raises(InputError, match="not finite"):
         export([tuple(chunk)], ["DM4340"] * 2, tmp_path / "t.csv")
+    assert list(tmp_path.iterdir()) == []
 
 
 GOOD = "# motor_type=DM4340,can_id=1,mode=MIT\ntime,j0_pos,j0_vel,j0_tau\n"
