@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 30360,
     "robot_sysid/diagnosis": 16596,
     "robot_sysid/dynamics": 4542,
-    "robot_sysid/estimate": 29964,
+    "robot_sysid/estimate": 30022,
     "robot_sysid/logs": 15281,
     "robot_sysid/mjcf": 6975,
     "robot_sysid/model": 8752,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3697,
     "robot_sysid": 9203,
-    "tests": 227458,
+    "tests": 227414,
 }
 """Most code tokens of each folder; modules outside of the folders count under the last row."""
 SLACK = 0.02

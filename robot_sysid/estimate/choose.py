@@ -245,7 +245,7 @@ def links_information(
     equations = fitted.equations
     for term, span in equations.spans:
         if term.cause == LINKS and term.prior is not None:
-            normal = equations.normal(fitted.weights, left_out)
+            normal = fitted.normal_without(left_out)
             values, inverse = solve(normal, equations.reference)
             posterior = np.linalg.inv(inverse[span, span])
             rows = term.prior.rows[:, :-1]

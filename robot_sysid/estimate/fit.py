@@ -129,19 +129,17 @@ class Equations:
             products.append(product)
         return products
 
-    def data(self, weights: Array, left_out: Sequence[int] = ()) -> Array:
-        """Return the products (k + 1, k + 1) of weighted rows; some blocks may be left out."""
-        products = self.totals
-        if left_out:
-            products = [*map(np.subtract, products, self.products(left_out))]
+    def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
+        """Return the products (k + 1, k + 1) of weighted rows, of all blocks or some."""
+        products = self.totals if blocks is None else self.products(blocks)
         data = np.zeros_like(self.prior)
         for weight, product, (_, at, _) in zip(weights, products, self.joints):
             data[at[:, None], at] += weight**2 * product
         return data
 
-    def normal(self, weights: Array, left_out: Sequence[int] = ()) -> Array:
+    def normal(self, weights: Array) -> Array:
         """Return the products (k + 1, k + 1) of priors and of weighted rows."""
-        return self.prior + self.data(weights, left_out)
+        return self.prior + self.data(weights)
 
     def squared_residuals(
         self, values: Array, blocks: Sequence[int] | None = None
@@ -515,10 +513,13 @@ class Fit(Problem):
         counts = np.sum(self.sums.counts[list(blocks)], axis=0)
         return counts * self.noise**2 + self.equations.spread(inverse, blocks)
 
+    def normal_without(self, blocks: Sequence[int]) -> Array:
+        """Return ``normal`` without the rows of some blocks."""
+        return self.normal - self.equations.data(self.weights, blocks)
+
     def without(self, blocks: Sequence[int]) -> tuple[Array, Array]:
         """Return (estimate (k,), inverse (k, k)) without some blocks."""
-        normal = self.equations.normal(self.weights, blocks)
-        return solve(normal, self.start, self.is_free)
+        return solve(self.normal_without(blocks), self.start, self.is_free)
 
     def _possible_without(self, block: int, values: Array) -> Array:
         """Return the estimate (k,) without a block, its bounds obeyed and its bodies possible.
@@ -528,8 +529,7 @@ class Fit(Problem):
         equations = self.equations
         if equations.are_possible(values) and not np.any(equations.crossing(values)):
             return values
-        normal = equations.normal(self.weights, [block])
-        return self._constrained(normal, True).values
+        return self._constrained(self.normal_without([block]), True).values
 
     def _constrained(self, normal: Array, possible: bool) -> Fit:
         """Return the fit with the solution of products (k + 1, k + 1) that obeys all bounds.

@@ -138,12 +138,17 @@ class Offers:
         rows = np.zeros((count, size))
         own = np.zeros((count, count))
         for joint, columns in enumerate(self.sums.columns):
-            weight = self.weights[joint] ** 2
+            if effect.joint not in (None, joint):
+                continue
             shares, products = self._shared(effect, joint, False)
-            further = weight * selection[columns].T
-            rows[:, columns] += further @ np.tensordot(shares, products, 1)
-            squares = np.tensordot(shares**2, products, 1)
-            own += further @ squares @ selection[columns]
+            # Products of the effect's own columns, few of all, with all others.
+            shown = np.flatnonzero(np.any(selection[columns], axis=1))
+            products = products[:, shown]
+            further = selection[columns[shown]]
+            weighted = self.weights[joint] ** 2 * further.T
+            rows[:, columns] += weighted @ np.tensordot(shares, products, 1)
+            squares = np.tensordot(shares**2, products[:, :, shown], 1)
+            own += weighted @ squares @ further
         # How all parameters move per unit of the further ones.
         moves = np.zeros((size, count))
         moves[index] = -self.inverse @ rows[:, index].T
@@ -170,12 +175,17 @@ class Offers:
 
     def _selection(self, effect: Effect) -> Array:
         """Return the 0/1 matrix (p + 1, m) of the columns of an effect among all."""
-        return np.eye(len(self._full))[:, self.sums.at(effect.names)]
+        count = len(effect.names)
+        selection = np.zeros((len(self._full), count))
+        selection[self.sums.at(effect.names), range(count)] = 1.0
+        return selection
 
     def _shared(self, effect: Effect, joint: int, lagged: bool) -> tuple[Array, Array]:
-        """Return (shares of an effect's columns at a joint, products (k, k) of rows) per block.
+        """Return an effect's shares (b,) at a joint, and products (b, k, k) of the joint's rows.
 
-        Blocks with the same share are one. Products are those of successive rows if ``lagged``.
+        Where the effect has a share per block, b is the number of blocks, else one: the share is
+        then 1, or 0 where the effect does not act at the joint. Products are those of rows, or of
+        successive rows if ``lagged``.
         """
         sums = self.sums
         acts = effect.joint in (None, joint)

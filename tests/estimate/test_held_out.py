@@ -44,12 +44,7 @@ def test_each_block_is_predicted_from_the_others(noisy_fit):
     equations = noisy_fit.equations
     for block in noisy_fit.sums.blocks:
         others = [k for k in noisy_fit.sums.blocks if k != block]
-        normal = equations.prior.copy()
-        products = equations.products(others)
-        for weight, own, (_, at, _) in zip(
-            noisy_fit.weights, products, equations.joints
-        ):
-            normal[np.ix_(at, at)] += weight**2 * own
+        normal = equations.data(noisy_fit.weights, others) + equations.prior
         size = np.sqrt(np.diag(normal)[:-1])
         matrix = normal[:-1, :-1] / np.outer(size, size)
         values = np.linalg.solve(matrix, normal[:-1, -1] / size) / size
