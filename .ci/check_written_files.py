@@ -28,10 +28,10 @@ TOLERANCE = 1e-5
 def write(folder: Path) -> None:
     """Identify every arm from a log in which rotors and a motor of two joints show."""
     sys.path.insert(0, str(ROOT))
+    from rigs import arms
+    from rigs.walk import TrueArm
     from robot_sysid.cli import main
     from robot_sysid.parser import load_robot_model
-    from tests.support import arms
-    from tests.support.walk import TrueArm
 
     small = folder / "small.xml"
     small.write_text(arms.serial_arm((arms.Z, arms.Y, arms.X, arms.Y)))

@@ -23,11 +23,11 @@ import numpy as np
 from mujoco import rollout
 
 from benchmarks.arm_results import result_of_logs
+from rigs import arms
+from rigs.core_fits import BASIC, NOISE_ONLY
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.records import Measurement
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.support import arms
-from tests.support.core_fits import BASIC, NOISE_ONLY
 
 STEP = 0.002
 SECONDS = 15.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rigs.core_fits import ORIGIN
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
@@ -13,7 +14,6 @@ from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.records import Measurement, RobotModel
 from robot_sysid.results.record import Result
 from robot_sysid.signals.resampling import split_at_gaps
-from tests.support.core_fits import ORIGIN
 
 
 def result_of_logs(

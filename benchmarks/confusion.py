@@ -61,9 +61,9 @@ from benchmarks.answers import (
 )
 from benchmarks.confusion_causes import CAUSES, RIGHT, Cause, Scene, draw_scene
 from benchmarks.real_arms import ARMS, DEVIATIONS, USUAL_ARMS
+from rigs.params import motors, rows
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from tests.support.params import motors, rows
 
 RIGHT_DURATIONS = (6.0, 8.0, 15.0, 60.0)
 """Durations of right logs [s]."""

@@ -18,7 +18,8 @@ import numpy as np
 from benchmarks import wrong_logs
 from benchmarks.real_arms import SENSOR_ARMS, RealArm, draw_arm
 from benchmarks.wrong_logs import carrying_joint
-from robot_sysid.dynamics import spatial
+from rigs.wrong_logs import Truth
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,
@@ -27,7 +28,6 @@ from robot_sysid.dynamics.inverse_dynamics import (
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.signals.resampling import slice_samples
-from tests.support.wrong_logs import Truth
 
 RIGHT = "right"
 """The cause that changes nothing."""

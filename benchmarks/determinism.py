@@ -18,9 +18,9 @@ import tempfile
 from collections import defaultdict
 from pathlib import Path
 
+from rigs.command_line import files_in
+from rigs.places import GUESS, ROOT, TRUTH
 from robot_sysid.records.messages import Progress
-from tests.support.command_line import files_in
-from tests.support.places import GUESS, ROOT, TRUTH
 
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 THREADS = (1, 2)
@@ -47,10 +47,10 @@ def _search(path: Path) -> None:
     """Write the trajectory that a search ends with."""
     import numpy as np
 
+    from rigs.excitation_arms import TUBES_AND_POST, make_design
     from robot_sysid.api.results import one_thread
     from robot_sysid.motion.search import design_excitation
     from robot_sysid.motion.trajectories import save_trajectory
-    from tests.support.excitation_arms import TUBES_AND_POST, make_design
 
     few = {"draws": 30, "rounds": 3, "iterations": 20}
     problem = make_design(TUBES_AND_POST, **few)

@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 
+from rigs.places import EXAMPLE
 from robot_sysid.records.messages import Progress
-from tests.support.places import EXAMPLE
 
 sys.path.insert(0, str(EXAMPLE))
 noise_study = importlib.import_module("noise_study")

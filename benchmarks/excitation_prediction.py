@@ -21,7 +21,8 @@ import time
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
+from rigs.places import GUESS, MODELS
+from robot_sysid import spatial
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
@@ -49,7 +50,6 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, sample_count
-from tests.support.places import GUESS, MODELS
 
 ARMS = (
     GUESS,

@@ -19,6 +19,8 @@ import time
 import mujoco
 import numpy as np
 
+from rigs.excitation_arms import link_covariance
+from rigs.places import GUESS, MODELS
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import centre_slopes, prior_knowledge
@@ -33,8 +35,6 @@ from robot_sysid.trajectory import (
     generate_excitation_trajectory,
     motion_chunks,
 )
-from tests.support.excitation_arms import link_covariance
-from tests.support.places import GUESS, MODELS
 
 ARMS = [
     ("kinova_gen3/gen3.xml", None),

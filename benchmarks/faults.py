@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.workshop import COMMANDS, EXAMPLE, SEARCH, Run, Workshop
-from tests.support.command_line import files_in
+from rigs.command_line import files_in
 
 WRITING = 0.02
 """Within this time after the first draft a run is killed while it writes [s]."""

@@ -20,7 +20,8 @@ import time
 import numpy as np
 
 from benchmarks.arm_results import result_of_logs
-from robot_sysid.dynamics import spatial
+from rigs.places import MODELS
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
@@ -32,7 +33,6 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions
-from tests.support.places import MODELS
 
 ARMS = {
     "Kinova Gen3": "kinova_gen3/gen3.xml",

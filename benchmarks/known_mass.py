@@ -18,10 +18,10 @@ import numpy as np
 
 from benchmarks.payload_by_difference import recordings, rms, weigh
 from benchmarks.real_arms import ARMS
-from robot_sysid.dynamics import spatial
+from rigs.imperfect_arm import ImperfectArm, Imperfections
+from robot_sysid import spatial
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.parser import load_robot_model
-from tests.support.imperfect_arm import ImperfectArm, Imperfections
 
 WEIGHT = 2.0
 PAYLOADS = (0.7, 1.2, 1.9)

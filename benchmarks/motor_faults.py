@@ -33,8 +33,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.speed_table import rewrite
-from tests.support.damaged_links import Damage
-from tests.support.fault_bench import (
+from rigs.damaged_links import Damage
+from rigs.fault_bench import (
     MOTOR_TYPES,
     BenchRun,
     Case,
@@ -42,9 +42,9 @@ from tests.support.fault_bench import (
     loaded_joint,
     outcomes_of,
 )
-from tests.support.fault_lines import LINES, SHOULDER, UNSEEN, Line
-from tests.support.motor_causes import DamagedFrame, LostMotor, SecondMaster, WeakMotor
-from tests.support.places import ROOT
+from rigs.fault_lines import LINES, SHOULDER, UNSEEN, Line
+from rigs.motor_causes import DamagedFrame, LostMotor, SecondMaster, WeakMotor
+from rigs.places import ROOT
 
 DAMAGES = {
     "position": (0.2, 0.78, 3.9),

@@ -26,10 +26,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.answers import number
+from rigs.arms import LINK, SEVEN_AXES, TIP, serial_bodies, world
+from rigs.params import rows
+from robot_sysid import spatial
 from robot_sysid.cli import main as robot_sysid
-from robot_sysid.dynamics import spatial
-from tests.support.arms import LINK, SEVEN_AXES, TIP, serial_bodies, world
-from tests.support.params import rows
 
 UNCERTAIN = ("link", "scale", "zero", "gravity", "delay", "friction")
 ACCEPTED = ("--accept", "computed")

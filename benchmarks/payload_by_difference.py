@@ -3,7 +3,7 @@
     python -m benchmarks.payload_by_difference MODELS [--runs 20] [--scale 0 1] [--arms ...]
 
 MODELS is a folder of public models as in MuJoCo Menagerie. Each run draws an arm with all errors at
-once (tests/support/imperfect_arm.py) and four recordings (empty, loaded, loaded, empty) along one
+once (rigs/imperfect_arm.py) and four recordings (empty, loaded, loaded, empty) along one
 random trajectory, or along four with --different. Printed: rms errors of the payload's mass and
 centre of mass, stated errors and coverage; with --single also the error of the difference of two
 separate fits. The trajectory moves all joints widely; with --narrow all joints but the last move by
@@ -21,7 +21,9 @@ import numpy as np
 
 from benchmarks.arm_results import result_of_logs
 from benchmarks.real_arms import ARMS
-from robot_sysid.dynamics import spatial
+from rigs.core_fits import ORIGIN
+from rigs.imperfect_arm import ImperfectArm, Imperfections
+from robot_sysid import spatial
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.payload import payload_result, written_payload
@@ -31,8 +33,6 @@ from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.support.core_fits import ORIGIN
-from tests.support.imperfect_arm import ImperfectArm, Imperfections
 
 PAYLOAD = spatial.theta_from_com(
     1.0, np.array([0.03, -0.02, 0.08]), np.diag([0.004, 0.005, 0.003])

@@ -5,7 +5,7 @@
 Each run plans a motion with default options, lets a simulated arm play it without and with a load
 (empty, loaded, loaded, empty) and weighs the load. The arm's links are 6 % off (standard
 deviation), its joints have friction, and its sensors have noise of 1 % of each joint's usual
-torque, which the prior `noise` states to the plan (tests/support/walk.py).
+torque, which the prior `noise` states to the plan (rigs/walk.py).
 Printed per arm: predicted and stated standard errors of the mass and of the centre of mass (medians
 over the runs), stated over predicted, and the true error over the stated one (root mean square).
 """
@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 import robot_sysid as rs
+from rigs.places import GUESS, MODELS
+from rigs.walk import RATE, TrueArm
 from robot_sysid.motion import AimOptions
 from robot_sysid.motion.expected_errors import predict, typical_load
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.quantities import load_covariance
-from tests.support.places import GUESS, MODELS
-from tests.support.walk import RATE, TrueArm
 
 ARMS = (
     GUESS,

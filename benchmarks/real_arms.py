@@ -33,7 +33,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.answers import bare_model_text, identify_logs, number, write_log
-from robot_sysid.dynamics import spatial
+from rigs.params import rows
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,
@@ -41,12 +42,11 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
     with_gravity,
 )
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
 from robot_sysid.simulator import simulate_inverse
+from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.support.params import rows
 
 ARMS = {
     "ur5e": "universal_robots_ur5e/ur5e.xml",

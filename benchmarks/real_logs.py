@@ -26,15 +26,15 @@ import numpy as np
 
 from benchmarks import against_mujoco_sysid as rollouts
 from benchmarks.speed_table import rewrite
+from rigs.places import DATA, ROOT
+from robot_sysid import spatial
 from robot_sysid.api.calls import identify, payload
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import process
 from robot_sysid.signals.resampling import resample_uniformly
-from tests.support.places import DATA, ROOT
 
 PAGE = ROOT / "docs" / "evidence.md"
 BEGIN = "<!-- evidence: python -m benchmarks.real_logs -->"

@@ -6,7 +6,7 @@ Run from the checkout, nothing else running; it exits with 1 when a run was stop
     ... --arm kinova --rate 250 --load busy --repeats 5
     ... --setups 5           # motors setup, on a busy computer
 
-``tests.support.realtime_arm`` is the arm, behind a pseudo-terminal; ``robot-sysid motors play`` is
+``rigs.realtime_arm`` is the arm, behind a pseudo-terminal; ``robot-sysid motors play`` is
 another process. On a busy computer a program of ordinary priority keeps each processor busy. The
 user needs the right to real-time priority, see docs/damiao.md.
 
@@ -34,9 +34,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.support.places import MODELS
-from tests.support.rehearsals import ARMS as REHEARSED_ARMS
-from tests.support.rehearsals import FAST, Arm, model, plan
+from rigs.places import MODELS
+from rigs.rehearsals import ARMS as REHEARSED_ARMS
+from rigs.rehearsals import FAST, Arm, model, plan
 
 STRONG = ("DM10010L",) * 4 + ("DM4340",) * 3
 ARMS = {
@@ -166,7 +166,7 @@ def witnesses() -> Iterator[list]:
 @contextlib.contextmanager
 def simulated_arm(arguments: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Start an arm behind a pseudo-terminal; yield its device and its closing lines."""
-    command = [sys.executable, "-m", "tests.support.realtime_arm", *arguments]
+    command = [sys.executable, "-m", "rigs.realtime_arm", *arguments]
     arm = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     output: list[str] = []
     try:

@@ -14,7 +14,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from tests.support.rehearsals import ARMS, Estimate, plan, rehearse
+from rigs.rehearsals import ARMS, Estimate, plan, rehearse
 
 RATES = (100.0, 250.0, 500.0)
 

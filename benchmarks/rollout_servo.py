@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import servo_arm
+from rigs.places import MODELS
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
@@ -26,7 +27,6 @@ from robot_sysid.servo import HELD_OUT_SHARE, UNITS, run_servo
 from robot_sysid.servo.windows import WINDOW, ServoProblem, rms
 from robot_sysid.signals.resampling import slice_samples
 from robot_sysid.simulation.playback import ServoRollouts, servos_in_model
-from tests.support.places import MODELS
 
 ARMS = {
     "so101": ("so101/so101_new_calib.xml", "wrist_roll"),

@@ -39,7 +39,7 @@ from benchmarks.real_arms import (
     noise_samples,
     wrong_links,
 )
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,

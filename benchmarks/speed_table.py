@@ -29,8 +29,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import against_mujoco_sysid, servo_arm
+from rigs.places import GUESS, MODELS, ROOT, TRUTH
 from robot_sysid.parser import load_robot_model
-from tests.support.places import GUESS, MODELS, ROOT, TRUTH
 
 PAGE = ROOT / "benchmarks" / "speed.md"
 BEGIN = "<!-- speed: python -m benchmarks.speed_table -->"

@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from rigs import arms
+from rigs.places import MODELS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.regressor import wrench_regressor
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.solver import LastLinkTerms
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from tests.support import arms
-from tests.support.places import MODELS
 
 ARMS = {
     "inline": None,

@@ -15,6 +15,8 @@ import threading
 import numpy as np
 import pytest
 
+from rigs.damiao_rig import Pendulums, swing
+from rigs.realtime_arm import serve
 from robot_sysid.damiao.adapters import BusAddress, open_bus
 from robot_sysid.damiao.bus import GuardedLink, SystemClock, inspect_bus
 from robot_sysid.damiao.execution import run
@@ -34,8 +36,6 @@ from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
-from tests.support.damiao_rig import Pendulums, swing
-from tests.support.realtime_arm import serve
 
 JOINTS = 7
 SECONDS = 8.0

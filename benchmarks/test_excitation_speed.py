@@ -6,6 +6,7 @@ from functools import cache
 
 import pytest
 
+from rigs.places import GUESS
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import prior_knowledge
@@ -20,7 +21,6 @@ from robot_sysid.motion.search import (
 )
 from robot_sysid.parser import load_robot_model
 from robot_sysid.trajectory import TrajectoryOptions
-from tests.support.places import GUESS
 
 
 def draw_twenty(design):

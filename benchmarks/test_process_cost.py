@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks.speed_table import watch_process
-from tests.support.places import GUESS
+from rigs.places import GUESS
 
 
 def test_an_hour_of_data_against_fifteen_seconds_in_peak_memory(benchmark, tmp_path):

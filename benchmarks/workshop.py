@@ -24,10 +24,10 @@ import scipy.optimize
 import scipy.signal
 import scipy.stats  # noqa: F401
 
+from rigs.arms import X, Y, Z, serial_arm
+from rigs.command_line import files_in
 from robot_sysid import api, cli  # noqa: F401
 from robot_sysid.report import page  # noqa: F401
-from tests.support.arms import X, Y, Z, serial_arm
-from tests.support.command_line import files_in
 
 JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2" actuatorfrcrange="-60 60"'
 HEAVY = '<inertial pos=".02 .03 .08" mass="1.3" fullinertia=".008 .009 .004 .0004 -.0003 .0005"/>'

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from rigs.places import MODELS
+from rigs.wrong_logs import Truth, truth_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.signals.resampling import slice_samples
-from tests.support.places import MODELS
-from tests.support.wrong_logs import Truth, truth_of
 
 _OTHER_ARMS = {
     6: ("universal_robots_ur5e/ur5e.xml", "trossen/wxai/wxai_follower.xml"),

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.records import Array
+from robot_sysid.spatial import N_INERTIAL, PARAMETER_NAMES
 
 
 def derive_regressor() -> tuple[Any, tuple[Any, ...]]:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.estimate.bodies import consistent_least_squares
 from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
 from robot_sysid.estimate.rows import Recording, Rows, Sums

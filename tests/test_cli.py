@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
+from rigs.arms import TWO_ARMS, Y, serial_arm
+from rigs.command_line import files_in
+from rigs.places import GUESS
 from robot_sysid.cli import _message_lines, main
 from robot_sysid.errors import ColumnsError, SysidError
 from robot_sysid.solver import identify_parameters
-from tests.support.arms import TWO_ARMS, Y, serial_arm
-from tests.support.command_line import files_in
-from tests.support.places import GUESS
 
 ARM = serial_arm((Y, "1 .2 0"))
 MISSING_MESH = ARM.replace(

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs import option_samples
 from robot_sysid.config import (
     IdentifyConfig,
     PayloadConfig,
@@ -24,7 +25,6 @@ from robot_sysid.estimate.options import (
     read_priors,
 )
 from robot_sysid.records.option_fields import write_torque_scale
-from tests.support import option_samples
 
 MODEL = Path("arm.xml")
 LOG = {"measurements": (Path("log.csv"),)}

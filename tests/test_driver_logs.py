@@ -8,17 +8,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rigs.driver_logs import DRIVER_LOGS, UNWEIGHED_LOGS, DriverLog, model_of, motion_of
+from rigs.places import MODELS
 from robot_sysid.cli import main
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
-from tests.support.driver_logs import (
-    DRIVER_LOGS,
-    UNWEIGHED_LOGS,
-    DriverLog,
-    model_of,
-    motion_of,
-)
-from tests.support.places import MODELS
 
 pytestmark = pytest.mark.skipif(
     not MODELS.is_dir(), reason="the public models are not here"

@@ -15,8 +15,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 
+from rigs import results as made
+from rigs import urdf
+from rigs.command_line import files_in
+from rigs.model_files import ARM, random_theta, write_files
+from rigs.notes import NoteRecorder
+from rigs.schemas import schema
 from robot_sysid import export as module
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.errors import InputError
 from robot_sysid.export import RESULT_NAMES, save
@@ -28,12 +34,6 @@ from robot_sysid.results.content import FORMULAS
 from robot_sysid.results.quantities import BEYOND
 from robot_sysid.results.record import BOUND, FILE, Quantity, Verdict
 from tests.results.test_written_model import checkpoints, payload_of, result_of
-from tests.support import results as made
-from tests.support import urdf
-from tests.support.command_line import files_in
-from tests.support.model_files import ARM, random_theta, write_files
-from tests.support.notes import NoteRecorder
-from tests.support.schemas import schema
 
 THETA = random_theta(np.random.default_rng(1), 2.0)
 EARLIER = {name: f"an earlier {name}" for name in (*RESULT_NAMES, "report_data.npz")}

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robot_sysid.dynamics import spatial
+from rigs.places import EXAMPLE
+from robot_sysid import spatial
 from robot_sysid.model.bodies import body_theta
-from tests.support.places import EXAMPLE
 
 MODELS = ("kinova_fullinertia_guess.xml", "kinova_fullinertia.xml")
 LINKS = ("base", "link0", "link1", "link2", "link3", "link4", "link5", "link6")

@@ -10,17 +10,11 @@ import shlex
 import numpy as np
 import pytest
 
+from rigs.lab_arm_logs import LAB_ARM_LOGS, OPENARM, SO101, openarm_bag, so101_data_set
 from robot_sysid.cli import main
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
 from robot_sysid.parser import load_robot_model
-from tests.support.lab_arm_logs import (
-    LAB_ARM_LOGS,
-    OPENARM,
-    SO101,
-    openarm_bag,
-    so101_data_set,
-)
 
 for library in ("rosbags", "pyarrow"):
     pytest.importorskip(library)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from rigs import pages, schemas
 from robot_sysid.cli import main
-from tests.support import pages, schemas
 
 pytestmark = pytest.mark.slow
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from rigs import arms, urdf
+from rigs.arms import X, Y, Z, compile_xml, robot_of, serial_arm
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.parser import load_robot_model
-from tests.support import arms, urdf
-from tests.support.arms import X, Y, Z, compile_xml, robot_of, serial_arm
 
 
 def test_a_file_becomes_an_arm(arm_file):

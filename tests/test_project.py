@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import robot_sysid
+from rigs.places import ROOT
 from robot_sysid.cli import main
 from robot_sysid.regressor import derive_regressor
-from tests.support.places import ROOT
 from tests.test_architecture import nodes_of, package_sources
 
 EXAMPLE = "examples/kinova/model/kinova_fullinertia_guess.xml"

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from rigs import option_tables
+from rigs.option_tables import TABLES
 from robot_sysid.estimate.options import Priors
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE
 from robot_sysid.records.option_fields import options_of
-from tests.support import option_tables
-from tests.support.option_tables import TABLES
 
 TEXTS = [path.read_text(encoding="utf-8") for path in option_tables.PAGES]
 
 
 def test_the_tables_are_what_the_generator_writes():
-    """``python -m tests.support.option_tables`` brings them up to date."""
+    """``python -m rigs.option_tables`` brings them up to date."""
     assert [option_tables.with_tables(text) for text in TEXTS] == TEXTS
 
 

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from lxml import etree
 
+from rigs.params import motors, rows
+from rigs.places import DATA, ROOT
 from robot_sysid.cli import main
-from tests.support.params import motors, rows
-from tests.support.places import DATA, ROOT
 
 KUKA = DATA / "kuka_lwr4"
 TX40 = DATA / "tx40"

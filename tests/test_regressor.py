@@ -8,10 +8,10 @@ from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
-from robot_sysid.dynamics import spatial
+from rigs.arms import SEEDS, random_rotation, vector_text
+from robot_sysid import spatial
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.regressor import derive_regressor, wrench_regressor
-from tests.support.arms import SEEDS, random_rotation, vector_text
 
 
 def wrench_scale(theta, omega, alpha, acceleration):

@@ -8,9 +8,9 @@ from functools import cache
 
 import pytest
 
+from rigs import pages
 from robot_sysid.commands import COMMANDS as NAMES
 from robot_sysid.commands import example, identify, log, motors, report
-from tests.support import pages
 from tests.test_architecture import nodes_of, package_sources
 
 MODULES = {"log": log, "report": report, "example": example}

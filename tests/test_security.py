@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.arms import X, Y, Z, serial_arm
-from tests.support.places import ROOT
+from rigs.arms import X, Y, Z, serial_arm
+from rigs.places import ROOT
 
 DOCUMENTS = "mjcf/test_documents.py::"
 ARRAYS = "logs/test_arrays.py::"

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs import arms
+from rigs.arms import SEEDS, random_motion, robot_of
 from robot_sysid.errors import SimulationError
 from robot_sysid.records import Motion
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from tests.support import arms
-from tests.support.arms import SEEDS, random_motion, robot_of
 
 NAMES = ("seven", "dry friction", "springs")
 PLAIN = {name: robot_of(arms.MODELS[name]) for name in NAMES}

@@ -10,15 +10,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.solver import identify_parameters
-from tests.support.synthetic_data import (
+from rigs.synthetic_data import (
     arm_equations,
     noisy_samples,
     random_body,
     sums_of,
     terminal_sums,
 )
+from robot_sysid import spatial
+from robot_sysid.solver import identify_parameters
 
 SEEDS = st.integers(0, 2**32 - 1)
 

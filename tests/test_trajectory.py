@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
+from rigs import arms
+from rigs.arms import SEEDS, robot_of
 from robot_sysid import trajectory
 from robot_sysid.records import JointLimits
 from robot_sysid.trajectory import (
@@ -18,8 +20,6 @@ from robot_sysid.trajectory import (
     sample_count,
     sample_times,
 )
-from tests.support import arms
-from tests.support.arms import SEEDS, robot_of
 
 THREE = robot_of(arms.THREE)
 DURATIONS = st.one_of(st.floats(0.02, 3.0), st.floats(3.0, 60.0))

@@ -12,18 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from rigs import arms
+from rigs.driver_logs import DRIVER_LOGS, UNWEIGHED_LOGS, UR_CONSTANTS, model_of
+from rigs.lab_arm_logs import LAB_ARM_LOGS, OPENARM, SO101, so101_data_set
+from rigs.places import MODELS
+from rigs.walk import MOST_STEPS, TrueArm, Walk
 from robot_sysid.motion.search import Design
 from robot_sysid.parser import load_robot_model
-from tests.support import arms
-from tests.support.driver_logs import (
-    DRIVER_LOGS,
-    UNWEIGHED_LOGS,
-    UR_CONSTANTS,
-    model_of,
-)
-from tests.support.lab_arm_logs import LAB_ARM_LOGS, OPENARM, SO101, so101_data_set
-from tests.support.places import MODELS
-from tests.support.walk import MOST_STEPS, TrueArm, Walk
 
 JOINT = 'range="-2 2" armature=".02"'
 SMALL = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)

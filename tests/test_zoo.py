@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robot_sysid.dynamics import spatial
+from rigs import arms, witness
+from rigs.places import MODELS
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimate.options import EstimationOptions
@@ -38,8 +40,6 @@ from robot_sysid.trajectory import (
     generate_excitation_trajectory,
     motion_chunks,
 )
-from tests.support import arms, witness
-from tests.support.places import MODELS
 
 pytestmark = pytest.mark.skipif(
     not MODELS.is_dir(), reason="the public models are not here"

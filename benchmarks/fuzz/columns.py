@@ -9,13 +9,13 @@ from random import Random
 
 from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damage_bytes, damaged_json, damaged_table, odd
+from rigs import log_files
 from robot_sysid.damiao.joints import damiao_joints, map_joints, read_joint_map
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import array_blocks
 from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.table import LogTable
 from robot_sysid.records.option_fields import CONSTANTS, SCALE, joint_factors
-from tests.support import log_files
 
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())
 LINES = """# which column is what

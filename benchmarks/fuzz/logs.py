@@ -23,9 +23,9 @@ from benchmarks.fuzz.mutations import (
     damaged_table,
     odd,
 )
+from rigs import log_files, recorded
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
-from tests.support import log_files, recorded
 
 ROWS = 24
 _ARM = log_files.arm_of(log_files.JOINTS, log_files.limits())

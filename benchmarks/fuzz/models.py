@@ -11,13 +11,13 @@ from lxml import etree
 
 from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damaged_xml
+from rigs import arms, model_files, urdf
+from rigs.places import MODELS
 from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.mjcf.updated_model import BodyChange, ModelChange, changed_model_text
 from robot_sysid.model.bodies import subtree_bodies
 from robot_sysid.model.compilation import captured_warnings
 from robot_sysid.parser import load_robot_model
-from tests.support import arms, model_files, urdf
-from tests.support.places import MODELS
 
 ATTRIBUTES = (
     *(

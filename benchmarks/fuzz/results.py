@@ -14,10 +14,10 @@ import matplotlib.font_manager  # noqa: F401 - makes its folders when it is firs
 
 from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damage_bytes, damaged_json
+from rigs import reports
 from robot_sysid.records.file_access import PARAMS_NAME
 from robot_sysid.report.page import write_report
 from robot_sysid.report.runs import DATA_NAME, load_run, save_data
-from tests.support import reports
 
 DATA_SHARE = 0.1
 PAGE_SHARE = 0.001

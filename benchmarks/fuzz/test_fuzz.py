@@ -18,7 +18,7 @@ pytest.importorskip("rosbags")
 from benchmarks.fuzz import can_frames, columns, trajectories
 from benchmarks.fuzz.guided import BytesRandom
 from benchmarks.fuzz.harness import outcome
-from tests.support.places import ROOT
+from rigs.places import ROOT
 
 INPROCESS = settings(
     max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damaged_json, damaged_table
+from rigs import arms
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.preflight import plan_checks
 from robot_sysid.damiao.settings import Plan
@@ -26,7 +27,6 @@ from robot_sysid.motion.trajectories import at_speed, load_trajectory, save_traj
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import TrajectoryOptions, require_countable
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
-from tests.support import arms
 
 RATE = 50.0
 TABLE_SHARE = 0.4

@@ -16,7 +16,7 @@ from links import LARGE, SMALL, knuckle_height, link_meshes
 from numpy.typing import NDArray
 from shapes import write_stl
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from validate_regressor import with_link
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_terms
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.fit import Problem
 from robot_sysid.estimate.identifiability import square_root, visible_space
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -34,6 +33,7 @@ from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import plant_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.solver import exact_recording
+from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from validate_regressor import with_link
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Estimate, MotionPlan, RobotModel
 from robot_sysid.simulator import simulate_inverse

@@ -16,7 +16,6 @@ from threadpoolctl import threadpool_limits
 
 from robot_sysid.api.keywords import in_python, python_words
 from robot_sysid.config import PlanConfig
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Written, writable_folder
 from robot_sysid.model.compilation import lasting_folder
@@ -31,6 +30,7 @@ from robot_sysid.results import record
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import result_lines, verdict_line
 from robot_sysid.results.written_model import spec_of
+from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.trajectory import sample_count
 
 

@@ -27,10 +27,10 @@ from robot_sysid.config import (
     SelfTestConfig,
 )
 from robot_sysid.errors import InputError, SysidError
+from robot_sysid.pipeline.next_steps import values_of
 from robot_sysid.records import file_access
 from robot_sysid.records.option_fields import given_values
 from robot_sysid.report.drawing import require_matplotlib
-from robot_sysid.results.next_steps import values_of
 
 
 class CommandSpec(NamedTuple):

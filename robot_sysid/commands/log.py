@@ -12,8 +12,8 @@ from robot_sysid.commands.remedies import add_commands, add_weighing
 from robot_sysid.errors import ColumnsError, InputError
 from robot_sysid.logs import CHECKS, LogOptions
 from robot_sysid.model import ModelOptions
+from robot_sysid.pipeline.next_steps import step_after, values_of
 from robot_sysid.records.option_fields import given_values, record_from
-from robot_sysid.results.next_steps import step_after, values_of
 
 INTERRUPTED = "interrupted; nothing was written"
 """What is said where the user interrupts the command."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_sysid.errors import InputError
-from robot_sysid.results.next_steps import step_after
+from robot_sysid.pipeline.next_steps import step_after
 
 
 def add_commands(

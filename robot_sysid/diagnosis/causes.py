@@ -19,13 +19,13 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES, parameter_scale
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer
 from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import ArmTerms, Point, Term
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
+from robot_sysid.spatial import PARAMETER_NAMES, parameter_scale
 
 INERTIAL = "inertial torque"
 """Name of the column of the links' torque without their weight."""

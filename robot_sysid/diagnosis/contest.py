@@ -40,7 +40,6 @@ from robot_sysid.diagnosis.relabelling import (
     typical_ratio,
 )
 from robot_sysid.dynamics.friction import names_of
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer, Offers
@@ -58,6 +57,7 @@ from robot_sysid.estimate.trust import UNEXPLAINED
 from robot_sysid.records import Array
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
+from robot_sysid.spatial import PARAMETER_NAMES
 
 TIE = 6.0
 """Difference in gain within which two explanations count as equally likely [nats]."""

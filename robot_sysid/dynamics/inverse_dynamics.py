@@ -37,16 +37,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.spatial import (
+from robot_sysid.errors import InputError
+from robot_sysid.records import Array, RobotModel
+from robot_sysid.regressor import wrench_regressor
+from robot_sysid.spatial import (
     N_INERTIAL,
     PARAMETER_NAMES,
     cross,
     skew,
     symmetric_from_six,
 )
-from robot_sysid.errors import InputError
-from robot_sysid.records import Array, RobotModel
-from robot_sysid.regressor import wrench_regressor
 
 MUJOCO_VERSION: str = mujoco.__version__
 """Release of MuJoCo that computes the torques."""

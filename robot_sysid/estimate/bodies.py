@@ -20,11 +20,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.spatial import N_INERTIAL, nearest_consistent_body
+from robot_sysid import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate.identifiability import ROUNDING, visible_space
 from robot_sysid.records import Array
+from robot_sysid.spatial import N_INERTIAL, nearest_consistent_body
 
 LEAST_SHARE = 1e-6
 """Least eigenvalue of a body's pseudo-inertia, relative to that of its reference body."""

@@ -24,9 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.dynamics.friction import split_name
-from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.bodies import Possible, consistent_least_squares
 from robot_sysid.estimate.questions import Question, arm_question, scale_spread
 from robot_sysid.estimate.rows import Recording, Sums, indices_of
@@ -41,6 +40,7 @@ from robot_sysid.estimate.terms import (
     Term,
 )
 from robot_sysid.records import Array
+from robot_sysid.spatial import N_INERTIAL
 
 ROUNDS = 12
 """Most rounds of an iteration, which ends where nothing changes any more."""

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.dynamics.friction import split_name
 from robot_sysid.records import Array, Identifiability
 

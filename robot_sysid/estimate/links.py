@@ -34,9 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_sysid.records.usual_errors as usual_errors
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.spatial import N_INERTIAL, ROD_MOMENT
+from robot_sysid import spatial
 from robot_sysid.records import KINDS, ArmLink, Array, RobotModel
+from robot_sysid.spatial import N_INERTIAL, ROD_MOMENT
 
 
 @dataclass(frozen=True)

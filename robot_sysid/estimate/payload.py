@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid import spatial
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.offers import Effect, Offers
@@ -48,6 +47,7 @@ from robot_sysid.results.record import (
     Result,
     Verdict,
 )
+from robot_sysid.spatial import PARAMETER_NAMES
 
 
 def written_payload(fitted: Fit) -> tuple[Array, str]:

@@ -12,7 +12,6 @@ import numpy as np
 
 import robot_sysid.records.usual_errors as usual_errors
 from robot_sysid.dynamics.friction import FADING_SPEEDS
-from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.links import AS_STATED, LinkScales, link_factor
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import (
@@ -35,6 +34,7 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.records import Array
 from robot_sysid.records.option_fields import joint_values
+from robot_sysid.spatial import N_INERTIAL
 
 LEAST_DRY = 0.02
 """Least dry friction assumed before a fit, as a share of the joint's root mean square torque."""

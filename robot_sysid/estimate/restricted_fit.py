@@ -15,7 +15,6 @@ import numpy as np
 
 from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
-from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.fit import ROUNDS, Fit, LeftOut
 from robot_sysid.estimate.held_out import error_in, validation
 from robot_sysid.estimate.offers import Effect, Offers
@@ -40,6 +39,7 @@ from robot_sysid.estimate.terms import (
 from robot_sysid.records import Array, InertialParameters, Validation
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.usual_errors import GRAVITY_IN_FILE, OFFSET
+from robot_sysid.spatial import N_INERTIAL
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,6 @@ from robot_sysid.dynamics.inverse_dynamics import (
     other_links,
     tilt_axes,
 )
-from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.links import reference_links
 from robot_sysid.estimate.rows import (
@@ -56,6 +55,7 @@ from robot_sysid.estimate.rows import (
     block_numbers,
 )
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.spatial import N_INERTIAL, PARAMETER_NAMES
 
 # Causes, as they are called in results.
 LINKS = "the other links' parameters"

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records import Array, SubtreeBody
 from robot_sysid.records.messages import Detail

@@ -15,7 +15,7 @@ from pathlib import Path
 from lxml import etree
 from lxml.builder import E
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.assets import relocate
 from robot_sysid.mjcf.documents import (

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import Asset, find_assets, relocate
 from robot_sysid.mjcf.documents import ModelDocument, Node, get, put_inertial

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import sum_theta

@@ -18,11 +18,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
-from robot_sysid.dynamics.spatial import ROD, ROD_MOMENT
 from robot_sysid.records import KINDS, ArmLink, Array, InertialParameters
 from robot_sysid.records.usual_errors import LEAST_SIZE, LEAST_SIZE_SHARE
+from robot_sysid.spatial import ROD, ROD_MOMENT
 
 MASS, CENTRE, INERTIA = KINDS
 LEAST_SHARE = 1e-3

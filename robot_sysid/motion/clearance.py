@@ -26,7 +26,6 @@ import mujoco
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
-from robot_sysid.dynamics.spatial import cross
 from robot_sysid.errors import InputError
 from robot_sysid.model.bodies import (
     count_moving_joints,
@@ -38,6 +37,7 @@ from robot_sysid.model.chain import body_label
 from robot_sysid.motion import HalfSpace
 from robot_sysid.motion.solids import Solid, solids_of
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.spatial import cross
 
 HORIZON = 0.05
 """How much farther than the clearance a pair is still reported [m]."""

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.dynamics.friction import split_name
-from robot_sysid.dynamics.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.estimate.choose import motors_of
 from robot_sysid.estimate.fit import Fit, Problem
 from robot_sysid.estimate.identifiability import describe
@@ -35,6 +34,7 @@ from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.usual_errors import FRICTION_DRIFT
 from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
+from robot_sysid.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.trajectory import sample_times
 
 TYPICAL_LOAD = 0.025

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.problem import LIMIT_NAMES, ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.starts import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import Detail, percent, position_unit
+from robot_sysid.spatial import PARAMETER_NAMES
 
 LARGE_SHARE = 0.2
 """Predicted standard error over the parameter's size above which the parameter is named."""

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     other_links,
     split_motion,
     subtree,
 )
-from robot_sysid.dynamics.spatial import N_INERTIAL
 from robot_sysid.estimate.links import link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
 from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
@@ -28,6 +27,7 @@ from robot_sysid.records.option_fields import (
     joint_values,
 )
 from robot_sysid.simulator import ArmTorque
+from robot_sysid.spatial import N_INERTIAL
 from robot_sysid.trajectory import (
     POSITION_MARGIN,
     TORQUE_MARGIN,

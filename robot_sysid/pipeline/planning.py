@@ -14,6 +14,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.export import Written
 from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
+from robot_sysid.pipeline.next_steps import step_after, step_with_motion
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
 from robot_sysid.records.messages import NextStep, Progress, percent
@@ -22,7 +23,6 @@ from robot_sysid.records.option_fields import (
     given_values,
     joint_values,
 )
-from robot_sysid.results.next_steps import step_after, step_with_motion
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 

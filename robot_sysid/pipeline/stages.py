@@ -28,6 +28,7 @@ from robot_sysid.dynamics.friction import split_name
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
 from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline.next_steps import step_after, values_of
 from robot_sysid.pipeline.planning import (
     design_motion,
     draft_motor_file,
@@ -39,7 +40,6 @@ from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Detail, NextStep, Progress, says, term_unit
 from robot_sysid.records.option_fields import given_values, write_torque_scale
-from robot_sysid.results.next_steps import step_after, values_of
 from robot_sysid.results.quantities import (
     BEYOND,
     MOMENT,

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import characteristic_length
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Flange, RobotModel
 from robot_sysid.report.drawing import Figure
 from robot_sysid.report.runs import Run
 from robot_sysid.report.studio import Colour, Studio, png_bytes
+from robot_sysid.spatial import characteristic_length
 
 # Version of the parameters to colour (red, green, blue, opacity) of its ellipsoid, 0 to 1.
 _COLOURS: dict[str, Colour] = {

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, RobotModel
 

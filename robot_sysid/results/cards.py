@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.controllers import ALL, AUTO, CHOICES, makers_of

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records.file_access import strict_json
 from robot_sysid.records.messages import says
 from robot_sysid.results.record import Result
 from robot_sysid.results.written_model import versions
+from robot_sysid.spatial import PARAMETER_NAMES
 
 SCHEMA_VERSION = 5
 """Version of the format of params.json; readers refuse other versions."""

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.records import ITSELF
 from robot_sysid.records.file_access import CARD_NAME, models_in
 from robot_sysid.records.messages import Detail, NextStep, percent, with_error
@@ -33,6 +32,7 @@ from robot_sysid.results.table import (
     rows_of,
     table_lines,
 )
+from robot_sysid.spatial import PARAMETER_NAMES
 
 # Name of a verdict to the sentence on the result's use, where that is not "Usable".
 _USE_TEXTS = {

@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
+from robot_sysid import spatial
 from robot_sysid.records import Array, InertialParameters
 from robot_sysid.records.levels import SURE
 from robot_sysid.records.messages import PARAMETER_UNITS
 from robot_sysid.results.record import DATA, FILE, MODEL, BodyEstimate, Quantity
+from robot_sysid.spatial import PARAMETER_NAMES
 
 CENTRAL = (
     "mass",

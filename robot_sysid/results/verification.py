@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics import spatial
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     BeyondRigidBodies,

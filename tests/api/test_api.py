@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import robot_sysid as rs
+from rigs import arms, pages, params, results
 from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.records import Measurement
 from robot_sysid.report.runs import load_run
 from robot_sysid.results.record import Verdict
 from robot_sysid.signals.resampling import slice_samples
-from tests.support import arms, pages, params, results
 
 
 @pytest.fixture(scope="module")

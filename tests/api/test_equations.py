@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import robot_sysid as rs
+from rigs import arms
+from rigs.places import EXAMPLE, MODELS
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy
-from tests.support import arms
-from tests.support.places import EXAMPLE, MODELS
 
 JOINT = 'range="-2 2" frictionloss=".3" damping=".2" armature=".05"'
 TEXT = arms.serial_arm((arms.Z, arms.Y, arms.X), joint=JOINT)

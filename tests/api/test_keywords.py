@@ -9,10 +9,10 @@ import re
 import pytest
 
 import robot_sysid as rs
+from rigs.option_samples import samples
 from robot_sysid.api.keywords import python_words
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
 from robot_sysid.records.option_fields import immutable_value
-from tests.support.option_samples import samples
 from tests.test_architecture import nodes_of, package_sources
 
 FUNCTIONS = {

@@ -9,20 +9,15 @@ import numpy as np
 import pytest
 
 import robot_sysid as rs
+from rigs import arms
+from rigs.clocks import ScriptedClock
+from rigs.damiao_rig import swing, trajectory_file, two_motor_arm, with_coarse_physics
+from rigs.links import RememberingLink
+from rigs.recordings import read_recording
 from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.protocol import DISABLED
-from tests.support import arms
-from tests.support.clocks import ScriptedClock
-from tests.support.damiao_rig import (
-    swing,
-    trajectory_file,
-    two_motor_arm,
-    with_coarse_physics,
-)
-from tests.support.links import RememberingLink
-from tests.support.recordings import read_recording
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from tests.support.places import EXAMPLE
+from rigs.places import EXAMPLE
 
 NOTEBOOK = json.loads((EXAMPLE / "python.ipynb").read_text(encoding="utf-8"))
 

@@ -7,9 +7,9 @@ import scipy.linalg  # noqa: F401 - brings threads of its own, which are counted
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import robot_sysid as rs
+from rigs import arms
 from robot_sysid.api import calls
 from robot_sysid.api.results import one_thread
-from tests.support import arms
 
 LIBRARIES = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
 pytestmark = pytest.mark.skipif(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from rigs.clocks import ScriptedClock, heard_signals
+from rigs.damiao_rig import two_motor_arm
+from rigs.links import RememberingLink
 from robot_sysid.damiao import execution
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.pipeline import planning
-from tests.support.clocks import ScriptedClock, heard_signals
-from tests.support.damiao_rig import two_motor_arm
-from tests.support.links import RememberingLink
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from rigs.places import EXAMPLE, ROOT
 from robot_sysid.cli import main
 from robot_sysid.commands import example
-from tests.support.places import EXAMPLE, ROOT
 
 
 @pytest.fixture

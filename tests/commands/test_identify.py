@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import robot_sysid as rs
+from rigs import arms, params, schemas, servo_logs
+from rigs.command_line import words_of
+from rigs.measured_logs import JOINT, log_of, plan_of, true_arm
 from robot_sysid.api.results import one_thread
 from robot_sysid.cli import main
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
-from tests.support import arms, params, schemas, servo_logs
-from tests.support.command_line import words_of
-from tests.support.measured_logs import JOINT, log_of, plan_of, true_arm
 
 AXES = (arms.Z, arms.Y, arms.X)
 XML = arms.serial_arm(AXES, joint=JOINT)

@@ -10,15 +10,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigs import arms, recorded
+from rigs.command_line import CommandLine
+from rigs.payload_logs import TrueArm, wide_motion
+from rigs.wrong_logs import truth_of
 from robot_sysid.diagnosis import gate
-from robot_sysid.dynamics.spatial import theta_from_com
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Measurement
 from robot_sysid.records.option_fields import write_torque_scale
-from tests.support import arms, recorded
-from tests.support.command_line import CommandLine
-from tests.support.payload_logs import TrueArm, wide_motion
-from tests.support.wrong_logs import truth_of
+from robot_sysid.spatial import theta_from_com
 
 ARM = arms.serial_arm(arms.SEVEN_AXES[:4], joint='range="-2.5 2.5"')
 

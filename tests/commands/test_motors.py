@@ -14,15 +14,10 @@ import time
 import numpy as np
 import pytest
 
-from robot_sysid import parser
-from robot_sysid.cli import main
-from robot_sysid.damiao.bus import SystemClock
-from robot_sysid.damiao.joints import write_joint_map
-from robot_sysid.damiao.protocol import DISABLED, Register
-from tests.support import arms
-from tests.support.command_line import fail, succeed
-from tests.support.command_line import run_motors as run
-from tests.support.damiao_rig import (
+from rigs import arms
+from rigs.command_line import fail, succeed
+from rigs.command_line import run_motors as run
+from rigs.damiao_rig import (
     fault,
     map_line,
     only_asks,
@@ -30,8 +25,13 @@ from tests.support.damiao_rig import (
     trajectory_file,
     with_coarse_physics,
 )
-from tests.support.realtime_arm import NEEDS_TERMINALS
-from tests.support.recordings import read_recording
+from rigs.realtime_arm import NEEDS_TERMINALS
+from rigs.recordings import read_recording
+from robot_sysid import parser
+from robot_sysid.cli import main
+from robot_sysid.damiao.bus import SystemClock
+from robot_sysid.damiao.joints import write_joint_map
+from robot_sysid.damiao.protocol import DISABLED, Register
 
 CAN0 = ("--channel", "can0")
 AT_100 = ("--rate", "100")
@@ -308,7 +308,7 @@ def simulator(trajectory, model, watchdog="2"):
     """A simulated arm in a process of its own; yields the device to reach it at."""
     server = subprocess.Popen(
         [
-            *(sys.executable, "-m", "tests.support.realtime_arm", trajectory),
+            *(sys.executable, "-m", "rigs.realtime_arm", trajectory),
             *("--model", model),
             *("--watchdog", watchdog, "--frames", trajectory.with_name("frames.txt")),
         ],

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from rigs import arms
+from rigs.command_line import fail, succeed
+from rigs.command_line import run_motors as run
+from rigs.damiao_rig import only_asks
 from robot_sysid.damiao.joints import read_joint_map
 from robot_sysid.damiao.protocol import (
     DISABLED,
@@ -14,10 +18,6 @@ from robot_sysid.damiao.protocol import (
     Register,
     is_special,
 )
-from tests.support import arms
-from tests.support.command_line import fail, succeed
-from tests.support.command_line import run_motors as run
-from tests.support.damiao_rig import only_asks
 
 CAN0 = ("--channel", "can0")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from rigs import option_samples
 from robot_sysid import __version__
 from robot_sysid.cli import main
 from robot_sysid.commands import COMMANDS, identify, log
@@ -16,7 +17,6 @@ from robot_sysid.commands.arguments import parse_command
 from robot_sysid.commands.identify import SPECS, build_parser, settings_text
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError
-from tests.support import option_samples
 
 PARSERS = {name: partial(build_parser, name) for name in SPECS}
 PARSERS["log"] = log.build_parser

@@ -8,6 +8,10 @@ import re
 import numpy as np
 import pytest
 
+from rigs import arms, schemas
+from rigs.params import rows
+from rigs.params import written as in_the_file
+from rigs.payload_logs import PAYLOAD
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.bodies import composite_theta
 from robot_sysid.model.compilation import compile_model
@@ -15,10 +19,6 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import plant_measurements
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.support import arms, schemas
-from tests.support.params import rows
-from tests.support.params import written as in_the_file
-from tests.support.payload_logs import PAYLOAD
 
 JOINT = 'range="-2.5 2.5" frictionloss=".3" damping=".2" armature=".02"'
 AXES = (arms.Z, arms.Y, arms.Y, arms.X)

@@ -7,14 +7,14 @@ from functools import partial
 
 import pytest
 
+from rigs import arms, witness
+from rigs.command_line import files_in
 from robot_sysid.commands import Console
 from robot_sysid.commands.arguments import parse_command
 from robot_sysid.commands.identify import build_parser
 from robot_sysid.config import PlanConfig
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
-from tests.support import arms, witness
-from tests.support.command_line import files_in
 
 SHORT = "--duration 3 --sample-rate 100 --seed 1"
 SINES = ("--excitation sines", SHORT)

@@ -8,10 +8,10 @@ import sys
 
 import pytest
 
+from rigs import arms, measured_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.report import page, runs
 from robot_sysid.report.runs import load_run
-from tests.support import arms, measured_logs
 
 RUN = ("--duration 2 --sample-rate 100 --seed 1",)
 

@@ -8,12 +8,12 @@ import time
 import numpy as np
 import pytest
 
+from rigs import arms, witness
+from rigs.command_line import words_of
+from rigs.excitation_arms import TUBES
 from robot_sysid.cli import main
 from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.trajectories import load_trajectory
-from tests.support import arms, witness
-from tests.support.command_line import words_of
-from tests.support.excitation_arms import TUBES
 
 RATE = ("--sample-rate 100",)
 SHORT = ("--duration 2", *RATE, "--seed 1")

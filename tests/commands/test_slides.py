@@ -9,15 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rigs import arms
+from rigs.core_fits import filter_logs, fit_recordings
+from rigs.measured_logs import log_of, plan_of
 from robot_sysid.diagnosis.causes import beside, explanations
 from robot_sysid.diagnosis.gate import slow_findings
 from robot_sysid.estimate.trust import implausible_joints
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.record import Quantity
-from tests.support import arms
-from tests.support.core_fits import filter_logs, fit_recordings
-from tests.support.measured_logs import log_of, plan_of
 
 FRICTION = 'frictionloss=".3" damping=".2" armature=".05"'
 ARM = arms.world(

@@ -11,13 +11,13 @@ import sys
 import numpy as np
 import pytest
 
+from rigs import arms, log_files
+from rigs.damiao_rig import map_line, swing, trajectory_file
+from rigs.measured_logs import JOINT, log_of, true_arm
 from robot_sysid.cli import main
 from robot_sysid.commands import example, identify, log, motors, report
 from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.parser import load_robot_model
-from tests.support import arms, log_files
-from tests.support.damiao_rig import map_line, swing, trajectory_file
-from tests.support.measured_logs import JOINT, log_of, true_arm
 
 resource = pytest.importorskip("resource")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.clocks import heard_signals
+from rigs.clocks import heard_signals
 
 
 @pytest.fixture

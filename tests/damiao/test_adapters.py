@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rigs.realtime_arm import NEEDS_TERMINALS, slcan_terminal
 from robot_sysid.damiao.adapters import (
     INTERFACES,
     PACKET,
@@ -27,7 +28,6 @@ from robot_sysid.damiao.adapters import (
 from robot_sysid.damiao.bus import LinkError, SimulatedClock, SystemClock
 from robot_sysid.damiao.protocol import DISABLE, BusTiming, Frame, special_frame
 from robot_sysid.errors import InputError
-from tests.support.realtime_arm import NEEDS_TERMINALS, slcan_terminal
 
 WALL = 1.7e9
 

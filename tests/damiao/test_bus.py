@@ -10,10 +10,10 @@ import threading
 
 import pytest
 
+from rigs.motor_bench import Bench
 from robot_sysid.damiao.bus import undisturbed_processor
 from robot_sysid.damiao.protocol import Frame
 from robot_sysid.errors import SysidError
-from tests.support.motor_bench import Bench
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
 

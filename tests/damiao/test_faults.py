@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.fault_bench import Case, SetUp, loaded_joint, outcomes_of
-from tests.support.fault_lines import LINES, SHOULDER
-from tests.support.motor_causes import joint_of
-from tests.support.places import ROOT
+from rigs.fault_bench import Case, SetUp, loaded_joint, outcomes_of
+from rigs.fault_lines import LINES, SHOULDER
+from rigs.motor_causes import joint_of
+from rigs.places import ROOT
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.damiao_rig import map_line
 from robot_sysid.damiao.joints import (
     MOTORS,
     Mounting,
@@ -18,7 +19,6 @@ from robot_sysid.damiao.joints import (
     write_joint_map,
 )
 from robot_sysid.errors import InputError
-from tests.support.damiao_rig import map_line
 
 # Type, then what scales its frames: position [rad], speed [rad/s], torque [N m].
 LIMITS = {

@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs import arms
+from rigs.damiao_rig import swing, trajectory_file
 from robot_sysid.damiao.model_check import model_checks, torque_checks, transfer_checks
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
@@ -17,8 +19,6 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.records.messages import Level
 from robot_sysid.simulator import ArmTorque
-from tests.support import arms
-from tests.support.damiao_rig import swing, trajectory_file
 
 # Wide frames, so that the export clamps nothing.
 MOTOR = "DM10010L"

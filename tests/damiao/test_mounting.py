@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigs.damiao_rig import GRAVITY, Rig, map_line, swing, trajectory_file
+from rigs.places import EXAMPLE
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
 from robot_sysid.damiao.model_check import gravity_check
@@ -17,8 +19,6 @@ from robot_sysid.damiao.protocol import DISABLED, ENABLED, Register
 from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.errors import HardwareAbort, InputError
-from tests.support.damiao_rig import GRAVITY, Rig, map_line, swing, trajectory_file
-from tests.support.places import EXAMPLE
 
 STANDING = 0.7
 

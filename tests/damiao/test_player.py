@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.clocks import ScriptedClock
 from robot_sysid.damiao.player import CycleTimer, StopRequest
 from robot_sysid.errors import STOP_SIGNALS, HardwareAbort
-from tests.support.clocks import ScriptedClock
 
 
 @given(st.lists(st.floats(0.0, 0.03), min_size=1, max_size=60))

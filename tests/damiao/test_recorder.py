@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.motor_bench import undoubted
+from rigs.recordings import read_recording
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import Feedback, MitCommand, Scaling, decode_feedback
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
@@ -17,8 +19,6 @@ from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import InputError
-from tests.support.motor_bench import undoubted
-from tests.support.recordings import read_recording
 
 
 def recorder_for(path, types=("DM4340",), overwrite=False):

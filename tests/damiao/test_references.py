@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.damiao_rig import swing, trajectory_file
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.references import (
     CarriedStop,
@@ -20,7 +21,6 @@ from robot_sysid.damiao.references import (
 from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
-from tests.support.damiao_rig import swing, trajectory_file
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
 

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rigs.damiao_rig import BIT_RATE, GRAVITY, Rig, fault, motor, swing
+from rigs.places import ROOT
 from robot_sysid.damiao import recorder
 from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.joints import DamiaoJoint
@@ -26,8 +28,6 @@ from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import Permissions
 from robot_sysid.damiao.simulated import SimulatedArm
 from robot_sysid.errors import HardwareAbort
-from tests.support.damiao_rig import BIT_RATE, GRAVITY, Rig, fault, motor, swing
-from tests.support.places import ROOT
 
 SHORT = {"ramp_time": 0.1, "approach_time": 0.1, "rate": 125.0}
 USUAL = {"rate": 250.0}
@@ -322,7 +322,7 @@ def mirror_joint(run):
 def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
     rig, change, mount, message, monkeypatch
 ):
-    monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
+    monkeypatch.setattr("rigs.damiao_rig.GRAVITY", 8.0)
     motion = changed_swing(lambda *signals: (shift_pose(*signals), change(*signals)))
     run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, **USUAL)
     if mount:
@@ -575,7 +575,7 @@ def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(
     rig, delay, monkeypatch
 ):
     """What has been fed forward by then is only a part of what carries it."""
-    monkeypatch.setattr("tests.support.damiao_rig.GRAVITY", 8.0)
+    monkeypatch.setattr("rigs.damiao_rig.GRAVITY", 8.0)
     motion = changed_swing(shift_pose)
     run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, rest_time=0.3, **USUAL)
     farthest = watch_distance(

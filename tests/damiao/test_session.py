@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs import damiao_rig
+from rigs.motor_bench import Bench
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient, inspect_bus
 from robot_sysid.damiao.protocol import (
     DISABLED,
@@ -20,8 +22,6 @@ from robot_sysid.damiao.protocol import (
 )
 from robot_sysid.damiao.session import PAUSE, Outstanding
 from robot_sysid.errors import HardwareAbort
-from tests.support import damiao_rig
-from tests.support.motor_bench import Bench
 
 
 def statuses(bench):

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from rigs.damiao_rig import swing, trajectory_file
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.protocol import (
     KD_MAX,
@@ -27,7 +28,6 @@ from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.errors import InputError
 from robot_sysid.records.option_fields import options_of
-from tests.support.damiao_rig import swing, trajectory_file
 
 SPECS = st.lists(st.sampled_from(list(MOTORS.values())), min_size=1, max_size=8)
 TIMINGS = st.builds(BusTiming, fd=st.booleans())

@@ -7,10 +7,10 @@ import os
 import can
 import pytest
 
+from rigs.realtime_arm import NEEDS_TERMINALS, slcan_terminal
 from robot_sysid.damiao.adapters import BusLink
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.protocol import Frame
-from tests.support.realtime_arm import NEEDS_TERMINALS, slcan_terminal
 
 # Far longer than any pause of a busy machine.
 PATIENCE = 60.0

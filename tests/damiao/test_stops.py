@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from benchmarks.motor_faults import DAMAGE_BOUND, DAMAGES, damage_cases, hold_cases
-from tests.support.fault_bench import SetUp, outcomes_of
+from rigs.fault_bench import SetUp, outcomes_of
 
 KINDS = sum(map(len, DAMAGES.values()))
 """Number of kinds of damage: fields of a frame and sizes of the error."""

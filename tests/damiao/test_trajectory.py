@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from rigs.damiao_rig import export, swing, trajectory_file
 from robot_sysid.damiao.joints import MOTORS
 from robot_sysid.damiao.trajectory import (
     NO_LIMITS,
@@ -19,7 +20,6 @@ from robot_sysid.damiao.trajectory import (
     user_bounds,
 )
 from robot_sysid.errors import InputError
-from tests.support.damiao_rig import export, swing, trajectory_file
 
 
 def motion(samples=5, joints=2, dt=0.001, scale=1.0):

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rigs import arms
+from rigs.wrong_logs import truth_of
 from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records.messages import Progress
-from tests.support import arms
-from tests.support.wrong_logs import truth_of
 
 FOUR_AXES = (arms.Z, arms.Y, arms.Y, arms.X)
 JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from benchmarks.confusion_causes import resting_torque
+from rigs.wrong_logs import truth_of
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,
     turn_gravity,
 )
 from tests.diagnosis.conftest import findings_of
-from tests.support.wrong_logs import truth_of
 
 
 def of_joint(torque, joint):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigs.wrong_logs import truth_of
 from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
@@ -15,7 +16,6 @@ from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Level, Progress
 from robot_sysid.simulator import ArmTorque
 from tests.diagnosis.conftest import findings_of, read_log
-from tests.support.wrong_logs import truth_of
 
 
 @pytest.mark.parametrize("turned", [(0, 2), (1, 2), (0, 1, 3)])

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import robot_sysid
+from rigs import arms
+from rigs.log_files import JOINTS, motion
 from robot_sysid.diagnosis.limited_in_time import Stretch, failed_sensors, leave_out
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records.messages import Level
 from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, judged
-from tests.support import arms
-from tests.support.log_files import JOINTS, motion
 
 BEGIN, END = 4.0, 5.2
 """When a fault acts [s]."""

@@ -12,6 +12,11 @@ from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.real_arms import ARMS, DEVIATIONS, draw_arm
+from rigs import arms
+from rigs.log_files import JOINTS, arm_of, motion, read_measurements
+from rigs.places import DATA as real_logs
+from rigs.places import MODELS as public_models
+from rigs.wrong_logs import truth_of
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.gate import TRYING, require_acceptable
 from robot_sysid.diagnosis.log_checks import (
@@ -31,11 +36,6 @@ from robot_sysid.signals.resampling import slice_samples
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, judged
-from tests.support import arms
-from tests.support.log_files import JOINTS, arm_of, motion, read_measurements
-from tests.support.places import DATA as real_logs
-from tests.support.places import MODELS as public_models
-from tests.support.wrong_logs import truth_of
 
 SAMPLES = motion(2000)
 NOISY = replace(

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rigs import arms
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import steps
@@ -15,7 +16,6 @@ from robot_sysid.errors import ColumnsError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import read_columns_file, recognise_columns
 from robot_sysid.records.messages import Level
-from tests.support import arms
 
 ROBOT = arms.robot_of(arms.serial_arm(arms.SEVEN_AXES[:3]))
 NAMES = tuple(ROBOT.joint_names)

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigs.places import MODELS
+from rigs.wrong_logs import truth_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Level
 from tests.diagnosis.conftest import findings_of
 from tests.diagnosis.test_gate import swings
-from tests.support.places import MODELS
-from tests.support.wrong_logs import truth_of
 
 ARMS = {
     "ur5e": MODELS / "universal_robots_ur5e/ur5e.xml",

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
-from robot_sysid.dynamics import spatial
+from rigs import arms
+from rigs.arms import SEEDS, random_chain, rigid_bodies, robot_of
+from robot_sysid import spatial
 from robot_sysid.estimate.identifiability import VisibleSpace, visible_space
 from robot_sysid.model.bodies import composite_theta
 from robot_sysid.records import JointFriction, Measurement
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.solver import LastLinkTerms
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
-from tests.support import arms
-from tests.support.arms import SEEDS, random_chain, rigid_bodies, robot_of
 
 RATE = 40.0
 DURATION = 5.0

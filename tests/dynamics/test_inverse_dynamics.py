@@ -13,6 +13,9 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
+from rigs import arms
+from rigs.arms import SEEDS, random_chain, random_motion, rigid_bodies, robot_of
+from rigs.model_files import random_theta
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     BeyondRigidBodies,
@@ -23,15 +26,6 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.errors import InputError
 from robot_sysid.model.bodies import body_theta, composite_theta
-from tests.support import arms
-from tests.support.arms import (
-    SEEDS,
-    random_chain,
-    random_motion,
-    rigid_bodies,
-    robot_of,
-)
-from tests.support.model_files import random_theta
 
 SAMPLES = 4
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.core_fits import fit_logs, fit_recordings
-from tests.support.measured_logs import guess_model, log_of, true_arm
-from tests.support.payload_logs import TrueArm, four_joint_arm
+from rigs.core_fits import fit_logs, fit_recordings
+from rigs.measured_logs import guess_model, log_of, true_arm
+from rigs.payload_logs import TrueArm, four_joint_arm
 
 
 @pytest.fixture(scope="session")

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from robot_sysid.dynamics import spatial
+from rigs import arms
+from rigs.places import DATA
+from robot_sysid import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate import bodies
 from robot_sysid.estimate.bodies import LEAST_SHARE, consistent_least_squares
-from tests.support import arms
-from tests.support.places import DATA
 
 
 class Problem(NamedTuple):

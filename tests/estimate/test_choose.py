@@ -9,6 +9,20 @@ import pytest
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
+from rigs import arms
+from rigs.arms import SEEDS, rigid_bodies
+from rigs.core_fits import BASIC, NO_PRIORS, filter_logs, fit_recordings
+from rigs.measured_logs import XML, log_of, plan_of
+from rigs.notes import NoteRecorder
+from rigs.payload_logs import (
+    TrueArm,
+    add_noise,
+    add_torque,
+    four_joint_arm,
+    perturb_body,
+    wide_motion,
+)
+from rigs.releases import since
 from robot_sysid.estimate.choose import dry_friction, link_evidence, motors_of, solved
 from robot_sysid.estimate.links import (
     AS_STATED,
@@ -22,20 +36,6 @@ from robot_sysid.estimate.links import (
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question, scale_spread
 from robot_sysid.estimate.terms import LAST_LINK, LINKS, SCALES, ArmTerms
-from tests.support import arms
-from tests.support.arms import SEEDS, rigid_bodies
-from tests.support.core_fits import BASIC, NO_PRIORS, filter_logs, fit_recordings
-from tests.support.measured_logs import XML, log_of, plan_of
-from tests.support.notes import NoteRecorder
-from tests.support.payload_logs import (
-    TrueArm,
-    add_noise,
-    add_torque,
-    four_joint_arm,
-    perturb_body,
-    wide_motion,
-)
-from tests.support.releases import since
 
 ROBOT = four_joint_arm()
 

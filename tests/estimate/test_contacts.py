@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from tests.support.core_fits import fit_recordings
-from tests.support.payload_logs import (
+from rigs.core_fits import fit_recordings
+from rigs.payload_logs import (
     TrueArm,
     add_noise,
     add_torque,

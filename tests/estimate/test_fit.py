@@ -10,13 +10,33 @@ from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 
 import robot_sysid.records.usual_errors as usual_errors
-from robot_sysid.dynamics import spatial
+from rigs import arms
+from rigs.core_fits import (
+    BASIC,
+    NO_PRIORS,
+    NOISE_ONLY,
+    body_error,
+    fit_logs,
+    fit_recordings,
+)
+from rigs.measured_logs import seeded_log
+from rigs.payload_logs import (
+    PAYLOAD,
+    TrueArm,
+    add_noise,
+    add_torque,
+    exact_recording,
+    four_joint_arm,
+    four_joint_xml,
+    wide_motion,
+)
+from rigs.synthetic_data import autocorrelated, random_body
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,
     turn_gravity,
 )
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.estimate.choose import neighbours
 from robot_sysid.estimate.fit import Problem, correlation_times
 from robot_sysid.estimate.links import link_factor
@@ -35,27 +55,7 @@ from robot_sysid.estimate.terms import (
     ArmTerms,
     independent,
 )
-from tests.support import arms
-from tests.support.core_fits import (
-    BASIC,
-    NO_PRIORS,
-    NOISE_ONLY,
-    body_error,
-    fit_logs,
-    fit_recordings,
-)
-from tests.support.measured_logs import seeded_log
-from tests.support.payload_logs import (
-    PAYLOAD,
-    TrueArm,
-    add_noise,
-    add_torque,
-    exact_recording,
-    four_joint_arm,
-    four_joint_xml,
-    wide_motion,
-)
-from tests.support.synthetic_data import autocorrelated, random_body
+from robot_sysid.spatial import PARAMETER_NAMES
 
 ROBOT = four_joint_arm()
 JOINTS = ROBOT.joint_names

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from rigs import arms
+from rigs.core_fits import filter_logs, fit_recordings
+from rigs.measured_logs import XML, log_of, plan_of
 from robot_sysid.estimate.held_out import (
     held_out_logs,
     is_clearly_lower,
     predicted,
     validation,
 )
-from tests.support import arms
-from tests.support.core_fits import filter_logs, fit_recordings
-from tests.support.measured_logs import XML, log_of, plan_of
 
 BLOCKS = np.array([1.0, 2.0, 0.5, 1.0, 1.5])
 

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
+from rigs import arms
+from rigs.synthetic_data import arm_equations, sums_of, terminal_sums
 from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
 from robot_sysid.records import Measurement
 from robot_sysid.solver import LastLinkTerms
-from tests.support import arms
-from tests.support.synthetic_data import arm_equations, sums_of, terminal_sums
 
 
 def matrix_of(sums):

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robot_sysid.dynamics import spatial
+from rigs.core_fits import ORIGIN, fit_recordings
+from rigs.payload_logs import PAYLOAD, TrueArm, add_torque, four_joint_arm
+from robot_sysid import spatial
 from robot_sysid.estimate.payload import contradiction, payload_result, written_payload
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.records import Flange
 from robot_sysid.records.messages import with_error
 from robot_sysid.results.record import Verdict
-from tests.support.core_fits import ORIGIN, fit_recordings
-from tests.support.payload_logs import PAYLOAD, TrueArm, add_torque, four_joint_arm
 
 ROBOT = four_joint_arm()
 FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from robot_sysid.dynamics import spatial
+from rigs import arms
+from rigs.core_fits import filter_logs, fit_recordings
+from rigs.file_judge import torque_error
+from rigs.measured_logs import log_of, plan_of
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
     gravity_vector,
@@ -21,10 +25,6 @@ from robot_sysid.estimate.options import FILE_LINKS as LINKS
 from robot_sysid.estimate.options import FILE_ROTORS as ROTORS
 from robot_sysid.estimate.restricted_fit import errors_on, fit_file
 from robot_sysid.records import InertialParameters, SubtreeBody
-from tests.support import arms
-from tests.support.core_fits import filter_logs, fit_recordings
-from tests.support.file_judge import torque_error
-from tests.support.measured_logs import log_of, plan_of
 
 MIDDLE = np.array([0.0, 1.0, 0.0])
 WRIST = np.array([0.0, 1.0, 1.0])

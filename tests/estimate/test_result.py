@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from robot_sysid.dynamics import spatial
+from rigs import arms
+from rigs.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
+from rigs.imperfect_arm import ImperfectArm, Imperfections
+from rigs.measured_logs import XML, log_of, plan_of
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.restricted_fit import fit_file
@@ -18,10 +22,6 @@ from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Level
 from robot_sysid.results.record import LINK, Verdict
-from tests.support import arms
-from tests.support.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
-from tests.support.imperfect_arm import ImperfectArm, Imperfections
-from tests.support.measured_logs import XML, log_of, plan_of
 
 
 def fits_of(robot, log, kept=(), **options):

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
+from rigs.arms import SEEDS
+from rigs.payload_logs import TrueArm, four_joint_arm, wide_motion
 from robot_sysid.errors import InputError
 from robot_sysid.estimate import rows as rows_module
 from robot_sysid.estimate.rows import block_numbers
 from robot_sysid.estimate.terms import ArmTerms
-from tests.support.arms import SEEDS
-from tests.support.payload_logs import TrueArm, four_joint_arm, wide_motion
 
 ROBOT = four_joint_arm()
 ARM = ArmTerms(ROBOT, loaded=True)

@@ -10,23 +10,23 @@ import pytest
 from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 
-from robot_sysid.dynamics.friction import TERMS
-from robot_sysid.dynamics.inverse_dynamics import (
-    ArmDynamics,
-    gravity_vector,
-    turn_gravity,
-)
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
-from robot_sysid.estimate.choose import motors_of, neighbours
-from robot_sysid.estimate.terms import DELAY, PAYLOAD_NAMES, ArmTerms, Point
-from tests.support import arms
-from tests.support.payload_logs import (
+from rigs import arms
+from rigs.payload_logs import (
     UNFILTERED,
     exact_recording,
     four_joint_arm,
     perturb_body,
     wide_motion,
 )
+from robot_sysid.dynamics.friction import TERMS
+from robot_sysid.dynamics.inverse_dynamics import (
+    ArmDynamics,
+    gravity_vector,
+    turn_gravity,
+)
+from robot_sysid.estimate.choose import motors_of, neighbours
+from robot_sysid.estimate.terms import DELAY, PAYLOAD_NAMES, ArmTerms, Point
+from robot_sysid.spatial import PARAMETER_NAMES
 
 ARMS = {
     "four": four_joint_arm('range="-2 2" armature=".3"'),

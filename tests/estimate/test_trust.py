@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics import spatial
+from rigs import arms
+from rigs.core_fits import fit_logs
+from robot_sysid import spatial
 from robot_sysid.estimate import trust
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import Validation
 from robot_sysid.records.messages import Level
 from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
-from tests.support import arms
-from tests.support.core_fits import fit_logs
 
 SEVEN = arms.robot_of(arms.SEVEN)
 REACH = link_reach(SEVEN.mj_model, SEVEN.reference_qpos, SEVEN.body_id)

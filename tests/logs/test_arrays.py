@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from rigs import recorded
+from rigs.log_files import JOINTS, assert_refused, motion, read_measurements
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays
 from robot_sysid.logs.reader import open_table
 from robot_sysid.logs.table import ROWS
-from tests.support import recorded
-from tests.support.log_files import JOINTS, assert_refused, motion, read_measurements
 
 DATA = motion()
 COLUMNS = {"t": DATA.time[:, None], "q": DATA.q, "qd": DATA.qd, "tau": DATA.tau}

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from rigs.log_files import JOINTS, TITLES, motion, notes_of, read_table, table
 from robot_sysid.errors import InputError
-from tests.support.log_files import JOINTS, TITLES, motion, notes_of, read_table, table
 
 # Rows in which something is put that is no row of numbers; row k stands in line k + 2.
 RUBBISH = (9, 20, 31, 42, 53)

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.log_files import arm_of
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.logs import column_map
-from tests.support.log_files import arm_of
 
 JOINTS = ("joint0", "joint1", "joint2")
 UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")

@@ -14,11 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from robot_sysid.errors import InputError
-from robot_sysid.logs import LogOptions, arrays, reader
-from robot_sysid.records.messages import Progress
-from tests.support import recorded
-from tests.support.log_files import (
+from rigs import recorded
+from rigs.log_files import (
     JOINTS,
     arm_of,
     assert_refused,
@@ -28,7 +25,10 @@ from tests.support.log_files import (
     table,
     write,
 )
-from tests.support.model_files import LFS_POINTER, write_files
+from rigs.model_files import LFS_POINTER, write_files
+from robot_sysid.errors import InputError
+from robot_sysid.logs import LogOptions, arrays, reader
+from robot_sysid.records.messages import Progress
 
 DATA = motion(60)
 

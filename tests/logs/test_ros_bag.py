@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support import recorded
-from tests.support.log_files import JOINTS, assert_refused, motion, read_measurements
+from rigs import recorded
+from rigs.log_files import JOINTS, assert_refused, motion, read_measurements
 
 DATA = motion(60)
 

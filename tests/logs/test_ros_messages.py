@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rigs.driver_logs import START_NS, kortex_feedback, lbr_states, typestore
 from robot_sysid.logs.ros_messages import KORTEX, LBR, READERS, read_stamp
 from robot_sysid.records import Measurement
-from tests.support.driver_logs import START_NS, kortex_feedback, lbr_states, typestore
 
 ANGLES = np.array([0.1, -0.2, 3.0, -3.0, 0.0, 1.5, -1.5])
 DATA = Measurement(

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rigs.log_files import motion, notes_of, read_table, table
 from robot_sysid.errors import InputError
-from tests.support.log_files import motion, notes_of, read_table, table
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -10,11 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from robot_sysid.errors import InputError
-from robot_sysid.logs import text
-from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.records import Measurement
-from tests.support.log_files import (
+from rigs.log_files import (
     JOINTS,
     TITLES,
     assert_samples,
@@ -24,6 +20,10 @@ from tests.support.log_files import (
     table,
     write,
 )
+from robot_sysid.errors import InputError
+from robot_sysid.logs import text
+from robot_sysid.logs.text import write_measurement_csv
+from robot_sysid.records import Measurement
 
 NAMES = st.lists(
     st.text("abcXYZ019_-. #/", min_size=1, max_size=8).map(str.strip).filter(bool),

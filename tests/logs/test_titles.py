@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rigs.log_files import assert_refused, motion, read_measurements, write
 from robot_sysid.logs.titles import joint_quantity, read_title
-from tests.support.log_files import assert_refused, motion, read_measurements, write
 
 JOINTS = ("joint0", "joint1", "joint2")
 JOINTS4 = ("joint1", "joint2", "joint3", "joint4")

@@ -8,12 +8,12 @@ import sys
 import mujoco
 import pytest
 
+from rigs import urdf
+from rigs.model_files import LFS_POINTER, TETRAHEDRON, write_files
 from robot_sysid.errors import InputError
 from robot_sysid.mjcf.assets import find_assets, relocate
 from robot_sysid.mjcf.documents import read_document, reference
 from robot_sysid.model.compilation import compile_model
-from tests.support import urdf
-from tests.support.model_files import LFS_POINTER, TETRAHEDRON, write_files
 
 MESH = "<asset><mesh name='m' file='{}'/></asset>"
 USE = "<worldbody><body><geom type='mesh' mesh='m'/></body></worldbody>"

@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
+from rigs.model_files import ARM, document_of, write_files
 from robot_sysid.errors import InputError, ModelError
 from robot_sysid.mjcf.documents import read_document
-from tests.support.model_files import ARM, document_of, write_files
 
 BODY = "<mujoco><worldbody><body name='{}'/></worldbody></mujoco>"
 LAUGHS = """<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;">]>

@@ -8,7 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics import spatial
+from rigs.arms import random_rotation
+from rigs.model_files import ARM, document_of, random_theta, write_files
+from rigs.releases import IS_PRINCIPAL, since
+from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import put_inertial, read_document
 from robot_sysid.mjcf.inertial import (
@@ -27,9 +30,6 @@ from robot_sysid.mjcf.updated_model import (
 from robot_sysid.model.bodies import body_label, body_theta
 from robot_sysid.records import SubtreeBody
 from robot_sysid.results.verification import verify_written_model
-from tests.support.arms import random_rotation
-from tests.support.model_files import ARM, document_of, random_theta, write_files
-from tests.support.releases import IS_PRINCIPAL, since
 
 
 @pytest.mark.parametrize("principal", [True, False])

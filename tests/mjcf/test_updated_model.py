@@ -12,6 +12,17 @@ import mujoco
 import numpy as np
 import pytest
 
+from rigs import urdf
+from rigs.model_files import (
+    ARM,
+    INERTIAL,
+    TETRAHEDRON,
+    document_of,
+    random_theta,
+    write_files,
+)
+from rigs.places import SHARED
+from rigs.releases import IS_PRINCIPAL, since
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import plan_write_back
@@ -29,17 +40,6 @@ from robot_sysid.model.bodies import composite_theta, subtree_bodies
 from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.results.verification import verify_written_model
-from tests.support import urdf
-from tests.support.model_files import (
-    ARM,
-    INERTIAL,
-    TETRAHEDRON,
-    document_of,
-    random_theta,
-    write_files,
-)
-from tests.support.places import SHARED
-from tests.support.releases import IS_PRINCIPAL, since
 
 THETA = random_theta(np.random.default_rng(1), 2.0)
 

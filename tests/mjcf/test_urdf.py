@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from rigs import urdf
+from rigs.model_files import document_of, write_files
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.assets import find_assets, relocate
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.urdf import inertia_increases, make_compilable
-from tests.support import urdf
-from tests.support.model_files import document_of, write_files
 
 
 def compilable_urdf(document):

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.releases import MUJOCO, since
 from robot_sysid.model import actuators as module
-from tests.support.releases import MUJOCO, since
 
 JOINTS = ("a", "b", "c")
 ARM = """<mujoco><option gravity="0 0 0"/><worldbody>

@@ -6,7 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics import spatial
+from rigs import arms
+from rigs.arms import X, Y, Z, hinge, link, robot_of, serial_arm, world
+from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.model.bodies import (
@@ -15,8 +17,6 @@ from robot_sysid.model.bodies import (
     touching_by_design,
     update_contacts,
 )
-from tests.support import arms
-from tests.support.arms import X, Y, Z, hinge, link, robot_of, serial_arm, world
 
 
 @pytest.mark.parametrize("name", sorted(arms.MODELS))

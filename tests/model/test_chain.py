@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_sysid.errors import AmbiguousJointError, ModelError
-from robot_sysid.model import chain as module
-from tests.support import arms
-from tests.support.arms import (
+from rigs import arms
+from rigs.arms import (
     X,
     Y,
     Z,
@@ -21,6 +19,8 @@ from tests.support.arms import (
     serial_bodies,
     world,
 )
+from robot_sysid.errors import AmbiguousJointError, ModelError
+from robot_sysid.model import chain as module
 
 
 def terminal_of(xml):

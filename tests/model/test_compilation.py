@@ -12,18 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from robot_sysid.dynamics import spatial
-from robot_sysid.mjcf.inertial import mjcf_inertial, urdf_inertial_about_com
-from robot_sysid.model.bodies import body_theta, inertia_about_com
-from robot_sysid.model.compilation import compile_model, mjcf_of, restore_exact_inertias
-from tests.support import urdf
-from tests.support.model_files import (
+from rigs import urdf
+from rigs.model_files import (
     INERTIAL,
     TETRAHEDRON,
     assert_model_refused,
     random_theta,
     write_files,
 )
+from robot_sysid import spatial
+from robot_sysid.mjcf.inertial import mjcf_inertial, urdf_inertial_about_com
+from robot_sysid.model.bodies import body_theta, inertia_about_com
+from robot_sysid.model.compilation import compile_model, mjcf_of, restore_exact_inertias
 
 BODY = "<body name='b'><joint/>{}</body>"
 MESH_MODEL = """<mujoco><compiler meshdir="d"/><asset><mesh name="m" file="m.obj"/></asset>

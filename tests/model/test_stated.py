@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_sysid.dynamics import spatial
+from rigs import urdf
+from rigs.arms import compile_xml, robot_of
+from rigs.places import MODELS
+from rigs.releases import since
+from robot_sysid import spatial
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import KINDS
-from tests.support import urdf
-from tests.support.arms import compile_xml, robot_of
-from tests.support.places import MODELS
-from tests.support.releases import since
 
 MASS, CENTRE, INERTIA = KINDS
 MASSES = (5.0, 4.0, 2.5, 1.5, 0.9)

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs import urdf
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import urdf_inertial_about_com
 from robot_sysid.parser import load_robot_model
-from tests.support import urdf
 
 LINKS = {"l1": (3.0, 0.3), "l2": (2.0, 0.25), "l3": (1.2, 0.2), "l4": (0.4, 0.08)}
 """Mass [kg] and length [m] of boxes, one on the other."""

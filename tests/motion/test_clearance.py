@@ -10,12 +10,12 @@ import pytest
 from hypothesis import assume, given
 from numpy.random import default_rng
 
+from rigs import witness
+from rigs.arms import SEEDS, X, Y, Z, hinge, link, world
+from rigs.excitation_arms import TUBES_AND_POST, robot
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.clearance import KEPT_SHARE, Clearance
-from tests.support import witness
-from tests.support.arms import SEEDS, X, Y, Z, hinge, link, world
-from tests.support.excitation_arms import TUBES_AND_POST, robot
 
 KEEP = 0.01
 # Two balls: one turns about z at radius 0.3, one stands at the same radius.

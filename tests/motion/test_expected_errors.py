@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 
+from rigs import arms
+from rigs.excitation_arms import link_covariance, make_problem, robot
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import solved
@@ -23,8 +25,6 @@ from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from tests.motion.test_prediction import best_plan
-from tests.support import arms
-from tests.support.excitation_arms import link_covariance, make_problem, robot
 
 RATE = 250.0
 SIGMA = 0.01

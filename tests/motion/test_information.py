@@ -7,17 +7,12 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
+from rigs import arms
+from rigs.arms import random_motion
+from rigs.excitation_arms import known_arm, link_covariance, make_problem, slope
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
-from tests.support import arms
-from tests.support.arms import random_motion
-from tests.support.excitation_arms import (
-    known_arm,
-    link_covariance,
-    make_problem,
-    slope,
-)
 
 DEVIATIONS = np.array([np.inf, np.inf, np.inf, np.inf, 0.02, 0.03, 0.1])
 TARGETS = ("link", "arm", "payload")

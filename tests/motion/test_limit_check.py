@@ -12,14 +12,14 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
+from rigs import arms
+from rigs.arms import SEEDS
+from rigs.excitation_arms import TUBES_AND_POST, make_problem
 from robot_sysid.motion.clearance import Closest
 from robot_sysid.motion.limit_check import check_limits, first_contact, keeps_limits
 from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Motion
 from robot_sysid.trajectory import SineTrajectory
-from tests.support import arms
-from tests.support.arms import SEEDS
-from tests.support.excitation_arms import TUBES_AND_POST, make_problem
 
 
 def series(rest, coefficients, duration=0.4, fade=0.15):

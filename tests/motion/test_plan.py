@@ -8,15 +8,15 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
+from rigs import arms, witness
+from rigs.excitation_arms import TUBES, TUBES_AND_POST, options, robot
+from rigs.notes import NoteRecorder
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import save_trajectory
 from robot_sysid.trajectory import TrajectoryOptions
-from tests.support import arms, witness
-from tests.support.excitation_arms import TUBES, TUBES_AND_POST, options, robot
-from tests.support.notes import NoteRecorder
 
 DURATION = 4.0
 EXACT_LINKS = EstimationOptions(priors=Priors(link=0.0))

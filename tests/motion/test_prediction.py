@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 
+from rigs import arms, witness
+from rigs.excitation_arms import TUBES, make_design, make_problem, robot
 from robot_sysid.motion.expected_errors import centre_slopes
 from robot_sysid.motion.limit_check import check_limits
 from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.motion.search import draw_trajectory
 from robot_sysid.trajectory import generate_excitation_trajectory
-from tests.support import arms, witness
-from tests.support.excitation_arms import TUBES, make_design, make_problem, robot
 
 
 def best_plan(xml, seed=0, **changes):

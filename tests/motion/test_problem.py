@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from robot_sysid.dynamics import spatial
+from rigs import arms
+from rigs.arms import SEEDS, robot_of
+from rigs.excitation_arms import TUBES, make_problem, robot
+from robot_sysid import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.problem import _half_spaces, build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.simulator import ArmTorque
-from tests.support import arms
-from tests.support.arms import SEEDS, robot_of
-from tests.support.excitation_arms import TUBES, make_problem, robot
 
 
 def limited_arm(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf):

@@ -11,6 +11,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import default_rng
 
+from rigs import arms, witness
+from rigs.arms import SEEDS
+from rigs.excitation_arms import (
+    DURATION,
+    TOUCHING_AT_REST,
+    TUBES_AND_POST,
+    TUBES_ON_FLOOR,
+    known_arm,
+    link_covariance,
+    make_design,
+    make_problem,
+    options,
+    random_x,
+    robot,
+    slope,
+)
+from rigs.notes import NoteRecorder
 from robot_sysid.errors import InputError
 from robot_sysid.motion import search
 from robot_sysid.motion.information import Criterion
@@ -27,23 +44,6 @@ from robot_sysid.motion.search import (
 )
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
-from tests.support import arms, witness
-from tests.support.arms import SEEDS
-from tests.support.excitation_arms import (
-    DURATION,
-    TOUCHING_AT_REST,
-    TUBES_AND_POST,
-    TUBES_ON_FLOOR,
-    known_arm,
-    link_covariance,
-    make_design,
-    make_problem,
-    options,
-    random_x,
-    robot,
-    slope,
-)
-from tests.support.notes import NoteRecorder
 
 ARMS = (
     arms.SLIDE_IN_CHAIN,

@@ -11,9 +11,9 @@ from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
+from rigs.arms import SEEDS, X, Z, compile_xml, hinge, link, world
+from rigs.excitation_arms import robot
 from robot_sysid.motion.solids import solids_of, tool_corners, unguarded_links
-from tests.support.arms import SEEDS, X, Z, compile_xml, hinge, link, world
-from tests.support.excitation_arms import robot
 
 SIZE = np.array([0.3, 0.2, 0.5])
 SHAPES = ("sphere", "capsule", "ellipsoid", "cylinder", "box")

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from rigs.arms import X, Y, Z, robot_of
+from rigs.excitation_arms import TUBES, make_problem, tube_arm
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions, starts
 from robot_sysid.motion.problem import build_problem
-from tests.support.arms import X, Y, Z, robot_of
-from tests.support.excitation_arms import TUBES, make_problem, tube_arm
 
 SHELF = '<body name="shelf" pos="0 0 {}"><geom type="box" size=".3 .3 .01"/></body>'
 TOP = 4 * 0.25 + 0.23

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
+from rigs.arms import SEEDS
 from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import (
     LineTrajectory,
@@ -22,7 +23,6 @@ from robot_sysid.motion.trajectories import (
     save_trajectory,
 )
 from robot_sysid.trajectory import SineTrajectory
-from tests.support.arms import SEEDS
 
 NAMES = ("base", "elbow", "wrist")
 

@@ -8,7 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from robot_sysid.dynamics import spatial
+from rigs.core_fits import fit_recordings
+from rigs.measured_logs import XML, log_of
+from rigs.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
+from robot_sysid import spatial
 from robot_sysid.errors import InputError
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
@@ -16,9 +19,6 @@ from robot_sysid.pipeline import comparison
 from robot_sysid.pipeline.comparison import ALL_JOINTS, changes, compare_runs, sentences
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import write_torque_scale
-from tests.support.core_fits import fit_recordings
-from tests.support.measured_logs import XML, log_of
-from tests.support.payload_logs import TrueArm, add_noise, four_joint_arm, wide_motion
 
 ROBOT = four_joint_arm()
 BODY = spatial.theta_from_com(0.2, np.array([0.03, -0.02, 0.1]), 1e-4 * np.eye(3))

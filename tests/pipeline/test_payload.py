@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rigs.measured_logs import XML, log_of
 from robot_sysid.config import PayloadConfig
 from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
@@ -20,7 +21,6 @@ from robot_sysid.pipeline import recordings, stages
 from robot_sysid.pipeline.recordings import is_drift_identifiable, order_positions
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
-from tests.support.measured_logs import XML, log_of
 
 
 def recording(start: float) -> SimpleNamespace:

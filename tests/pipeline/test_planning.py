@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rigs import arms
 from robot_sysid.config import MotorOptions, PlanConfig
 from robot_sysid.errors import InputError
 from robot_sysid.motion import starts
@@ -24,7 +25,6 @@ from robot_sysid.pipeline.planning import (
 )
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import SineTrajectory
-from tests.support import arms
 
 XML = arms.serial_arm((arms.Z, arms.Y), joint='range="-2 2" frictionloss=".4"')
 

@@ -10,8 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rigs import arms, results
+from rigs.measured_logs import plan_of, true_arm
+from rigs.places import GUESS
+from rigs.results import theta_in
+from robot_sysid import spatial
 from robot_sysid.config import IdentifyConfig, SelfTestConfig
-from robot_sysid.dynamics import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion.trajectories import load_trajectory
@@ -27,10 +31,6 @@ from robot_sysid.records.messages import Progress
 from robot_sysid.results.quantities import BEYOND, MOMENT
 from robot_sysid.results.record import Quantity, Verdict
 from robot_sysid.trajectory import CHUNK
-from tests.support import arms, results
-from tests.support.measured_logs import plan_of, true_arm
-from tests.support.places import GUESS
-from tests.support.results import theta_in
 
 XML = arms.serial_arm(
     (arms.Z, arms.Y, arms.X), joint='range="-2.5 2.5" frictionloss=".4" damping=".1"'

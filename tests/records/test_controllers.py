@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from rigs import results as made
 from robot_sysid.records.controllers import makers_of
-from tests.support import results as made
 
 
 def arm_called(model="", path="somewhere/arm.xml", joints=("j5", "j6")):

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from rigs.model_files import LFS_POINTER
+from rigs.places import ROOT
 from robot_sysid.errors import InputError
 from robot_sysid.records.file_access import (
     atomic_files,
@@ -24,8 +26,6 @@ from robot_sysid.records.file_access import (
     refuse_special_file,
     write_atomically,
 )
-from tests.support.model_files import LFS_POINTER
-from tests.support.places import ROOT
 
 NAMES = ("model.xml", "b.csv", "a.json")
 """Names of a set of files in the order of drafting: the first is moved into the folder last."""

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import robot_sysid
+from rigs.places import ROOT
 from robot_sysid.records import installation
-from tests.support.places import ROOT
 
 WHEEL = f"robot_sysid-{robot_sysid.__version__}-py3-none-any.whl"
 

@@ -1,5 +1,5 @@
 """Pages of small arms, made once."""
 
-from tests.support.reports import link_run, page
+from rigs.reports import link_run, page
 
 __all__ = ["link_run", "page"]

@@ -10,13 +10,13 @@ from html.parser import HTMLParser
 import pytest
 from markupsafe import escape
 
+from rigs import results as made
+from rigs.reports import payload_result, saved
 from robot_sysid.errors import InputError
 from robot_sysid.report.drawing import COLOURS
 from robot_sysid.report.page import COMPARISON_NAME, REPORT_NAME, write_report
 from robot_sysid.report.runs import load_run
 from robot_sysid.results.record import Verdict
-from tests.support import results as made
-from tests.support.reports import payload_result, saved
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rigs import arms
 from robot_sysid.report import studio
 from robot_sysid.report.pictures import pictures
 from robot_sysid.report.runs import load_run
-from tests.support import arms
 
 ORANGE = (0.90, 0.45, 0.05, 0.45)
 needs_renderer = pytest.mark.skipif(

@@ -15,16 +15,16 @@ from lxml import etree
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from robot_sysid.dynamics import spatial
+from rigs import results as made
+from rigs.arms import SEEDS
+from rigs.bodies import COVARIANCE, SHAPES, body_estimate, random_body
+from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.records import Flange
 from robot_sysid.records.controllers import CHOICES
 from robot_sysid.results.cards import NOT_KNOWN, card_text, number_groups
 from robot_sysid.results.quantities import load_errors
 from robot_sysid.results.record import Payload
-from tests.support import results as made
-from tests.support.arms import SEEDS
-from tests.support.bodies import COVARIANCE, SHAPES, body_estimate, random_body
 
 FLANGE = Flange("site 'tool'", np.eye(3), np.array([0.0, 0.0, 0.107]), "link7")
 EXACT = np.eye(10) * 1e-40

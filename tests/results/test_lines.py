@@ -6,11 +6,11 @@ import re
 
 import pytest
 
+from rigs import results as made
 from robot_sysid.records.messages import Detail, Level
 from robot_sysid.results import lines as module
 from robot_sysid.results.content import content_of
 from robot_sysid.results.record import Verdict
-from tests.support import results as made
 
 
 def block_lines(result, links=False):

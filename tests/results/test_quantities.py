@@ -7,15 +7,15 @@ import pytest
 from hypothesis import assume, given
 from numpy.testing import assert_allclose
 
-from robot_sysid.dynamics import spatial
+from rigs.arms import SEEDS
+from rigs.bodies import body_estimate, random_body
+from robot_sysid import spatial
 from robot_sysid.results.quantities import (
     CENTRAL,
     is_inertia_known,
     load_errors,
     principal_moments,
 )
-from tests.support.arms import SEEDS
-from tests.support.bodies import body_estimate, random_body
 
 
 def random_body_estimate(seed):

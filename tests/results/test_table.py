@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pytest import approx
 
+from rigs import results as made
 from robot_sysid.records.file_access import strict_json
 from robot_sysid.results.content import content_of
 from robot_sysid.results.quantities import BEYOND, MOMENT, body_quantities
@@ -25,7 +26,6 @@ from robot_sysid.results.table import (
     largest_changes,
     table_lines,
 )
-from tests.support import results as made
 
 NUMBERS = st.floats(1e-9, 1e3) | st.floats(-1e3, -1e-9)
 

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from robot_sysid.dynamics import spatial
+from rigs import arms
+from rigs.model_files import ARM, random_theta, write_files
+from rigs.releases import IS_PRINCIPAL
+from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import mjcf_inertial, plan_write_back
 from robot_sysid.mjcf.updated_model import (
@@ -31,9 +34,6 @@ from robot_sysid.results.verification import (
     require_theta,
     verify_written_model,
 )
-from tests.support import arms
-from tests.support.model_files import ARM, random_theta, write_files
-from tests.support.releases import IS_PRINCIPAL
 
 # Damping ratios came with MuJoCo 3.1.
 RATIO = "" if mujoco.__version__.startswith("3.0.") else 'dampratio="1"'

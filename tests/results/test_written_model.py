@@ -20,10 +20,12 @@ from lxml import etree
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx
 
-from robot_sysid import records
-from robot_sysid.dynamics import spatial
+from rigs import arms, urdf
+from rigs import results as made
+from rigs.model_files import ARM, random_theta, write_files
+from rigs.releases import since
+from robot_sysid import records, spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.dynamics.spatial import PARAMETER_NAMES
 from robot_sysid.errors import ExportError
 from robot_sysid.estimate.choose import coupling, motors_of
 from robot_sysid.model.bodies import body_theta, composite_theta, find_flange
@@ -35,10 +37,7 @@ from robot_sysid.results import written_model as model_module
 from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.written_model import write_model
 from robot_sysid.simulator import ArmTorque
-from tests.support import arms, urdf
-from tests.support import results as made
-from tests.support.model_files import ARM, random_theta, write_files
-from tests.support.releases import since
+from robot_sysid.spatial import PARAMETER_NAMES
 
 MJCF = ARM.replace(
     '<body name="tool" pos="0 0 0.1" euler="10 20 30">',

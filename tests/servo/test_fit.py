@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigs.arms import robot_of
+from rigs.servo_logs import commanded, positions
 from robot_sysid.records import Measurement
 from robot_sysid.servo.fit import LINK_ERROR, fit_servos, refine_played
 from robot_sysid.servo.windows import ServoProblem, rms
@@ -13,8 +15,6 @@ from robot_sysid.simulation.playback import (
     ServoRollouts,
     servos_in_model,
 )
-from tests.support.arms import robot_of
-from tests.support.servo_logs import commanded, positions
 
 ARM = """<mujoco><worldbody><body>
 <joint name="lift" axis="0 1 0" range="-2 2" damping=".1"/>

@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from rigs import schemas, urdf
+from rigs.model_files import write_files
+from rigs.notes import NoteRecorder
+from rigs.servo_logs import XML, commanded, positions, write
 from robot_sysid import servo
 from robot_sysid.errors import InputError
 from robot_sysid.logs import FittedLogOptions
@@ -23,10 +27,6 @@ from robot_sysid.simulation.playback import (
     ServoRollouts,
     servos_in_model,
 )
-from tests.support import schemas, urdf
-from tests.support.model_files import write_files
-from tests.support.notes import NoteRecorder
-from tests.support.servo_logs import XML, commanded, positions, write
 
 URDF = urdf.robot(urdf.serial(dict.fromkeys(("l1", "l2"), urdf.inertial())))
 GAIN = 50.0

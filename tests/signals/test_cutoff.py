@@ -9,9 +9,9 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
+from rigs.swing import FREQUENCIES, Swing, processed, seconds
 from robot_sysid.records import Measurement
 from robot_sysid.signals.cutoff import choose_cutoff
-from tests.support.swing import FREQUENCIES, Swing, processed, seconds
 
 
 def cutoff_of(q, rate):

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
+from rigs.swing import seconds
 from robot_sysid.errors import InputError
 from robot_sysid.signals.filters import REACH, derivatives, design_low_pass
-from tests.support.swing import seconds
 
 
 @given(st.floats(1.0, 60.0), st.integers(0, 900), st.integers(0))

@@ -10,6 +10,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
+from rigs.swing import Swing, processed, seconds
 from robot_sysid.errors import InputError
 from robot_sysid.records import Measurement
 from robot_sysid.signals.process import (
@@ -18,7 +19,6 @@ from robot_sysid.signals.process import (
     check_losses,
     turning_samples,
 )
-from tests.support.swing import Swing, processed, seconds
 
 assert_close = partial(assert_allclose, rtol=0.0)
 """Compare arrays within the absolute tolerance ``atol`` alone."""

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
+from rigs.arms import SEEDS
+from rigs.swing import Swing, seconds
 from robot_sysid.records import Measurement
 from robot_sysid.signals import resampling
 from robot_sysid.signals.resampling import (
@@ -20,8 +22,6 @@ from robot_sysid.signals.resampling import (
     resample_uniformly,
     split_at_gaps,
 )
-from tests.support.arms import SEEDS
-from tests.support.swing import Swing, seconds
 
 assert_close = partial(assert_allclose, rtol=0.0)
 """Compare arrays within the absolute tolerance ``atol`` alone."""

@@ -7,6 +7,9 @@ import copy
 import numpy as np
 import pytest
 
+from rigs import arms
+from rigs.arms import THREE, X, Y, Z, random_motion, robot_of, serial_arm
+from rigs.measured_logs import plan_of
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError, SimulationError
 from robot_sysid.parser import load_robot_model
@@ -20,9 +23,6 @@ from robot_sysid.simulation.plant import (
     plant_measurements,
 )
 from robot_sysid.simulator import simulate_inverse
-from tests.support import arms
-from tests.support.arms import THREE, X, Y, Z, random_motion, robot_of, serial_arm
-from tests.support.measured_logs import plan_of
 
 RATE = 200.0
 

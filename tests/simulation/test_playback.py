@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from rigs.arms import MODELS, SEVEN, X, Y, Z, robot_of, serial_arm
+from rigs.releases import since
+from rigs.servo_logs import SERVOS, TRUTH, XML, commanded
 from robot_sysid.simulation import playback
 from robot_sysid.simulation.plant import set_chain_state
-from tests.support.arms import MODELS, SEVEN, X, Y, Z, robot_of, serial_arm
-from tests.support.releases import since
-from tests.support.servo_logs import SERVOS, TRUTH, XML, commanded
 
 
 def random_inputs(rollouts, count=4, steps=30):

@@ -18,10 +18,10 @@ from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
+from robot_sysid.pipeline.next_steps import step_with_motion
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
 from robot_sysid.records.option_fields import command_arguments
-from robot_sysid.results.next_steps import step_with_motion
 
 USUAL_CHANNEL = "can0"
 """CAN interface in a printed command where the user has named none."""

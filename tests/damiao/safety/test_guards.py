@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.clocks import ScriptedClock
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import damiao_joints
@@ -26,7 +27,6 @@ from robot_sysid.damiao.safety.guards import (
 )
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import HardwareAbort, SysidError
-from tests.support.clocks import ScriptedClock
 
 PEAK = 27.0
 STEP = 0.005

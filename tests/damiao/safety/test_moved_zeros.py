@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rigs import arms
+from rigs.places import DATA
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
-from tests.support import arms
-from tests.support.places import DATA
 
 ZERO_JOINTS = damiao_joints(["DM4340", "DM4340", "DM4310"], 3)
 PERIOD = 0.02

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rigs.motor_bench import undoubted
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
@@ -12,7 +13,6 @@ from robot_sysid.damiao.safety.guards import NO_STATUS
 from robot_sysid.damiao.safety.observer import Observer
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
-from tests.support.motor_bench import undoubted
 
 JOINTS = damiao_joints(["DM4340"] * 2, 2)
 STEPS = np.full(2, 4e-4), np.array([0.1, 0.1]), np.full(2, 0.0137)

@@ -1,0 +1,72 @@
+"""Shared by all tests: the hypothesis profile and fixtures for the arms of ``rigs.arms``."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+
+import pytest
+from hypothesis import Phase, settings
+
+from rigs import arms
+from rigs.command_line import CommandLine
+from robot_sysid.model.compilation import captured_warnings
+
+settings.register_profile("deep", max_examples=200, deadline=None)
+# The same examples each time, so that a tree's verdict does not depend on luck.
+settings.register_profile("repeatable", settings.get_profile("deep"), derandomize=True)
+settings.register_profile("few", settings.get_profile("repeatable"), max_examples=10)
+# A mutant is dead with the first example against it; looking for the smallest one takes minutes.
+settings.register_profile(
+    "mutants",
+    settings.get_profile("repeatable"),
+    phases=(Phase.explicit, Phase.generate),
+    database=None,
+    report_multiple_bugs=False,
+)
+settings.load_profile("few")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config):
+    """Let --benchmark-enable and --benchmark-only count, though benchmarks are off by default."""
+    wanted = config.getoption("benchmark_enable") or config.getoption("benchmark_only")
+    config.option.benchmark_skip = config.getoption("benchmark_skip") and not wanted
+
+
+def pytest_collection_finish(session):
+    """Let the garbage collector pass over what stays: players of motions collect before each."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture
+def arm_file(tmp_path):
+    """Factory: write an XML string to a file and return its path."""
+
+    def write(xml: str, name: str = "arm.xml") -> Path:
+        path = tmp_path / name
+        path.write_text(xml)
+        return path
+
+    return write
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quiet_mujoco():
+    """Keep MuJoCo from writing about needle-shaped links: a line each and a log file."""
+    with captured_warnings():
+        yield
+
+
+@pytest.fixture
+def three_joint_arm():
+    """A small arm whose three joints turn about z, y and x."""
+    return arms.robot_of(arms.THREE)
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch, capsys):
+    """The command line, in an empty working folder."""
+    monkeypatch.chdir(tmp_path)
+    return CommandLine(tmp_path, capsys)

@@ -1,0 +1,48 @@
+"""Fits of small arms whose truth is known, for tests of the core."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rigs.measured_logs import CUTOFF
+from robot_sysid import spatial
+from robot_sysid.dynamics.friction import DEFAULT_MEASURED
+from robot_sysid.estimate.choose import solved
+from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.questions import Question
+from robot_sysid.estimate.rows import Piece, low_pass_recordings
+from robot_sysid.records import DataOrigin
+
+BASIC = DEFAULT_MEASURED
+"""The friction terms that are estimated of every joint."""
+NO_PRIORS = Priors(link=0.0, scale=0.0, zero=0.0, gravity=0.0, delay=0.0, friction=0.0)
+"""Priors with which torque noise is the only source of error."""
+NOISE_ONLY = {"priors": NO_PRIORS}
+"""Options with which torque noise is the only source of error."""
+ORIGIN = DataOrigin("log a log", 10.0, 200.0)
+
+
+def fit_recordings(robot, recordings, options=None, beside=None, **question):
+    """Return the fit of recordings; ``question`` are the further fields of ``Question``."""
+    question = Question(options or EstimationOptions(), **question)
+    return solved(robot, recordings, question, beside=beside)
+
+
+def filter_logs(robot, *logs, cutoff=CUTOFF):
+    """Return the low-passed recordings of measurements."""
+    pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
+    return low_pass_recordings(robot, pieces, cutoff)[0]
+
+
+def fit_logs(robot, *logs, **options):
+    """Return the fit of measurements of the arm alone."""
+    return fit_recordings(
+        robot, filter_logs(robot, *logs), EstimationOptions(**options)
+    )
+
+
+def body_error(theta, true_theta):
+    """Return the largest error of a body (10,), relative to its true mass and size."""
+    length = spatial.characteristic_length(true_theta)
+    scale = spatial.parameter_scale(true_theta[0], length)
+    return float(np.max(np.abs(theta - true_theta) / scale))

@@ -1,0 +1,130 @@
+"""Small logs for tests: a smooth motion of a few joints, written as the test wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rigs import arms
+from robot_sysid.errors import InputError
+from robot_sysid.logs import LogOptions
+from robot_sysid.logs.reader import MeasurementLog, open_log
+from robot_sysid.records import JointLimits, Measurement, RobotModel
+
+JOINTS = ("base", "elbow", "wrist")
+TITLES = ("time", "q1", "q2", "q3", "tau1", "tau2", "tau3")
+
+
+def motion(n: int = 400, rate: float = 200.0) -> Measurement:
+    """Three joints swinging within 1 rad, with exact velocity."""
+    time = np.arange(n) / rate
+    omega = 2.0 * np.pi * np.array([0.5, 0.7, 1.1])
+    phase = np.outer(time, omega) + [0.3, 0.9, 0.1]
+    tau = np.sin(3.0 * phase) + [1.0, 2.0, 3.0]
+    return Measurement(time, 0.9 * np.sin(phase), 0.9 * omega * np.cos(phase), tau)
+
+
+def table(data: Measurement) -> np.ndarray:
+    """Columns time, positions, torques."""
+    return np.column_stack((data.time, data.q, data.tau))
+
+
+def write(
+    path: Path,
+    rows: np.ndarray | Sequence[Sequence[object]],
+    titles: Sequence[str] = TITLES,
+    separator: str = ",",
+) -> Path:
+    """Write titles and rows; floats with every digit."""
+    lines = [separator.join(titles)] if titles else []
+    lines += [separator.join(_text(cell) for cell in row) for row in rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def limits(reach: float = 2.0, count: int = 3) -> JointLimits:
+    """Symmetric limits of some joints."""
+    full = np.full(count, reach)
+    return JointLimits(-full, full, np.full(count, 10.0), np.full(count, np.inf))
+
+
+def arm_of(
+    names: Sequence[str],
+    joint_limits: JointLimits | None = None,
+    is_slide: Sequence[bool] = (),
+) -> RobotModel:
+    """An arm with such joints; hinges without limits where nothing else is said."""
+    count = len(names)
+    return replace(
+        _serial_robot(count),
+        joint_names=tuple(names),
+        limits=joint_limits or limits(np.inf, count),
+        is_slide=np.array(is_slide or [False] * count),
+    )
+
+
+@cache
+def _serial_robot(count: int) -> RobotModel:
+    """An arm of as many joints."""
+    return arms.robot_of(arms.serial_arm((arms.Y,) * count))
+
+
+def _text(cell: object) -> str:
+    return repr(float(cell)) if isinstance(cell, float) else str(cell)
+
+
+def read_measurements(
+    path: Path,
+    joint_names: Sequence[str],
+    limits: JointLimits | None = None,
+    is_slide: Sequence[bool] = (),
+    **options: Any,
+) -> MeasurementLog:
+    """Read a log with options such as columns or units."""
+    return open_log(arm_of(joint_names, limits, is_slide), path, LogOptions(**options))
+
+
+def assert_refused(
+    message: str, path: Path, joint_names: Sequence[str] = JOINTS, **options: Any
+) -> str:
+    """Assert that a log is refused in one line that matches, and return the line."""
+    with pytest.raises(InputError, match=message) as caught:
+        read_measurements(path, joint_names, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def read_table(
+    folder: Path, rows: Any, titles: Sequence[str] = TITLES, **options: Any
+) -> MeasurementLog:
+    """Write rows as a log of JOINTS and read it with options."""
+    return read_measurements(write(folder / "log.csv", rows, titles), JOINTS, **options)
+
+
+def notes_of(log: MeasurementLog) -> str:
+    """The notes beyond the layout and the columns."""
+    return " | ".join(note for note in log.notes if not note.startswith("log "))
+
+
+def assert_samples(
+    expected: Measurement,
+    samples: Measurement,
+    names: Sequence[str] = ("time", "q", "qd", "tau", "qdd", "joint_time"),
+    atol: float = 0.0,
+) -> None:
+    """Compare the arrays of two measurements; one that is None must be None in both."""
+    for name in names:
+        array = getattr(expected, name)
+        if array is None:
+            assert getattr(samples, name) is None, name
+        else:
+            np.testing.assert_allclose(
+                getattr(samples, name), array, rtol=0.0, atol=atol, err_msg=name
+            )

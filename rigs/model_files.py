@@ -1,0 +1,87 @@
+"""Small model files for the tests that read and write them, and where the large ones are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_sysid import spatial
+from robot_sysid.errors import ModelError
+from robot_sysid.mjcf.documents import ModelDocument, read_document
+from robot_sysid.model.compilation import compile_model
+
+TETRAHEDRON = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1
+f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"""
+
+INERTIAL = "<inertial pos='0.01 0.02 0.03' mass='0.5' diaginertia='2e-3 3e-3 4e-3'/>"
+
+ARM = f"""<mujoco model="two links">
+  <!-- a comment -- with dashes -->
+  <worldbody>
+    <body name="base">
+      <geom size="0.1"/>
+      <body name="link1" pos="0 0 0.2">
+        <joint name="j1" axis="0 1 0"/>
+        {INERTIAL}
+        <body name="link2"   pos="0 0 0.3"
+              quat="1 0.1 0 0">
+          <joint name="j2" axis="1 0 0"/>
+          <inertial pos="0 0 0.1" quat="0.9 0.1 0.2 0.3" mass="1.5"
+                    diaginertia="2e-3 3e-3 4e-3"/>
+          <geom type="capsule" size="0.02 0.1"/>
+          <body name="tool" pos="0 0 0.1" euler="10 20 30">
+            <inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>
+          </body>
+          <body name="finger" pos="0 0.05 0.1">
+            <joint name="grip" type="slide"/>
+            <inertial pos="0 0 0" mass="0.1" diaginertia="1e-5 1e-5 1e-5"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+LFS_POINTER = (
+    f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 9\n"
+)
+"""What Git leaves in the place of a large file that was not fetched."""
+
+
+def write_files(folder: Path, files: dict[str, str]) -> Path:
+    """Write files given by relative name; return the first one's path."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content.encode())
+    return folder / next(iter(files))
+
+
+def document_of(folder: Path, text: str, name: str = "m.xml") -> ModelDocument:
+    """Write a model file, and return it as it is read."""
+    return read_document(write_files(folder, {name: text}))
+
+
+def assert_model_refused(message: str, path: Path, mesh_dir: Path | None = None) -> str:
+    """Assert that a model file is refused in one line that matches, and return the line."""
+    with pytest.raises(ModelError, match=message) as caught:
+        compile_model(path, mesh_dir)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def random_theta(
+    rng: np.random.Generator, mass: float = 1.0, size: float = 0.1
+) -> np.ndarray:
+    """theta of a random rigid body of this mass [kg] and size [m], anywhere near its origin."""
+    factor = rng.normal(size=(4, 4))
+    pseudo = factor @ factor.T + 0.02 * np.eye(4)
+    scale = np.diag([size, size, size, 1.0])
+    return spatial.theta_from_pseudo_inertia(
+        mass * scale @ pseudo @ scale / pseudo[3, 3]
+    )

@@ -1,0 +1,298 @@
+"""The same motion in every form that recordings come in, each written by the form's own library."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rigs.log_files import JOINTS, write
+from robot_sysid.logs.ros_messages import DEFINITIONS, DYNAMIC, FRANKA, KORTEX, STATE
+from robot_sysid.records import Measurement
+
+START_NS = 1_700_000_000 * 10**9
+"""Time at which recordings begin [ns since 1970]."""
+_LATENCY_NS = 400_000
+"""Time from a message's stamp until it was recorded [ns]."""
+INTERFACES = ("position", "velocity", "effort")
+ORDERS = ([2, 0, 1], [1, 0, 2], [2, 0, 1])
+"""Order of ``INTERFACES`` in a joint's message, for each joint."""
+_DEFINITIONS = {
+    # The fields of the real message that stand before and behind the one that is read.
+    FRANKA: "std_msgs/Header header\nsensor_msgs/JointState measured_joint_state\n"
+    "sensor_msgs/JointState desired_joint_state\nfloat64 time\n",
+    "kortex_driver/msg/ActuatorFeedback": "uint32 command_id\nuint32 status_flags\n"
+    "uint32 jitter_comm\nfloat32 position\nfloat32 velocity\nfloat32 torque\n"
+    "float32 current_motor\nfloat32 voltage\nfloat32 temperature_motor\n"
+    "float32 temperature_core\nuint32 fault_bank_a\nuint32 fault_bank_b\n"
+    "uint32 warning_bank_a\nuint32 warning_bank_b\n",
+    # The real message has the base's and the interconnect's feedback, too.
+    KORTEX: "uint32 frame_id\nActuatorFeedback[] actuators\n",
+}
+
+
+def typestore(storage: str = ""):
+    """The message types of a ROS release, of ROS 1 for "ROS1", and those that tests need."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(
+        Stores.ROS1_NOETIC if storage == "ROS1" else Stores.ROS2_HUMBLE
+    )
+    for name, text in {**DEFINITIONS, **_DEFINITIONS}.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def header(types, time: float):
+    """A time in 2023, with nanoseconds that a float of seconds does not hold."""
+    seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
+    seconds += START_NS // 10**9
+    stamp = types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
+    header_type = types["std_msgs/msg/Header"]
+    sequence = (0,) if "seq" in header_type.__annotations__ else ()
+    return header_type(*sequence, stamp, "base")
+
+
+def joint_state(types, time, names, q, qd, tau):
+    """A JointState; ``None`` leaves a list empty."""
+    lists = [np.asarray([] if v is None else v, float) for v in (q, qd, tau)]
+    return types[STATE](header(types, time), list(names), *lists)
+
+
+def shuffled_states(types, data: Measurement, names=JOINTS):
+    """The arm's messages, in an order that changes, with a gripper's between them."""
+    rng = np.random.default_rng(1)
+    for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
+        order = rng.permutation(len(names))
+        listed = [names[k] for k in order]
+        yield joint_state(types, time, listed, q[order], qd[order], tau[order])
+        yield joint_state(types, time, ["finger"], [0.01], [0.0], [1.0])
+
+
+def write_bag(path: Path, topics, store, storage="SQLITE3") -> Path:
+    """A bag; ``topics`` are (name, type, messages), see ``_written``.
+
+    ``storage``: "SQLITE3" or "MCAP" of ROS 2, or "ROS1".
+    """
+    if storage == "ROS1":
+        from rosbags.rosbag1 import Writer
+
+        path = path.with_suffix(".bag")
+        return _written(path, Writer(path), topics, store, store.serialize_ros1)
+    import rosbags.rosbag2 as rosbag2
+
+    plugins = getattr(rosbag2, "StoragePlugin", None)
+    if plugins is None and storage != "SQLITE3":
+        pytest.skip("the last rosbags for Python 3.9 writes .db3 only")
+    options = {"version": 9, "storage_plugin": plugins[storage]} if plugins else {}
+    writer = rosbag2.Writer(path, **options)
+    return _written(path, writer, topics, store, store.serialize_cdr)
+
+
+def _written(path: Path, writer, topics, store, serialize) -> Path:
+    """Messages are 1 ms apart, or recorded a while behind the time [s] that comes with each."""
+    with writer:
+        for topic, message_type, messages in topics:
+            connection = writer.add_connection(topic, message_type, typestore=store)
+            for count, message in enumerate(messages):
+                received = 10**9 + count * 10**6
+                if isinstance(message, tuple):
+                    time, message = message
+                    received = START_NS + round(1e9 * time) + _LATENCY_NS
+                writer.write(connection, received, serialize(message, message_type))
+    return path
+
+
+def rosbag(folder: Path, data: Measurement, storage: str = "SQLITE3") -> Path:
+    store = typestore(storage)
+    topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
+    return write_bag(folder / "bag", topics, store, storage)
+
+
+def single_mcap(folder: Path, data: Measurement) -> Path:
+    """The .mcap file alone, without its folder's metadata."""
+    (file,) = rosbag(folder, data, "MCAP").glob("*.mcap")
+    return file.rename(folder / "alone.mcap")
+
+
+def dynamic_states(types, data: Measurement, names, orders):
+    """Yield (time, DynamicJointState), with an order of ``INTERFACES`` for each joint."""
+    value = types["control_msgs/msg/InterfaceValue"]
+    rows = np.stack((data.q, data.qd, data.tau), axis=2)
+    for time, joints in zip(data.time, rows):
+        values = []
+        for order, numbers in zip(orders, joints):
+            values.append(value([INTERFACES[k] for k in order], numbers[order]))
+        yield time, types[DYNAMIC](header(types, time), list(names), values)
+
+
+def dynamic_joint_state(folder: Path, data: Measurement) -> Path:
+    """DynamicJointState with the interfaces in another order for every joint."""
+    store = typestore()
+    messages = dynamic_states(store.types, data, JOINTS, ORDERS)
+    return write_bag(folder / "bag", [("/states", DYNAMIC, messages)], store)
+
+
+def franka_state(folder: Path, data: Measurement) -> Path:
+    """FrankaRobotState in an MCAP, with its definition in the file."""
+    store = typestore()
+    types = store.types
+    names = [f"fr3_{joint}" for joint in JOINTS]
+
+    def messages():
+        for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
+            measured = joint_state(types, time, names, q, qd, tau)
+            desired = joint_state(types, time, JOINTS, -q, -qd, -tau)
+            yield types[FRANKA](header(types, time), measured, desired, time)
+
+    topics = [("/franka_robot_state_broadcaster/robot_state", FRANKA, messages())]
+    return write_bag(folder / "bag", topics, store, "MCAP")
+
+
+def write_data_set(
+    root: Path,
+    version: str,
+    fps: int,
+    features: dict[str, tuple[Sequence[str], Any]],
+    episodes: int = 2,
+    dtype: Any = np.float32,
+) -> Path:
+    """Write a LeRobot data set, in single precision as LeRobot does.
+
+    Args:
+        version: "v2.1", a file per episode, or "v3.0", one file.
+        features: name of a feature to the names of its numbers and their array (N, k), of which
+            each episode has an equal part.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    chunk = root / "data" / "chunk-000"
+    chunk.mkdir(parents=True)
+    (root / "meta").mkdir()
+    described = {}
+    for name, (titles, _) in features.items():
+        shape = [len(titles)]
+        described[name] = {"dtype": "float32", "shape": shape, "names": list(titles)}
+    info = {"codebase_version": version, "fps": fps, "features": described}
+    (root / "meta" / "info.json").write_text(json.dumps(info))
+    length = len(next(iter(features.values()))[1]) // episodes
+    tables = []
+    for episode in range(episodes):
+        rows = slice(episode * length, (episode + 1) * length)
+        columns = {}
+        for name, (_, array) in features.items():
+            values = np.asarray(array[rows], dtype)
+            columns[name] = pa.array(
+                values.tolist(), pa.list_(pa.from_numpy_dtype(dtype))
+            )
+        columns["timestamp"] = (np.arange(length) / fps).astype(dtype)
+        columns["frame_index"] = np.arange(length)
+        columns["episode_index"] = np.full(length, episode)
+        tables.append(pa.table(columns))
+    if version.startswith("v2"):
+        for episode, table in enumerate(tables):
+            pq.write_table(table, chunk / f"episode_{episode:06d}.parquet")
+    else:
+        pq.write_table(pa.concat_tables(tables), chunk / "file-000.parquet")
+    return root
+
+
+def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Path]:
+    """A data set in degrees; several episodes repeat the motion, which has 200 Hz."""
+
+    def write(folder: Path, data: Measurement) -> Path:
+        ends = ("pos", "vel", "torque")
+        names = [f"{joint}.{end}" for joint in JOINTS for end in ends]
+        values = (np.degrees(data.q), np.degrees(data.qd), data.tau)
+        state = np.stack(values, axis=2).reshape(len(data), -1)
+        features = {"observation.state": (names, np.tile(state, (episodes, 1)))}
+        return write_data_set(
+            folder / "set", version, 200, features, episodes, np.float64
+        )
+
+    return write
+
+
+def npz(folder: Path, data: Measurement) -> Path:
+    path = folder / "log.npz"
+    columns = {"time": data.time, "q": data.q, "qd": data.qd, "tau": data.tau}
+    np.savez(path, **columns, note="text is no column")
+    return path
+
+
+def arrow(data: Measurement):
+    """A table of Arrow: time in dates, positions as lists, a column per torque, and text."""
+    import pyarrow as pa
+
+    nanoseconds = np.round(1e9 * data.time).astype(int)
+    columns = {
+        "time": np.datetime64("2024-05-01T12:00:00", "ns") + nanoseconds,
+        "q": data.q.tolist(),
+        "qd": data.qd.tolist(),
+        "note": ["text"] * len(data),
+    }
+    for k, tau in enumerate(data.tau.T):
+        columns[f"tau{k}"] = tau
+    return pa.table(columns)
+
+
+def parquet(folder: Path, data: Measurement) -> Path:
+    import pyarrow.parquet as pq
+
+    pq.write_table(arrow(data), folder / "log.parquet", row_group_size=7)
+    return folder / "log.parquet"
+
+
+def libfranka(folder: Path, data: Measurement) -> Path:
+    """The columns of logToCSV."""
+    groups = "state.q state.q_d state.dq state.dq_d state.tau_J "
+    groups += "state.tau_ext_hat_filtered cmd.tau_J_d"
+    titles = [f"{group}[{k}]" for group in groups.split() for k in range(3)]
+    zero = np.zeros_like(data.q)
+    values = (data.q, zero, data.qd, zero, data.tau, zero, zero)
+    rows = np.column_stack((1e3 * data.time, np.ones(len(data)), *values))
+    return write(folder / "franka.csv", rows, ["time", "success_rate", *titles])
+
+
+def rtde(
+    folder: Path, data: Measurement, torque: str = "actual_current_as_torque"
+) -> Path:
+    """What record.py of the RTDE client writes: blanks between cells, a column per element."""
+    groups = ("actual_q", "actual_qd", torque, "target_moment")
+    joints = range(data.q.shape[1])
+    titles = ["timestamp", *(f"{g}_{k}" for g in groups for k in joints)]
+    rows = np.column_stack((data.time, data.q, data.qd, data.tau, -data.tau))
+    return write(folder / "rtde.csv", rows, titles, " ")
+
+
+def plotjuggler(folder: Path, data: Measurement) -> Path:
+    """One column per series; rows of another topic leave the arm's cells empty."""
+    words = ("position", "velocity", "effort")
+    titles = ["__time", "/battery/voltage"]
+    titles += [f"/joint_states/{joint}/{word}" for word in words for joint in JOINTS]
+    rows: list[list[object]] = []
+    for time, *values in zip(data.time, data.q, data.qd, data.tau):
+        rows.append([float(time), "", *np.concatenate(values).tolist()])
+        rows.append([float(time) + 0.002, 24.1, *[""] * 9])
+    return write(folder / "plot.csv", rows, titles)
+
+
+FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
+    "ROS 2 db3": rosbag,
+    "ROS 2 single mcap": single_mcap,
+    "ROS 1 bag": partial(rosbag, storage="ROS1"),
+    "ROS 2 DynamicJointState": dynamic_joint_state,
+    "ROS 2 FrankaRobotState": franka_state,
+    "LeRobot": lerobot("v2.1"),
+    "Parquet": parquet,
+    "npz": npz,
+    "libfranka": libfranka,
+    "RTDE": rtde,
+    "PlotJuggler": plotjuggler,
+}

@@ -1,0 +1,292 @@
+"""Made-up results of a two-joint arm, for tests of what is said about them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from robot_sysid.estimate.result import beyond_model
+from robot_sysid.records import (
+    ITSELF,
+    ArmLink,
+    DataOrigin,
+    Estimate,
+    Flange,
+    Identifiability,
+    InertialParameters,
+    JointFriction,
+    JointLimits,
+    RobotModel,
+    SubtreeBody,
+    Validation,
+)
+from robot_sysid.records.messages import Level, Remark, says, term_unit
+from robot_sysid.results.quantities import body_quantities, file_quantities
+from robot_sysid.results.record import (
+    BOUND,
+    FILE,
+    LINK,
+    PAYLOAD,
+    BodyEstimate,
+    ModelFile,
+    Payload,
+    Quantity,
+    Result,
+    Verdict,
+)
+from robot_sysid.spatial import PARAMETER_NAMES, theta_from_com
+
+JOINTS = ("j5", "j6")
+FRICTION = ("coulomb[j5]", "viscous[j5]", "coulomb[j6]", "viscous[j6]")
+NAMES = (*PARAMETER_NAMES, *FRICTION)
+THETA = theta_from_com(2.0, np.array([0.0, 0.01, 0.1]), np.diag([0.01, 0.012, 0.005]))
+VALUES = np.array([*THETA, 0.5, 0.2, 0.4, 0.1])
+ARM = RobotModel(
+    path=Path("arm.xml"),
+    mj_model=None,
+    joint_names=JOINTS,
+    qpos_index=np.arange(2),
+    dof_index=np.arange(2),
+    reference_qpos=np.zeros(2),
+    is_slide=np.zeros(2, dtype=bool),
+    limits=JointLimits(*np.array([[-2.0], [2.0], [2.0], [np.inf]]) * np.ones(2)),
+    friction=JointFriction(
+        np.array([0.3, 0.2]), np.array([0.1, 0.0]), np.zeros((0, 2))
+    ),
+    links=(ArmLink(2, "link6", np.zeros(6), np.eye(3), np.zeros(3), 0.5 * THETA),),
+    sha256="ab",
+)
+MODEL_FRICTION = {
+    "j5": {"coulomb": 0.3, "viscous": 0.1, "armature": 0.0},
+    "j6": {"coulomb": 0.2, "viscous": 0.0, "armature": 0.0},
+}
+
+
+def estimate(**changes) -> Estimate:
+    """An estimate without any fault: white noise, small errors, all from the data."""
+    identifiability_record = Identifiability(12, 50.0, ())
+    errors = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
+    defaults = Estimate(
+        names=NAMES,
+        values=VALUES,
+        identifiability=identifiability_record,
+        rmse=0.03,
+        rmse_per_joint={"j5": 0.03, "j6": 0.03},
+        standard_errors=errors,
+        noise_per_joint={"j5": 0.03, "j6": 0.031},
+        samples={"j5": 200, "j6": 200},
+    )
+    return replace(defaults, **changes)
+
+
+def found(result: Estimate | None = None, **changes) -> Result:
+    """Everything around it, of measured data: the terminal link and the joints as in it.
+
+    A ``verdict`` among the changes is its remark.
+    """
+    result = result or estimate()
+    if "verdict" in changes:
+        verdict = changes.pop("verdict")
+        reason = "because" if verdict.level is not Level.SAYS else ""
+        changes.setdefault("remarks", (verdict.remark(reason),))
+    links = changes.get("links", by_name(terminal(result)))
+    rows = [row for link in links.values() for row in body_quantities(link)]
+    rows += [row for joint in JOINTS for row in joint_rows(result, joint)]
+    defaults = Result(
+        question=LINK,
+        robot=ARM,
+        estimate=result,
+        remarks=(Verdict.BETTER.remark(),),
+        torques="chain",
+        data=DataOrigin("log arm.csv", 15.0, 1000.0),
+        quantities=tuple(rows),
+        links=links,
+        friction_model="coulomb-viscous",
+    )
+    return replace(defaults, **changes)
+
+
+def by_name(*bodies: BodyEstimate) -> dict[str, BodyEstimate]:
+    """Bodies as ``Result.links`` has them."""
+    return {body.name: body for body in bodies}
+
+
+def terminal(result: Estimate) -> BodyEstimate:
+    """The terminal link as an estimate has it; its errors are of noise and of other links."""
+    errors = np.array(result.standard_errors)[:10]
+    seen = np.isfinite(errors)
+    return BodyEstimate(
+        result.inertial.theta,
+        "link6",
+        np.diag(np.where(seen, errors, 0.0) ** 2),
+        seen,
+        {"noise": 0.6 * errors, "the other links' parameters": 0.8 * errors},
+        np.where(seen, 1.0, 0.0),
+        InertialParameters(0.5 * THETA),
+    )
+
+
+def joint_rows(result: Estimate, joint: str) -> list[Quantity]:
+    """The friction of a joint as an estimate has it."""
+    rows = []
+    for name in result.names:
+        term, _, owner = name.partition("[")
+        if owner == f"{joint}]":
+            model = MODEL_FRICTION[joint].get(term)
+            value, error = result.value(name), result.error(name)
+            rows.append(
+                Quantity(term, joint, term_unit(term, False), model, value, error)
+            )
+    return rows
+
+
+def itself(result: Estimate | None = None, **changes) -> Result:
+    """The model's own simulation, of which most is not asked."""
+    full = result or estimate()
+    exact = replace(terminal(full), covariance=np.zeros((10, 10)), budget={})
+    joints = [replace(row, error=None) for row in joint_rows(full, "j6")]
+    rows = [*body_quantities(exact), *joints]
+    defaults = found(
+        full,
+        data=DataOrigin(ITSELF, 15.0, 1000.0, 1),
+        verdict=Verdict.OK,
+        links={},
+        quantities=tuple(rows),
+        friction_model=None,
+    )
+    return replace(defaults, **changes)
+
+
+def with_value(name: str, value: float, error: float) -> Estimate:
+    """The estimate with one parameter changed."""
+    values = VALUES.copy()
+    errors = np.array(estimate().standard_errors)
+    values[NAMES.index(name)] = value
+    errors[NAMES.index(name)] = error
+    return estimate(values=values, standard_errors=errors)
+
+
+def without_mass() -> Estimate:
+    """The mass does not show in the data."""
+    seen = replace(estimate().identifiability, rank=11, unidentifiable=("mass",))
+    return replace(with_value("m", 2.0, np.inf), identifiability=seen)
+
+
+def validation_of(
+    rmse: float, source: str = "other.csv", relative: float = 0.02
+) -> Validation:
+    """A validation with this error, in ten blocks."""
+    blocks = np.outer(np.linspace(0.7, 1.3, 10), [rmse**2])
+    joints = {"j5": rmse, "j6": rmse}
+    return Validation(
+        source, 100, rmse, relative, joints, {"j5": relative}, True, blocks
+    )
+
+
+def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyEstimate:
+    """A body whose mass is known to 0.01 kg, 0.006 of it noise and 0.008 torque scale."""
+    inertia = mass * np.diag([0.005, 0.006, 0.004])
+    theta = theta_from_com(mass, np.array(com), inertia)
+    covariance = np.diag([1e-4] + [1e-6] * 3 + [1e-8] * 6)
+    errors = np.sqrt(np.diag(covariance))
+    seen = np.array([True] * 4 + [shown] * 6)
+    budget = {
+        "noise": 0.6 * errors,
+        "the torque scales": 0.8 * errors,
+        "gravity": 1e-6 * errors,
+    }
+    return BodyEstimate(theta, name, covariance, seen, budget)
+
+
+def payload(
+    own: BodyEstimate | None = None,
+    result: Estimate | None = None,
+    torque_scale=(),
+    **changes,
+) -> Result:
+    """A payload of 1.2 kg; what is no field of the result is one of ``Payload``.
+
+    ``torque_scale`` has pairs of a joint and its scale.
+    """
+    payload_record = Payload(
+        flange=Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
+        body=own or body(),
+        total=body(2.0, name="link6 with payload"),
+        recordings={"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
+    )
+    for name in vars(payload_record).keys() & changes.keys():
+        payload_record = replace(payload_record, **{name: changes.pop(name)})
+    rows = [*body_quantities(payload_record.body)]
+    rows += body_quantities(body(0.8, name="link6"))
+    rows += body_quantities(payload_record.total)
+    for joint, scale in torque_scale:
+        rows.append(Quantity("torque_scale", joint, "", 1.0, scale, 0.004))
+    changes = {"verdict": Verdict.OK, "quantities": tuple(rows), **changes}
+    return found(result, question=PAYLOAD, payload=payload_record, **changes)
+
+
+def model_file(**changes) -> ModelFile:
+    """A written model that predicts torques to 0.25 % instead of 27 %."""
+    file = ModelFile(
+        thetas=np.array([1.5 * THETA, 0.9 * THETA]),
+        joints={"j5": {"coulomb": 0.45, "viscous": 0.25}},
+        gravity=np.array([0.0, 0.1, -9.8]),
+        validation_before=validation_of(1.5, "fifths of arm.csv", 0.27),
+        validation_after=validation_of(0.02, "fifths of arm.csv", 0.0025),
+        other_validations=(
+            (validation_of(1.6, relative=0.3), validation_of(0.05, relative=0.012)),
+        ),
+        unchanged=("rotor inertia",),
+    )
+    return replace(file, **changes)
+
+
+def whole(**changes) -> Result:
+    """A result of which nothing is missing."""
+    first = replace(terminal(estimate()), name="link5")
+    last = terminal(estimate())
+    bodies = (SubtreeBody(6, "link6", THETA, True),)
+    file = model_file()
+    rows = [*body_quantities(first), *body_quantities(last)]
+    rows += [row for joint in JOINTS for row in joint_rows(estimate(), joint)]
+    rows += [
+        Quantity("viscous", "j5+j6", "N·m·s/rad", None, 0.05, 0.002),
+        Quantity("scale", "j5", "", None, 1.01, 0.004),
+        Quantity("zero", "j6", "rad", None, 0.0, float("nan"), BOUND),
+        Quantity("delay", "arm", "s", None, 0.0032, 2e-5),
+        Quantity("tilt_1", "arm", "rad", None, 0.0, np.radians(0.03)),
+        *beyond_model(last),
+        *file_quantities(file.thetas[0], THETA, "link5"),
+        *file_quantities(file.thetas[1], 0.5 * THETA, "link6"),
+        Quantity("coulomb", "j5", "N", 0.3, 0.45, 0.01, FILE),
+        Quantity("viscous", "j5", "N·s/m", 0.1, 0.25, 0.02, FILE),
+    ]
+    result = found(
+        robot=replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
+        links=by_name(first, last),
+        quantities=tuple(rows),
+        file=file,
+        validation=(
+            validation_of(0.02, "fifths of arm.csv", 0.0022),
+            validation_of(0.03, relative=0.012),
+        ),
+        friction_model="per joint",
+        cutoff=8.0,
+        link_scales={"mass": 4.0, "centre_of_mass": 1.0, "inertia": 2.0},
+        remarks=(
+            Verdict.BETTER.remark(),
+            Remark(Level.DOUBTS, "link3", "link3 is wrong", "weigh it"),
+            *says(("a note",)),
+        ),
+    )
+    return replace(result, **changes)
+
+
+def theta_in(path: Path) -> np.ndarray:
+    """The ten parameters (10,) that a params.json holds."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    six = [content["inertia_tensor"][name] for name in PARAMETER_NAMES[4:]]
+    return np.array([content["mass"], *content["center_of_mass_moment"], *six])

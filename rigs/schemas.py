@@ -1,0 +1,36 @@
+"""Result files against the schemas that are shipped."""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+
+import jsonschema
+
+from rigs.places import ROOT
+
+
+def schema(name: str) -> dict:
+    """Return the schema of a kind of result file: params or servo."""
+    path = ROOT / "robot_sysid" / "schemas" / f"{name}.schema.json"
+    content: dict = json.loads(path.read_text(encoding="utf-8"))
+    return content
+
+
+@functools.cache
+def _check_text(name: str, text: str) -> None:
+    """Raise where the text of a result file breaks its schema; one text is validated once."""
+    jsonschema.validate(json.loads(text), schema(name), jsonschema.Draft202012Validator)
+
+
+def check(path: Path) -> None:
+    """Raise jsonschema's error where a result file is not what its schema says."""
+    _check_text(path.stem, path.read_text(encoding="utf-8"))
+
+
+def check_results(folder: Path) -> None:
+    """Check every params.json and servo.json in the subfolders of a folder."""
+    for name in ("params.json", "servo.json"):
+        for path in folder.glob(f"*/{name}"):
+            check(path)

@@ -1,0 +1,65 @@
+"""Every state's command is one that its parser takes, and the last lines name what was written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from rigs import results as made
+from robot_sysid.commands import identify, motors
+from robot_sysid.pipeline.next_steps import STEPS, step_after
+from robot_sysid.records.messages import NextStep
+from robot_sysid.results.content import content_of
+from robot_sysid.results.lines import last_lines, use_lines
+
+WORDS = {
+    "log": ["first log.csv", "b.csv"],
+    "weight": "weight.csv",
+    "scales": "1.1",
+    "trajectory": "damiao_trajectory.csv",
+    "folder": Path("out"),
+}
+
+
+@pytest.mark.parametrize("state", STEPS)
+def test_the_command_of_every_state_is_taken(state):
+    values = {"path": "an arm.xml", "joint": "j6", "keyframe": "home"}
+    step = step_after(state, values, **WORDS)
+    program, name, *words = step.command
+    assert program == "robot-sysid" and "{" not in step.sentence
+    build_parser = identify.build_parser
+    if name == "motors":
+        name = words.pop(0)
+        build_parser = motors.build_parser
+    assert build_parser(name).parse_args(words).joint == "j6"
+    assert ("b.csv" in words) == ("{log}" in STEPS[state][1])
+
+
+def test_the_last_lines_name_the_files_that_were_written():
+    step = NextStep("Next, plan", ("robot-sysid", "plan", "it's.xml"))
+    found = content_of(made.found())
+    verdict, *lines = last_lines(found, [Path("o ut/updated_model.urdf")], step)
+    assert verdict.startswith("Usable: ")
+    assert lines == [
+        "Use this file: o ut/updated_model.urdf",
+        '  mujoco.MjModel.from_xml_path("o ut/updated_model.urdf")',
+        f"It loads in MuJoCo {mujoco.__version__} (tested); others from 3.0 on load it if they "
+        "load your model",
+        "Next, plan:",
+        "  robot-sysid plan 'it'\"'\"'s.xml'",
+    ]
+    card = last_lines(content_of(made.payload()), [Path("out/payload_card.txt")], None)[
+        1
+    ]
+    frame = "in the frame of site 'flange'"
+    assert card == f"Copy into the controller, {frame}: out/payload_card.txt"
+    refused = content_of(made.found(), failure="the disk is gone")
+    refused = last_lines(refused, [Path("a.xml")], step)
+    assert refused == ["Not usable: the disk is gone"]
+
+
+def test_a_path_with_quotes_is_python_too():
+    _, load, _ = use_lines(Path('a "b".xml'))
+    assert load == '  mujoco.MjModel.from_xml_path("a \\"b\\".xml")'
