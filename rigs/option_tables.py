@@ -23,6 +23,7 @@ from robot_sysid.model import ModelOptions
 from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.records.option_fields import Option, TrajectoryOptions, options_of
 from robot_sysid.simulation import SimulatedArmOptions
+from robot_sysid.wording import with_option_names
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
 MAIN = identify.SPECS[""].main
@@ -84,7 +85,7 @@ def _typed_form(option: Option) -> str:
 
 
 def _meaning(option: Option) -> str:
-    text = option.help[0].upper() + option.help[1:]
+    text = with_option_names(option.help[0].upper() + option.help[1:])
     return (f"{text} [{option.unit}]" if option.unit else text).replace("|", "\\|")
 
 

@@ -35,6 +35,7 @@ from robot_sysid.records.option_fields import (
     parse_folder,
 )
 from robot_sysid.simulation import SimulatedArmOptions
+from robot_sysid.wording import option_name, option_setting
 
 AnyConfig = TypeVar("AnyConfig", bound="Config")
 AnyMotionConfig = TypeVar("AnyMotionConfig", bound="MotionConfig")
@@ -94,17 +95,19 @@ class MotorOptions(OptionRecord):
         super().__post_init__()
         if self.export_damiao and not self.motor_type:
             raise InputError(
-                "--export-damiao requires at least one --motor-type; state one per joint of the "
-                "chain, base first"
+                f"{option_name('export_damiao')} requires at least one "
+                f"{option_name('motor_type')}; state one per joint of the chain, base first"
             )
         if self.motor_type and not self.export_damiao:
-            raise InputError("--motor-type requires --export-damiao")
+            raise InputError(
+                f"{option_name('motor_type')} requires {option_name('export_damiao')}"
+            )
 
 
 # Keys of options that name a folder.
 _FOLDERS = ("output_dir", "mesh_dir")
-# Part of the flags of options that name a file to write.
-_WRITTEN = "save-"
+# Part of the keys of options that name a file to write.
+_WRITTEN = "save_"
 
 
 @dataclass(frozen=True)
@@ -157,11 +160,11 @@ class Config:
 
     def input_files(self) -> tuple[Path | None, ...]:
         """Return the files that a run reads and must not write over; None stands for no file."""
-        files = [path for flag, path in self._files() if _WRITTEN not in flag]
+        files = [path for key, path in self._files() if _WRITTEN not in key]
         return (self.model.path, self.output.config, *files)
 
     def _files(self) -> Iterator[tuple[str, Path]]:
-        """Yield (flag, path) of each file that an option names."""
+        """Yield (key, path) of each file that an option names."""
         for record in vars(self).values():
             for name, stated in options_of(record).items():
                 value = getattr(record, name)
@@ -169,15 +172,15 @@ class Config:
                 values = value if isinstance(value, tuple) else (value,)
                 paths = [path for path in values if isinstance(path, Path)]
                 if name not in _FOLDERS:
-                    yield from ((stated.flag, path) for path in paths)
+                    yield from ((stated.key, path) for path in paths)
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""
         for name in file_access.RESULT_NAMES:
             yield "--output-dir", self.output.output_dir / name
-        for flag, path in self._files():
-            if _WRITTEN in flag:
-                yield flag, path
+        for key, path in self._files():
+            if _WRITTEN in key:
+                yield option_name(key), path
 
 
 def _fixed(record: OptionRecord) -> Any:
@@ -209,7 +212,9 @@ class MotionConfig(Config):
         super().__post_init__()
         is_timed = self.trajectory.duration != TrajectoryOptions.duration
         if is_timed and self.trajectory.file is not None:
-            raise InputError("--trajectory and --duration exclude each other")
+            raise InputError(
+                f"{option_name('trajectory')} and {option_name('duration')} exclude each other"
+            )
 
     @property
     def plan_file(self) -> Path | None:
@@ -233,7 +238,10 @@ class MotionConfig(Config):
         """Yield (option that has a file written, path) of each file that might replace an input."""
         path = self.plan_file
         if path is not None:
-            yield "the CSV file beside --save-trajectory", path.with_suffix(".csv")
+            yield (
+                f"the CSV file beside {option_name('save_trajectory')}",
+                path.with_suffix(".csv"),
+            )
             if self.trajectory.save is None:
                 yield "--output-dir", path
         if self.motors.export_damiao:
@@ -258,8 +266,8 @@ class SelfTestConfig(MotionConfig):
         for key in option_fields.given_values(self.arm):
             if self.arm.plant_model is None and key != "save_measurements":
                 raise InputError(
-                    f"--{key.replace('_', '-')} belongs to a simulated plant; add --plant-model "
-                    "(the model file itself will do)"
+                    f"{option_name(key)} belongs to a simulated plant; add "
+                    f"{option_name('plant_model')} (the model file itself will do)"
                 )
 
     def _is_random(self) -> bool:
@@ -321,8 +329,7 @@ class IdentifyConfig(LogConfig):
             useless.append("report")
         for key in useless:
             raise InputError(
-                f"--{key.replace('_', '-')} is about measured torques; leave it off with "
-                "--torque-from"
+                f"{option_name(key)} is about measured torques; leave it off with --torque-from"
             )
 
 
@@ -385,7 +392,7 @@ class PayloadOptions(OptionRecord):
         "KG [kg] > 0",
     )
     save_torque_scale: Path | None = option(
-        None, "with --known-mass, write the scales as a file for --torque-scale", "FILE"
+        None, "with {known_mass}, write the scales as a file for {torque_scale}", "FILE"
     )
 
     def __post_init__(self) -> None:
@@ -393,15 +400,19 @@ class PayloadOptions(OptionRecord):
         letters = EMPTY * len(self.empty) + LOADED * len(self.loaded)
         if self.order is not None and sorted(self.order) != sorted(letters):
             raise InputError(
-                f"--order {self.order}: needs {len(self.empty)} times A (the empty logs) and "
-                f"{len(self.loaded)} times B (the loaded ones), such as {letters}"
+                f"{option_setting('order', self.order)}: needs {len(self.empty)} times A (the "
+                f"empty logs) and {len(self.loaded)} times B (the loaded ones), such as {letters}"
             )
         if self.save_torque_scale is not None and self.known_mass is None:
             raise InputError(
-                "--save-torque-scale is about torque scales; add --known-mass KG"
+                f"{option_name('save_torque_scale')} is about torque scales; add "
+                f"{option_name('known_mass', 'KG')}"
             )
         if self.known_mass is not None and self.as_body is not None:
-            raise InputError("--known-mass writes no model; leave out --as-body")
+            raise InputError(
+                f"{option_name('known_mass')} writes no model; leave out "
+                f"{option_name('as_body')}"
+            )
 
 
 @dataclass(frozen=True)
@@ -417,8 +428,8 @@ class PayloadConfig(LogConfig):
         is_exact = self.estimation.priors.scale in (0.0, (0.0,))
         if self.payload.known_mass is not None and is_exact:
             raise InputError(
-                "--known-mass estimates torque scales, and a prior of scale 0 leaves them no "
-                "room; choose one"
+                f"{option_name('known_mass')} estimates torque scales, and a prior of scale 0 "
+                "leaves them no room; choose one"
             )
 
     def _require_both(self) -> None:
@@ -426,7 +437,7 @@ class PayloadConfig(LogConfig):
         payload = self.payload
         if payload.empty and payload.loaded:
             return
-        missing = "--loaded LOG..." if payload.empty else "--empty LOG..."
+        missing = option_name("loaded" if payload.empty else "empty", "LOG...")
         error = InputError(
             f"{missing} is missing: a payload is weighed by the difference between logs without "
             "and with it. Logs of one kind show the last link with all that is on it; identify "

@@ -26,6 +26,8 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from robot_sysid.wording import option_name
+
 INTERRUPTED = 130
 """Exit code of a process that a signal stopped."""
 EXIT_CODES: Mapping[int, str] = {
@@ -117,7 +119,7 @@ class AmbiguousJointError(ModelError):
         self.candidates = tuple(candidates)
         joints = ", ".join(f"{joint} (body {body})" for joint, body in self.candidates)
         super().__init__(
-            f"{reason}; choose one with --joint NAME. Candidates: {joints}",
+            f"{reason}; choose one with {option_name('joint', 'NAME')}. Candidates: {joints}",
             options=[("--joint", joint) for joint, _ in self.candidates],
         )
 

@@ -33,6 +33,7 @@ from robot_sysid.model.stated import placeholder_notes
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.records import RobotModel
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
+from robot_sysid.wording import option_name, option_setting
 
 
 def load_robot_model(
@@ -114,13 +115,13 @@ def load_robot_model(
         name = joint_label(mj_model, jaw)
         notes.append(
             f"joint {name} is taken for the jaw of a gripper because of its name, and held still; "
-            f"the arm ends at joint {names[-1]} (to add the jaw: --joint {name})"
+            f"the arm ends at joint {names[-1]} (to add the jaw: {option_setting('joint', name)})"
         )
     if keyframe_id is None and mj_model.nkey:
         keyframes = ", ".join(_keyframe_names(mj_model))
         notes.append(
             "of several keyframes none is called home, so all joints start at their zero; "
-            f"--keyframe chooses one of {keyframes}"
+            f"{option_name('keyframe')} chooses one of {keyframes}"
         )
     base = ", ".join(joint_label(mj_model, j) for j in carriers if j not in chain)
     if base:
@@ -142,7 +143,8 @@ def rest_keyframe(mj_model: Any, name: str | None = None) -> int | None:
         return 0 if len(names) == 1 else None
     if name not in names:
         listed = ", ".join(names) or "none"
-        raise InputError(f"--keyframe {name}: no such keyframe; the model has {listed}")
+        setting = option_setting("keyframe", name)
+        raise InputError(f"{setting}: no such keyframe; the model has {listed}")
     return names.index(name)
 
 

@@ -45,6 +45,7 @@ LAYERS = (
     "records",
     "spatial",
     "errors",
+    "wording",
     # Nothing but the version.
     "",
 )

@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Union
 
@@ -16,7 +16,6 @@ from robot_sysid.api.keywords import (
     Model,
     arm_of,
     path_of,
-    python_words,
     with_keywords,
     with_options_of,
 )
@@ -108,14 +107,14 @@ def _log_sources(logs: Log | Sequence[Log]) -> tuple[Any, ...]:
 
 
 class _Notes(Progress):
-    """Collects the notes that a command would print, in Python's words."""
+    """Collects the notes that a command would print."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
 
     def note(self, *messages: str) -> None:
-        """Add messages to ``notes``, with keywords in place of command-line options."""
-        self.notes += map(python_words, messages)
+        """Add messages to ``notes``."""
+        self.notes += messages
 
 
 @contextmanager
@@ -131,13 +130,9 @@ def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Res
     with _quietly() as notes:
         robot = load_arm(config, notes)
         result, _ = stages.identify(config, robot, notes)
-    remarks = []
-    for each in result.remarks:
-        text = python_words(each.text)
-        remarks.append(replace(each, text=text, remedy=python_words(each.remedy)))
-    texts = [remark.text for remark in remarks]
-    remarks += says(note for note in notes.notes if note not in texts)
-    fields = {**vars(result), "remarks": tuple(remarks)}
+    texts = [remark.text for remark in result.remarks]
+    notes_on_logs = says(note for note in notes.notes if note not in texts)
+    fields = {**vars(result), "remarks": (*result.remarks, *notes_on_logs)}
     return Result(**fields, config=config)
 
 
@@ -230,7 +225,7 @@ def plan(model: Model, **options: Any) -> PlanResult:
     with _quietly() as notes:
         robot = load_arm(config, notes)
         checked = design_motion(config, robot, notes)
-        printed = tuple(map(python_words, predict_plan(config, checked)[1]))
+        printed = tuple(predict_plan(config, checked)[1])
     return PlanResult(config, robot, checked, printed, tuple(notes.notes))
 
 

@@ -10,16 +10,13 @@ from __future__ import annotations
 import functools
 import inspect
 import os
-import re
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from numbers import Integral, Real
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, Union
 
 from robot_sysid.config import Config
-from robot_sysid.errors import InputError, SysidError
+from robot_sysid.errors import InputError
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import InMemory, file_of, is_in_memory
 from robot_sysid.parser import load_robot_model
@@ -32,6 +29,7 @@ from robot_sysid.records.option_fields import (
     refuse_unknown,
     value_text,
 )
+from robot_sysid.wording import in_python, with_option_names
 
 Model = Union[str, "os.PathLike[str]", InMemory]
 """Path of an MJCF or URDF file, or a model of MuJoCo's."""
@@ -86,16 +84,10 @@ def with_keywords(
         signature = inspect.signature(function)
         parameters = dict(signature.parameters)
         del parameters["options"]
-        for key in parameters:
-            flag = "--" + key.replace("_", "-")
-            _KEYWORDS.setdefault(flag, Option(flag, ""))
         helps = []
         for option in options_of_all(records, only, **defaults):
             # A log is an argument of its own, which has no flag either.
-            if not option.flag.startswith("-"):
-                continue
-            _KEYWORDS[option.flag] = option
-            if option.key in parameters:
+            if not option.flag.startswith("-") or option.key in parameters:
                 continue
             parameters[option.key] = inspect.Parameter(
                 option.key, inspect.Parameter.KEYWORD_ONLY, default=option.default
@@ -157,68 +149,6 @@ def _keyword_help(option: Option) -> str:
     elif default == ():
         default_text = "default none"
     meaning = option.help.replace("; may be repeated", "")
-    return python_words(
-        f"{option.key} ({value_text(option)}; {default_text}): {meaning}."
-    )
-
-
-@contextmanager
-def in_python() -> Iterator[None]:
-    """Run a block whose errors speak of keywords instead of command-line options."""
-    try:
-        yield
-    except SysidError as error:
-        error.args = (python_words(str(error)),)
-        raise
-
-
-# Flag of the command line to the option that is a keyword of a function.
-_KEYWORDS: dict[str, Option] = {}
-_WORD = r"'[^']*'|(?!--)(?:[^\s;:()',.]|[,.](?=[^\s;:()',.]))+"
-# A command on a line of its own; or an option, and the word behind it without the punctuation that
-# ends its clause.
-_OPTION = re.compile(
-    rf"^  robot-sysid .*|(?<![\w-])(--[a-z][a-z-]*[a-z])(?: ({_WORD}))?", re.MULTILINE
-)
-_NUMBERS = re.compile(r"[-\d.e+x,]*\d")
-# A keyword with a text, and the same keyword with other texts.
-_REPEATED = re.compile(r'\b(\w+)=("[^"]*")((?: \1="[^"]*")+)')
-# Words that stand for a value in a message.
-_PLACEHOLDERS = ("FILE", "FOLDER", "KG", "LOG", "NAME")
-
-
-def python_words(text: str) -> str:
-    """Return a message with keywords in place of options: ``joint="wrist"`` for --joint wrist.
-
-    A command on a line of its own stays one, and so do options that no function here has.
-    """
-    return _REPEATED.sub(_list_text, _OPTION.sub(_keyword_text, text))
-
-
-def _keyword_text(match: re.Match[str]) -> str:
-    """Return an option as a keyword, with the word behind it as its value if it is one.
-
-    Numbers and choices are known by the option; another text is a value if its clause ends with it.
-    A command is returned as it is.
-    """
-    option = _KEYWORDS.get(match[1])
-    if option is None:
-        return match[0]
-    word = match[2] or ""
-    text = word.strip("'")
-    is_number = option.types[0] in (Real, Integral)
-    if word in _PLACEHOLDERS or (is_number and _NUMBERS.fullmatch(word)):
-        value = f"[{word.replace(',', ', ')}]" if "," in word else word
-        return f"{option.key}={value}"
-    takes_text = option.parse is not None and not is_number and not option.choices
-    ends_clause = re.match(r"[^ ]| --|$", match.string[match.end() :])
-    is_value = text in option.choices or (takes_text and ends_clause is not None)
-    if word and (is_value or word != text):
-        return f'{option.key}="{text}"'
-    return match[0].replace(match[1], option.key, 1)
-
-
-def _list_text(match: re.Match[str]) -> str:
-    """Return a keyword with the list of all its texts."""
-    others = match[3].replace(f" {match[1]}=", ", ")
-    return f"{match[1]}=[{match[2]}{others}]"
+    text = f"{option.key} ({value_text(option)}; {default_text}): {meaning}."
+    with in_python():
+        return with_option_names(text)

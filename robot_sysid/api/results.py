@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from robot_sysid.api.keywords import in_python, python_words
 from robot_sysid.config import PlanConfig
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Written, writable_folder
@@ -32,6 +31,7 @@ from robot_sysid.results.lines import result_lines, verdict_line
 from robot_sysid.results.written_model import spec_of
 from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.trajectory import sample_count
+from robot_sysid.wording import in_python
 
 
 def one_thread() -> AbstractContextManager[Any]:
@@ -100,8 +100,8 @@ class Result(record.Result):
 
     def lines(self) -> list[str]:
         """Return the lines that the command prints of this result, in Python's words."""
-        lines = result_lines(content_of(self), self.config.output.links)
-        return list(map(python_words, lines))
+        with in_python():
+            return result_lines(content_of(self), self.config.output.links)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of params.json (see docs/formats.md), without cards."""
@@ -198,7 +198,7 @@ class PlanResult:
     @property
     def failure(self) -> str | None:
         """Why the motion must not be played, or None."""
-        return python_words(self.checked.failure or "") or None
+        return self.checked.failure
 
     @property
     def duration(self) -> float:

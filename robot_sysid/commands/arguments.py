@@ -12,6 +12,7 @@ from robot_sysid.commands import PROGRAM, Console, ConsoleOptions, print_line
 from robot_sysid.errors import EXIT_CODES, InputError, prefix_input_errors
 from robot_sysid.records import option_fields as options
 from robot_sysid.records.file_access import read_toml
+from robot_sysid.wording import with_option_names
 
 
 class _Formatter(argparse.HelpFormatter):
@@ -142,7 +143,7 @@ def default_text(option: options.Option) -> str:
     """Return a default as a user would type it, or in words; "" where there is none."""
     default = option.default
     if option.default_text:
-        return option.default_text
+        return with_option_names(option.default_text)
     if default is None or isinstance(default, (bool, tuple)):
         return ""
     return f"{default:g}" if isinstance(default, float) else str(default)
@@ -150,7 +151,7 @@ def default_text(option: options.Option) -> str:
 
 def _help_text(option: options.Option) -> str:
     """Return an option's help with unit and default, for argparse."""
-    text = option.help
+    text = with_option_names(option.help)
     if option.unit:
         text += f" [{option.unit}]"
     if default_text(option):

@@ -23,6 +23,7 @@ from robot_sysid.damiao.protocol import BusTiming, Frame
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.option_fields import OptionRecord, option
+from robot_sysid.wording import option_name
 
 INTERFACES = (
     "socketcan",
@@ -199,7 +200,8 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
     channel = address.channel
     if timing.fd and interface == SERIAL_ADAPTER:
         raise InputError(
-            "the maker's serial adapter sends classic CAN frames only; leave --fd off"
+            "the maker's serial adapter sends classic CAN frames only; leave "
+            f"{option_name('fd')} off"
         )
     options: dict[str, Any] = {}
     # Where this is an option, sent frames are received as echoes.
@@ -212,7 +214,9 @@ def open_bus(address: BusAddress, timing: BusTiming, clock: SystemClock) -> BusL
     for text in address.bus_option:
         name, equals, value = text.partition("=")
         if not equals or not name.isidentifier():
-            raise InputError(f"--bus-option takes NAME=VALUE, got {text!r}")
+            raise InputError(
+                f"{option_name('bus_option')} takes NAME=VALUE, got {text!r}"
+            )
         options[name] = can.util.cast_from_string(value)
     try:
         if interface == SERIAL_ADAPTER:

@@ -37,6 +37,7 @@ from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Remark
 from robot_sysid.records.option_fields import given_values, record_from
+from robot_sysid.wording import option_name, option_setting
 
 RECORDS: tuple[Any, ...] = (
     BusAddress,
@@ -83,7 +84,7 @@ class MotorRun:
         for key in (*vars(ModelOptions()), *motion.MODEL_LIMITS):
             if robot is None and self.values.get(key) is not None:
                 raise InputError(
-                    f"--{key.replace('_', '-')} is about a model; add --model"
+                    f"{option_name(key)} is about a model; add {option_name('model')}"
                 )
         trajectory = motion.read_damiao_trajectory(self.values["trajectory"])
         if robot is not None and trajectory.n_joints != robot.n_joints:
@@ -192,7 +193,9 @@ class MotorRun:
         Its clock only advances when waited for. InputError without a model.
         """
         if self.robot is None:
-            raise InputError("a simulated arm needs a model; add --model")
+            raise InputError(
+                f"a simulated arm needs a model; add {option_name('model')}"
+            )
         from robot_sysid.simulation.plant import ArmStepper
 
         # As docs/damiao.md recommends for real motors, and long enough for slow cycles, too.
@@ -215,7 +218,8 @@ class MotorRun:
         """
         if not self.address.channel:
             raise InputError(
-                "this command needs --channel, for instance --channel can0"
+                f"this command needs {option_name('channel')}, for instance "
+                f"{option_setting('channel', 'can0')}"
             )
         link = open_bus(self.address, self.timing, self.clock)
         with contextlib.closing(link):

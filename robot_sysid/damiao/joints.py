@@ -37,6 +37,7 @@ from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import read_text, write_atomically
+from robot_sysid.wording import option_name
 
 RPM = math.tau / 60.0
 """One revolution per minute [rad/s]."""
@@ -175,15 +176,15 @@ def damiao_joints(
     types = [motor_spec(name).name for name in motor_types]
     can_ids = can_ids or range(1, n_joints + 1)
     master_ids = master_ids or [can_id + MASTER_ID_OFFSET for can_id in can_ids]
-    for option, values in (
-        ("--motor-type", types),
-        ("--can-id", can_ids),
-        ("--master-id", master_ids),
+    for key, values in (
+        ("motor_type", types),
+        ("can_id", can_ids),
+        ("master_id", master_ids),
     ):
         if len(values) != n_joints:
             raise InputError(
-                f"{option} needs one value per joint of the chain, base to terminal: {n_joints}, "
-                f"got {len(values)}"
+                f"{option_name(key)} needs one value per joint of the chain, base to terminal: "
+                f"{n_joints}, got {len(values)}"
             )
     for problem in id_problems(list(zip(can_ids, master_ids))):
         raise InputError(problem)
@@ -326,7 +327,7 @@ def map_joints(
     if len(selected) != len(joints):
         raise InputError(
             f"joints of the joint map: {len(selected)}, of the trajectory: {len(joints)}; give one "
-            "line per joint, base to terminal, or --model to choose them by name"
+            f"line per joint, base to terminal, or {option_name('model')} to choose them by name"
         )
     return tuple(
         replace(row, motor_type=joint.motor_type)

@@ -28,6 +28,7 @@ from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import Remark
 from robot_sysid.simulator import ArmTorque
+from robot_sysid.wording import with_option_names
 
 # Remedy for a trajectory that leaves the model's limits, or touches something.
 _SMALLER = "export a smaller trajectory for this arm, or bring it elsewhere by hand"
@@ -116,7 +117,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     for j in np.flatnonzero(peaks > available):
         yield stop(
             f"{joints[j].label}: the motion needs {peaks[j]:.1f} N·m and its motor makes "
-            f"{available[j]:g} at most; {CANNOT_FOLLOW}, {WEIGH_FIRST}"
+            f"{available[j]:g} at most; {CANNOT_FOLLOW}, {with_option_names(WEIGH_FIRST)}"
         )
     # The torque in the file is that of the file's own speed.
     at_full_speed = arm(Motion(trajectory.time, q, qd, qdd))
@@ -132,7 +133,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
             f"{joints[j].label}: the torque that the file feeds forward is that of another motion "
             f"or arm: it is off by {error[j]:.1f} N·m where {robot.path.name} needs "
             f"{needed_rms[j]:.1f} (rms), and {CANNOT_FOLLOW}; export the file again for this arm, "
-            f"or {WEIGH_FIRST}"
+            f"or {with_option_names(WEIGH_FIRST)}"
         )
 
 

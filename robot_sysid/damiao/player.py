@@ -39,6 +39,7 @@ from robot_sysid.damiao.session import REPLY_SHARE, MotorSession
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort, error_text, handle_stop_signals
 from robot_sysid.records import Array
+from robot_sysid.wording import option_name
 
 
 class CycleTimer:
@@ -85,7 +86,7 @@ class CycleTimer:
             raise HardwareAbort(
                 f"the computer was {1e3 * lateness:.1f} ms late for a control cycle, limit "
                 f"{1e3 * self.max_lateness:g} ms; allow real-time priority (see docs/damiao.md), "
-                "close other programs or lower --rate"
+                f"close other programs or lower {option_name('rate')}"
             )
         return deadline + n_passed * self.period
 

@@ -17,6 +17,7 @@ from robot_sysid.damiao.session import PAUSE, REPLY_SHARE
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records.messages import Level, Remark
+from robot_sysid.wording import option_name
 
 note = partial(Remark, Level.SAYS, "")
 """Return a finding, by its text, that the user should know."""
@@ -79,7 +80,7 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
         rate = protocol.default_rate(len(joints), plan.timing)
         yield stop(
             f"frames at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %, limit "
-            f"{100 * limit:.0f} %; use --rate {rate:g}"
+            f"{100 * limit:.0f} %; use {option_name('rate', f'{rate:g}')}"
         )
     bounds = motion.user_bounds(plan.limits, len(joints))
     yield from map(stop, motion.excesses(trajectory, settings.speed, bounds))
@@ -106,7 +107,8 @@ def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
         motor = motors.get(joint.can_id)
         if motor is None:
             yield stop(
-                f"{joint.label} does not answer; check power, wiring, its id, bit rate, --fd"
+                f"{joint.label} does not answer; check power, wiring, its id, bit rate, "
+                f"{option_name('fd')}"
             )
             continue
         yield from _condition_checks(motor, plan, joint)
@@ -160,7 +162,7 @@ def _condition_checks(
         yield stop(
             f"{name} answers on {answers} (MST_ID {stored_id:#x}) but the trajectory expects "
             f"{joint.master_id:#x}; set it with motors setup --new-master-id, or export again with "
-            "the right --master-id"
+            f"the right {option_name('master_id')}"
         )
 
     limits = motor.limits
@@ -173,7 +175,8 @@ def _condition_checks(
             yield note(f"{difference}: the motor's own values are used")
         else:
             yield stop(
-                f"{difference}; if the motor is right, give --accept-register-limits"
+                f"{difference}; if the motor is right, give "
+                f"{option_name('accept_register_limits')}"
             )
 
     mode = int(registers[protocol.Register.CTRL_MODE])
@@ -269,8 +272,8 @@ def _readiness_checks(
         rate = protocol.handy_rate(REPLY_SHARE / round_trip)
         yield stop(
             f"all motors have answered after {1e3 * round_trip:.1f} ms, too late for "
-            f"{settings.rate:g} Hz: commands and samples would be mixed up; use --rate {rate:g} or "
-            "a faster adapter"
+            f"{settings.rate:g} Hz: commands and samples would be mixed up; use "
+            f"{option_name('rate', f'{rate:g}')} or a faster adapter"
         )
 
     tolerance = settings.start_tolerance
@@ -302,6 +305,6 @@ def direction_checks(plan: Plan, holding: HoldingCheck) -> Iterator[Remark]:
         yield note(f"{finding}: mirrored or swapped, they would be played like that")
     else:
         yield stop(
-            f"{finding}; move them by hand once with motors map, and give the --joint-map; "
-            "--accept-directions plays without"
+            f"{finding}; move them by hand once with motors map, and give the "
+            f"{option_name('joint_map')}; {option_name('accept_directions')} plays without"
         )

@@ -24,6 +24,7 @@ from robot_sysid.records.option_fields import (
     joint_values,
     option,
 )
+from robot_sysid.wording import option_name
 
 _EACH = "one for all or one per joint"
 # Arguments of options whose default depends on the type of each motor.
@@ -75,7 +76,7 @@ class PlaySettings(OptionRecord):
         None,
         "control cycles per second",
         "HZ [Hz] > 0",
-        default_text="250; 500 with --fd; less where the bus is full",
+        default_text="250; 500 with {fd}; less where the bus is full",
     )
     speed: float = option(
         1.0, "1 plays as exported, 0.3 slower", "FACTOR", check=check_speed_factor
@@ -156,8 +157,10 @@ class PlaySettings(OptionRecord):
         for name, default in defaults.items():
             # An empty setting stands for the default.
             setting = getattr(self, name)
-            flag = "--" + name.replace("_", "-")
-            values[name] = tuple(joint_values(setting, n, flag) if setting else default)
+            option = option_name(name)
+            values[name] = tuple(
+                joint_values(setting, n, option) if setting else default
+            )
         return replace(self, rate=rate, **values)
 
     @property
@@ -197,10 +200,11 @@ class RecordingOptions(OptionRecord):
         """
         if self.record is None:
             return
-        refuse_overwriting(inputs, [("--record", self.record)])
+        refuse_overwriting(inputs, [(option_name("record"), self.record)])
         if self.record.exists() and not self.overwrite:
             raise InputError(
-                f"{self.record} exists; choose another --record file or give --overwrite"
+                f"{self.record} exists; choose another {option_name('record')} file or give "
+                f"{option_name('overwrite')}"
             )
 
 

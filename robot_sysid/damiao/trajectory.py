@@ -30,6 +30,7 @@ from robot_sysid.motion import LimitOptions
 from robot_sysid.records import Array
 from robot_sysid.records.file_access import read_text
 from robot_sysid.records.option_fields import joint_values
+from robot_sysid.wording import option_name
 
 # A name and a value in a comment line of a file.
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
@@ -190,7 +191,7 @@ def _rows(time: Array, values: Array, decimals: int) -> str:
 
 CANNOT_FOLLOW = "it cannot follow"
 """End of a sentence about a motor that cannot do what a motion needs."""
-WEIGH_FIRST = "weigh the arm with a smaller motion first (see --for weight of plan)"
+WEIGH_FIRST = "weigh the arm with a smaller motion first (see {for_=weight} of plan)"
 """Remedy for an arm that needs more torque than its model says, or than its motors make."""
 
 
@@ -317,11 +318,11 @@ class Bounds(NamedTuple):
 def user_bounds(limits: LimitOptions, n_joints: int) -> Bounds:
     """Return the limits of velocity, acceleration and torque that a user gives for n joints."""
     velocity, acceleration, torque = (
-        joint_values(np.inf if limit is None else limit, n_joints, flag)
-        for limit, flag in (
-            (limits.max_velocity, "--max-velocity"),
-            (limits.max_acceleration, "--max-acceleration"),
-            (limits.max_torque, "--max-torque"),
+        joint_values(np.inf if limit is None else limit, n_joints, option_name(key))
+        for limit, key in (
+            (limits.max_velocity, "max_velocity"),
+            (limits.max_acceleration, "max_acceleration"),
+            (limits.max_torque, "max_torque"),
         )
     )
     return Bounds("your", velocity=velocity, acceleration=acceleration, torque=torque)

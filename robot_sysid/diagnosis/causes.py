@@ -26,6 +26,7 @@ from robot_sysid.estimate.terms import ArmTerms, Point, Term
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
 from robot_sysid.spatial import PARAMETER_NAMES, parameter_scale
+from robot_sysid.wording import option_name
 
 INERTIAL = "inertial torque"
 """Name of the column of the links' torque without their weight."""
@@ -280,8 +281,8 @@ def of_arm(fitted: Fit) -> Iterator[Explanation]:
         effect([INERTIAL], 0.2),
         "time in the log is {value} too {long, or a balancer carries a part of the weight|short}, "
         "as the torque of inertia shows beside that of gravity",
-        "record the controller's own time stamps, or scale these with a line in --columns FILE: "
-        "time = {inverse} * TITLE",
+        "record the controller's own time stamps, or scale these with a line in "
+        f"{option_name('columns', 'FILE')}: time = {{inverse}} * TITLE",
         "%",
         # Beyond it, torque lacks inertia.
         sizes=(-0.4, 0.4),
@@ -332,8 +333,8 @@ def of_joints(fitted: Fit) -> Iterator[Explanation]:
             effect(names_of("scale", [name]), 0.4, joint),
             f"torque of joint {name} reads {{value}} too {{much|little}} for the model's links, or "
             "the links that it carries are {heavier|lighter} than in the model",
-            "weigh a known mass (--known-mass of payload), and pass the file that it writes as "
-            "--torque-scale",
+            f"weigh a known mass ({option_name('known_mass')} of payload), and pass the file that "
+            f"it writes as {option_name('torque_scale')}",
             "%",
             sizes=(-0.5, np.inf),
         )

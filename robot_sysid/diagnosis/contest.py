@@ -58,6 +58,7 @@ from robot_sysid.records import Array
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
 from robot_sysid.spatial import PARAMETER_NAMES
+from robot_sysid.wording import option_name
 
 TIE = 6.0
 """Difference in gain within which two explanations count as equally likely [nats]."""
@@ -224,7 +225,7 @@ def findings(
     if lacks_weight(fitted) and not (contest.explains and contest.corrected):
         text = "the torque has little of the links' weight: it may be external torque, left after "
         text += "a controller's model, or motor current"
-        remedy = f"{MEASURED}, or give --torque-constants for a current"
+        remedy = f"{MEASURED}, or give {option_name('torque_constants')} for a current"
         return [Finding(Level.REFUSES, "gravity", text, remedy)], fitted
     if not contest.explains:
         # Friction that drives a joint is a turned sign whatever the model.
@@ -543,7 +544,9 @@ def wrong_time(fitted: Fit, share: float) -> Iterator[Finding]:
     way = "long" if share > 0.0 else "short"
     text = f"time in the log is {percent(abs(share))} too {way}, by the recorded velocities"
     remedy = "record the controller's own time stamps, or scale these with a line in "
-    remedy += f"--columns FILE: time = {1.0 / (1.0 + share):.3g} * TITLE"
+    remedy += (
+        f"{option_name('columns', 'FILE')}: time = {1.0 / (1.0 + share):.3g} * TITLE"
+    )
     yield Finding(Level.REFUSES, "clock", text, remedy)
 
 

@@ -41,6 +41,7 @@ from robot_sysid.records import RobotModel
 from robot_sysid.records.messages import Level, Progress, position_unit
 from robot_sysid.records.usual_errors import SCALE
 from robot_sysid.signals.resampling import duration, sampling_period
+from robot_sysid.wording import option_setting
 
 TRYING = "Trying explanations"
 """Label of the progress of the contest of explanations."""
@@ -280,6 +281,6 @@ def require_acceptable(
         texts = "; ".join(finding.sentence for finding in doubts)
         # Each name once, in the order of the findings.
         checks = dict.fromkeys(finding.about for finding in doubts)
-        accepting = " ".join(f"--accept {name}" for name in checks)
+        accepting = option_setting("accept", *checks)
         advice = f"nothing was written (to go on all the same: {accepting})"
         raise SysidError(f"{names}: {texts}; {advice}")

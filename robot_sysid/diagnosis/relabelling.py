@@ -39,6 +39,7 @@ from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, INTERVAL
 from robot_sysid.records.messages import Level, torque_unit, with_error
+from robot_sysid.wording import option_name, with_option_names
 
 ODD = 1.3
 """Factor on all masses, or its inverse, above which it is refused."""
@@ -58,11 +59,11 @@ UNITS = {
 }
 """One newton metre in other units of torque, to the unit's name."""
 WEIGHING = (
-    "give the torque per ampere with --torque-constants, or determine it with a weight: bolt on "
+    "give the torque per ampere with {torque_constants}, or determine it with a weight: bolt on "
     "1 kg (of another mass, state it), record a motion called weight, and compare"
 )
 """What to do where torques are motor currents; the command that compares follows the message."""
-COLUMNS = "put the columns right with --columns FILE"
+COLUMNS = "put the columns right with {columns FILE}"
 
 
 @dataclass(frozen=True)
@@ -191,14 +192,14 @@ def steps(robot: RobotModel, moving: Sequence[int]) -> Iterator[Step]:
         "angle-unit",
         "positions look like degrees",
         read(("position",), np.diag(radians)),
-        "pass --units deg",
+        "pass {units=deg}",
         (("--units", "deg"),),
     )
     yield Step(
         "angle-unit",
         "positions look like radians that were taken for degrees",
         read(("position",), np.diag(1.0 / radians)),
-        "say rad where degrees are said: in --units, the file of --columns, a column's title or "
+        "say rad where degrees are said: in {units}, the file of {columns}, a column's title or "
         "the recorder",
     )
     for joint, degrees in product(moving, (90.0, -90.0, 180.0)):
@@ -442,7 +443,13 @@ def of_columns(
         columns = replace(reading, zeros=0.0 * reading.zeros, gravity=None).columns
         options = first.options if len(wrong) == 1 else ()
         yield Finding(
-            Level.REFUSES, first.check, text, first.remedy, options, "", columns
+            Level.REFUSES,
+            first.check,
+            text,
+            with_option_names(first.remedy),
+            options,
+            "",
+            columns,
         )
     turned = np.rint(np.degrees(reading.zeros)) % 360.0
     for name, degrees in zip(robot.joint_names, turned):
@@ -556,8 +563,9 @@ def common_finding(
     # No arm has all masses off by more.
     if not is_close and abs(np.log(factor)) > np.log(5.0):
         text += ": they may be motor currents"
+        weighing = with_option_names(WEIGHING)
         return Finding(
-            Level.REFUSES, "torque-unit", text, WEIGHING, (torque_scale,), "payload"
+            Level.REFUSES, "torque-unit", text, weighing, (torque_scale,), "payload"
         )
     remedy = (
         "torques cannot tell what is wrong by that much, the masses or the torques: if the torques "
@@ -659,7 +667,8 @@ def scale_finding(
         "a factor of its own for every joint, as motor currents or per cent of rated "
     )
     text += "torque have, or all masses of the model are wrong"
-    return Finding(level, check, text, WEIGHING, (options,), "payload", correction)
+    remedy = with_option_names(WEIGHING)
+    return Finding(level, check, text, remedy, (options,), "payload", correction)
 
 
 def odd_unit(fitted: Fit, dry: Array) -> Iterator[Finding]:
@@ -683,5 +692,6 @@ def odd_unit(fitted: Fit, dry: Array) -> Iterator[Finding]:
         unit = torque_unit(name in fitted.arm.robot.slides)
         text = f"torque of joint {name} alone reads {factor:.2g} times too much, or more: as in "
         text += f"m{unit}"
-        remedy = f"put it right with --columns FILE: torque.{name} = 0.001 * TITLE"
+        columns = option_name("columns", "FILE")
+        remedy = f"put it right with {columns}: torque.{name} = 0.001 * TITLE"
         yield Finding(Level.REFUSES, "torque-scale", text, remedy)

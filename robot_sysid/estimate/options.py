@@ -17,6 +17,7 @@ from robot_sysid.records.option_fields import (
     options_of,
     record_from,
 )
+from robot_sysid.wording import option_name, option_setting
 
 TORQUE_CHOICES = ("chain", "terminal")
 """Values of the option ``torques``: equations of all joints that carry the terminal link, or of
@@ -172,12 +173,14 @@ class EstimationOptions(OptionRecord):
             priors = (read_priors if is_file else priors_of)(self.priors)
             object.__setattr__(self, "priors", priors)
         if self.no_friction:
-            for flag, is_given in (
-                ("--friction-model", self.friction_model is not None),
-                (f"--keep {FILE_FRICTION}", FILE_FRICTION in self.keep),
+            for name, is_given in (
+                (option_name("friction_model"), self.friction_model is not None),
+                (option_setting("keep", FILE_FRICTION), FILE_FRICTION in self.keep),
             ):
                 if is_given:
-                    raise InputError(f"{flag} and --no-friction exclude each other")
+                    raise InputError(
+                        f"{name} and {option_name('no_friction')} exclude each other"
+                    )
         if self.friction_model is not None:
             _terms(str(self.friction_model))
 

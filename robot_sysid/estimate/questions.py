@@ -35,6 +35,7 @@ from robot_sysid.estimate.terms import (
 from robot_sysid.records import Array
 from robot_sysid.records.option_fields import joint_values
 from robot_sysid.spatial import N_INERTIAL
+from robot_sysid.wording import option_name
 
 LEAST_DRY = 0.02
 """Least dry friction assumed before a fit, as a share of the joint's root mean square torque."""
@@ -195,5 +196,7 @@ def scale_spread(arm: ArmTerms, options: EstimationOptions, loaded: bool) -> Arr
     percent = options.priors.scale
     if percent is None:
         percent = usual_errors.LOADED_SCALE if loaded else usual_errors.SCALE
-    scale = joint_values(percent, arm.robot.n_joints, "scale of --priors")
+    scale = joint_values(
+        percent, arm.robot.n_joints, f"scale of {option_name('priors')}"
+    )
     return PER_CENT * scale[arm.indices]

@@ -81,6 +81,7 @@ from robot_sysid.results.record import (
     Result,
     Verdict,
 )
+from robot_sysid.wording import option_setting
 
 # Causes that are of joints and their motors.
 _OF_JOINTS = (FRICTION, MOTORS)
@@ -457,8 +458,9 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
         angle = math.degrees(math.atan2(sine, level @ file.gravity))
         yield (
             f"gravity in the written model is turned by {angle:.2f} degrees, because the base is "
-            "tilted or encoder zeros are off (--keep gravity leaves it alone). It stands in the "
-            "file's <option>, which readers of URDF other than MuJoCo ignore"
+            f"tilted or encoder zeros are off ({option_setting('keep', 'gravity')} leaves it "
+            "alone). It stands in the file's <option>, which readers of URDF other than MuJoCo "
+            "ignore"
         )
 
 

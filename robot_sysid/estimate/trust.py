@@ -23,6 +23,7 @@ from robot_sysid.records import InertialParameters, RobotModel, Validation
 from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import Level, Remark, percent, torque_unit, with_error
 from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
+from robot_sysid.wording import option_name
 
 UNEXPLAINED = 0.05
 """Share of all torque that neither model nor noise explains, above which a result is not
@@ -110,7 +111,8 @@ def missed_friction(fitted: Fit) -> str:
     errors = [
         percent(validation(each).relative_error or 0.0) for each in (fitted, complete)
     ]
-    remedy = f"leave out --friction-model, or add {'-'.join(missed)} to it"
+    model = option_name("friction_model")
+    remedy = f"leave out {model}, or add {'-'.join(missed)} to it"
     return (
         f"the torques of {', '.join(joints)} clearly show friction terms that were left out "
         f"({', '.join(missed)}), and that links and other terms take up: the torque error on "

@@ -24,6 +24,7 @@ from robot_sysid.signals.resampling import (
     RECORDING_SEPARATION,
     sampling_period,
 )
+from robot_sysid.wording import option_name, option_setting, with_option_names
 
 # The share of rows with an anomaly above which a log is refused, and the remedy. The shares are
 # choices: with more than 1 % of unreadable rows a file is no such table; with 5 % of rows missing,
@@ -31,17 +32,17 @@ from robot_sysid.signals.resampling import (
 _TOLERANCES = {
     UNREADABLE: (
         0.01,
-        "mend the recording, or name the right columns with --columns FILE; time may be in "
+        "mend the recording, or name the right columns with {columns FILE}; time may be in "
         "seconds, or such as 2024-05-01T12:00:00.005",
     ),
     MISSING: (
         0.05,
         "record all joints, and position and torque, in one row, or keep a broken column that is "
-        "not needed out ('velocity = none') with --columns FILE",
+        "not needed out ('velocity = none') with {columns FILE}",
     ),
     REPEATED: (
         0.05,
-        "write the time with more digits, or 'rate = HZ' in --columns FILE for evenly spaced rows",
+        "write the time with more digits, or 'rate = HZ' in {columns FILE} for evenly spaced rows",
     ),
     BACKWARDS: (0.0, "cut the log where a second recording begins"),
 }
@@ -97,7 +98,7 @@ def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
     if count > allowed:
         raise InputError(
             f"{count} of {rows.n_read} rows {anomaly}, more than {100.0 * share:g} % "
-            f"(first: {first}); {remedy}"
+            f"(first: {first}); {with_option_names(remedy)}"
         )
     yield f"left out rows that {anomaly}: {count} (first: {first})"
 
@@ -108,8 +109,9 @@ def clock_notes(rows: LogRows) -> Iterator[str]:
     # Rates of 1 to 1000 Hz are usual.
     if not 1e-5 <= period <= 0.5:
         raise InputError(
-            f"time steps of {period:.6g} s are not those of a recording; pass --units ms, us or "
-            "ns, or write 'time = 60 * TITLE' in --columns FILE"
+            f"time steps of {period:.6g} s are not those of a recording; pass "
+            f"{option_setting('units', 'ms')}, us or ns, or write 'time = 60 * TITLE' in "
+            f"{option_name('columns', 'FILE')}"
         )
     # 100 samples per second do for a slow arm, 30 hardly ever (docs/logs.md).
     if period * 50.0 > 1.0:
@@ -137,7 +139,7 @@ def require_one_clock(rows: LogRows) -> None:
         raise InputError(
             f"joints' own time stamps run backwards, or are of another clock (up to "
             f"{difference:.3g} s off the row's); keep them out with 'joint_time = none' in the "
-            "file of --columns"
+            f"file of {option_name('columns')}"
         )
 
 
@@ -160,9 +162,9 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
         raise InputError(
             f"positions look like degrees, or time stamps are those of another unit, or of when "
             f"rows were written (joint {robot.joint_names[joint]} would reach {largest:.4g} rad "
-            f"and {np.max(speed):.4g} rad/s); pass --units deg, or --units rad, if they are "
-            f"radians or count turns, or write 'rate = {rate:.6g}' in --columns FILE if rows are "
-            "evenly spaced",
+            f"and {np.max(speed):.4g} rad/s); pass {option_setting('units', 'deg')}, or "
+            f"{option_setting('units', 'rad')}, if they are radians or count turns, or write "
+            f"'rate = {rate:.6g}' in {option_name('columns', 'FILE')} if rows are evenly spaced",
             _ANGLE_OPTIONS,
         )
 
@@ -190,7 +192,7 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
         unit = position_unit(robot.is_slide[np.argmax(travel)])
         raise InputError(
             f"the arm is at rest, no joint moves by more than {travel.max():.2g} {unit}; record a "
-            "motion (if these are other units, see --units)"
+            f"motion (if these are other units, see {option_name('units')})"
         )
     unmoved = [*compress(robot.joint_names, is_at_rest)]
     if unmoved:
@@ -217,6 +219,6 @@ def torque_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
     if names:
         raise InputError(
             f"the torque of joint {' and '.join(names)} is the same in every row; record it, or "
-            "name the right column with --columns FILE, or state there that it has none: "
-            f"torque.{names[0]} = none"
+            f"name the right column with {option_name('columns', 'FILE')}, or state there that it "
+            f"has none: torque.{names[0]} = none"
         )

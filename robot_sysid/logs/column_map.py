@@ -46,6 +46,7 @@ from robot_sysid.logs.titles import (
 )
 from robot_sysid.records import RobotModel
 from robot_sysid.records.messages import count_text
+from robot_sysid.wording import option_name
 
 # Keys of a columns file that may be followed by ".joint".
 _JOINT_KEYS = (*QUANTITIES, "joint_time", "command")
@@ -400,8 +401,9 @@ class _ColumnFinder:
         if quantity == "torque" and len(currents) >= self.robot.n_joints:
             # With constants, the columns are complete: no columns file is needed.
             fault += (
-                f"; {currents[0].text}, ... are motor currents: give --torque-constants; where "
-                "they are not known, begin with 1 N·m/A, and a weight of known mass shows them"
+                f"; {currents[0].text}, ... are motor currents: give "
+                f"{option_name('torque_constants')}; where they "
+                "are not known, begin with 1 N·m/A, and a weight of known mass shows them"
             )
             return InputError(fault, [("--torque-constants", "1")])
         commands = [t for t in self.titles if t.quantity_beside_name == "command"]
@@ -409,7 +411,8 @@ class _ColumnFinder:
             fault += (
                 f"; {commands[0].text}, ... are commanded positions, as of position servos: "
                 "identify --torque-from position-error takes the torque from the distance of "
-                "positions to them; torques that it has are named with --columns FILE"
+                "positions to them; torques that it has are named with "
+                f"{option_name('columns', 'FILE')}"
             )
             option = ("--torque-from", "position-error")
             return InputError(fault, [option], command="identify")
@@ -458,7 +461,8 @@ class _ColumnFinder:
         if to_si is None and title.unit and abs(factor) == 1.0:
             fault = f"unit {title.unit!r} of column {title.text!r} is unknown for a {quantity}"
             raise InputError(
-                f"{fault}; rename the column, or scale it with --columns FILE"
+                f"{fault}; rename the column, or scale it with "
+                f"{option_name('columns', 'FILE')}"
             )
         if declared is not None and to_si != declared:
             fault = f"column {title.text!r} names a unit that contradicts the declared units"

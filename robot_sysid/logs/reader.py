@@ -41,6 +41,7 @@ from robot_sysid.records.option_fields import (
     options_of,
 )
 from robot_sysid.signals.resampling import piece_notes, split_at_gaps
+from robot_sysid.wording import with_option_names
 
 
 @dataclass(frozen=True, repr=False)
@@ -138,7 +139,7 @@ def _refuse_other_reading(
         is_stated = name in _FACTOR_OPTIONS or (name in _READING_OPTIONS and value)
         if is_stated and value != getattr(log.options, name):
             raise InputError(
-                f"{log} was read without {option.flag}, or with another one: give read_log and "
+                f"{log} was read without {option.name}, or with another one: give read_log and "
                 "this call the same"
             )
 
@@ -175,7 +176,7 @@ def _map_columns(
     except InputError as error:
         fault = f"{path}: {error}"
         if not error.options:
-            fault += f"; {_REMEDY}"
+            fault += f"; {with_option_names(_REMEDY)}"
         raise InputError(fault, error.options, error.command) from None
 
 
@@ -212,7 +213,7 @@ _FOLDERS: Mapping[str, tuple[str, TableReader]] = {
 }
 # What to do where columns are not recognised.
 _REMEDY = (
-    "say which column is what with --columns FILE, of lines such as 'position = A, B, C' with a "
+    "say which column is what with {columns FILE}, of lines such as 'position = A, B, C' with a "
     "title for each joint"
 )
 # Fields of options that change what is read from a log.

@@ -47,6 +47,7 @@ from robot_sysid.logs.table import (
 )
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records.file_access import refuse_special_file
+from robot_sysid.wording import option_name
 
 Message = tuple[int, Sample]
 """(time of the header, or else of recording [ns since 1970], sample)."""
@@ -108,7 +109,8 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
         fitting = [topic_read, *rivals]
         listed = ", ".join(f"{topic.name} ({topic.message_type})" for topic in fitting)
         raise InputError(
-            f"{path}: several topics could be the arm: {listed}; choose with --topic",
+            f"{path}: several topics could be the arm: {listed}; choose with "
+            f"{option_name('topic')}",
             options=[("--topic", topic.name) for topic in fitting],
         )
     note = ""
@@ -116,7 +118,7 @@ def choose_topic(path: Path, topics: Sequence[Topic]) -> tuple[Topic, str]:
         listed = ", ".join(f"{topic.name} ({topic.n_messages})" for topic in rivals)
         note = (
             f"log topic: {topic_read.name} with {topic_read.n_messages} samples is read, not "
-            f"{listed}; choose with --topic"
+            f"{listed}; choose with {option_name('topic')}"
         )
     return topic_read, note
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.documents import ModelDocument, Node, reference
 from robot_sysid.records.file_access import refuse_special_file
+from robot_sysid.wording import option_name
 
 # Elements of an MJCF that may refer to a file.
 _FILE_TAGS = ("mesh", "hfield", "skin", "flexcomp", "model", "texture")
@@ -78,7 +79,7 @@ def refuse_missing_assets(document: ModelDocument) -> None:
         if asset.path is None:
             raise ModelError(
                 f"{document.path}: {asset.node.tag} file {asset.name} not found; check the path, "
-                "or pass --mesh-dir FOLDER"
+                f"or pass {option_name('mesh_dir', 'FOLDER')}"
             )
 
 

@@ -25,6 +25,7 @@ from robot_sysid.mjcf.inertial import (
 )
 from robot_sysid.records import Array
 from robot_sysid.records.messages import MeshesLeftOut
+from robot_sysid.wording import option_name
 
 # Suffixes of the mesh files that MuJoCo reads.
 _READABLE_MESHES = (".stl", ".obj", ".msh")
@@ -93,8 +94,8 @@ def _use_absolute_meshes(document: ModelDocument) -> Iterator[str]:
             if is_weighed and link.get("name") in moving_links:
                 raise ModelError(
                     f"{document.path}: collision mesh {name} of link '{link.get('name')}' is "
-                    f"{problem}, and the link has no <inertial> of its own; pass --mesh-dir FOLDER "
-                    "or add an <inertial>"
+                    f"{problem}, and the link has no <inertial> of its own; pass "
+                    f"{option_name('mesh_dir', 'FOLDER')} or add an <inertial>"
                 )
             removed.add(str(name))
     relocate(document, folder=None)

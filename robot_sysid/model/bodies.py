@@ -28,6 +28,7 @@ from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.stated import with_references
 from robot_sysid.records import ArmLink, Array, Flange, RobotModel, SubtreeBody
+from robot_sysid.wording import option_name
 
 
 def body_theta(mj_model: Any, body_id: int) -> Array:
@@ -241,7 +242,8 @@ def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
                 f"{listed} could each be the flange; choose one by its name"
             )
         flange = matches[0][1]
-        note = f"{flange.name} was taken for the flange, because of its name (--flange has others)"
+        others = option_name("flange")
+        note = f"{flange.name} was taken for the flange, because of its name ({others} has others)"
         if pattern is _PATTERNS[-1]:
             note += "; an end effector's frame may also be the tip of the tool: check"
         return replace(flange, note=note)

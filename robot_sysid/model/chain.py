@@ -31,6 +31,7 @@ from robot_sysid.model.actuators import (
 )
 from robot_sysid.records import Array, JointFriction, JointLimits
 from robot_sysid.records.option_fields import PerJoint, joint_values
+from robot_sysid.wording import option_name, option_setting
 
 # Part of the name of a gripper's joint.
 _JAW_JOINT = re.compile(r"grip|finger|jaw|claw|knuckle|pinch", re.IGNORECASE)
@@ -194,7 +195,7 @@ def _require_end(mj_model: Any, arm: Run) -> None:
     if len(children) == 1 and not is_hinge_or_slide(mj_model, children[0]):
         raise ModelError(
             f"ball joint {joint_label(mj_model, children[0])} is part of the chain; {_ONLY_THESE}, "
-            f"so weld it, or hold it where it is with --joint {joint}"
+            f"so weld it, or hold it where it is with {option_setting('joint', joint)}"
         )
     if len(arm) > 1 and _looks_like_jaw(mj_model, last):
         reason = f"the last joint {joint} looks like the jaw of a gripper"
@@ -231,9 +232,10 @@ def resolve_joint(mj_model: Any, name: str) -> int:
             matches.append(joint)
         if is_hinge_or_slide(mj_model, joint):
             usable.append(label)
+    setting = option_setting("joint", name)
     if not matches:
         listed = ", ".join(usable) or "none"
-        raise ModelError(f"--joint {name}: no such joint; the model has: {listed}")
+        raise ModelError(f"{setting}: no such joint; the model has: {listed}")
     # A model may call a joint "#3" though the nameless joint 3 is before it.
     joint = matches[-1]
     body = mj_model.jnt_bodyid[joint]
@@ -241,7 +243,7 @@ def resolve_joint(mj_model: Any, name: str) -> int:
     if last != joint:
         label = joint_label(mj_model, last)
         fault = f"joint {label} moves the same body after it"
-        raise ModelError(f"--joint {name}: {fault}; choose {label}")
+        raise ModelError(f"{setting}: {fault}; choose {label}")
     return joint
 
 
@@ -279,7 +281,7 @@ def joint_limits(
     index = np.array(joints)
     is_limited = mj_model.jnt_limited[index].astype(bool)
     is_slide = mj_model.jnt_type[index] == _SLIDE
-    limits = joint_values(max_velocity, len(joints), "--max-velocity")
+    limits = joint_values(max_velocity, len(joints), option_name("max_velocity"))
     limits[is_slide] = np.minimum(DEFAULT_SLIDE_VELOCITY, limits[is_slide])
     return JointLimits(
         lower=np.where(is_limited, mj_model.jnt_range[index, 0], -np.inf),

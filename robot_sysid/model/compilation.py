@@ -34,6 +34,7 @@ from robot_sysid.model.actuators import with_actuators_in_joints
 from robot_sysid.model.bodies import inertia_about_com
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
+from robot_sysid.wording import option_name
 
 # RuntimeError is what the bindings make of an exception of C++, such as one for want of memory.
 FAILURES = (ValueError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError)
@@ -109,7 +110,9 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     """
     document = read_document(path, mesh_dir)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
-        raise ModelError(f"mesh folder {mesh_dir} is no folder; check --mesh-dir")
+        raise ModelError(
+            f"mesh folder {mesh_dir} is no folder; check {option_name('mesh_dir')}"
+        )
     point = locale.localeconv()["decimal_point"]
     if point != ".":  # MuJoCo would end the numbers of an OBJ mesh at their points
         remedy = "call locale.setlocale(locale.LC_NUMERIC, 'C') first"

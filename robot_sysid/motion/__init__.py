@@ -14,6 +14,7 @@ from robot_sysid.records.option_fields import (
     PerJoint,
     option,
 )
+from robot_sysid.wording import option_name
 
 if TYPE_CHECKING:
     from robot_sysid.records import Array
@@ -155,8 +156,8 @@ def _plane(
     length = math.hypot(*values[:3]) if len(values) == 4 else 0.0
     if not (length > 0.0 and math.isfinite(length) and math.isfinite(values[3])):
         raise InputError(
-            "--keep-out takes four numbers NX NY NZ OFFSET with a normal that is not zero; "
-            "0 0 1 0 keeps the arm above the floor"
+            f"{option_name('keep_out')} takes four numbers NX NY NZ OFFSET with a normal that is "
+            "not zero; 0 0 1 0 keeps the arm above the floor"
         )
     *normal, offset = (float(v) / length for v in values)
     label = f"the keep-out plane {[round(v, 3) for v in normal]} at {offset:g} m"
@@ -180,8 +181,8 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> Iterator[HalfSpace]
     highs = sides[1::2]
     if len(sides) != 6 or not all(low < high for low, high in zip(lows, highs)):
         raise InputError(
-            "--workspace takes six numbers, XMIN XMAX YMIN YMAX ZMIN ZMAX, each minimum below its "
-            f"maximum, not {' '.join(f'{side:g}' for side in sides)}"
+            f"{option_name('workspace')} takes six numbers, XMIN XMAX YMIN YMAX ZMIN ZMAX, each "
+            f"minimum below its maximum, not {' '.join(f'{side:g}' for side in sides)}"
         )
     for number, bound in enumerate(sides):
         axis, is_maximum = divmod(number, 2)

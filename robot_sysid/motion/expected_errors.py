@@ -36,6 +36,7 @@ from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.trajectory import sample_times
+from robot_sysid.wording import option_name
 
 TYPICAL_LOAD = 0.025
 """Mass of a payload before it is known, as a share of the arm's moving mass: about a tenth of what
@@ -143,7 +144,8 @@ def predict(
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD
         theta = typical_load(problem)
-        subject = f"a load of {theta[0]:.3g} kg (--payload-reserve states another one)"
+        reserve = option_name("payload_reserve")
+        subject = f"a load of {theta[0]:.3g} kg ({reserve} states another one)"
         size = theta[0] / robot.prior.mass * size
     fitted = expected_fit(problem, plan, sample_rate, options, aim)
     at = fitted.at(names)

@@ -19,6 +19,7 @@ from robot_sysid.records.option_fields import (
     given_values,
     require_countable,
 )
+from robot_sysid.wording import option_name
 
 # A random motion that nothing plays imports nothing that checks and designs.
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def _plan_at_full_speed(
         saved = load_trajectory(options.file)
         if saved.joint_names != robot.joint_names:
             raise InputError(
-                f"--trajectory: made for the {len(saved.joint_names)} joints "
+                f"{option_name('trajectory')}: made for the {len(saved.joint_names)} joints "
                 f"{', '.join(saved.joint_names)}, but this arm has the {robot.n_joints} joints "
                 f"{', '.join(robot.joint_names)}; design one for this arm with robot-sysid plan"
             )

@@ -19,6 +19,7 @@ from robot_sysid.motion.starts import contact_on_the_way
 from robot_sysid.records import Array, MotionPlan
 from robot_sysid.records.messages import Detail, percent, position_unit
 from robot_sysid.spatial import PARAMETER_NAMES
+from robot_sysid.wording import option_setting
 
 LARGE_SHARE = 0.2
 """Predicted standard error over the parameter's size above which the parameter is named."""
@@ -114,8 +115,9 @@ def error_lines(prediction: Prediction) -> Iterator[str]:
         yield f"  above {percent(LARGE_SHARE)} of their size: {', '.join(uncertain)}"
     for combination in prediction.invisible:
         yield (
-            f"No motion of these joints identifies {combination}: use --torques chain if only the "
-            "last joint is used now, or mount the base at another angle"
+            f"No motion of these joints identifies {combination}: use "
+            f"{option_setting('torques', 'chain')} if only the last joint is used now, or "
+            "mount the base at another angle"
         )
     for cause, (mass_error, centre_error) in causes:
         yield Detail(

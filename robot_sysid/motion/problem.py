@@ -34,6 +34,7 @@ from robot_sysid.trajectory import (
     UNLIMITED_RANGE,
     TorqueFunction,
 )
+from robot_sysid.wording import option_name
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
 """The families of joint limits, in the order of their columns."""
@@ -298,10 +299,14 @@ def _limits(
 
     is_natural = is_slide | (options.max_acceleration is None)
     acceleration = np.where(is_natural, natural, options.max_acceleration or 0.0)
-    torque = joint_values(options.max_torque or np.inf, robot.n_joints, "--max-torque")
+    torque = joint_values(
+        options.max_torque or np.inf, robot.n_joints, option_name("max_torque")
+    )
     # The robot's velocity limits are those of ``--max-velocity`` (for slides, at most the default)
     # unless the model states lower ones.
-    speed = joint_values(options.max_velocity, robot.n_joints, "--max-velocity")
+    speed = joint_values(
+        options.max_velocity, robot.n_joints, option_name("max_velocity")
+    )
     default_speed = np.where(is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
     is_default = is_slide | (speed == DEFAULT_MAX_VELOCITY)
     has_range = np.isfinite(model_limits.lower) & np.isfinite(model_limits.upper)

@@ -46,6 +46,7 @@ from robot_sysid.motion.problem import (
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import SineTrajectory, TrajectoryOptions
+from robot_sysid.wording import option_name
 
 GRID_PER_CYCLE = 25
 """Grid points per period of the highest frequency: standard errors on the grid are within 0.04 % of
@@ -384,7 +385,7 @@ def _infeasibility(draws: list[Draw]) -> str:
     if not reasons:
         return (
             "no drawn trajectory shows all that these joints could show of the link; use a longer "
-            "--duration"
+            f"{option_name('duration')}"
         )
     ((name, count),) = Counter(reasons).most_common(1)
     return (

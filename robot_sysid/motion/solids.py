@@ -20,6 +20,7 @@ from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.model.stated import GROUND_TYPES
 from robot_sysid.motion import HalfSpace
 from robot_sysid.records import Array, RobotModel
+from robot_sysid.wording import option_name
 
 # MuJoCo's types of geoms.
 _TYPES = mujoco.mjtGeom
@@ -167,7 +168,8 @@ def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
         elif link_of_body[solid.body] > 1:
             return None
     # Adding zero turns -0.0 into 0.0.
-    label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m (--below-base lifts it)"
+    lifts = option_name("below_base")
+    label = f"the plane that the arm is mounted on, at {height + 0.0:.3g} m ({lifts} lifts it)"
     return HalfSpace(up, height, clearance=0.0, bodies=tuple(above), label=label)
 
 

@@ -16,6 +16,7 @@ from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Array
 from robot_sysid.records.messages import torque_unit
 from robot_sysid.trajectory import TORQUE_MARGIN
+from robot_sysid.wording import option_name
 
 
 def startable(problem: ExcitationProblem) -> ExcitationProblem:
@@ -34,8 +35,8 @@ def startable(problem: ExcitationProblem) -> ExcitationProblem:
     if collisions:
         reason = f"at rest the model is in a collision: {'; '.join(collisions)}"
         remedy = (
-            "choose another start with --keyframe or in the model, or write <exclude body1= "
-            "body2=> under its <contact> if these parts cannot meet"
+            f"choose another start with {option_name('keyframe')} or in the model, or write "
+            "<exclude body1= body2=> under its <contact> if these parts cannot meet"
         )
     else:
         joint = problem.joint_names[worst]

@@ -18,6 +18,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, MotionPlan
 from robot_sysid.records.file_access import atomic_file, read_json
 from robot_sysid.trajectory import SineTrajectory, motion_chunks, smooth_step
+from robot_sysid.wording import option_name
 
 FORMAT = "robot-sysid trajectory"
 """Name of the file format of trajectories, in each file."""
@@ -118,7 +119,8 @@ def load_trajectory(path: Path) -> SavedTrajectory:
             holds numbers that define no trajectory; every trajectory starts and ends at rest.
     """
     content = read_json(
-        Path(path), "--trajectory takes the .json file that robot-sysid plan writes"
+        Path(path),
+        f"{option_name('trajectory')} takes the .json file that robot-sysid plan writes",
     )
     is_known = isinstance(content, dict) and content.get("format") == FORMAT
     if not is_known or content.get("version") != VERSION:

@@ -26,6 +26,7 @@ from robot_sysid.records.messages import PARAMETER_UNITS, Progress, with_error
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.report.runs import Run
 from robot_sysid.results.record import Quantity
+from robot_sysid.wording import option_name
 
 ALL_JOINTS = "all joints alike"
 """What a change of friction is of that is the same in all joints."""
@@ -52,7 +53,7 @@ def compare_runs(runs: Sequence[Run], progress: Progress) -> list[Quantity]:
         raise InputError("the runs are of different model files")
     configs = [IdentifyConfig.of(**read_toml(run.folder / RUN_NAME)) for run in runs]
     if len({config.model.mass_scale for config in configs}) > 1:
-        raise InputError("the runs differ in --mass-scale")
+        raise InputError(f"the runs differ in {option_name('mass_scale')}")
     robot = load_arm(configs[0], Progress())
     if robot.sha256 != runs[0].content["model"]["sha256"]:
         raise InputError(f"{robot.path} has changed since the runs")

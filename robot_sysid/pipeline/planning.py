@@ -25,6 +25,7 @@ from robot_sysid.records.option_fields import (
 )
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
+from robot_sysid.wording import option_name
 
 if TYPE_CHECKING:
     from robot_sysid.damiao.joints import DamiaoJoint
@@ -49,7 +50,7 @@ def design_motion(
     if joints:
         # The motors of the export keep their torque limits, too.
         max_torque = joint_values(
-            limits.max_torque or np.inf, robot.n_joints, "--max-torque"
+            limits.max_torque or np.inf, robot.n_joints, option_name("max_torque")
         )
         # The last limit is TMAX, which no command of torque can exceed.
         peaks = [min(j.spec.peak_torque, j.spec.limits[2]) for j in joints]
@@ -168,7 +169,7 @@ def plan_conditions(checked: CheckedPlan) -> list[str]:
     if n_unguarded:
         remedy = "watch it in a viewer that shows them"
         if problem.robot.lacks_meshes:
-            meshes = "--mesh-dir FOLDER, the folder of its meshes (STL or OBJ)"
+            meshes = f"{option_name('mesh_dir', 'FOLDER')}, the folder of its meshes (STL or OBJ)"
             remedy = f"plan again with {meshes}, or {remedy}"
         conditions.append(
             f"contacts have been checked: without collision geometry, {n_unguarded} of "

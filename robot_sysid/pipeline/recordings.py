@@ -42,6 +42,7 @@ from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.signals.resampling import join_measurements, piece_notes, split_at_gaps
 from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import CHUNK, sample_count
+from robot_sysid.wording import option_name, option_setting
 
 
 def identify_logs(
@@ -218,11 +219,13 @@ def identify_payload(
         reason = "in this order it looks like a payload"
         if positions is None and len(logs) != 2:
             reason = (
-                "the order in which they were recorded is not known (--order tells it)"
+                "the order in which they were recorded is not known "
+                f"({option_name('order')} tells it)"
             )
         notes.append(
             f"a drift of friction over the {len(logs)} logs is not estimated, nor in the ±: "
-            f"{reason}; record in the order empty, loaded, loaded, empty (--order ABBA)"
+            f"{reason}; record in the order empty, loaded, loaded, empty "
+            f"({option_setting('order', 'ABBA')})"
         )
     progress.note(*notes)
     fitted, file = weighed, None

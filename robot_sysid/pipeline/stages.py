@@ -52,6 +52,7 @@ from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.solver import TERMINAL_FRICTION, LastLinkTerms, identify_parameters
 from robot_sysid.trajectory import CHUNK, motion_chunks, sample_count
+from robot_sysid.wording import option_name
 
 
 def run(config: Config, progress: Progress | None = None) -> Written:
@@ -152,9 +153,12 @@ def identify_simulated(
     with ignore_repeated_ctrl_c():
         checked = design_motion(config, robot, progress)
         if checked.failure:
-            remedy = "try another --seed, or plan a motion"
+            remedy = f"try another {option_name('seed')}, or plan a motion"
             if config.trajectory.file is not None:
-                remedy = "slow the motion down with --speed, or design one for this arm"
+                speed = option_name("speed")
+                remedy = (
+                    f"slow the motion down with {speed}, or design one for this arm"
+                )
             raise InputError(f"{checked.failure}; relax that limit, {remedy}")
         with atomic_files() as files:
             draft_plan(config, robot, checked.plan, files)

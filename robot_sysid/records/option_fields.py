@@ -32,6 +32,7 @@ from robot_sysid.records.file_access import (
     refuse_special_file,
     write_atomically,
 )
+from robot_sysid.wording import option_name, option_setting
 
 if TYPE_CHECKING:
     from robot_sysid.records import Array
@@ -98,6 +99,11 @@ class Option:
         name = self.flag.lstrip("-").replace("-", "_")
         return f"{name}_" if iskeyword(name) else name
 
+    @property
+    def name(self) -> str:
+        """The option's name for the reader of a message."""
+        return option_name(self.key)
+
 
 @dataclass(frozen=True)
 class OptionRecord:
@@ -112,14 +118,13 @@ class OptionRecord:
             for single in value if isinstance(value, tuple) else (value,):
                 if stated.choices and single not in stated.choices:
                     choices = ", ".join(stated.choices)
-                    raise InputError(
-                        f"{stated.flag} {single!r}: choose one of {choices}"
-                    )
+                    setting = option_setting(stated.key, repr(single))
+                    raise InputError(f"{setting}: choose one of {choices}")
                 if isinstance(single, Path):
-                    refuse_special_file(single, f"give {stated.flag} another path")
+                    refuse_special_file(single, f"give {stated.name} another path")
                 complaint = stated.check(single) if stated.check else None
                 if complaint:
-                    raise InputError(f"{stated.flag} {complaint}")
+                    raise InputError(f"{stated.name} {complaint}")
 
 
 def option(
@@ -247,7 +252,7 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
         # A text that is no number: it stays a text, which the check of types below refuses.
         value = raw_value
     except InputError as error:
-        raise InputError(f"{stated.flag}: {error}") from None
+        raise InputError(f"{stated.name}: {error}") from None
     # An option with several names in the help, such as LINK KG, takes rows, each of them a tuple.
     has_rows = isinstance(stated.metavar, tuple)
     takes_many = stated.repeats or stated.takes_many
@@ -266,7 +271,7 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
         )
     if not fits:
         raise InputError(
-            f"{stated.flag} must be {stated.type_text} (got {raw_value!r:.60})"
+            f"{stated.name} must be {stated.type_text} (got {raw_value!r:.60})"
         )
     return value
 
@@ -354,17 +359,17 @@ def check_speed_factor(value: float) -> str | None:
 _RANGE_CHECKS = {">": check_positive, ">=": check_not_negative}
 
 
-def joint_values(values: PerJoint, n_joints: int, flag: str) -> Array:
+def joint_values(values: PerJoint, n_joints: int, name: str) -> Array:
     """Return the values (n,) of an option that takes one number for all joints, or one per joint.
 
-    Raises InputError, naming the option's flag, where the number of values does not fit.
+    Raises InputError, naming the option, where the number of values does not fit.
     """
     import numpy as np
 
     numbers = np.atleast_1d(np.asarray(values, dtype=float))
     if len(numbers) not in (1, n_joints):
         raise InputError(
-            f"{flag} takes one number, or one per joint of the chain, which has {n_joints} "
+            f"{name} takes one number, or one per joint of the chain, which has {n_joints} "
             f"(got {len(numbers)})"
         )
     return np.broadcast_to(numbers, (n_joints,)).copy()
@@ -415,8 +420,7 @@ def joint_factors(
     import numpy as np
 
     if not isinstance(factors, Path):
-        flag = "--" + table.replace("_", "-")
-        values = joint_values(factors or 1.0, len(joint_names), flag)
+        values = joint_values(factors or 1.0, len(joint_names), option_name(table))
         return np.array([values, np.full(len(values), np.nan)])
     by_joint = read_factors(factors, table)
     for name in joint_names:
@@ -558,7 +562,8 @@ class TrajectoryOptions(OptionRecord):
         super().__post_init__()
         if self.duration * self.sample_rate < 1.0:
             raise InputError(
-                "--duration times --sample-rate gives less than two samples; raise one of them"
+                f"{option_name('duration')} times {option_name('sample_rate')} gives less than two "
+                "samples; raise one of them"
             )
         require_countable(self.duration / self.speed, self.sample_rate)
 
@@ -574,7 +579,8 @@ def require_countable(duration: float, sample_rate: float) -> None:
     most = 1e9  # which takes days
     if not count <= most:
         raise InputError(
-            f"a trajectory of {duration:.3g} s with --sample-rate {sample_rate:g} has "
-            f"{count:.3g} samples, more than the {most:.0e} a run can take; "
-            "shorten it, raise --speed where that slows it down, or lower the rate"
+            f"a trajectory of {duration:.3g} s with "
+            f"{option_name('sample_rate', f'{sample_rate:g}')} has {count:.3g} samples, more than "
+            f"the {most:.0e} a run can take; shorten it, raise {option_name('speed')} where that "
+            "slows it down, or lower the rate"
         )

@@ -19,6 +19,7 @@ from robot_sysid.dynamics.friction import Coupling
 from robot_sysid.records import Array, InertialParameters, Motion, Traces, Validation
 from robot_sysid.records.file_access import MODEL_NAMES, AtomicFiles
 from robot_sysid.records.messages import Level, Remark
+from robot_sysid.wording import with_option_names
 
 LINK = "link"
 """Question for the inertia of the terminal link, and of every other link with it."""
@@ -30,7 +31,7 @@ class Verdict(Enum):
     """What decides on the use of a result; the value says what it means, or what to do."""
 
     SWAPPED = (
-        "the loaded recordings weigh less than the empty ones: --empty and --loaded look swapped; "
+        "the loaded recordings weigh less than the empty ones: {empty} and {loaded} look swapped; "
         "exchange them"
     )
     DISAGREE = (
@@ -43,7 +44,7 @@ class Verdict(Enum):
     )
     WRONG_WEIGHT = (
         "the known mass does not fit the recordings: weighed with torques as they are it comes "
-        "out far from what --known-mass says; check the weight, its unit (kg), and that nothing "
+        "out far from what {known_mass} says; check the weight, its unit (kg), and that nothing "
         "else was changed between empty and loaded"
     )
     UNEXPLAINED = (
@@ -56,7 +57,7 @@ class Verdict(Enum):
     )
     TOO_WEAK = (
         "the link's mass does not differ significantly from zero (it is less than two standard "
-        "errors); move faster, wider or longer (--excitation optimal)"
+        "errors); move faster, wider or longer ({excitation=optimal})"
     )
     NO_BETTER = (
         "torques that were not fitted are predicted no better than the model does already; check "
@@ -72,7 +73,7 @@ class Verdict(Enum):
     )
     PARTLY_FROM_MODEL = (
         "some parameter combinations are not identifiable from these torques and keep the model's "
-        "values; use --torques chain, or a longer or wider motion, to identify more"
+        "values; use {torques=chain}, or a longer or wider motion, to identify more"
     )
     BETTER = "the written model predicts torques that were not fitted clearly better than before"
     AS_GOOD = (
@@ -102,7 +103,8 @@ class Verdict(Enum):
 
     def remark(self, reason: str = "") -> Remark:
         """Return the remark by which this verdict follows from a reason, one phrase."""
-        return Remark(self.level, self.name, *filter(None, (reason, self.value)))
+        meaning = with_option_names(self.value)
+        return Remark(self.level, self.name, *filter(None, (reason, meaning)))
 
 
 DATA = "data"

@@ -48,6 +48,7 @@ from robot_sysid.simulation.playback import (
     chain_actuators,
     servos_in_model,
 )
+from robot_sysid.wording import option_setting
 
 SERVO_SCHEMA = "robot-sysid servo 4"
 """Name and version of the format of servo.json."""
@@ -222,9 +223,10 @@ def run_servo(
                 f"there without it ({new:.3g} rad over {WINDOW:g} s, the model before {old:.3g}, "
                 f"the delayed commands {result.goal:.3g})"
             )
-            verdict = f"Not usable, but written because of --accept rollout: {fault}"
+            accepting = option_setting("accept", "rollout")
+            verdict = f"Not usable, but written because of {accepting}: {fault}"
             if "rollout" not in logs.accept:
-                remedy = "to write it all the same: --accept rollout"
+                remedy = f"to write it all the same: {accepting}"
                 failure = f"no model was written: {fault}; {remedy}"
         written = []
         notes = [*result.notes, *servo_notes(result)]

@@ -31,6 +31,7 @@ from robot_sysid.simulation.playback import (
     ServoWindow,
     interpolate,
 )
+from robot_sysid.wording import option_name
 
 MAX_DELAY = 0.2
 """Longest time by which positions may follow their commands [s]: that of a soft servo, damping over
@@ -84,9 +85,10 @@ def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -
                     f"to {MAX_DELAY:g} s){copied}, with a correlation of {correlation:.2f}, "
                     f"change {slope:.3g} times as much (degrees 57.3 times, steps of 4096 a turn "
                     f"652 times as much as rad), and differ by {offset:.3g} all the time; check "
-                    "that they were sent to the servos, units and signs (--units, or --columns "
-                    f"FILE such as 'command.JOINT = {1.0 / slope:.4g} * TITLE'), columns that were "
-                    "exchanged, time stamps and zeros"
+                    "that they were sent to the servos, units and signs "
+                    f"({option_name('units')}, or {option_name('columns', 'FILE')} such as "
+                    f"'command.JOINT = {1.0 / slope:.4g} * TITLE'), columns that were exchanged, "
+                    " time stamps and zeros"
                 )
 
 

@@ -45,6 +45,7 @@ from robot_sysid.records.option_fields import joint_values
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
+from robot_sysid.wording import option_name
 
 
 def plant_measurements(
@@ -69,7 +70,9 @@ def plant_measurements(
         InputError: options and arm do not have the same number of joints.
         SimulationError: the plant cannot be simulated.
     """
-    sigma = joint_values(options.noise_torque, plant.n_joints, "--noise-torque")
+    sigma = joint_values(
+        options.noise_torque, plant.n_joints, option_name("noise_torque")
+    )
     step = options.encoder_resolution
     noise = np.random.default_rng(rng.integers(2**63, size=4))
     for exact in simulate_inverse(plant, motion_chunks(plan, sample_rate)):

@@ -5,14 +5,20 @@ from __future__ import annotations
 import ast
 import inspect
 import re
+from functools import partial
+from pathlib import Path
 
 import pytest
 
 import robot_sysid as rs
 from rigs.option_samples import samples
-from robot_sysid.api.keywords import python_words
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
-from robot_sysid.records.option_fields import immutable_value
+from robot_sysid.wording import (
+    in_python,
+    option_name,
+    option_setting,
+    with_option_names,
+)
 from tests.test_architecture import nodes_of, package_sources
 
 FUNCTIONS = {
@@ -81,76 +87,57 @@ def test_what_cannot_be_used_is_said_in_the_words_of_python(call, message):
     assert str(caught.value).startswith(message)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (
-            "--known-mass and --units deg.\n  robot-sysid log a.csv --units deg",
-            'known_mass and units="deg".\n  robot-sysid log a.csv --units deg',
-        ),
-        (
-            "go on: --accept torque-scale --accept zero)",
-            'go on: accept=["torque-scale", "zero"])',
-        ),
-        ("use --torque-scale 1000, or 0.1", "use torque_scale=1000, or 0.1"),
-        ("--torque-scale 1.3,1.2.", "torque_scale=[1.3, 1.2]."),
-        ("see --for weight of plan", 'see for_="weight" of plan'),
-        ("--torques 'all': choose", 'torques="all": choose'),
-        ("--joint left-1.a: no such joint", 'joint="left-1.a": no such joint'),
-        ("--keep friction and --no-friction", 'keep="friction" and no_friction'),
-        ("run --no-friction --keep links", 'run no_friction keep="links"'),
-        ("with --columns FILE, of lines", "with columns=FILE, of lines"),
-        ("motors setup --new-id 2 --store", "motors setup --new-id 2 --store"),
-        ("of a-- b", "of a-- b"),
-    ],
-)
-def test_options_are_keywords_with_their_values(text, words):
-    assert python_words(text) == words
+def test_every_option_is_named_as_a_keyword_with_its_value():
+    """What a message advises in Python, Python takes as the message has it."""
+    with in_python():
+        for function, config in FUNCTIONS.items():
+            for sample in samples(config):
+                option = sample.option
+                is_text = isinstance(sample.value, (str, Path))
+                if option.key not in inspect.signature(function).parameters:
+                    continue
+                assert option.name == option.key
+                if is_text:
+                    text = option_setting(option.key, str(sample.value))
+                    (value,) = eval(f"dict({text})").values()
+                    assert option.parse(value) == sample.value, text
 
 
-def test_every_option_is_a_keyword_with_the_value_that_was_typed():
-    """What a message advises on the command line, Python takes as the message has it."""
-    for function, config in FUNCTIONS.items():
-        for sample in samples(config):
-            option = sample.option
-            is_row = isinstance(option.metavar, tuple) or option.takes_many
-            # A file of priors would have to exist.
-            is_left_out = is_row or option.key == "priors"
-            if option.key not in inspect.signature(function).parameters or is_left_out:
-                continue
-            words = python_words(f"pass {' '.join(sample.words)}, please")
-            text = words[len("pass ") : -len(", please")]
-            if sample.value is True:
-                assert text == option.key
-                continue
-            (value,) = eval(f"dict({text})").values()
-            value = immutable_value(value, option.parse)
-            assert sample.value in (value, (value,)), text
+def test_texts_name_options_for_their_reader():
+    template = "{known_mass}, {columns FILE} or {units=deg}"
+    several = partial(option_setting, "accept", "zero", "tilt")
+    quoted = partial(option_setting, "torques", "'all'")
+    assert with_option_names(template) == "--known-mass, --columns FILE or --units deg"
+    assert (several(), quoted()) == ("--accept zero --accept tilt", "--torques 'all'")
+    assert option_name("for_") == "--for"
+    with in_python():
+        assert with_option_names(template) == 'known_mass, columns=FILE or units="deg"'
+        assert (several(), quoted()) == ('accept=["zero", "tilt"]', 'torques="all"')
+        assert option_name("rate", "250") == "rate=250"
 
 
-PLAIN = re.compile(
-    "and|another|chooses|estimates|exclude|file|for|gives|has|have|if|in|is|leaves|lifts|look|of|off|or|"
-    "plays|requires|says|states|takes|tells|times|to|where|writes"
-)
-"""Words behind an option in the package's sentences that are no values."""
+KEYS = {
+    key.rstrip("_")
+    for function in (*FUNCTIONS, rs.motors.play, rs.read_log)
+    for key in inspect.signature(function).parameters
+}
 
 
-def test_no_sentence_leaves_a_value_behind_a_keyword():
-    for name, text in sentences():
-        for option, word in re.findall(r"(?<![\w-])(--[a-z-]+[a-z]) (\w\S*)", text):
-            key = option[2:].replace("-", "_")
-            if python_words(option) == option or PLAIN.fullmatch(word.rstrip(".,;:)")):
-                continue
-            assert re.search(rf"\b{key}_?=", python_words(text)), (name, text)
-
-
-def sentences():
-    """Yield (module, text) of each text that Python may print, where no value interrupts it."""
+def test_no_text_that_python_may_print_spells_an_option_itself():
     for name, source in package_sources().items():
-        if ".commands" in name or name.endswith("next_steps"):
+        if ".commands" in name or name.endswith(("cli", "next_steps", "wording")):
             continue
-        for node in nodes_of(source):
+        nodes = nodes_of(source)
+        docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        for node in nodes:
             text = getattr(node, "value", None)
-            is_text = isinstance(node, ast.Constant) and isinstance(text, str)
-            if is_text and "``" not in text and "\n" not in text:
-                yield name, text
+            if isinstance(node, ast.Constant) and isinstance(text, str):
+                flags = re.findall(r"(?<![\w-])--([a-z][a-z-]*)", text)
+                # An option alone is a word of a command line.
+                if id(node) not in docstrings and text != f"--{''.join(flags)}":
+                    keys = {flag.replace("-", "_") for flag in flags}
+                    assert KEYS.isdisjoint(keys), (name, text)
+            elif ast.unparse(node).startswith(("option_name(", "option_setting(")):
+                key = node.args[0]
+                if isinstance(key, ast.Constant):
+                    assert key.value.rstrip("_") in KEYS, (name, key.value)

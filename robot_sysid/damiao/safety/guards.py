@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from robot_sysid.damiao.protocol import ENABLED, Codes, Feedback, MitCommand
 from robot_sysid.errors import HardwareAbort
 from robot_sysid.records import Array
+from robot_sysid.wording import option_setting
 
 NO_STATUS = -1
 """Status of a joint that sent no believed answer in a cycle."""
@@ -361,6 +362,7 @@ class CommandBounds:
             )
         position_step, velocity_step, torque_step = self.steps
         torque_slack = torque_step + command.kp * position_step
+        weighing = option_setting("for_", "weight")
         for wanted, limited, slack, text in (
             (
                 command.position,
@@ -379,7 +381,7 @@ class CommandBounds:
                 makes,
                 torque_slack,
                 "be asked for {:.1f} N·m and makes {:.1f} at most: something holds the arm back, "
-                "or it needs more than this motor has (see --for weight of plan)",
+                f"or it needs more than this motor has (see {weighing} of plan)",
             ),
         ):
             # A command at its bound is rounded by its conversion to frames and back.
