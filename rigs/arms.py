@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from robot_sysid import spatial
 from robot_sysid.estimate.rows import Rows
+from robot_sysid.mjcf.inertial import sum_theta
+from robot_sysid.model.bodies import subtree_bodies
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, Motion
 from robot_sysid.solver import LastLinkTerms, exact_recording
@@ -225,6 +227,11 @@ def robot_of(xml, joint=None, max_velocity=2.0, keyframe=None):
     """RobotModel of an XML string or a compiled model."""
     mj_model = compile_xml(xml) if isinstance(xml, str) else xml
     return load_robot_model(mj_model, None, joint, max_velocity, keyframe)
+
+
+def composite_theta(mj_model, qpos, body_id):
+    """Parameters (10,) of a body and all below it together, in its frame, at ``qpos``."""
+    return sum_theta(subtree_bodies(mj_model, qpos, body_id))
 
 
 def write_body(mj_model, body, theta):

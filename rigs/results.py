@@ -249,6 +249,7 @@ def whole(**changes) -> Result:
     first = replace(terminal(estimate()), name="link5")
     last = terminal(estimate())
     bodies = (SubtreeBody(6, "link6", THETA, True),)
+    links = (replace(ARM.links[0], bodies=bodies),)
     file = model_file()
     rows = [*body_quantities(first), *body_quantities(last)]
     rows += [row for joint in JOINTS for row in joint_rows(estimate(), joint)]
@@ -265,7 +266,7 @@ def whole(**changes) -> Result:
         Quantity("viscous", "j5", "N·s/m", 0.1, 0.25, 0.02, FILE),
     ]
     result = found(
-        robot=replace(ARM, is_slide=np.array([True, False]), bodies=bodies),
+        robot=replace(ARM, is_slide=np.array([True, False]), links=links),
         links=by_name(first, last),
         quantities=tuple(rows),
         file=file,

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import InputError, ModelError
-from robot_sysid.model.bodies import arm_links, subtree_bodies
+from robot_sysid.model.bodies import arm_links
 from robot_sysid.model.chain import (
     arm_without_base,
     chain_to,
@@ -29,7 +29,7 @@ from robot_sysid.model.compilation import (
     compiled_in_memory,
     is_in_memory,
 )
-from robot_sysid.model.stated import placeholder_notes
+from robot_sysid.model.stated import placeholder_notes, with_references
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.records import RobotModel
 from robot_sysid.records.option_fields import DEFAULT_MAX_VELOCITY, PerJoint
@@ -80,7 +80,7 @@ def load_robot_model(
         qpos[:] = mj_model.key_qpos[keyframe_id]
     dofs = mj_model.jnt_dofadr[list(chain)].astype(np.int64)
     names = tuple(joint_label(mj_model, j) for j in chain)
-    links = arm_links(mj_model, qpos, chain)
+    links = with_references(mj_model, qpos, arm_links(mj_model, qpos, chain))
     if links[-1].theta[0] <= 0.0:
         raise ModelError(
             f"the terminal body {links[-1].body_name} and all below it weigh nothing; give it an "
@@ -98,7 +98,6 @@ def load_robot_model(
         reference_qpos=qpos,
         is_slide=mj_model.jnt_type[list(chain)] == int(mujoco.mjtJoint.mjJNT_SLIDE),
         limits=joint_limits(mj_model, chain, max_velocity, speeds),
-        bodies=subtree_bodies(mj_model, qpos, links[-1].body_id),
         friction=joint_friction(mj_model, dofs),
         links=links,
         notes=compiled.notes,

@@ -20,7 +20,7 @@ from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import AmbiguousJointError, ModelError
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.model.bodies import body_theta, composite_theta
+from robot_sysid.model.bodies import body_theta
 from robot_sysid.motion import ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import prior_knowledge
 from robot_sysid.motion.limit_check import keeps_limits
@@ -113,7 +113,7 @@ def with_heavier_link(robot):
     """The same arm carrying 30 % more at its last link."""
     model = copy.copy(robot.mj_model)
     arms.write_body(model, robot.body_id, 1.3 * body_theta(model, robot.body_id))
-    theta = composite_theta(model, robot.reference_qpos, robot.body_id)
+    theta = arms.composite_theta(model, robot.reference_qpos, robot.body_id)
     return model, theta
 
 

@@ -132,7 +132,7 @@ def implausible_link(robot: RobotModel, link: BodyEstimate) -> Iterator[Remark]:
     if not link.mass > 0.0:
         return
     # Largest distances from the link's origin and from the arm's first joint [m].
-    reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
+    reach = link_reach(robot)
     arm = reach + robot.reach
     slack = INTERVAL * np.linalg.norm(errors[1:4]) / link.mass
     distance = np.linalg.norm(link.com)

@@ -26,7 +26,6 @@ from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.chain import body_label
-from robot_sysid.model.stated import with_references
 from robot_sysid.records import ArmLink, Array, Flange, RobotModel, SubtreeBody
 from robot_sysid.wording import option_name
 
@@ -79,23 +78,18 @@ def subtree_bodies(
     return tuple(bodies.values())
 
 
-def composite_theta(mj_model: Any, qpos: Array, body_id: int) -> Array:
-    """Return theta (10,) of a body and all below it together, in its frame, at ``qpos`` (nq,)."""
-    return sum_theta(subtree_bodies(mj_model, qpos, body_id))
+def link_reach(robot: RobotModel) -> float:
+    """Return how far the terminal link reaches from its body's origin [m].
 
-
-def link_reach(mj_model: Any, qpos: Array, body_id: int) -> float:
-    """Return how far a body and all below it, held at ``qpos``, reach from its origin [m].
-
-    It is the distance of the farthest point of its geoms' bounding spheres, but at least sqrt(3)
-    times the root mean square distance of its mass, which is the length of a uniform rod.
+    It is the distance of the farthest point of its geoms' bounding spheres, but at least the length
+    of a uniform rod whose mass is as far away.
     """
-    data = data_at_pose(mj_model, qpos)
-    geoms = np.isin(mj_model.geom_bodyid, subtree(mj_model, body_id))
-    distances = np.linalg.norm(data.geom_xpos[geoms] - data.xpos[body_id], axis=1)
-    spheres = distances + mj_model.geom_rbound[geoms]
-    theta = composite_theta(mj_model, qpos, body_id)
-    rod = np.sqrt(3.0) * spatial.characteristic_length(theta)
+    mj_model = robot.mj_model
+    data = data_at_pose(mj_model, robot.reference_qpos)
+    geoms = np.isin(mj_model.geom_bodyid, subtree(mj_model, robot.body_id))
+    steps = data.geom_xpos[geoms] - data.xpos[robot.body_id]
+    spheres = np.linalg.norm(steps, axis=1) + mj_model.geom_rbound[geoms]
+    rod = spatial.ROD * spatial.characteristic_length(robot.prior.theta)
     return max(rod, np.max(spheres, initial=0.0))
 
 
@@ -110,19 +104,21 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
     mujoco.mj_comPos(mj_model, data)
     body_ids = mj_model.jnt_bodyid[list(chain)].tolist()
     dofs = mj_model.jnt_dofadr[list(chain)].tolist()
+    # The body that the next chain joint moves, which begins the next link.
+    next_ids = [*body_ids[1:], mj_model.nbody]
     links = []
-    ids = []
     # Frame of the previous link.
     previous = data.body(0)
     jac_linear = np.zeros((3, mj_model.nv))
     jac_angular = np.zeros((3, mj_model.nv))
-    for index, body_id in enumerate(body_ids):
+    for body_id, next_id, dof in zip(body_ids, next_ids, dofs):
         body = data.body(body_id)
         rotation, translation = pose_in(body, previous)
         mujoco.mj_jacBody(mj_model, data, jac_linear, jac_angular, body_id)
         # Angular and linear velocity (2, 3) of the body per unit of the joint's, in world axes.
-        velocity = np.stack((jac_angular, jac_linear))[:, :, dofs[index]]
-        bodies = link_bodies(mj_model, qpos, body_id, body_ids[index + 1 :])
+        velocity = np.stack((jac_angular, jac_linear))[:, :, dof]
+        excluded = subtree(mj_model, next_id)
+        bodies = subtree_bodies(mj_model, qpos, body_id, excluded)
         links.append(
             ArmLink(
                 body_id=body_id,
@@ -131,25 +127,11 @@ def arm_links(mj_model: Any, qpos: Array, chain: Sequence[int]) -> tuple[ArmLink
                 rotation=rotation,
                 translation=translation,
                 theta=sum_theta(bodies),
+                bodies=bodies,
             )
         )
-        ids.append([body.body_id for body in bodies])
         previous = body
-    return with_references(mj_model, qpos, links, ids)
-
-
-def link_bodies(
-    mj_model: Any, qpos: Array, body_id: int, later_bodies: Sequence[int]
-) -> tuple[SubtreeBody, ...]:
-    """Return the bodies of one link, first ``body_id``, the one its joint moves, at ``qpos`` (nq,).
-
-    ``later_bodies``: ids of the bodies that later chain joints move, from the base on; no bodies
-    are returned where ``body_id`` is one of them.
-    """
-    if body_id in later_bodies:
-        return ()
-    excluded = set(subtree(mj_model, later_bodies[0])) if later_bodies else ()
-    return subtree_bodies(mj_model, qpos, body_id, excluded)
+    return tuple(links)
 
 
 # Names by which models call the frame that a tool is bolted to, the surest first. Franka's own

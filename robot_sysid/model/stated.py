@@ -20,7 +20,8 @@ import numpy as np
 
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose
-from robot_sysid.records import KINDS, ArmLink, Array, InertialParameters
+from robot_sysid.model.bodies import pose_in
+from robot_sysid.records import KINDS, ArmLink, Array, InertialParameters, SubtreeBody
 from robot_sysid.records.usual_errors import LEAST_SIZE, LEAST_SIZE_SHARE
 from robot_sysid.spatial import ROD, ROD_MOMENT
 
@@ -35,7 +36,7 @@ GROUND_TYPES = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIE
 
 
 def with_references(
-    mj_model: Any, qpos: Array, links: Sequence[ArmLink], bodies: Sequence[list[int]]
+    mj_model: Any, qpos: Array, links: Sequence[ArmLink]
 ) -> tuple[ArmLink, ...]:
     """Return the links of an arm with their sizes, placeholders and reference bodies.
 
@@ -43,7 +44,6 @@ def with_references(
         mj_model: the compiled model.
         qpos: (nq,) the reference configuration.
         links: base to terminal, as the model has them.
-        bodies: per link, the ids of its bodies.
     """
     masses = np.array([link.theta[0] for link in links if link.theta[0] > 0.0])
     if not len(masses):
@@ -54,10 +54,10 @@ def with_references(
     lengths = np.linalg.norm(steps, axis=1).tolist()
     copied = _copied(links)
     result = []
-    for link, step, length, ids in zip(links, steps, lengths, bodies):
+    for link, step, length in zip(links, steps, lengths):
         size = max(length, LEAST_SIZE_SHARE * sum(lengths), LEAST_SIZE)
         rod = 0.5 * step, ROD_MOMENT * size**2 * np.eye(3)
-        centre, gyration = _boxes(mj_model, data, ids) or rod
+        centre, gyration = _boxes(mj_model, data, link.bodies) or rod
         mass, com, inertia = spatial.com_from_theta(link.theta)
         unknown = {*copied[link.body_name]}
         if mass < LEAST_SHARE * median:
@@ -110,26 +110,25 @@ def _copied(links: Sequence[ArmLink]) -> dict[str, set[str]]:
 
 
 def _boxes(
-    mj_model: Any, data: Any, bodies: Sequence[int]
+    mj_model: Any, data: Any, bodies: Sequence[SubtreeBody]
 ) -> tuple[Array, Array] | None:
     """Return what the boxes around the shapes of bodies have if they are filled evenly.
 
     It is (centre (3,) in the frame of the first body [m], inertia about it (3, 3) over the mass
     [m^2]); None where there is no shape.
     """
-    axes = data.xmat[bodies[0]].reshape(3, 3) if bodies else np.eye(3)
+    ids = [body.body_id for body in bodies]
     volume = 0.0
     theta = np.zeros(spatial.N_INERTIAL)
-    for geom in np.flatnonzero(np.isin(mj_model.geom_bodyid, bodies)).tolist():
+    for geom in np.flatnonzero(np.isin(mj_model.geom_bodyid, ids)).tolist():
         middle, half = np.split(mj_model.geom_aabb[geom], 2)
         if mj_model.geom_type[geom] in GROUND_TYPES or not np.all(half > 0.0):
             continue
         box = np.prod(half)
         inertia = box / 3.0 * (half @ half * np.eye(3) - np.diag(half**2))
-        turn = axes.T @ data.geom_xmat[geom].reshape(3, 3)
-        place = axes.T @ (data.geom_xpos[geom] - data.xpos[bodies[0]])
         own = spatial.theta_from_com(box, middle, inertia)
-        theta += spatial.transform_theta(own, turn, place)
+        pose = pose_in(data.geom(geom), data.body(ids[0]))
+        theta += spatial.transform_theta(own, *pose)
         volume += box
     if volume == 0.0:
         return None

@@ -30,16 +30,18 @@ def with_mass_scale(robot: RobotModel, factor: float) -> RobotModel:
     mj_model.body_mass[:] *= factor
     mj_model.body_inertia[:] *= factor
     mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
-    return replace(
-        robot,
-        mj_model=mj_model,
-        links=tuple(
-            replace(link, theta=factor * link.theta, reference=factor * link.reference)
-            for link in robot.links
-        ),
-        bodies=tuple(replace(b, theta=factor * b.theta) for b in robot.bodies),
-        mass_scale=factor * robot.mass_scale,
-    )
+    links = []
+    for link in robot.links:
+        links.append(
+            replace(
+                link,
+                theta=factor * link.theta,
+                reference=factor * link.reference,
+                bodies=tuple(replace(b, theta=factor * b.theta) for b in link.bodies),
+            )
+        )
+    scale = factor * robot.mass_scale
+    return replace(robot, mj_model=mj_model, links=tuple(links), mass_scale=scale)
 
 
 def mass_unit(robot: RobotModel, factor: float = 1.0) -> float:
@@ -51,7 +53,7 @@ def mass_unit(robot: RobotModel, factor: float = 1.0) -> float:
     """
     length = robot.reach
     # Without shapes, it follows from inertias, which may be placeholders.
-    tip = min(link_reach(robot.mj_model, robot.reference_qpos, robot.body_id), length)
+    tip = min(link_reach(robot), length)
     density = factor * robot.mass / max(length + tip, 0.3) ** 3
     if density < 0.1:
         return 1e3

@@ -110,14 +110,14 @@ class InertialParameters:
 
 @dataclass(frozen=True)
 class SubtreeBody:
-    """One body of the terminal link: the terminal body itself or one below it.
+    """One body of a link: the one that the link's joint moves, or one below it.
 
     Attributes:
         body_id: its MuJoCo id.
         name: of the body ("#7" for a nameless body with id 7).
-        theta: (10,) inertial parameters in the frame of the TERMINAL body, with the inertia about
-            the origin of that frame.
-        welded: whether no joint lies between the body and the terminal body.
+        theta: (10,) inertial parameters in the frame of the link's FIRST body, with the inertia
+            about the origin of that frame.
+        welded: whether no joint lies between the body and the first one.
     """
 
     body_id: int
@@ -148,6 +148,8 @@ class ArmLink:
         reference: (10,) the same, with a body of the link's geometry for each placeholder.
         size: of the link [m], which the error of its centre of mass is a share of.
         placeholders: those of ``KINDS`` that the model does not state.
+        bodies: what it is made of, the body ``body_id`` first; none where a later chain joint moves
+            that body.
     """
 
     body_id: int
@@ -159,6 +161,7 @@ class ArmLink:
     reference: Array = None  # type: ignore[assignment]
     size: float = 0.0
     placeholders: tuple[str, ...] = ()
+    bodies: tuple[SubtreeBody, ...] = ()
 
     def __post_init__(self) -> None:
         if self.reference is None:
@@ -287,7 +290,6 @@ class RobotModel:
         is_slide: (n,) whether a chain joint is a slide.
         limits, friction: of the chain joints.
         links: what each chain joint moves, base to terminal.
-        bodies: what the last link is made of, the terminal body first.
         sha256: hash of the files that make the model.
         kind: "mjcf" or "urdf".
         mass_scale: by which masses and moments of inertia differ from those of the file.
@@ -304,7 +306,6 @@ class RobotModel:
     limits: JointLimits
     friction: JointFriction
     links: tuple[ArmLink, ...]
-    bodies: tuple[SubtreeBody, ...] = ()
     sha256: str = ""
     kind: str = "mjcf"
     mass_scale: float = 1.0
@@ -323,6 +324,11 @@ class RobotModel:
     def body_id(self) -> int:
         """MuJoCo id of the terminal body."""
         return self.links[-1].body_id
+
+    @property
+    def bodies(self) -> tuple[SubtreeBody, ...]:
+        """What the terminal link is made of, the terminal body first."""
+        return self.links[-1].bodies
 
     @property
     def prior(self) -> InertialParameters:

@@ -34,7 +34,7 @@ from robot_sysid.mjcf.updated_model import (
     changed_model_text,
 )
 from robot_sysid.model.actuators import AT_TENDON, actuators_on, stated_at_actuator
-from robot_sysid.model.bodies import body_theta, link_bodies
+from robot_sysid.model.bodies import body_theta
 from robot_sysid.model.chain import body_label
 from robot_sysid.model.compilation import mjcf_of
 from robot_sysid.model.units import with_mass_scale
@@ -214,7 +214,6 @@ def _body_changes(
     Raises:
         ExportError: a joint moves no body of its own.
     """
-    body_ids = [link.body_id for link in robot.links]
     # Smallest principal moment that the model's compiler leaves alone [kg m^2].
     bound = float(read_document(robot.path).compiler_setting("boundinertia") or 0.0)
     written_thetas = thetas.copy()
@@ -223,15 +222,12 @@ def _body_changes(
     notes: list[str] = []
     for k in indices:
         link = robot.links[k]
-        bodies = link_bodies(
-            robot.mj_model, robot.reference_qpos, link.body_id, body_ids[k + 1 :]
-        )
-        if not bodies:
+        if not link.bodies:
             raise ExportError(
                 f"joint {robot.joint_names[k]} moves no link of its own, because a later joint "
                 f"moves body '{link.body_name}' too; its parameters belong to that joint's link"
             )
-        plan = plan_write_back(thetas[k], bodies, bound)
+        plan = plan_write_back(thetas[k], link.bodies, bound)
         # With the moments of inertia as they were inflated to be possible.
         written_thetas[k] = plan.composite
         notes += plan.notes

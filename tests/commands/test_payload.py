@@ -13,7 +13,6 @@ from rigs.params import rows
 from rigs.params import written as in_the_file
 from rigs.payload_logs import PAYLOAD
 from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.model.bodies import composite_theta
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.simulation import SimulatedArmOptions
@@ -74,7 +73,7 @@ def test_a_payload_is_found_and_written_into_the_model(command, models):
     card = (folder / "payload_card.txt").read_text()
     assert f"Payload of {row[1]} ± {row[2]} kg" in card
     written = compile_model(folder / "updated_model.xml").mj_model
-    theta = composite_theta(written, written.qpos0, written.body("link3").id)
+    theta = arms.composite_theta(written, written.qpos0, written.body("link3").id)
     link = in_the_file(content)["link3", "mass"]
     assert theta[0] == pytest.approx(link + mass["value"], rel=1e-9)
 

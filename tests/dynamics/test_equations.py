@@ -15,7 +15,6 @@ from rigs import arms
 from rigs.arms import SEEDS, random_chain, rigid_bodies, robot_of
 from robot_sysid import spatial
 from robot_sysid.estimate.identifiability import VisibleSpace, visible_space
-from robot_sysid.model.bodies import composite_theta
 from robot_sysid.records import JointFriction, Measurement
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.solver import LastLinkTerms
@@ -65,7 +64,7 @@ def plant_with(robot, theta, friction):
         mj_model=model,
         friction=JointFriction(coulomb, viscous, robot.friction.shared),
     )
-    truth = composite_theta(model, robot.reference_qpos, robot.body_id)
+    truth = arms.composite_theta(model, robot.reference_qpos, robot.body_id)
     return plant, np.append(truth, friction)
 
 

@@ -25,7 +25,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
 )
 from robot_sysid.errors import InputError
-from robot_sysid.model.bodies import body_theta, composite_theta
+from robot_sysid.model.bodies import body_theta
 
 SAMPLES = 4
 
@@ -34,7 +34,7 @@ def with_link(robot, theta):
     """Return the model with theta (10,) as its terminal body, and the composite theta (10,)."""
     model = copy.copy(robot.mj_model)
     arms.write_body(model, robot.body_id, theta)
-    return model, composite_theta(model, robot.reference_qpos, robot.body_id)
+    return model, arms.composite_theta(model, robot.reference_qpos, robot.body_id)
 
 
 def assert_reproduces(robot, theta, motion):
@@ -129,8 +129,10 @@ def test_held_joints_stay_at_the_home_keyframe():
     motion = random_motion(default_rng(4), robot.n_joints, SAMPLES)
     closed = np.zeros(6)
     wide = np.append(closed[:4], [0.03, 0.01])
-    theta = composite_theta(robot.mj_model, wide, 4)
-    assert np.max(np.abs(theta - composite_theta(robot.mj_model, closed, 4))) > 1e-4
+    theta = arms.composite_theta(robot.mj_model, wide, 4)
+    assert (
+        np.max(np.abs(theta - arms.composite_theta(robot.mj_model, closed, 4))) > 1e-4
+    )
     assert_allclose(robot.prior.theta, theta, rtol=1e-14)
     assert_reproduces(robot, body_theta(robot.mj_model, robot.body_id), motion)
 

@@ -17,7 +17,7 @@ from robot_sysid.records.messages import Level
 from robot_sysid.results.record import BodyEstimate, Quantity, Verdict
 
 SEVEN = arms.robot_of(arms.SEVEN)
-REACH = link_reach(SEVEN.mj_model, SEVEN.reference_qpos, SEVEN.body_id)
+REACH = link_reach(SEVEN)
 ARM = REACH + sum(float(np.linalg.norm(link.translation)) for link in SEVEN.links[1:])
 OK = Verdict.OK
 IMPLAUSIBLE = Verdict.IMPLAUSIBLE

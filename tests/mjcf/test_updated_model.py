@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from rigs import urdf
+from rigs import arms, urdf
 from rigs.model_files import (
     ARM,
     INERTIAL,
@@ -36,7 +36,7 @@ from robot_sysid.mjcf.updated_model import (
     write_joint,
 )
 from robot_sysid.mjcf.urdf import inertia_increases
-from robot_sysid.model.bodies import composite_theta, subtree_bodies
+from robot_sysid.model.bodies import subtree_bodies
 from robot_sysid.model.chain import find_terminal_joint
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.results.verification import verify_written_model
@@ -159,7 +159,8 @@ def test_public_models_keep_everything_but_the_inertia(tmp_path, path):
     original = compile_model(path).mj_model
     label = terminal_label(original)
     theta = (
-        composite_theta(original, original.qpos0, original.body(label).id) + 0.2 * THETA
+        arms.composite_theta(original, original.qpos0, original.body(label).id)
+        + 0.2 * THETA
     )
     first = tmp_path / "a" / path.name
     second = tmp_path / "b" / "c" / path.name

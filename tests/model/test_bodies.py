@@ -33,7 +33,7 @@ def test_links_weigh_together_what_the_first_joint_moves(name):
 @pytest.mark.parametrize("name", sorted(arms.MODELS))
 def test_a_link_reaches_at_least_to_its_centre_of_mass(name):
     robot = arms.robot_of(arms.MODELS[name])
-    reach = link_reach(robot.mj_model, robot.reference_qpos, robot.body_id)
+    reach = link_reach(robot)
     com = spatial.com_from_theta(robot.prior.theta)[1]
     assert reach >= np.linalg.norm(com)
 

@@ -28,7 +28,7 @@ from robot_sysid import records, spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.errors import ExportError
 from robot_sysid.estimate.choose import coupling, motors_of
-from robot_sysid.model.bodies import body_theta, composite_theta, find_flange
+from robot_sysid.model.bodies import body_theta, find_flange
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import atomic_files
@@ -136,7 +136,7 @@ def some_payload(rng):
 def terminal_composite(mj_model, robot):
     """The parameters (10,) in a model of the terminal link with all bodies that it carries."""
     terminal = mj_model.body(robot.body_name).id
-    return composite_theta(mj_model, robot.reference_qpos, terminal)
+    return arms.composite_theta(mj_model, robot.reference_qpos, terminal)
 
 
 def assert_same_theta(actual, expected, rtol=1e-11):
