@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from lxml import etree
 from lxml.builder import E
@@ -56,51 +57,25 @@ class BodyChange:
 
 
 @dataclass(frozen=True)
-class JointChange:
-    """New numbers for a joint.
+class ElementChange:
+    """New numbers of an element that is no body.
 
     Attributes:
-        label: the joint's name.
-        numbers: new values by their name in MJCF: "armature" (rotor inertia at the joint, which
-            a URDF cannot hold), "damping" and "frictionloss" (viscous and Coulomb friction).
-    """
-
-    label: str
-    numbers: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class TendonChange:
-    """A motor that turns several joints, as a fixed tendon over them.
-
-    Attributes:
-        tendon: its MuJoCo id, or the id that a new one gets.
-        is_new: whether the file has no such tendon yet.
+        kind: "joint"; "rotor", that of a URDF's joint; "actuator"; or "tendon", a fixed one, which
+            is a motor that turns several joints.
+        owner: name of the joint; MuJoCo's id of an actuator or tendon, None for a tendon that the
+            file does not have yet.
+        numbers: new values by their name in MJCF: "armature" (rotor inertia at the joint, of a URDF
+            that of its "rotor"), "damping" and "frictionloss" (viscous and Coulomb friction); of a
+            position actuator, before its gear, "kp" and "kv", with which it makes
+            kp (ctrl - q) - kv qd. A <position> has no kv before MuJoCo 3.1.
         coefficients: joint name to speed of the tendon per speed of that joint.
-        numbers: new values by their name in MJCF: "armature", "damping", "frictionloss".
     """
 
-    tendon: int
-    is_new: bool
-    coefficients: Mapping[str, float]
+    kind: str
+    owner: Any
     numbers: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class ActuatorChange:
-    """New numbers of an actuator, before its gear; None leaves the file's.
-
-    Attributes:
-        actuator: its MuJoCo id.
-        stiffness, damping: gains of a position actuator, which makes stiffness (ctrl - q) - damping
-            qd [N m/rad or N/m; N m s/rad or N s/m]. A <position> has no damping before MuJoCo 3.1.
-        emptied: attributes that become zero, "armature" or "damping".
-    """
-
-    actuator: int
-    stiffness: float | None = None
-    damping: float | None = None
-    emptied: tuple[str, ...] = ()
+    coefficients: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -127,23 +102,20 @@ class ModelChange:
     """All changes of a model.
 
     Attributes:
-        bodies, joints, actuators, tendons: those that get new numbers.
+        bodies: those that get a new inertia.
         rmse: residual of the identification, for the comments [N m].
+        elements: what else gets new numbers.
         welded: a new body, or None.
         gravity: (3,) new gravity in the world frame [m/s^2]; None leaves the file's.
         principal: whether inertias are written as principal moments and axes, not as full matrix.
-        rotors: joint of a URDF to its rotor inertia at the joint [kg m^2].
     """
 
     bodies: tuple[BodyChange, ...]
     rmse: float
-    joints: tuple[JointChange, ...] = ()
+    elements: tuple[ElementChange, ...] = ()
     welded: WeldedBody | None = None
-    actuators: tuple[ActuatorChange, ...] = ()
-    tendons: tuple[TendonChange, ...] = ()
     gravity: Array | None = None
     principal: bool = False
-    rotors: Mapping[str, float] = field(default_factory=dict)
 
 
 def changed_model_text(
@@ -170,14 +142,8 @@ def changed_model_text(
         _state_origin(node, f"body '{body.label}'", change.rmse, body.addition)
         put_inertial(node, _inertial(document, body.theta, change.principal))
         written.append(node)
-    for joint in change.joints:
-        write_joint(document, joint)
-    for joint_name, rotor in change.rotors.items():
-        _write_rotor(document, joint_name, rotor)
-    for actuator in change.actuators:
-        write_actuator(document, actuator)
-    for tendon in change.tendons:
-        _write_tendon(document, tendon, change.rmse)
+    for element in change.elements:
+        write_element(document, element, change.rmse)
     if change.welded is not None:
         _write_welded_body(document, change.welded, change)
     if change.gravity is not None:
@@ -289,45 +255,53 @@ def _write_gravity(document: ModelDocument, gravity: Array, rmse: float) -> None
     changed.set("gravity", format_numbers(gravity))
 
 
-def _set_resistances(node: Node, owner: str, numbers: Mapping[str, float]) -> None:
-    """Set friction and rotor inertia of an element; nonlinear damping stays behind linear one.
-
-    ExportError unless the numbers are finite and not negative.
+def write_element(document: ModelDocument, change: ElementChange, rmse: float) -> None:
+    """Give an element its new numbers; nonlinear damping of a joint stays behind linear one.
 
     Args:
-        node: a joint, a tendon, or the <dynamics> of a URDF's joint.
-        owner: of the numbers, such as "joint 'elbow'", for the message.
-        numbers: name of a number in MJCF to its value.
+        document: the model file.
+        change: the numbers.
+        rmse: residual of the identification, for a tendon's comment [N m].
+
+    Raises:
+        ExportError: a number is negative or not finite, or the file does not contain the element
+            itself (see ``find_element``).
     """
+    motor = f"motor that turns {' and '.join(change.coefficients)}"
+    owner = f"the {motor}" if change.coefficients else f"{change.kind} '{change.owner}'"
+    numbers = dict(change.numbers)
     for name, value in numbers.items():
         if not 0.0 <= value < math.inf:
             raise ExportError(
                 f"{owner} cannot get {name} {value:.4g}: it would drive itself, or is no number"
             )
-        attribute = name
-        text = format_number(value)
-        if name == "damping":
-            nonlinear = (node.get(name) or "").split()[1:]
-            text = " ".join([text, *nonlinear])
-        elif node.tag == "dynamics" and name == "frictionloss":
-            attribute = "friction"
-        node.set(attribute, text)
-
-
-def write_joint(document: ModelDocument, change: JointChange) -> None:
-    """Give a joint its new numbers.
-
-    ExportError where a number is negative or not finite, or the file does not contain the joint
-    itself (see ``find_element``).
-    """
-    node = find_element(document, "joint", change.label)
+    if change.kind == "rotor":
+        _write_rotor(document, change.owner, numbers["armature"])
+        return
+    if change.kind == "tendon":
+        node = _tendon(document, change)
+        _state_origin(node, motor, rmse)
+    elif change.kind == "actuator":
+        node = _actuator(document, change)
+    else:
+        node = find_element(document, "joint", change.owner)
     if document.is_urdf:
         joint = node
         node = joint.find("dynamics")
-        if node is None and change.numbers:
+        if node is None:
             node = E.dynamics()
             append(joint, node)
-    _set_resistances(node, f"joint '{change.label}'", change.numbers)
+    if node.tag == "general" and "kp" in numbers:
+        kp = format_number(numbers.pop("kp"))
+        kv = format_number(numbers.pop("kv", 0.0))
+        node.attrib.update({"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"})
+    for name, value in numbers.items():
+        text = format_number(value)
+        if name == "damping" and change.kind != "actuator":
+            nonlinear = (node.get(name) or "").split()[1:]
+            text = " ".join([text, *nonlinear])
+        is_renamed = node.tag == "dynamics" and name == "frictionloss"
+        node.set("friction" if is_renamed else name, text)
 
 
 # Namespace of Drake's elements, which state the rotor of an actuator in a URDF.
@@ -363,28 +337,38 @@ def _write_rotor(document: ModelDocument, joint: str, rotor: float) -> None:
         node.set("value", format_number(value))
 
 
-def _write_tendon(document: ModelDocument, change: TendonChange, rmse: float) -> None:
-    """Give a fixed tendon its new numbers, or add it; ExportError where the file cannot hold it."""
-    subject = f"motor that turns {' and '.join(change.coefficients)}"
-    if change.is_new:
-        node = E.fixed()
-        for joint, coefficient in change.coefficients.items():
-            node.append(E.joint(joint=joint, coef=format_number(coefficient)))
-        sections = document.root.findall("tendon")
-        if not sections:
-            sections = [E.tendon()]
-            append(document.root, *sections)
-        append(sections[-1], node)
-    else:
-        node = _section_child(document, "tendon", change.tendon)
+def _tendon(document: ModelDocument, change: ElementChange) -> Node:
+    """Return the element of a fixed tendon, which may be a new one, or raise ExportError."""
+    if change.owner is not None:
+        node = _section_child(document, "tendon", change.owner)
         if node is None or node.tag != "fixed":
-            fault = f"tendon number {change.tendon} is not written out in the file"
+            fault = f"tendon number {change.owner} is not written out in the file"
             raise ExportError(f"{document.path}: {fault} as a <fixed>; write it out")
-    _state_origin(node, subject, rmse)
-    _set_resistances(node, f"the {subject}", change.numbers)
+        return node
+    node = E.fixed()
+    for joint, coefficient in change.coefficients.items():
+        node.append(E.joint(joint=joint, coef=format_number(coefficient)))
+    sections = document.root.findall("tendon")
+    if not sections:
+        sections = [E.tendon()]
+        append(document.root, *sections)
+    append(sections[-1], node)
+    return node
 
 
-def _section_child(document: ModelDocument, section: str, index: int) -> Node | None:
+def _actuator(document: ModelDocument, change: ElementChange) -> Node:
+    """Return the element of an actuator, or raise ExportError."""
+    node = _section_child(document, "actuator", change.owner)
+    servos = ("position", "pid", "general")
+    if node is None or ("kp" in change.numbers and node.tag not in servos):
+        raise ExportError(
+            f"{document.path}: actuator number {change.owner} is not written out in the file, or "
+            "gets gains and is no <position>, <pid> or <general>; write it out"
+        )
+    return node
+
+
+def _section_child(document: ModelDocument, section: str, index: Any) -> Node | None:
     """Return the element with a MuJoCo id among the children of all sections of a name.
 
     Args:
@@ -396,32 +380,6 @@ def _section_child(document: ModelDocument, section: str, index: int) -> Node | 
     """
     children = document.root.iterfind(f"{section}/*")
     return next(islice(children, index, None), None)
-
-
-def write_actuator(document: ModelDocument, change: ActuatorChange) -> None:
-    """Give an actuator its new numbers.
-
-    ExportError unless the file itself contains it, as a position servo where it gets gains.
-    """
-    node = _section_child(document, "actuator", change.actuator)
-    numbers = dict.fromkeys(change.emptied, "0")
-    if node is not None and change.stiffness is not None:
-        kp = format_number(change.stiffness)
-        kv = format_number(change.damping or 0.0)
-        servo_gains = {"kp": kp} if change.damping is None else {"kp": kp, "kv": kv}
-        gains = {
-            "position": servo_gains,
-            "pid": servo_gains,
-            "general": {"gainprm": kp, "biasprm": f"0 -{kp} -{kv}"},
-        }
-        node = node if node.tag in gains else None
-        numbers.update({} if node is None else gains[node.tag])
-    if node is None:
-        raise ExportError(
-            f"{document.path}: actuator number {change.actuator} is not written out in the file, "
-            "or gets gains and is no <position>, <pid> or <general>; write it out"
-        )
-    node.attrib.update(numbers)
 
 
 # Elements that make bodies which are not written out.

@@ -124,22 +124,22 @@ def changed_copy(original: Any, change: ModelChange) -> Any:
     """
     expected = copy.copy(original)
     labels = [joint_label(original, joint) for joint in range(original.njnt)]
-    for joint in change.joints:
-        dof = original.jnt_dofadr[labels.index(joint.label)]
-        for name, value in joint.numbers.items():
-            getattr(expected, f"dof_{name}")[dof] = value
-    for servo in change.actuators:
-        if servo.stiffness is None:
-            continue
-        # A PID controller keeps its gain in the bias alone.
-        if original.actuator_gainprm[servo.actuator, 0] != 0.0:
-            expected.actuator_gainprm[servo.actuator, 0] = servo.stiffness
-        bias = (0.0, -servo.stiffness, -(servo.damping or 0.0))
-        expected.actuator_biasprm[servo.actuator, :3] = bias
-    for tendon in change.tendons:
-        for name, value in tendon.numbers.items():
-            if not tendon.is_new:
-                getattr(expected, f"tendon_{name}")[tendon.tendon] = value
+    for element in change.elements:
+        row = element.owner
+        owner = element.kind
+        if "kp" in element.numbers:
+            kp = element.numbers["kp"]
+            # A PID controller keeps its gain in the bias alone.
+            if original.actuator_gainprm[row, 0] != 0.0:
+                expected.actuator_gainprm[row, 0] = kp
+            bias = (0.0, -kp, -element.numbers.get("kv", 0.0))
+            expected.actuator_biasprm[row, :3] = bias
+        if owner == "joint":
+            owner = "dof"
+            row = original.jnt_dofadr[labels.index(element.owner)]
+        if owner in ("dof", "tendon") and row is not None:
+            for name, value in element.numbers.items():
+                getattr(expected, f"{owner}_{name}")[row] = value
     if change.gravity is not None:
         expected.opt.gravity = change.gravity
     return expected
@@ -181,8 +181,9 @@ def require_change(original: Any, changed: Any, change: ModelChange) -> None:
     expected = changed_copy(original, change)
     # Damping from a dampratio is computed from the inertia that the actuator moves.
     is_computed = np.ones(len(original.actuator_biasprm), dtype=bool)
-    for servo in change.actuators:
-        is_computed[servo.actuator] &= servo.stiffness is None
+    for element in change.elements:
+        if "kp" in element.numbers:
+            is_computed[element.owner] = False
     damping = changed.actuator_biasprm[: len(is_computed), 2]
     expected.actuator_biasprm[is_computed, 2] = damping[is_computed]
     require_same_model(expected, changed, {body.body_id for body in change.bodies})
@@ -312,7 +313,7 @@ def require_reproduction(
         path: path of the written model, for the message.
     """
     expected = replace(robot, mj_model=changed_copy(robot.mj_model, change))
-    new_tendons = [tendon for tendon in change.tendons if tendon.is_new]
+    new_tendons = [element for element in change.elements if element.owner is None]
     samples = motion.q, motion.qd, motion.qdd
     # What is no rigid body (springs, armature) does not depend on the links' inertia.
     predicted = LinkDynamics(expected).motion(*samples).torque(thetas)

@@ -9,9 +9,8 @@ a body: mass, first moments, and the inertia about its frame's origin.
 
 from __future__ import annotations
 
-import itertools
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,9 @@ from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.mjcf.updated_model import (
-    ActuatorChange,
     BodyChange,
-    JointChange,
+    ElementChange,
     ModelChange,
-    TendonChange,
     WeldedBody,
     changed_model_text,
 )
@@ -84,15 +81,15 @@ def write_model(
     robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
     robot, target = _arm_of_kind(robot, file_kind, target)
     terms = {} if file is None else file.joints
-    rotors = {}
-    joints = []
+    elements = []
     for name in robot.joint_names:
         numbers = _numbers(terms.get(name, {}))
         # MuJoCo does not read a URDF's transmissions, in which others find rotors.
         if robot.kind == "urdf" and "armature" in numbers:
-            rotors[name] = numbers.pop("armature")
-        if name in terms:
-            joints.append(JointChange(name, numbers))
+            rotor = {"armature": numbers.pop("armature")}
+            elements.append(ElementChange("rotor", name, rotor))
+        if numbers:
+            elements.append(ElementChange("joint", name, numbers))
     welded = None
     comment = ""
     # Parameters of a payload in a body of its own, which only the torque check adds to the terminal
@@ -122,10 +119,12 @@ def write_model(
                 bodies += (
                     BodyChange(body_label(model, body), body, body_theta(model, body)),
                 )
-    change = ModelChange(bodies, target.rmse, tuple(joints), welded, rotors=rotors)
+    gravity = None
     if file is not None:
-        tendons = _tendon_changes(robot, file) if robot.kind == "mjcf" else ()
-        change = replace(change, gravity=file.gravity, tendons=tuple(tendons))
+        gravity = file.gravity
+        if robot.kind == "mjcf":
+            elements += _tendon_changes(robot, file)
+    change = ModelChange(bodies, target.rmse, tuple(elements), welded, gravity)
     _write(robot, change, target, written_thetas)
     return notes
 
@@ -151,17 +150,13 @@ def _arm_of_kind(
 
 
 def write_joints(
-    robot: RobotModel,
-    joints: Sequence[JointChange],
-    actuators: Sequence[ActuatorChange],
-    target: ModelTarget,
+    robot: RobotModel, elements: tuple[ElementChange, ...], target: ModelTarget
 ) -> None:
     """Write an MJCF with new numbers for the joints and servos of a model.
 
     Args:
         robot: the arm as in the original model, whose links stay as they are.
-        joints: new rotor inertia and friction of joints.
-        actuators: new gains of position actuators.
+        elements: rotor inertia and friction of joints, and gains of position actuators.
         target: where to write.
 
     Raises:
@@ -169,8 +164,7 @@ def write_joints(
             takes other torques; the draft is withdrawn.
     """
     robot, target = _arm_of_kind(robot, "mjcf", target)
-    change = ModelChange((), target.rmse, tuple(joints), None, tuple(actuators))
-    _write(robot, change, target, robot.thetas)
+    _write(robot, ModelChange((), target.rmse, elements), target, robot.thetas)
 
 
 def _numbers(terms: Mapping[str, float]) -> dict[str, float]:
@@ -178,21 +172,13 @@ def _numbers(terms: Mapping[str, float]) -> dict[str, float]:
     return {name: terms[t] for t, name in _MJCF_ATTRIBUTES.items() if t in terms}
 
 
-def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[TendonChange]:
-    """Yield the motors that turn several joints as fixed tendons of the model.
-
-    A motor that the model lacks becomes a new tendon, with an index behind those of the model.
-    """
-    new_indices = itertools.count(robot.mj_model.ntendon)
+def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[ElementChange]:
+    """Yield the motors that turn several joints as fixed tendons of the model, or new ones."""
     for motor in file.motors:
-        terms = file.joints.get(motor.name, {})
+        numbers = _numbers(file.joints.get(motor.name, {}))
         ratios = zip(robot.joint_names, motor.ratios.tolist())
-        yield TendonChange(
-            tendon=next(new_indices) if motor.tendon is None else motor.tendon,
-            is_new=motor.tendon is None,
-            coefficients={joint: ratio for joint, ratio in ratios if ratio != 0.0},
-            numbers=_numbers(terms),
-        )
+        coefficients = {joint: ratio for joint, ratio in ratios if ratio != 0.0}
+        yield ElementChange("tendon", motor.tendon, numbers, coefficients)
 
 
 def _body_changes(
@@ -280,17 +266,17 @@ def _write(
             torques. The draft is withdrawn on this and on any other exception.
     """
     release = tuple(map(int, MUJOCO_VERSION.split(".")[:2]))
-    actuators = (*change.actuators, *_emptied_actuators(robot, change))
-    change = replace(change, principal=release < (3, 14), actuators=actuators)
-    tendons = tuple(tendon for tendon in change.tendons if not tendon.is_new)
-    without_new = replace(change, welded=None, tendons=tendons)
+    elements = (*change.elements, *_emptied_actuators(robot, change))
+    change = replace(change, principal=release < (3, 14), elements=elements)
+    old = tuple(element for element in elements if element.owner is not None)
+    without_new = replace(change, welded=None, elements=old)
     path = target.path
     try:
         draft = _write_draft(robot.path, without_new, target)
         written_model = verification.verify_written_model(
             robot.mj_model, draft, without_new
         )
-        if change.welded is not None or len(tendons) < len(change.tendons):
+        if change.welded is not None or len(old) < len(elements):
             draft = _write_draft(robot.path, change, target)
             written_model = verification.compiled_draft(draft)
         verification.require_reproduction(
@@ -310,23 +296,24 @@ def _write_draft(source: Path, change: ModelChange, target: ModelTarget) -> Path
 
 def _emptied_actuators(
     robot: RobotModel, change: ModelChange
-) -> Iterator[ActuatorChange]:
+) -> Iterator[ElementChange]:
     """Yield changes that take rotors and damping from actuators whose joint or tendon gets them.
 
     Since MuJoCo 3.7 a file may state them at either; an identification knows their sum.
     """
     model = robot.mj_model
-    owners = []
-    for joint in change.joints:
-        dof = robot.dof_index[robot.joint_names.index(joint.label)]
-        owners.append((actuators_on(model, model.dof_jntid[dof]), joint.numbers))
-    for tendon in change.tendons:
-        owners.append((actuators_on(model, tendon.tendon, AT_TENDON), tendon.numbers))
-    for actuators, numbers in owners:
+    for element in change.elements:
+        actuators = []
+        if element.kind == "joint":
+            dof = robot.dof_index[robot.joint_names.index(element.owner)]
+            actuators = actuators_on(model, model.dof_jntid[dof])
+        elif element.kind == "tendon" and element.owner is not None:
+            actuators = actuators_on(model, element.owner, AT_TENDON)
         for actuator in actuators:
-            emptied = stated_at_actuator(model, actuator) & {*numbers}
+            emptied = stated_at_actuator(model, actuator) & {*element.numbers}
             if emptied:
-                yield ActuatorChange(actuator, emptied=tuple(sorted(emptied)))
+                numbers = dict.fromkeys(sorted(emptied), 0.0)
+                yield ElementChange("actuator", actuator, numbers)
 
 
 def versions() -> dict[str, str]:

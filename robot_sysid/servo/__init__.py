@@ -20,7 +20,7 @@ from robot_sysid.export import Written, remove_earlier, writable_folder
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.logs.reader import open_log, origin_of, refuse_repeated_logs
 from robot_sysid.mjcf.documents import read_document
-from robot_sysid.mjcf.updated_model import ActuatorChange, JointChange
+from robot_sysid.mjcf.updated_model import ElementChange
 from robot_sysid.records import (
     Array,
     DataOrigin,
@@ -120,27 +120,26 @@ class ServoIdentification:
                 source = MODEL if reason else DATA
                 yield Quantity(name, of, unit, model, value, error, source, reason)
 
-    def changes(self) -> tuple[list[JointChange], list[ActuatorChange]]:
-        """Return the changes of the model file's joints and of their position actuators.
+    def changes(self) -> Iterator[ElementChange]:
+        """Yield the changes of the model file's joints and of their position actuators.
 
         Of the damping of joint and servo together, the servo gets its share in the model as its kv,
         the joint the remainder. An actuator's numbers are those at the motor: a gear g makes them
         g^2 times as large at the joint.
         """
         actuators = chain_actuators(self.robot)
-        joint_changes = []
-        actuator_changes = []
         for k in np.flatnonzero(self.is_new):
             numbers = dict(zip(UNITS, self.fit.numbers[:, k]))
             stiffness = numbers.pop("gain")
             kv = actuators.damping_share[k] * numbers["damping"]
             numbers["damping"] -= kv
-            joint_changes.append(JointChange(self.robot.joint_names[k], numbers))
+            yield ElementChange("joint", self.robot.joint_names[k], numbers)
             if np.isfinite(actuators.stiffness[k]):
                 squared_gear = actuators.gear[k] ** 2
-                gains = stiffness / squared_gear, kv / squared_gear or None
-                actuator_changes.append(ActuatorChange(actuators.index[k], *gains))
-        return joint_changes, actuator_changes
+                gains = {"kp": stiffness / squared_gear}
+                if kv:
+                    gains["kv"] = kv / squared_gear
+                yield ElementChange("actuator", int(actuators.index[k]), gains)
 
     def json_content(self) -> dict[str, Any]:
         """Return the content of servo.json, which ``json_text`` turns into text."""
@@ -236,7 +235,7 @@ def run_servo(
                 path = folder / file_access.MODEL_NAMES["mjcf"]
                 # No torque was measured, so there is no residual to state.
                 target = ModelTarget(files, path, poses, rmse=0.0, mesh_dir=mesh_dir)
-                write_joints(robot, *result.changes(), target)
+                write_joints(robot, tuple(result.changes()), target)
                 written.append(path)
         except ExportError as error:
             failure = (

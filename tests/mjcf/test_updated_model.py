@@ -27,13 +27,11 @@ from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import plan_write_back
 from robot_sysid.mjcf.updated_model import (
-    ActuatorChange,
     BodyChange,
-    JointChange,
+    ElementChange,
     ModelChange,
     changed_model_text,
-    write_actuator,
-    write_joint,
+    write_element,
 )
 from robot_sysid.mjcf.urdf import inertia_increases
 from robot_sysid.model.bodies import subtree_bodies
@@ -288,7 +286,7 @@ MIXED = f"""<mujoco>
 
 def with_joints(document, *changes):
     for change in changes:
-        write_joint(document, change)
+        write_element(document, change, 0.0)
     return document.text().decode()
 
 
@@ -296,7 +294,9 @@ def with_joints(document, *changes):
 @since(3, 1)
 def test_a_joint_is_found_by_its_name(tmp_path, joint):
     numbers = {"armature": 1.25, "damping": 2.5, "frictionloss": 3.75}
-    text = with_joints(document_of(tmp_path, MIXED), JointChange(joint, numbers))
+    text = with_joints(
+        document_of(tmp_path, MIXED), ElementChange("joint", joint, numbers)
+    )
     original = mujoco.MjModel.from_xml_string(MIXED)
     written = mujoco.MjModel.from_xml_string(text)
     dof = original.joint(joint).dofadr[0]
@@ -310,7 +310,7 @@ def test_a_joint_is_found_by_its_name(tmp_path, joint):
 def test_a_joint_that_would_drive_itself_is_refused(tmp_path, numbers):
     document = document_of(tmp_path, MIXED)
     with pytest.raises(ExportError, match="joint 'out' cannot get .*drive itself"):
-        with_joints(document, JointChange("out", numbers))
+        with_joints(document, ElementChange("joint", "out", numbers))
 
 
 SERVOS = f"""<mujoco>
@@ -323,12 +323,16 @@ SERVOS = f"""<mujoco>
 </mujoco>"""
 
 
+def write_gains(document, actuator, **numbers):
+    write_element(document, ElementChange("actuator", actuator, numbers), 0.0)
+
+
 @since(3, 1)
 def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
     path = write_files(tmp_path, {"arm.xml": SERVOS})
     document = read_document(path)
-    for change in (ActuatorChange(1, 40.0, 4.0), ActuatorChange(2, 50.0, 0.0)):
-        write_actuator(document, change)
+    write_gains(document, 1, kp=40.0, kv=4.0)
+    write_gains(document, 2, kp=50.0)
     model = mujoco.MjModel.from_xml_string(document.text().decode())
     original = mujoco.MjModel.from_xml_string(SERVOS)
     assert model.actuator_gainprm[:, 0].tolist() == [1.0, 40.0, 50.0]
@@ -338,22 +342,23 @@ def test_gains_are_written_into_the_actuator_that_mujoco_numbers(tmp_path):
     ]
     np.testing.assert_array_equal(model.dof_damping, original.dof_damping)
     # MuJoCo 3.0 does not know the damping of a <position>, which only a model with damping gets.
-    write_actuator(document, ActuatorChange(1, 40.0))
-    assert 'kv="0' not in document.text().decode()
+    document = read_document(path)
+    write_gains(document, 1, kp=40.0)
+    assert document.text().decode().count("kv=") == 1
     for number in (0, 3):
         with pytest.raises(
             ExportError, match=f"actuator number {number} is not written out"
         ):
-            write_actuator(document, ActuatorChange(number, 1.0, 1.0))
+            write_gains(document, number, kp=1.0, kv=1.0)
 
 
 @since(4, 0)
 def test_a_pid_controller_gets_gains_and_any_actuator_loses_its_rotor(tmp_path):
     text = SERVOS.replace('<motor joint="a"/>', '<pid joint="a" damping="1 2 3"/>')
     document = read_document(write_files(tmp_path, {"arm.xml": text}))
-    emptied = ("armature", "damping")
-    write_actuator(document, ActuatorChange(0, 40.0, 4.0, emptied))
-    write_actuator(document, ActuatorChange(2, emptied=emptied))
+    emptied = {"armature": 0.0, "damping": 0.0}
+    write_gains(document, 0, kp=40.0, kv=4.0, **emptied)
+    write_gains(document, 2, **emptied)
     model = mujoco.MjModel.from_xml_string(document.text().decode())
     assert model.actuator_biasprm[:, :3].tolist()[::2] == [[0, -40, -4], [0, -5, -2]]
     for name in ("armature", "damping", "dampingpoly"):

@@ -18,9 +18,8 @@ from robot_sysid import spatial
 from robot_sysid.errors import ExportError
 from robot_sysid.mjcf.inertial import mjcf_inertial, plan_write_back
 from robot_sysid.mjcf.updated_model import (
-    ActuatorChange,
     BodyChange,
-    JointChange,
+    ElementChange,
     ModelChange,
     changed_model_text,
 )
@@ -192,16 +191,22 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (JointChange("j{1}", {"armature": 0.7}), "has another dof_armature than"),
         (
-            JointChange("j{1}", {"damping": 0.7}),
+            ElementChange("joint", "j{1}", {"armature": 0.7}),
+            "has another dof_armature than",
+        ),
+        (
+            ElementChange("joint", "j{1}", {"damping": 0.7}),
             "has another dof_damping than it should have; a joint's springdamper",
         ),
         (
-            ActuatorChange(0, 5.0, 1.0),
+            ElementChange("actuator", 0, {"kp": 5.0, "kv": 1.0}),
             "another actuator_biasprm than it should have; give the actuator",
         ),
-        (ActuatorChange(0, 10.0, 1.0), "has another actuator_biasprm than"),
+        (
+            ElementChange("actuator", 0, {"kp": 10.0, "kv": 1.0}),
+            "has another actuator_biasprm than",
+        ),
     ],
 )
 def test_a_joint_or_actuator_without_its_new_number_is_refused_by_name(
@@ -210,11 +215,8 @@ def test_a_joint_or_actuator_without_its_new_number_is_refused_by_name(
     """The joint's name has braces, which mean something in formats."""
     text = FULL.replace('"j1"', '"j{1}"').replace(RATIO, "")
     source = write_files(tmp_path, {"m.xml": text})
-    field = "actuators" if isinstance(change, ActuatorChange) else "joints"
     with pytest.raises(ExportError, match=re.escape(message)):
-        verify_written_model(
-            model(text), source, ModelChange((), 0.0, **{field: (change,)})
-        )
+        verify_written_model(model(text), source, ModelChange((), 0.0, (change,)))
 
 
 @pytest.fixture(scope="module")
@@ -240,7 +242,10 @@ def test_any_possible_link_moves_as_predicted_once_written_and_loaded(
         BodyChange(three_joints.body_name, three_joints.body_id, write_back.theta),
     )
     change = ModelChange(
-        bodies, 0.0, (JointChange("joint1", {"armature": 0.3}),), gravity=gravity
+        bodies,
+        0.0,
+        (ElementChange("joint", "joint1", {"armature": 0.3}),),
+        gravity=gravity,
     )
     change = replace(change, principal=IS_PRINCIPAL)
     text = changed_model_text(three_joints.path, change, three_joints.path.parent)
@@ -295,7 +300,7 @@ SMALL = 1e-7
     [
         ModelChange((), 0.0, gravity=(SMALL, 0.0, -9.81)),
         ModelChange((), 0.0, gravity=(0.0, 0.0, -9.81 + SMALL)),
-        ModelChange((), 0.0, (JointChange("joint2", {"armature": SMALL}),)),
+        ModelChange((), 0.0, (ElementChange("joint", "joint2", {"armature": SMALL}),)),
     ],
 )
 def test_a_change_that_the_file_lacks_is_found_by_its_torque(three_joints, change):
