@@ -25,4 +25,4 @@ def result_of_logs(
         pieces += [Piece(f"log{number}", piece) for piece in split_at_gaps(log)]
     recordings, _ = low_pass_recordings(robot, pieces, options.cutoff)
     fitted = solved(robot, recordings, Question(options))
-    return link_result(fitted, fit_file(fitted, ()), (), ORIGIN)
+    return link_result(fitted, fit_file(fitted), (), ORIGIN)

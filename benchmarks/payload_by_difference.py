@@ -91,7 +91,7 @@ def weigh(robot, raw, estimation=USUAL, drifts=True, **question_options):
     fitted, file = weighed, None
     if question.known_mass is None:
         carried, _ = written_payload(weighed)
-        file = fit_file(weighed, (), carried)
+        file = fit_file(weighed, carried)
     else:
         fitted = solved(robot, recordings, question)
     divided = np.ones(robot.n_joints)

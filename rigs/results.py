@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +14,8 @@ from robot_sysid.records import (
     ITSELF,
     ArmLink,
     DataOrigin,
-    Estimate,
+    FitQuality,
     Flange,
-    Identifiability,
     InertialParameters,
     JointFriction,
     JointLimits,
@@ -65,21 +65,30 @@ MODEL_FRICTION = {
 }
 
 
+QUALITY = FitQuality(
+    rmse=0.03,
+    condition_number=50.0,
+    n_base_params=12,
+    unidentifiable=(),
+    rmse_per_joint={"j5": 0.03, "j6": 0.03},
+    noise_per_joint={"j5": 0.03, "j6": 0.031},
+    samples_per_joint={"j5": 200, "j6": 200},
+)
+ERRORS = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
+
+
+class Estimate(NamedTuple):
+    """Parameters without any fault: white noise, small errors, all from the data."""
+
+    names: tuple = NAMES
+    values: np.ndarray = VALUES
+    standard_errors: np.ndarray = ERRORS
+    quality: FitQuality = QUALITY
+
+
 def estimate(**changes) -> Estimate:
-    """An estimate without any fault: white noise, small errors, all from the data."""
-    identifiability_record = Identifiability(12, 50.0, ())
-    errors = 1e-3 * np.maximum(np.abs(VALUES), 1e-2)
-    defaults = Estimate(
-        names=NAMES,
-        values=VALUES,
-        identifiability=identifiability_record,
-        rmse=0.03,
-        rmse_per_joint={"j5": 0.03, "j6": 0.03},
-        standard_errors=errors,
-        noise_per_joint={"j5": 0.03, "j6": 0.031},
-        samples={"j5": 200, "j6": 200},
-    )
-    return replace(defaults, **changes)
+    """Such parameters, some of them others."""
+    return Estimate(**changes)
 
 
 def found(result: Estimate | None = None, **changes) -> Result:
@@ -98,7 +107,8 @@ def found(result: Estimate | None = None, **changes) -> Result:
     defaults = Result(
         question=LINK,
         robot=ARM,
-        estimate=result,
+        quality=result.quality,
+        standard_errors=dict(zip(result.names, result.standard_errors.tolist())),
         remarks=(Verdict.BETTER.remark(),),
         torques="chain",
         data=DataOrigin("log arm.csv", 15.0, 1000.0),
@@ -119,7 +129,7 @@ def terminal(result: Estimate) -> BodyEstimate:
     errors = np.array(result.standard_errors)[:10]
     seen = np.isfinite(errors)
     return BodyEstimate(
-        result.inertial.theta,
+        result.values[:10],
         "link6",
         np.diag(np.where(seen, errors, 0.0) ** 2),
         seen,
@@ -132,11 +142,11 @@ def terminal(result: Estimate) -> BodyEstimate:
 def joint_rows(result: Estimate, joint: str) -> list[Quantity]:
     """The friction of a joint as an estimate has it."""
     rows = []
-    for name in result.names:
+    numbers = zip(result.names, result.values, result.standard_errors)
+    for name, value, error in numbers:
         term, _, owner = name.partition("[")
         if owner == f"{joint}]":
             model = MODEL_FRICTION[joint].get(term)
-            value, error = result.value(name), result.error(name)
             rows.append(
                 Quantity(term, joint, term_unit(term, False), model, value, error)
             )
@@ -153,7 +163,8 @@ def itself(result: Estimate | None = None, **changes) -> Result:
         full,
         data=DataOrigin(ITSELF, 15.0, 1000.0, 1),
         verdict=Verdict.OK,
-        links={},
+        links=by_name(exact),
+        standard_errors={},
         quantities=tuple(rows),
         friction_model=None,
     )
@@ -171,8 +182,8 @@ def with_value(name: str, value: float, error: float) -> Estimate:
 
 def without_mass() -> Estimate:
     """The mass does not show in the data."""
-    seen = replace(estimate().identifiability, rank=11, unidentifiable=("mass",))
-    return replace(with_value("m", 2.0, np.inf), identifiability=seen)
+    seen = replace(QUALITY, n_base_params=11, unidentifiable=("mass",))
+    return with_value("m", 2.0, np.inf)._replace(quality=seen)
 
 
 def validation_of(

@@ -57,7 +57,7 @@ _NAMES = {
     ),
     "records.data": (
         "DataOrigin",
-        "Estimate",
+        "FitQuality",
         "Measurement",
         "Motion",
         "Traces",

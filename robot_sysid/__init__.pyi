@@ -37,7 +37,7 @@ from robot_sysid.records.arm import JointLimits as JointLimits
 from robot_sysid.records.arm import RobotModel as RobotModel
 from robot_sysid.records.arm import SubtreeBody as SubtreeBody
 from robot_sysid.records.data import DataOrigin as DataOrigin
-from robot_sysid.records.data import Estimate as Estimate
+from robot_sysid.records.data import FitQuality as FitQuality
 from robot_sysid.records.data import Measurement as Measurement
 from robot_sysid.records.data import Motion as Motion
 from robot_sysid.records.data import Traces as Traces

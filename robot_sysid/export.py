@@ -111,7 +111,7 @@ def save(
             # Drafted first, the model appears last: what the other files say then holds for it.
             assert result.checkpoints is not None
             target = ModelTarget(
-                files, folder, result.checkpoints, result.estimate.rmse, mesh_dir
+                files, folder, result.checkpoints, result.quality.rmse, mesh_dir
             )
             try:
                 written, notes = _write_models(result, target, as_body)

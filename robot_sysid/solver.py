@@ -10,16 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from robot_sysid import spatial
 from robot_sysid.estimate.bodies import consistent_least_squares
-from robot_sysid.estimate.identifiability import analyse_identifiability, visible_space
+from robot_sysid.estimate.identifiability import fit_quality, visible_space
 from robot_sysid.estimate.rows import Recording, Rows, Sums
 from robot_sysid.estimate.terms import LAST_LINK, ArmTerms
-from robot_sysid.records import Array, Estimate, Measurement, RobotModel
-from robot_sysid.records.data import rms_of_joints
+from robot_sysid.records import Array, FitQuality, Measurement, RobotModel
 from robot_sysid.signals.filters import LowPass
 from robot_sysid.signals.process import ProcessedSignals
 
@@ -105,7 +105,18 @@ def exact_recording(measurement: Measurement) -> Recording:
     return recording
 
 
-def identify_parameters(sums: Sums, prior: Array, possible: bool = False) -> Estimate:
+class Solution(NamedTuple):
+    """Parameters (p,) of one solver run, their standard errors (p,), and what they rest on.
+
+    An error is infinite where only the model's value is known.
+    """
+
+    values: Array
+    standard_errors: Array
+    quality: FitQuality
+
+
+def identify_parameters(sums: Sums, prior: Array, possible: bool = False) -> Solution:
     """Return the estimate of all p parameters by ordinary least squares.
 
     Parameters that the data does not identify keep the prior's value. The first ten are those of
@@ -136,17 +147,11 @@ def identify_parameters(sums: Sums, prior: Array, possible: bool = False) -> Est
             matrix / noise, right_side, link[None], prior
         ).values
     residuals = sums.triangles @ np.append(-values, 1.0)
-    rmse, rmse_per_joint = rms_of_joints(
-        sums.joints, np.sum(residuals**2, axis=1), counts
-    )
-    variances = noise**2 * np.diag(space.inverse())
-    return Estimate(
-        names=sums.names,
-        values=values,
-        identifiability=analyse_identifiability(matrix, sums.names, sums.joints[-1]),
-        rmse=rmse,
-        rmse_per_joint=rmse_per_joint,
-        standard_errors=np.where(space.is_identified, np.sqrt(variances), np.inf),
-        noise_per_joint=dict.fromkeys(sums.joints, noise),
-        samples=dict(zip(sums.joints, counts.astype(int).tolist())),
+    squares = np.sum(residuals**2, axis=1)
+    noises = dict.fromkeys(sums.joints, noise)
+    errors = noise * np.sqrt(np.diag(space.inverse()))
+    return Solution(
+        values,
+        np.where(space.is_identified, errors, np.inf),
+        fit_quality(matrix, sums.names, sums.joints, squares, counts, noises),
     )

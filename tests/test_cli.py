@@ -8,7 +8,6 @@ import shlex
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -157,7 +156,7 @@ def test_a_model_that_cannot_be_written_keeps_the_numbers(arm, command, monkeypa
     def heavier(*arguments, **options):
         """Return an estimate that the compiler's settings do not let into the file."""
         estimate = identify_parameters(*arguments, **options)
-        return replace(estimate, values=1.1 * estimate.values)
+        return estimate._replace(values=1.1 * estimate.values)
 
     monkeypatch.setattr("robot_sysid.pipeline.stages.identify_parameters", heavier)
     arm.write_text(

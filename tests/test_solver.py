@@ -35,7 +35,7 @@ def test_noise_free_data_is_recovered(seed):
     sums, truth, rng = noisy_arm(seed, noise=0.0)
     estimate = identify_parameters(sums, rng.normal(size=16))
     assert_allclose(estimate.values, truth, rtol=0.0, atol=1e-10)
-    assert estimate.rmse < 1e-12
+    assert estimate.quality.rmse < 1e-12
 
 
 @given(SEEDS)
@@ -71,7 +71,7 @@ def test_the_order_of_joints_does_not_matter(seed, order):
     one = identify_parameters(sums, prior)
     other = identify_parameters(shuffled, prior)
     assert_allclose(other.values, one.values, rtol=0.0, atol=1e-11)
-    assert other.rmse == pytest.approx(one.rmse, rel=1e-12)
+    assert other.quality.rmse == pytest.approx(one.quality.rmse, rel=1e-12)
 
 
 @given(SEEDS)
@@ -79,17 +79,17 @@ def test_an_estimate_carries_what_it_was_made_of(seed):
     samples, names, _, rng = noisy_samples(seed, noises=(0.1, 0.2, 0.3), count=40)
     estimate = identify_parameters(samples.sums(names), rng.normal(size=16))
     joints = ("joint0", "joint1", "joint2")
-    assert estimate.names == names
-    assert estimate.samples == dict.fromkeys(joints, 40)
-    assert estimate.identifiability.rank == 12
-    for fixed in (estimate.rmse_per_joint, estimate.noise_per_joint):
+    quality = estimate.quality
+    assert quality.samples_per_joint == dict.fromkeys(joints, 40)
+    assert quality.n_base_params == 12
+    for fixed in (quality.rmse_per_joint, quality.noise_per_joint):
         assert tuple(fixed) == joints
     rmse = []
     for (rows, columns), tau in zip(samples.equations, samples.torques):
         residual = rows @ estimate.values[columns] - tau
         rmse.append(np.sqrt(np.mean(residual**2)))
-    assert list(estimate.rmse_per_joint.values()) == pytest.approx(rmse, rel=1e-9)
-    assert estimate.rmse == pytest.approx(np.sqrt(np.mean(np.square(rmse))), rel=1e-9)
+    assert list(quality.rmse_per_joint.values()) == pytest.approx(rmse, rel=1e-9)
+    assert quality.rmse == pytest.approx(np.sqrt(np.mean(np.square(rmse))), rel=1e-9)
 
 
 # --- possible bodies ----------------------------------------------------------------------------

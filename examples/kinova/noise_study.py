@@ -17,16 +17,14 @@ from numpy.typing import NDArray
 from validate_regressor import with_link
 
 from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_terms
-from robot_sysid.estimate.fit import Problem
+from robot_sysid.estimate.fit import Fit, Problem
 from robot_sysid.estimate.identifiability import square_root, visible_space
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.result import common_result
 from robot_sysid.estimate.rows import Recording, Sums
 from robot_sysid.estimate.terms import LAST_LINK, ArmTerms
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import DataOrigin, Estimate, MotionPlan, RobotModel
-from robot_sysid.results.record import LINK
+from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.signals.process import ProcessedSignals, process
 from robot_sysid.signals.resampling import join_measurements, resample_uniformly
 from robot_sysid.simulation import SimulatedArmOptions
@@ -160,7 +158,7 @@ class NoiseStudy:
         drawn = noise.draw(rng, len(self.signals), self.robot.n_joints)
         return Recording("log", replace(self.signals, tau=self.signals.tau + drawn))
 
-    def identify(self, recording: Recording) -> tuple[Estimate, Estimate]:
+    def identify(self, recording: Recording) -> tuple[Fit, Fit]:
         """Return the estimate of the command line, and that before it had to be possible."""
         question = Question(EstimationOptions(priors=KNOWN))
         point = self.arm.start()
@@ -168,12 +166,7 @@ class NoiseStudy:
         terms = arm_question(self.arm, question, sums.rms_torque)
         problem = Problem(self.arm, (recording,), point, sums, question)
         fitted = problem.fit(terms)
-        origin = DataOrigin("log", self.plan.duration, SAMPLE_RATE)
-        possible, plain = (
-            common_result(solution, origin, LINK).estimate
-            for solution in (fitted, replace(fitted, values=fitted.free))
-        )
-        return possible, plain
+        return fitted, replace(fitted, values=fitted.free)
 
     def run(self, noise: Noise, draws: int, seed: int = 0) -> Outcome:
         """Identify from many draws of noise."""
@@ -187,11 +180,10 @@ class NoiseStudy:
             estimate, plain = self.identify(samples)
             errors.append(self.errors(estimate))
             plain_errors.append(self.errors(plain))
-            reach.append(
-                [NORMAL_95 * (estimate.error(name) or 0.0) for name in self.names]
-            )
-            constrained += not plain.inertial.is_consistent
-            impossible += not estimate.inertial.is_consistent
+            stated = dict(zip(estimate.names, estimate.errors))
+            reach.append([NORMAL_95 * stated.get(name, 0.0) for name in self.names])
+            constrained += not plain.equations.are_possible(plain.values)
+            impossible += not estimate.equations.are_possible(estimate.values)
         return Outcome(
             self.names,
             np.array(errors),
@@ -201,11 +193,9 @@ class NoiseStudy:
             impossible,
         )
 
-    def errors(self, estimate: Estimate) -> Array:
+    def errors(self, estimate: Fit) -> Array:
         """Return (p,) estimate minus truth."""
-        return (
-            np.array([estimate.value(name) or 0.0 for name in self.names]) - self.truth
-        )
+        return np.array([estimate.by_name[name] for name in self.names]) - self.truth
 
 
 def random_plan(robot: RobotModel, seed: int) -> MotionPlan:

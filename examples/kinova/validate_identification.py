@@ -17,9 +17,9 @@ from validate_regressor import with_link
 
 from robot_sysid import spatial
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Estimate, MotionPlan, RobotModel
+from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.simulator import simulate_inverse
-from robot_sysid.solver import LastLinkTerms, identify_parameters
+from robot_sysid.solver import LastLinkTerms, Solution, identify_parameters
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ def main() -> int:
 
 def identify(
     robot: RobotModel, plant: RobotModel, plan: MotionPlan, torques: str = "chain"
-) -> Estimate:
+) -> Solution:
     """Identify ``robot``'s terminal link from torques that ``plant`` produces along a plan.
 
     The friction of the terminal joint is identified too.
@@ -61,7 +61,8 @@ def identify(
 def own_simulation(guess: RobotModel, plan: MotionPlan) -> bool:
     """Test that a model is identified from its own simulation."""
     print("1. The guess, identified from its own simulation")
-    return compare(model_parameters(guess), identify(guess, guess, plan), guess)
+    estimate = identify(guess, guess, plan)
+    return print_table(model_parameters(guess), estimate.values, guess)
 
 
 def terminal_torque_only(
@@ -72,21 +73,22 @@ def terminal_torque_only(
         "\n2. The truth, seen by its last joint only: what it cannot see stays as guessed"
     )
     estimate = identify(guess, truth, plan, torques="terminal")
-    print(f"   not visible: {'; '.join(estimate.identifiability.unidentifiable)}")
+    print(f"   not visible: {'; '.join(estimate.quality.unidentifiable)}")
     expected = model_parameters(truth)
     expected[[0, 3]] = model_parameters(guess)[[0, 3]]
     # Of Ixx and Iyy only the difference shows; their sum stays as guessed.
     half_sum = 0.5 * (model_parameters(guess)[4] + model_parameters(guess)[7])
     half_difference = 0.5 * (model_parameters(truth)[4] - model_parameters(truth)[7])
     expected[[4, 7]] = half_sum + half_difference, half_sum - half_difference
-    return compare(expected, estimate, guess)
+    return print_table(expected, estimate.values, guess)
 
 
 def links_known(guess: RobotModel, truth: RobotModel, plan: MotionPlan) -> bool:
     """Test that the truth is identified from a wrong model where the other links are known."""
     print("\n3. The truth, when all other links are known")
     start = replace(truth, links=(*truth.links[:-1], guess.links[-1]))
-    return compare(model_parameters(truth), identify(start, truth, plan), guess)
+    estimate = identify(start, truth, plan)
+    return print_table(model_parameters(truth), estimate.values, guess)
 
 
 def payload_by_difference(
@@ -121,22 +123,15 @@ def links_from_the_catalogue(
     )
     start = replace(guess, friction=truth.friction)
     estimate = identify(start, truth, plan)
-    compare(model_parameters(truth), estimate, guess)
-    verdict = "a" if estimate.inertial.is_consistent else "no"
-    print(f"   residual {estimate.rmse:.3f} N m; {verdict} possible rigid body")
+    print_table(model_parameters(truth), estimate.values, guess)
+    verdict = "a" if spatial.is_consistent(estimate.values[:10]) else "no"
+    print(f"   residual {estimate.quality.rmse:.3f} N m; {verdict} possible rigid body")
 
 
 def model_parameters(robot: RobotModel) -> Array:
     """Return a model's own parameters (12,) in the order of NAMES."""
     last = robot.friction.coulomb[-1], robot.friction.viscous[-1]
     return np.append(robot.prior.theta, last)
-
-
-def compare(expected: Array, estimate: Estimate, guess: RobotModel) -> bool:
-    """Print an estimate beside the expected values (12,); return whether they are equal."""
-    joint = guess.terminal_joint
-    friction = [estimate.value(f"{term}[{joint}]") for term in ("coulomb", "viscous")]
-    return print_table(expected, np.append(estimate.values[:10], friction), guess)
 
 
 def print_table(expected: Array, identified: Array, guess: RobotModel) -> bool:

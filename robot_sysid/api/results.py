@@ -5,7 +5,6 @@ A result has its numbers as properties, can be written to files and can be plott
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +28,6 @@ from robot_sysid.results import record
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import result_lines, verdict_line
 from robot_sysid.results.written_model import spec_of
-from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.trajectory import sample_count
 from robot_sysid.wording import in_python
 
@@ -74,24 +72,6 @@ class Result(record.Result):
     def inertia(self) -> Array:
         """Inertia (3, 3) about the centre of mass, axes of the body or the flange [kg m^2]."""
         return self.body.inertia_com
-
-    @property
-    def standard_errors(self) -> Mapping[str, float]:
-        """Parameter name to standard error of all causes together, in the parameter's unit.
-
-        "m" to "Izz" are of the terminal link, or the payload; "m(link3)" of another link;
-        "coulomb[joint6]" of a term in ``friction``. All others are nuisances, allowed for because
-        they make other errors larger: friction beyond the terms, torque scales ("scale[joint6]"),
-        encoder zeros, tilt and delay. It is infinite where the data does not determine the
-        parameter. Friction that was held at a bound has none, and no entry here. Empty for a
-        simulation of the model itself.
-        """
-        if self.payload is not None:
-            return dict(zip(PARAMETER_NAMES, self.body.errors.tolist()))
-        if not self.is_measured:
-            return {}
-        errors = self.estimate.standard_errors.tolist()
-        return dict(zip(self.estimate.names, errors))
 
     @property
     def trustworthy(self) -> bool:

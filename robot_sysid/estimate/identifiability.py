@@ -11,7 +11,7 @@ rounding noise is set to zero.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from robot_sysid import spatial
 from robot_sysid.dynamics.friction import split_name
-from robot_sysid.records import Array, Identifiability
+from robot_sysid.records import Array, FitQuality
+from robot_sysid.records.data import rms_of_joints
 
 RELATIVE_CUT = 1e-10
 """Singular values (and column lengths) below this share of the largest count as zero."""
@@ -112,24 +113,33 @@ def square_root(normal: Array) -> Array:
     return np.sqrt(values)[:, None] * vectors.T * scale
 
 
-def analyse_identifiability(
-    matrix: Array, names: Sequence[str], joint: str
-) -> Identifiability:
-    """Return the identifiability of the terminal link and of its joint's friction.
+def fit_quality(
+    matrix: Array,
+    names: Sequence[str],
+    joints: Sequence[str],
+    squares: Array,
+    counts: Array,
+    noise: Mapping[str, float],
+) -> FitQuality:
+    """Return what the equations of a fit determine, and how well it describes them.
 
-    The parameters of interest are the link's ten inertial parameters and this joint's Coulomb and
-    viscous friction, all others are nuisances. The rank is that which remains after nuisances are
-    eliminated: rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition number is that of
+    Parameters of interest are the terminal link's ten inertial parameters and its joint's Coulomb
+    and viscous friction, all others are nuisances. The rank is that which remains after nuisances
+    are eliminated: rank [Y_interest Y_nuisance] - rank Y_nuisance. The condition number is that of
     Y_interest alone, so that it is comparable between a plan, a simulation and a log, which have
     different nuisances. All joints' rows weigh alike. ``unidentifiable`` covers nuisances, too.
 
     Args:
         matrix: (M, p) rows of all joints.
         names: (p,) of the parameters, the ten inertial ones first.
-        joint: name of the terminal joint.
+        joints: names of the J joints with equations, the terminal one last.
+        squares: (J,) sum of squared residuals of each joint [N^2 m^2].
+        counts: (J,) number of samples in these sums.
+        noise: joint to standard deviation of its torque noise [N m].
     """
     space = visible_space(matrix)
-    interest = np.isin(names, [f"coulomb[{joint}]", f"viscous[{joint}]"])
+    friction = [f"{term}[{joints[-1]}]" for term in ("coulomb", "viscous")]
+    interest = np.isin(names, friction)
     interest[: spatial.N_INERTIAL] = True
     visible = np.where(space.zero, 0.0, matrix)
     # Rank of the nuisances alone, counted by the same cut as that of all columns.
@@ -139,10 +149,15 @@ def analyse_identifiability(
     of_interest = visible[:, interest]
     sizes = np.linalg.svd(of_interest, compute_uv=False)
     own_rank = visible_space(of_interest).rank
-    return Identifiability(
-        rank=space.rank - nuisance_rank,
+    rmse, rmse_per_joint = rms_of_joints(joints, squares, counts)
+    return FitQuality(
+        rmse=rmse,
         condition_number=float(sizes[0] / sizes[own_rank - 1]) if own_rank else np.inf,
+        n_base_params=space.rank - nuisance_rank,
         unidentifiable=describe(space.null, names),
+        rmse_per_joint=rmse_per_joint,
+        noise_per_joint=noise,
+        samples_per_joint=dict(zip(joints, counts.astype(int).tolist())),
     )
 
 

@@ -192,6 +192,12 @@ class EstimationOptions(OptionRecord):
         return _terms(self.friction_model or self._default_friction)
 
     @property
+    def kept(self) -> tuple[str, ...]:
+        """Names of the parts of a model file that stay as they are, sorted."""
+        friction = (FILE_FRICTION, FILE_ROTORS) if self.no_friction else ()
+        return tuple(sorted({*self.keep, *friction}))
+
+    @property
     def _default_friction(self) -> str:
         """Friction model where no option names one."""
         measured = f"{DEFAULT_TERMINAL}-armature"

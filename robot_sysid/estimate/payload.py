@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from robot_sysid import spatial
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.offers import Effect, Offers
-from robot_sysid.estimate.restricted_fit import RestrictedFit
 from robot_sysid.estimate.result import (
     body_estimate,
     common_result,
@@ -22,6 +22,7 @@ from robot_sysid.estimate.result import (
     quantity,
     result_notes,
     select,
+    traces_of,
 )
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.estimate.trust import (
@@ -76,7 +77,7 @@ def written_payload(fitted: Fit) -> tuple[Array, str]:
 def payload_result(
     fitted: Fit,
     weighed: Fit,
-    file: RestrictedFit | None,
+    file: Fit | None,
     flange: Flange,
     origin: DataOrigin,
     sentences: Sequence[str],
@@ -127,11 +128,13 @@ def payload_result(
     written: ModelFile | None = None
     file_rows: list[Quantity] = []
     if file is not None:
-        judgement = judge_file(file.before, file.after)
+        written, file_rows, file_notes = model_file(fitted, file)
+        judgement = judge_file(written.validation_before, written.validation_after)
         if judgement.level is Level.SAYS:
-            written, file_rows, file_notes = model_file(fitted, file)
             notes += file_notes
         else:
+            written = None
+            file_rows = []
             notes.append(
                 f"the written model is the arm's own with the payload on it: {judgement.text}"
             )
@@ -146,9 +149,12 @@ def payload_result(
         common,
         remarks=(*remarks, *says(notes)),
         quantities=(*rows, *common.quantities, *file_rows),
+        standard_errors=dict(zip(PARAMETER_NAMES, body.errors.tolist())),
         payload=Payload(flange, body, total, recordings, known_mass),
         file=written,
         validation=(validation(fitted),),
+        checkpoints=fitted.recordings[-1].motion,
+        traces=partial(traces_of, fitted),
     )
 
 

@@ -9,7 +9,7 @@ Shapes: n joints of the chain, J joints with equations.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -42,53 +42,49 @@ from robot_sysid.records.usual_errors import GRAVITY_IN_FILE, OFFSET
 from robot_sysid.spatial import N_INERTIAL
 
 
-@dataclass(frozen=True)
-class RestrictedFit:
-    """The fit restricted to what a model file can hold.
+def error_before(file: Fit) -> Validation:
+    """Return the held-out error of the given model, each joint's sensor offset fitted.
 
-    Attributes:
-        fit: of the terms that the file holds, and of sensors' offsets.
-        unchanged: names of the parts of the file that stay as they are.
-        before: held-out error of the given model, each joint's sensor offset fitted.
-        after: held-out error of the file, likewise.
-        gravity: (3,) in the file [m/s^2]; None where it stays.
+    ``file`` is the fit of the model file; a payload that it carries is there.
     """
-
-    fit: Fit
-    unchanged: tuple[str, ...]
-    before: Validation
-    after: Validation
-    gravity: Array | None
-
-    @property
-    def without_rotors(self) -> Validation:
-        """Error of the file without rotors and motors, which readers of a URDF leave out."""
-        arm = self.fit.arm
-        beyond = [*names_of("armature", arm.owners)]
-        for motor in arm.motors:
-            beyond += motor.parameter_names
-        bare = {name: arm.model.get(name, 0.0) for name in beyond}
-        held = {**self.fit.by_name, **bare}
-        return validation(self.fit.fit([arm.terms["offset"]], held))
+    payload = {
+        name: file.by_name[name] for name in PAYLOAD_NAMES if file.question.loaded
+    }
+    return validation(file.fit([file.arm.terms["offset"]], payload))
 
 
-def fit_file(
-    estimate: Fit, unchanged: Sequence[str], carried: Array | None = None
-) -> RestrictedFit:
-    """Return the fit of the model file.
+def error_without_rotors(file: Fit) -> Validation:
+    """Return the error of a file without rotors and motors, which readers of a URDF leave out."""
+    arm = file.arm
+    beyond = [*names_of("armature", arm.owners)]
+    for motor in arm.motors:
+        beyond += motor.parameter_names
+    bare = {name: arm.model.get(name, 0.0) for name in beyond}
+    return validation(file.fit([arm.terms["offset"]], {**file.by_name, **bare}))
+
+
+def gravity_in(file: Fit) -> Array | None:
+    """Return the gravity (3,) of a fitted model file [m/s^2]; None where it stays."""
+    if TILT_NAMES[0] not in file.names:
+        return None
+    angles = file.values[file.at(TILT_NAMES)]
+    return turn_gravity(file.point.gravity, angles)
+
+
+def fit_file(estimate: Fit, carried: Array | None = None) -> Fit:
+    """Return the fit of the model file: of the terms that it holds, and of sensors' offsets.
 
     Args:
         estimate: the fit of all terms, from which rotors are taken.
-        unchanged: names of the parts of the file that stay as they are.
         carried: (10,) payload of loaded recordings; None without one.
     """
     arm = estimate.arm
+    unchanged = estimate.question.options.kept
     rotors = select_rotors(estimate, unchanged)
     payload = {} if carried is None else dict(zip(PAYLOAD_NAMES, carried.tolist()))
     held = {**payload, **rotors}
     terms = _terms(estimate, unchanged)
     offset = arm.terms["offset"]
-    before = estimate.fit([offset], payload)
     # Errors of offsets are the same whatever bodies are possible.
     free = estimate.fit([*terms, offset], held, possible=False)
     terms.append(_known_offsets(replace(free, left_out=LeftOut.EACH)))
@@ -100,10 +96,6 @@ def fit_file(
         if Offers(free, free.weights).offer(Effect.of(tilt)).gain > CLEAR:
             terms.append(tilt)
     fitted = estimate.fit(terms, held)
-    gravity = None
-    if TILT_NAMES[0] in fitted.names:
-        angles = fitted.values[fitted.at(TILT_NAMES)]
-        gravity = turn_gravity(fitted.point.gravity, angles)
     for _ in range(ROUNDS):
         far = _far_masses(estimate, fitted)
         if not far:
@@ -111,14 +103,7 @@ def fit_file(
         terms = [_with_known(term, far) for term in fitted.equations.terms]
         fitted = estimate.fit(terms, held)
     # What is printed as held-out is the error of such files, not of fits without their bounds.
-    fitted = replace(fitted, left_out=LeftOut.WITH_BOUNDS)
-    return RestrictedFit(
-        fitted,
-        tuple(sorted(unchanged)),
-        validation(before),
-        validation(fitted),
-        gravity,
-    )
+    return replace(fitted, left_out=LeftOut.WITH_BOUNDS)
 
 
 def errors_on(

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,9 +19,13 @@ from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import held_out_logs, validation
-from robot_sysid.estimate.identifiability import analyse_identifiability, square_root
+from robot_sysid.estimate.identifiability import fit_quality, square_root
 from robot_sysid.estimate.options import FILE_FRICTION, FILE_LINKS
-from robot_sysid.estimate.restricted_fit import RestrictedFit
+from robot_sysid.estimate.restricted_fit import (
+    error_before,
+    error_without_rotors,
+    gravity_in,
+)
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
@@ -43,11 +48,11 @@ from robot_sysid.estimate.trust import (
 from robot_sysid.records import (
     Array,
     DataOrigin,
-    Estimate,
+    FitQuality,
     InertialParameters,
     Validation,
 )
-from robot_sysid.records.data import Traces, rms_of_joints
+from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.levels import INTERVAL, SURE
 from robot_sysid.records.messages import (
@@ -81,6 +86,7 @@ from robot_sysid.results.record import (
     Result,
     Verdict,
 )
+from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.wording import option_setting
 
 # Causes that are of joints and their motors.
@@ -89,7 +95,7 @@ _OF_JOINTS = (FRICTION, MOTORS)
 
 def link_result(
     fitted: Fit,
-    file: RestrictedFit,
+    file: Fit,
     tests: Sequence[Validation],
     origin: DataOrigin,
     notes: Sequence[str] = (),
@@ -110,6 +116,8 @@ def link_result(
         file_tests: errors of the given model and of the model file on the same logs.
     """
     robot = fitted.arm.robot
+    signals = fitted.recordings[0].signals
+    samples = np.linspace(0, len(signals) - 1, CHECKPOINTS).astype(int)
     tests = (validation(fitted), *tests, *held_out_logs(fitted))
     acceleration_error = max(
         recording.signals.acceleration_error for recording in fitted.recordings
@@ -120,7 +128,7 @@ def link_result(
     refusals += implausible_link(robot, last_link)
     refusals += implausible_joints(robot, common.quantities, fitted.torque)
     written, file_rows, file_notes = model_file(fitted, file)
-    judgement = judge_file(file.before, file.after)
+    judgement = judge_file(written.validation_before, written.validation_after)
     # A file that is worse on another log than the given model is not trustworthy.
     on_others = [judge_file(b, a, data=b.source) for b, a in file_tests]
     missed = missed_friction(fitted)
@@ -159,6 +167,8 @@ def link_result(
         quantities=(*common.quantities, *beyond_model(last_link), *file_rows),
         file=replace(written, other_validations=tuple(file_tests)),
         validation=tests,
+        checkpoints=signals.motion(samples),
+        traces=partial(traces_of, file),
     )
 
 
@@ -188,11 +198,12 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
     return Result(
         robot=robot,
         question=question,
-        estimate=_estimate(fitted),
+        quality=_quality(fitted),
         quantities=(*rows, *joint_quantities(fitted), *sensors(fitted)),
         torques="chain" if len(fitted.arm.joints) == robot.n_joints else "terminal",
         data=origin,
         links=links,
+        standard_errors=dict(zip(fitted.names, fitted.errors.tolist())),
         friction_model="-".join(fitted.question.friction) or "none",
         cutoff=fitted.recordings[0].signals.cutoff,
         link_scales=asdict(fitted.question.link_scales),
@@ -293,10 +304,10 @@ def sensors(fitted: Fit) -> Iterator[Quantity]:
     return term_quantities(fitted, others)
 
 
-def _estimate(fitted: Fit) -> Estimate:
-    """Return all k estimated parameters and their errors as a record.
+def _quality(fitted: Fit) -> FitQuality:
+    """Return what the equations determine, and how well they are fitted.
 
-    Identifiability is that of the parameters of interest: the terminal link, a payload, friction.
+    Determined are parameters of interest: those of the terminal link, a payload, friction.
     """
     sums = fitted.sums
     names: list[str] = []
@@ -307,27 +318,16 @@ def _estimate(fitted: Fit) -> Estimate:
     normal = fitted.equations.data(np.ones(len(sums.joints)))[at[:, None], at]
     counts = np.sum(sums.counts, axis=0)
     squares = sums.squared_residuals(fitted.full)
-    rmse, rmse_per_joint = rms_of_joints(sums.joints, squares, counts)
-    return Estimate(
-        names=fitted.names,
-        values=fitted.values,
-        identifiability=analyse_identifiability(
-            square_root(normal), names, sums.joints[-1]
-        ),
-        rmse=rmse,
-        rmse_per_joint=rmse_per_joint,
-        samples=dict(zip(sums.joints, counts.astype(int).tolist())),
-        standard_errors=fitted.errors,
-        noise_per_joint=fitted.noise_per_joint,
+    return fit_quality(
+        square_root(normal), names, sums.joints, squares, counts, fitted.noise_per_joint
     )
 
 
-def model_file(
-    fitted: Fit, file: RestrictedFit
-) -> tuple[ModelFile, list[Quantity], list[str]]:
+def model_file(fitted: Fit, file: Fit) -> tuple[ModelFile, list[Quantity], list[str]]:
     """Return (contents of the model file, their rows, sentences on what the file leaves out)."""
     robot = fitted.arm.robot
-    thetas = file.fit.thetas
+    thetas = file.thetas
+    kept = fitted.question.options.kept
     joints: dict[str, dict[str, float]] = {}
     notes = []
     rows: list[Quantity] = []
@@ -341,24 +341,25 @@ def model_file(
     has_torque = np.any([each.has_torque for each in fitted.recordings], axis=0)
     powered = itertools.compress(robot.joint_names, has_torque)
     unseen = [joint for joint in powered if joint not in joints]
-    if unseen and FILE_FRICTION not in file.unchanged:
+    if unseen and FILE_FRICTION not in kept:
         notes.append(
             f"these logs move {', '.join(unseen)} too slowly: friction and rotor inertia are not "
             "identifiable there, the model's values are kept"
         )
-    notes += [*_friction_notes(fitted, rows), *_offset_notes(file)]
+    after = validation(file)
+    notes += [*_friction_notes(fitted, rows), *_offset_notes(file, after)]
     written = ModelFile(
         thetas,
         joints,
-        file.gravity,
-        file.before,
-        file.after,
-        unchanged=file.unchanged,
+        gravity_in(file),
+        error_before(file),
+        after,
+        unchanged=kept,
         motors=fitted.arm.motors,
     )
     if robot.kind == "urdf" and written.needs_mjcf:
-        errors = file.after.relative_error, file.without_rotors.relative_error
-        shares = [percent(error or 0.0) for error in errors]
+        tests = after, error_without_rotors(file)
+        shares = [percent(test.relative_error or 0.0) for test in tests]
         notes.append(
             f"{MODEL_NAMES['urdf']} has the links and the friction of {MODEL_NAMES['mjcf']}, so "
             f"that it holds the arm up as well, but a torque error of {shares[1]} in place of "
@@ -368,14 +369,14 @@ def model_file(
     return written, rows, notes
 
 
-def _file_terms(fitted: Fit, file: RestrictedFit) -> Iterator[Quantity]:
+def _file_terms(fitted: Fit, file: Fit) -> Iterator[Quantity]:
     """Yield the friction terms and rotor inertia of joints and motors in the model file.
 
     A rotor is written, with its error, where it differs from the model's. The offset of a torque
     sensor is not friction, and is not written. What is written has to hold on another day, too: the
     errors of friction have its change in them.
     """
-    for row in joint_quantities(file.fit):
+    for row in joint_quantities(file):
         if row.name not in ("offset", "armature"):
             assert row.error is not None
             error = math.hypot(row.error, FRICTION_CHANGE * row.value)
@@ -384,7 +385,7 @@ def _file_terms(fitted: Fit, file: RestrictedFit) -> Iterator[Quantity]:
     for owner in fitted.arm.owners:
         name = f"armature[{owner}]"
         model_rotor = fitted.arm.model.get(name, 0.0)
-        rotor = file.fit.by_name.get(name, model_rotor)
+        rotor = file.by_name.get(name, model_rotor)
         if rotor != model_rotor:
             # Without an estimate of its own, the joint has the rotor of a motor that it shares.
             is_estimated = name in fitted.names
@@ -411,9 +412,8 @@ def _friction_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
         )
 
 
-def _offset_notes(file: RestrictedFit) -> Iterator[str]:
-    """Yield a sentence on torque offsets that are larger than a file's held-out error."""
-    fitted = file.fit
+def _offset_notes(fitted: Fit, after: Validation) -> Iterator[str]:
+    """Yield a sentence on torque offsets that are larger than a fitted file's held-out error."""
     squares = 0.0
     phrases = []
     for row, joint in enumerate(fitted.arm.joints):
@@ -425,7 +425,7 @@ def _offset_notes(file: RestrictedFit) -> Iterator[str]:
                 unit = torque_unit(joint in fitted.arm.robot.slides)
                 phrases.append(f"{joint} {offset:.2g} {unit}")
     squared = squares / np.sum(fitted.sums.squared_torque)
-    share = file.after.relative_error or 0.0
+    share = after.relative_error or 0.0
     if squared > max(LITTLE, share) ** 2:
         yield (
             f"no model file holds an offset of a torque sensor ({', '.join(phrases)}), or friction "

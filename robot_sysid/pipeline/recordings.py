@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +17,10 @@ from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import predicted
-from robot_sysid.estimate.options import FILE_FRICTION, FILE_ROTORS
 from robot_sysid.estimate.payload import payload_result, written_payload
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import errors_on, fit_file
-from robot_sysid.estimate.result import link_result, traces_of
+from robot_sysid.estimate.result import link_result
 from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import (
@@ -38,7 +36,6 @@ from robot_sysid.records import Array, DataOrigin, MotionPlan, RobotModel
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
 from robot_sysid.results.record import Result
-from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.signals.resampling import join_measurements, piece_notes, split_at_gaps
 from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import CHUNK, sample_count
@@ -76,7 +73,7 @@ def identify_logs(
         # A note keeps its type: a Detail stays one.
         progress.note(*(type(note)(f"validation log: {note}") for note in test_notes))
     origin = origin_of(logs)
-    return _result(config, fitted, origin, notes, progress, tests)
+    return _result(fitted, origin, notes, progress, tests)
 
 
 def identify_plant(
@@ -116,11 +113,10 @@ def identify_plant(
     progress.note(*notes)
     progress.stage("Solving for parameters...")
     fitted = solved(robot, recordings, Question(options), progress)
-    return _result(config, fitted, origin, notes, progress)
+    return _result(fitted, origin, notes, progress)
 
 
 def _result(
-    config: IdentifyConfig | SelfTestConfig,
     fitted: Fit,
     origin: DataOrigin,
     notes: Sequence[str],
@@ -130,33 +126,24 @@ def _result(
     """Return the result of a fit: the model file, its errors, and what is drawn.
 
     Args:
-        config: says what of the model file stays.
         fitted: the fit of all terms.
         origin: where its recordings come from.
         notes: what reading and judging them had to say, one sentence each.
         progress: receives stages.
         tests: logs that only test the result; they get the cut-off of the others.
     """
-    options = config.estimation
-    robot = fitted.arm.robot
-    signals = fitted.recordings[0].signals
-    keep = options.keep
-    if options.no_friction:
-        keep += (FILE_FRICTION, FILE_ROTORS)
+    cutoff = fitted.recordings[0].signals.cutoff
     progress.stage(Detail("Fitting the model file..."))
-    file = fit_file(fitted, keep)
+    file = fit_file(fitted)
     errors = []
     of_file = []
     for log in tests:
         name = str(log.path)
         pieces = [Piece(name, samples) for samples in log.pieces]
-        others, _ = low_pass_recordings(robot, pieces, signals.cutoff)
+        others, _ = low_pass_recordings(fitted.arm.robot, pieces, cutoff)
         errors.append(predicted(fitted, others, name))
-        of_file.append(errors_on(file.fit, others, name))
-    result = link_result(fitted, file, errors, origin, notes, of_file)
-    samples = np.linspace(0, len(signals) - 1, CHECKPOINTS).astype(int)
-    traces = partial(traces_of, file.fit)
-    return replace(result, checkpoints=signals.motion(samples), traces=traces)
+        of_file.append(errors_on(file, others, name))
+    return link_result(fitted, file, errors, origin, notes, of_file)
 
 
 def _read_logs(
@@ -235,15 +222,12 @@ def identify_payload(
     elif config.estimation.torques == "chain":
         progress.stage(Detail("Fitting the model file..."))
         carried, _ = written_payload(weighed)
-        file = fit_file(weighed, config.estimation.keep, carried)
+        file = fit_file(weighed, carried)
     # Scales are those of the log before its torques were divided by known ones.
     divided, _ = joint_factors(config.log.torque_scale, robot.joint_names, SCALE)
-    result = payload_result(
+    return payload_result(
         fitted, weighed, file, flange, origin_of(logs), notes, divided
     )
-    checkpoints = fitted.recordings[-1].motion
-    traces = partial(traces_of, fitted)
-    return replace(result, checkpoints=checkpoints, traces=traces)
 
 
 def order_positions(logs: Sequence[MeasurementLog], order: str | None) -> Array | None:

@@ -35,7 +35,8 @@ from robot_sysid.pipeline.planning import (
     draft_plan,
     write_plan,
 )
-from robot_sysid.records import ITSELF, DataOrigin, Estimate, MotionPlan, RobotModel
+from robot_sysid.records import ITSELF, DataOrigin, MotionPlan, RobotModel
+from robot_sysid.records.data import FitQuality
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import Detail, NextStep, Progress, says, term_unit
@@ -46,7 +47,7 @@ from robot_sysid.results.quantities import (
     body_quantities,
     without_rounding,
 )
-from robot_sysid.results.record import LINK, Quantity, Result, Verdict
+from robot_sysid.results.record import LINK, BodyEstimate, Quantity, Result, Verdict
 from robot_sysid.results.table import KNOWN
 from robot_sysid.results.verification import CHECKPOINTS
 from robot_sysid.simulator import simulate_inverse
@@ -282,40 +283,40 @@ def run_self_test(
     tracked = progress.track(simulated, "Collecting regressor data", count)
     sums = arm.exact_sums(tracked)
     progress.stage("Solving for parameters...")
-    estimate = identify_parameters(sums, arm.prior, possible=True)
-    rows = []
-    for name, model, identified in zip(arm.names, arm.prior, estimate.values):
+    values, errors, quality = identify_parameters(sums, arm.prior, possible=True)
+    body = BodyEstimate(values[:10], robot.body_name, prior=robot.prior)
+    rows = [*body_quantities(body)]
+    for name, model, identified in zip(arm.names, arm.prior, values):
         term, joint = split_name(name)
         if joint:
             unit = term_unit(term, joint in robot.slides)
             value = float(without_rounding(identified, 1.0))
             # Without noise, the error is one of rounding: none is stated.
             rows.append(Quantity(term, joint, unit, float(model), value, None))
-    verdict = self_test_verdict(estimate).remark()
-    result = Result(
+    verdict = self_test_verdict(body.mass, errors[0], quality)
+    return Result(
         robot=robot,
         question=LINK,
-        estimate=estimate,
-        remarks=(verdict, *says(robot.notes)),
+        quality=quality,
+        quantities=tuple(rows),
+        remarks=(verdict.remark(), *says(robot.notes)),
+        links={body.name: body},
         torques=options.torques,
         data=DataOrigin(ITSELF, plan.duration, rate, config.trajectory.seed or 0),
         friction_model="-".join(terms) or "none",
         checkpoints=plan.evaluate(np.linspace(0.0, plan.duration, CHECKPOINTS)),
     )
-    of_body = body_quantities(result.body)
-    return replace(result, quantities=(*of_body, *rows))
 
 
-def self_test_verdict(estimate: Estimate) -> Verdict:
+def self_test_verdict(mass: float, mass_error: float, quality: FitQuality) -> Verdict:
     """Return the verdict on the identification of a model from its own simulation.
 
-    TOO_WEAK where the mass's standard error is above half the mass, PARTLY_FROM_MODEL where some
-    parameters are not identifiable, else OK.
+    TOO_WEAK where the mass's standard error is above half the mass [kg], PARTLY_FROM_MODEL where
+    some parameters are not identifiable, else OK.
     """
-    mass_error = estimate.error("m") or 0.0
     # A milligram is small enough whatever the mass is.
-    if max(1e-6, 0.5 * estimate.inertial.mass) < mass_error < np.inf:
+    if max(1e-6, 0.5 * mass) < mass_error < np.inf:
         return Verdict.TOO_WEAK
-    if estimate.identifiability.unidentifiable:
+    if quality.unidentifiable:
         return Verdict.PARTLY_FROM_MODEL
     return Verdict.OK

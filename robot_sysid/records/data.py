@@ -1,7 +1,7 @@
 """Motion and measurements, and what follows from them.
 
-Samples become an ``Estimate``, which is judged by a ``Validation``. ``Traces`` are what a report
-draws of the samples.
+``FitQuality`` and ``Validation`` say how well a fit describes samples; ``Traces`` are what a report
+draws of them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.arm import Array, InertialParameters, check_arrays
+from robot_sysid.records.arm import Array, check_arrays
 
 
 @dataclass(frozen=True)
@@ -110,62 +110,30 @@ def rms_of_joints(
 
 
 @dataclass(frozen=True)
-class Identifiability:
-    """Which parameters of the terminal link and its joint's friction the equations determine.
+class FitQuality:
+    """What the equations of a fit determine, and how well it describes them, by the keys of
+    params.json.
 
     Attributes:
-        rank: number of identifiable combinations.
+        rmse: root mean square torque residual of all joints [N m].
         condition_number: of the stacked regressor, or of its identifiable part where it has less
             than full rank.
+        n_base_params: number of identifiable combinations of the terminal link's parameters and its
+            joint's friction.
         unidentifiable: parameters that the data alone does not determine, in words, for instance
             "mass".
-    """
-
-    rank: int
-    condition_number: float
-    unidentifiable: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Result of one solver run.
-
-    Attributes:
-        names: (p,) parameter names.
-        values: (p,) the estimated parameters, the ten inertial ones first.
-        identifiability: of these parameters.
-        rmse: root mean square torque residual of all joints [N m].
-        rmse_per_joint: joint name to that of the joint [N m].
-        standard_errors: (p,) standard deviation of each value, all causes together; infinite where
-            only the model's value is known.
+        rmse_per_joint: joint name to the root mean square of its residual [N m].
         noise_per_joint: joint name to standard deviation of its torque noise [N m], where used.
-        samples: joint name to the number of samples of its equations.
+        samples_per_joint: joint name to the number of samples of its equations.
     """
 
-    names: tuple[str, ...]
-    values: Array
-    identifiability: Identifiability
     rmse: float
+    condition_number: float
+    n_base_params: int
+    unidentifiable: tuple[str, ...]
     rmse_per_joint: Mapping[str, float]
-    standard_errors: Array
     noise_per_joint: Mapping[str, float]
-    samples: Mapping[str, int]
-
-    def __post_init__(self) -> None:
-        check_arrays(self, values=(len(self.names),))
-
-    @property
-    def inertial(self) -> InertialParameters:
-        """The ten inertial parameters."""
-        return InertialParameters(self.values[:10])
-
-    def value(self, name: str) -> float | None:
-        """Return one parameter by name, or None where it was not estimated."""
-        return dict(zip(self.names, self.values.tolist())).get(name)
-
-    def error(self, name: str) -> float | None:
-        """Return the standard error of one parameter by name, or None where it has none."""
-        return dict(zip(self.names, self.standard_errors.tolist())).get(name)
+    samples_per_joint: Mapping[str, int]
 
 
 @dataclass(frozen=True)

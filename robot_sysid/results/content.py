@@ -52,13 +52,14 @@ def content_of(
         notes: remarks on the written files, one sentence each.
         failure: why a result that is usable in itself must not be used; None for no such reason.
     """
-    estimate = result.estimate
-    identifiability = estimate.identifiability
+    quality = result.quality
     robot = result.robot
     joint = robot.terminal_joint
     payload = result.payload
-    body = estimate.inertial if payload is None else payload.total
-    is_identified = not identifiability.unidentifiable
+    body = result.body if payload is None else payload.total
+    friction = [result.quantity(term, joint) for term in ("coulomb", "viscous")]
+    coulomb, viscous = [row and row.value for row in friction]
+    is_identified = not quality.unidentifiable
     if payload is not None:
         is_identified = bool(np.all(payload.body.is_determined))
     file = result.file
@@ -68,11 +69,11 @@ def content_of(
         "mass": body.mass,
         "center_of_mass_moment": body.first_moment,
         "inertia_tensor": dict(zip(PARAMETER_NAMES[4:], body.theta[4:])),
-        "coulomb_friction": estimate.value(f"coulomb[{joint}]"),
-        "viscous_friction": estimate.value(f"viscous[{joint}]"),
-        "rmse": estimate.rmse,
-        "condition_number": identifiability.condition_number,
-        "n_base_params": identifiability.rank,
+        "coulomb_friction": coulomb,
+        "viscous_friction": viscous,
+        "rmse": quality.rmse,
+        "condition_number": quality.condition_number,
+        "n_base_params": quality.n_base_params,
         "question": result.question,
         "body_name": robot.body_name,
         "status": result.verdict.name,
@@ -108,10 +109,7 @@ def content_of(
         "friction_model": result.friction_model,
         "cutoff": result.cutoff,
         "link_scales": result.link_scales,
-        "unidentifiable": identifiability.unidentifiable,
-        "rmse_per_joint": estimate.rmse_per_joint,
-        "noise_per_joint": estimate.noise_per_joint,
-        "samples_per_joint": estimate.samples,
+        **vars(quality),
         "source": result.data.description,
         "logs": result.data.files,
         "model": {"path": str(robot.path), "sha256": robot.sha256},

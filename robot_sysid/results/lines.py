@@ -201,12 +201,12 @@ def verdict_line(content: Content) -> str:
     return f"{use}: {'; '.join(_improvements(content))}"
 
 
-def before_after_text(before: Content, after: Content | None) -> str:
+def before_after_text(before: Content, after: Content) -> str:
     """Return the relative errors of two models as text, such as "27 % -> 0.3 %".
 
     An error that is not known is left out, "not known" stands for both.
     """
-    errors = [test["relative_error"] for test in (before, after) if test is not None]
+    errors = [test["relative_error"] for test in (before, after)]
     texts = [percent(error) for error in errors if error is not None]
     return " -> ".join(texts) or "not known"
 

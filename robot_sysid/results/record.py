@@ -207,7 +207,7 @@ class ModelFile:
             "armature".
         gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
         validation_before: held-out error of the original model, each joint's sensor offset removed.
-        validation_after: held-out error of the written model; None until it is known.
+        validation_after: held-out error of the written model.
         other_validations: (before, after) on each of the other logs, held out as a whole.
         unchanged: names of what the file keeps ("friction", "gravity", "other links").
         motors: those that turn several joints; only an MJCF can hold them.
@@ -217,7 +217,7 @@ class ModelFile:
     joints: Mapping[str, Mapping[str, float]]
     gravity: Array | None
     validation_before: Validation
-    validation_after: Validation | None
+    validation_after: Validation
     other_validations: tuple[tuple[Validation, Validation], ...] = ()
     unchanged: tuple[str, ...] = ()
     motors: tuple[Coupling, ...] = ()
@@ -255,14 +255,20 @@ class Result:
     Attributes:
         question: ``LINK`` or ``PAYLOAD``.
         robot: the arm, as its model describes it.
-        estimate: all parameters, the terminal link's first (of a payload: without it).
+        quality: what the equations determine, and how well they are fitted.
         torques: "chain" or "terminal": the joints whose torques were fitted.
         data: where the data comes from.
         quantities: every identified number, once, and every number of the written file: of bodies,
             joints, motors that turn several joints (``joint_5+joint_6``), sensors and recordings.
         remarks: what the user should know; the verdict follows from the first of the highest level.
-        links: name of the body to every link with mass, base to terminal; empty of the model's own
-            simulation.
+        links: name of the body to every link with mass, base to terminal; of the model's own
+            simulation the terminal link alone, without errors.
+        standard_errors: parameter name to standard error of all causes together, in the parameter's
+            unit. "m" to "Izz" are of the terminal link, or the payload; "m(link3)" of another link;
+            "coulomb[joint6]" of a joint's friction. All others are nuisances, allowed for because
+            they make other errors larger: friction beyond the terms, torque scales
+            ("scale[joint6]"), encoder zeros, tilt and delay. It is infinite where the data does not
+            determine the parameter. Empty for a simulation of the model itself.
         file: the numbers of the written model; None where only the terminal link or the payload is
             written into the original.
         payload: None of the question ``LINK``.
@@ -278,12 +284,13 @@ class Result:
 
     question: str
     robot: records.RobotModel
-    estimate: records.Estimate
+    quality: records.FitQuality
     torques: str
     data: records.DataOrigin
     quantities: tuple[Quantity, ...] = ()
     remarks: tuple[Remark, ...] = ()
     links: Mapping[str, BodyEstimate] = field(default_factory=dict)
+    standard_errors: Mapping[str, float] = field(default_factory=dict)
     file: ModelFile | None = None
     payload: Payload | None = None
     validation: tuple[Validation, ...] = ()
@@ -333,16 +340,10 @@ class Result:
 
     @property
     def body(self) -> BodyEstimate:
-        """The payload; without one, the terminal link with all bodies that move with it.
-
-        Where no link was estimated with errors, the link's covariance is zero.
-        """
+        """The payload; without one, the terminal link with all bodies that move with it."""
         if self.payload is not None:
             return self.payload.body
-        if self.links:
-            return [*self.links.values()][-1]
-        theta = self.estimate.inertial.theta
-        return BodyEstimate(theta, self.robot.body_name, prior=self.robot.prior)
+        return [*self.links.values()][-1]
 
     @property
     def failure(self) -> str | None:

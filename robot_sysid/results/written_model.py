@@ -77,7 +77,7 @@ def write_model(
     if file is not None:
         thetas = file.thetas.copy()
     elif payload is None:
-        thetas[-1] = result.estimate.inertial.theta
+        thetas[-1] = result.body.theta
     robot = with_mass_scale(result.robot, 1.0 / result.robot.mass_scale)
     robot, target = _arm_of_kind(robot, file_kind, target)
     terms = {} if file is None else file.joints

@@ -11,8 +11,10 @@ from numpy.testing import assert_allclose
 from rigs.core_fits import ORIGIN, fit_recordings
 from rigs.payload_logs import PAYLOAD, TrueArm, add_torque, four_joint_arm
 from robot_sysid import spatial
+from robot_sysid.estimate.held_out import validation
+from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.payload import contradiction, payload_result, written_payload
-from robot_sysid.estimate.restricted_fit import fit_file
+from robot_sysid.estimate.restricted_fit import error_before, fit_file
 from robot_sysid.records import Flange
 from robot_sysid.records.messages import with_error
 from robot_sysid.results.record import Verdict
@@ -23,10 +25,11 @@ FLANGE = Flange("here", np.eye(3), np.array([0.0, 0.0, 0.05]))
 
 def result_of(recordings, kept=(), known_mass=None):
     """Return (result of recordings with a payload, the fit of its file)."""
-    fitted = weighed = fit_recordings(ROBOT, recordings, loaded=True)
+    options = EstimationOptions(keep=kept)
+    fitted = weighed = fit_recordings(ROBOT, recordings, options, loaded=True)
     file = None
     if known_mass is None:
-        file = fit_file(weighed, kept, written_payload(weighed)[0])
+        file = fit_file(weighed, written_payload(weighed)[0])
     else:
         logs = weighed.recordings
         fitted = fit_recordings(ROBOT, logs, loaded=True, known_mass=known_mass)
@@ -104,7 +107,7 @@ def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
     expected = spatial.aluminium_ball(theta[0], theta[1:4] / theta[0])
     assert_allclose(theta, expected, atol=1e-12)
     difference = payload.total.theta - result.links["link3"].theta
-    carried = [file.fit.by_name[f"{name}(payload)"] for name in spatial.PARAMETER_NAMES]
+    carried = [file.by_name[f"{name}(payload)"] for name in spatial.PARAMETER_NAMES]
     for body in (difference, np.array(carried)):
         assert_allclose(FLANGE.to_flange(body), theta, atol=1e-12)
     for body in (payload.body, payload.total):
@@ -120,8 +123,8 @@ def test_the_given_model_of_the_file_is_judged_with_its_own_rotors(
     """Only the payload is on the arm in both: rotors that are found are the file's."""
     _, file = result_and_file
     _, kept = result_of(recordings, kept=("rotors",))
-    assert file.before.relative_error == kept.before.relative_error
-    assert file.after.relative_error < kept.after.relative_error
+    assert error_before(file) == error_before(kept)
+    assert validation(file).relative_error < validation(kept).relative_error
 
 
 @pytest.mark.parametrize("is_right", [True, False])

@@ -19,11 +19,19 @@ from robot_sysid.dynamics.inverse_dynamics import (
     gravity_vector,
     with_gravity,
 )
+from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.options import FILE_FRICTION as FRICTION
 from robot_sysid.estimate.options import FILE_GRAVITY as GRAVITY
 from robot_sysid.estimate.options import FILE_LINKS as LINKS
 from robot_sysid.estimate.options import FILE_ROTORS as ROTORS
-from robot_sysid.estimate.restricted_fit import errors_on, fit_file
+from robot_sysid.estimate.options import EstimationOptions
+from robot_sysid.estimate.restricted_fit import (
+    error_before,
+    error_without_rotors,
+    errors_on,
+    fit_file,
+    gravity_in,
+)
 from robot_sysid.records import InertialParameters, SubtreeBody
 
 MIDDLE = np.array([0.0, 1.0, 0.0])
@@ -44,7 +52,7 @@ def record(plant, model, seed=1, extra_torque=None, duration=20.0):
 
 def file_of(model, recordings, kept=()):
     """Return the fit of a model file; ``kept`` are the parts that stay as they are."""
-    return fit_file(fit_recordings(model, recordings), kept)
+    return fit_file(fit_recordings(model, recordings, EstimationOptions(keep=kept)))
 
 
 @pytest.fixture(scope="module")
@@ -54,14 +62,14 @@ def recording(plant, robot):
 
 def joint_values(file, term):
     """Return the value of a term in each joint of a file."""
-    names = file.fit.arm.robot.joint_names
-    return np.array([file.fit.by_name[f"{term}[{joint}]"] for joint in names])
+    names = file.arm.robot.joint_names
+    return np.array([file.by_name[f"{term}[{joint}]"] for joint in names])
 
 
 def compiled(robot, file):
     """Return the MuJoCo model as it would be written."""
     model = copy.copy(robot.mj_model)
-    for link, theta in zip(robot.links, file.fit.thetas):
+    for link, theta in zip(robot.links, file.thetas):
         arms.write_body(model, link.body_id, theta)
     for term, field in (
         ("coulomb", model.dof_frictionloss),
@@ -69,8 +77,9 @@ def compiled(robot, file):
         ("armature", model.dof_armature),
     ):
         field[robot.dof_index] = joint_values(file, term)
-    if file.gravity is not None:
-        model.opt.gravity[:] = file.gravity
+    gravity = gravity_in(file)
+    if gravity is not None:
+        model.opt.gravity[:] = gravity
     return model
 
 
@@ -83,9 +92,9 @@ def angle_between(vector, other):
 def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
     file = file_of(robot, recording)
     other = record(plant, robot, 11)
-    before = file.before.relative_error
-    after = file.after.relative_error
-    assert all(map(spatial.is_consistent, file.fit.thetas))
+    before = error_before(file).relative_error
+    after = validation(file).relative_error
+    assert all(map(spatial.is_consistent, file.thetas))
     signals = recording[0].signals
     error = torque_error(robot.mj_model, robot, signals)
     assert before == pytest.approx(error, rel=0.05)
@@ -94,13 +103,13 @@ def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
     for log in (recording[0], other[0]):
         error = torque_error(model, robot, log.signals)
         assert error == pytest.approx(after, rel=0.25)
-    stated = errors_on(file.fit, other, "other")
+    stated = errors_on(file, other, "other")
     for each, mj_model in zip(stated, (robot.mj_model, model)):
         error = torque_error(mj_model, robot, other[0].signals)
         assert each.relative_error == pytest.approx(error, rel=0.02)
     # It has only the terms that a file holds, and each joint's sensor offset.
-    terms = {name.partition("[")[0] for name in file.fit.names if "[" in name}
-    assert terms == {"coulomb", "viscous", "offset"} and file.gravity is None
+    terms = {name.partition("[")[0] for name in file.names if "[" in name}
+    assert terms == {"coulomb", "viscous", "offset"} and gravity_in(file) is None
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.5])
@@ -114,7 +123,7 @@ def test_links_and_sensor_offsets_are_not_confounded(plant, offset):
     q = log.q[::50]
     moves = LinkDynamics(plant).motion(q, 0.0 * q, 0.0 * q)
     weight = moves.torque(plant.thetas)
-    error = moves.torque(file.fit.thetas) - weight
+    error = moves.torque(file.thetas) - weight
     assert np.linalg.norm(error) < 0.02 * np.linalg.norm(weight)
 
 
@@ -124,15 +133,15 @@ def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
     tilted = with_gravity(plant, turn.apply(gravity_vector(plant)))
     recordings = record(tilted, robot)
     file = file_of(robot, recordings)
-    assert angle_between(file.gravity, gravity_vector(tilted)) < 0.3
+    assert angle_between(gravity_in(file), gravity_vector(tilted)) < 0.3
     other = record(tilted, robot, 2)
     model = compiled(robot, file)
     error = torque_error(model, robot, other[0].signals)
-    _, stated = errors_on(file.fit, other, "other")
+    _, stated = errors_on(file, other, "other")
     assert stated.relative_error == pytest.approx(error, rel=0.05)
     kept = file_of(robot, recordings, (GRAVITY,))
-    assert kept.gravity is None and not {"tilt_1", "tilt_2"} & set(kept.fit.names)
-    assert kept.after.relative_error > file.after.relative_error
+    assert gravity_in(kept) is None and not {"tilt_1", "tilt_2"} & set(kept.names)
+    assert validation(kept).relative_error > validation(file).relative_error
 
 
 def without_rotors(robot, kind="mjcf"):
@@ -168,7 +177,7 @@ def test_a_kept_part_stays(robot, recording, kept):
         "m(link0)": LINKS,
         "Izz(link1)": LINKS,
     }.items():
-        is_models = file.fit.by_name[name] == file.fit.arm.model[name]
+        is_models = file.by_name[name] == file.arm.model[name]
         assert is_models == (part in kept), name
 
 
@@ -180,12 +189,12 @@ def test_rotors_of_a_urdfs_arm_are_in_the_mjcf_beside_it(robot, recording):
     bare = compiled(robot, file)
     bare.dof_armature[:] = 0.0
     error = torque_error(bare, robot, recording[0].signals)
-    assert file.without_rotors.relative_error == pytest.approx(error, rel=0.05)
-    assert error > 1.5 * file.after.relative_error
+    assert error_without_rotors(file).relative_error == pytest.approx(error, rel=0.05)
+    assert error > 1.5 * validation(file).relative_error
     # Nothing is left out where rotors are to stay as they are.
     alone = file_of(model, recording, (ROTORS,))
-    error = alone.after.relative_error
-    assert alone.without_rotors.relative_error == pytest.approx(error, rel=0.1)
+    error = validation(alone).relative_error
+    assert error_without_rotors(alone).relative_error == pytest.approx(error, rel=0.1)
 
 
 def shared_motor(motion):
@@ -200,19 +209,22 @@ def test_a_motor_that_turns_two_joints_is_in_the_mjcf_alone(plant, robot):
     recordings = record(plant, robot, extra_torque=shared_motor)
     file = file_of(replace(robot, kind="urdf"), recordings, (GRAVITY,))
     for term, value in {"coulomb": 1.5, "viscous": 0.4, "armature": 0.0}.items():
-        estimate = file.fit.by_name[f"{term}[joint1+joint2]"]
+        estimate = file.by_name[f"{term}[joint1+joint2]"]
         assert estimate == pytest.approx(value, rel=0.1)
     rotors = joint_values(file, "armature") - robot.armature
     assert rotors == pytest.approx([0.0, 0.02, 0.02], abs=0.01)
-    assert file.after.relative_error < 0.2 * file.without_rotors.relative_error
+    assert (
+        validation(file).relative_error
+        < 0.2 * error_without_rotors(file).relative_error
+    )
     kept = file_of(robot, recordings, (GRAVITY, FRICTION))
-    assert not any("+" in name for name in kept.fit.names)
+    assert not any("+" in name for name in kept.names)
 
 
 def test_a_last_link_leaves_a_possible_body_beside_its_fingers(robot, recording):
     """Fingers on joints of their own keep their inertia in a written model."""
     without = file_of(robot, recording)
-    free = InertialParameters(without.fit.thetas[-1])
+    free = InertialParameters(without.thetas[-1])
     inertia = np.diag([1.02, 0.5, 0.5]) * free.inertia_com
     theta = spatial.theta_from_com(0.3 * free.mass, free.com, inertia)
     finger = SubtreeBody(99, "finger", theta, welded=False)
@@ -220,8 +232,8 @@ def test_a_last_link_leaves_a_possible_body_beside_its_fingers(robot, recording)
     last = replace(robot.links[-1], bodies=(*robot.bodies, finger))
     gripper = replace(robot, links=(*robot.links[:-1], last))
     file = file_of(gripper, recording)
-    assert spatial.is_consistent(file.fit.thetas[-1] - theta)
-    assert file.after.relative_error < 1.2 * without.after.relative_error
+    assert spatial.is_consistent(file.thetas[-1] - theta)
+    assert validation(file).relative_error < 1.2 * validation(without).relative_error
     # So do the bodies that predict each block from the others: their error is that of such files.
-    last = file.fit.at(spatial.PARAMETER_NAMES)
-    assert all(spatial.is_consistent(values[last] - theta) for values in file.fit.alone)
+    last = file.at(spatial.PARAMETER_NAMES)
+    assert all(spatial.is_consistent(values[last] - theta) for values in file.alone)

@@ -24,10 +24,10 @@ from robot_sysid.records.messages import Level
 from robot_sysid.results.record import LINK, Verdict
 
 
-def fits_of(robot, log, kept=(), **options):
-    """Return the fits of a log and of its file, which keeps the parts ``kept``."""
+def fits_of(robot, log, **options):
+    """Return the fits of a log and of its file."""
     fitted = fit_logs(robot, log, **options)
-    return fitted, fit_file(fitted, kept)
+    return fitted, fit_file(fitted)
 
 
 def result_of(*arguments, **options):
@@ -68,15 +68,14 @@ def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):
     error = np.abs(last.theta - plant.prior.theta)
     assert np.max(error / last.errors) < 4.0 and last.errors[0] < 0.35 * last.mass
     assert first.data_share[0] < 0.3 and last.data_share[9] > 0.9
-    estimate = result.estimate
     for name in plant.joint_names:
         rows = {row.name: row for row in result.quantities if row.of == name}
         assert rows.keys() >= {*BASIC.split("-"), "scale", "zero", "further_load"}
         assert rows["coulomb"].value == pytest.approx(0.3, abs=0.05)
-        noise = estimate.noise_per_joint[name]
+        noise = result.quality.noise_per_joint[name]
         assert noise == pytest.approx(0.1 * np.sqrt(2.0 * 8.0 / 200.0), rel=0.3)
-    assert estimate.names[:10] == spatial.PARAMETER_NAMES
-    assert result.validation[0].rmse < 1.5 * estimate.rmse
+    assert [*result.standard_errors][:10] == [*spatial.PARAMETER_NAMES]
+    assert result.validation[0].rmse < 1.5 * result.quality.rmse
 
 
 @pytest.mark.parametrize(
@@ -167,9 +166,10 @@ def test_numbers_that_take_up_friction_left_out_are_not_called_usable(
 @pytest.mark.parametrize("options", [{"no_friction": True}, {"torques": "terminal"}])
 def test_every_option_gives_a_possible_result(robot, noisy, options):
     result = result_of(robot, noisy, **options)
-    # Friction that may not be estimated is torque that nothing explains.
-    assert result.verdict.is_trustworthy == ("no_friction" not in options)
-    assert result.failure is None and result.estimate.inertial.is_consistent
+    # Friction that is neither estimated nor written is torque that nothing explains.
+    is_refused = "no_friction" in options
+    assert result.verdict.is_trustworthy == (result.failure is None) == (not is_refused)
+    assert result.body.is_consistent
     file = result.file
     after = file.validation_after.relative_error
     assert after < file.validation_before.relative_error
@@ -177,9 +177,9 @@ def test_every_option_gives_a_possible_result(robot, noisy, options):
 
 def test_traces_hold_the_residual_of_the_file(robot, fits):
     _, file = fits
-    traces = traces_of(file.fit)
+    traces = traces_of(file)
     assert traces.joints == robot.joint_names
-    squares = file.fit.sums.squared_residuals(file.fit.full)
+    squares = file.sums.squared_residuals(file.full)
     assert_allclose(np.nansum(traces.residual**2, axis=0), squares, rtol=1e-6)
     # The model before is clearly worse.
     error_before = np.nanstd(traces.measured - traces.prior_prediction, axis=0)

@@ -14,7 +14,6 @@ from rigs import arms, results
 from rigs.measured_logs import plan_of, true_arm
 from rigs.places import GUESS
 from rigs.results import theta_in
-from robot_sysid import spatial
 from robot_sysid.config import IdentifyConfig, SelfTestConfig
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
@@ -26,7 +25,7 @@ from robot_sysid.pipeline.stages import (
     self_test_verdict,
     step_after_run,
 )
-from robot_sysid.records import ITSELF, Identifiability
+from robot_sysid.records import ITSELF
 from robot_sysid.records.messages import Progress
 from robot_sysid.results.quantities import BEYOND, MOMENT
 from robot_sysid.results.record import Quantity, Verdict
@@ -83,9 +82,7 @@ def test_a_run_returns_what_its_files_say(arm):
 
     params = json.loads(written.files[1].read_text(), parse_constant=refuse)
     result = written.result
-    np.testing.assert_array_equal(
-        theta_in(written.files[1]), result.estimate.inertial.theta
-    )
+    np.testing.assert_array_equal(theta_in(written.files[1]), result.body.theta)
     assert params["seed"] == result.data.seed == 1
     assert load_trajectory(plan).sha256 == load_robot_model(arm).sha256
     assert plan.with_suffix(".csv").exists()
@@ -162,14 +159,11 @@ def test_the_models_own_values_come_back_with_where_they_are_from(torques, frict
     plan = plan_of(plant, 1, 4.0)
     progress = Listener()
     result = run_self_test(config, plant, plan, progress)
-    estimate = result.estimate
     np.testing.assert_allclose(
-        estimate.values[:10], plant.prior.theta, rtol=0.0, atol=1e-10
+        result.body.theta, plant.prior.theta, rtol=0.0, atol=1e-10
     )
-    coefficients = [
-        estimate.value("coulomb[joint2]"),
-        estimate.value("viscous[joint2]"),
-    ]
+    rows = [result.quantity(term, "joint2") for term in ("coulomb", "viscous")]
+    coefficients = [row and row.value for row in rows]
     assert coefficients == (
         pytest.approx([0.3, 0.2], abs=1e-10) if friction else [None, None]
     )
@@ -183,9 +177,6 @@ def test_the_models_own_values_come_back_with_where_they_are_from(torques, frict
     data = result.data
     origin = data.description, data.duration, data.sample_rate, data.seed
     assert origin == (ITSELF, plan.duration, 500.0, 7)
-
-
-POSSIBLE = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))
 
 
 @pytest.mark.parametrize(
@@ -204,12 +195,8 @@ POSSIBLE = spatial.theta_from_com(1.0, np.zeros(3), np.eye(3))
 def test_the_verdict_on_an_own_simulation_says_what_is_wrong_first(
     scale, error, rank, expected
 ):
-    estimate = results.estimate(
-        values=np.append(scale * POSSIBLE, np.zeros(4)),
-        standard_errors=np.append(error, np.zeros(13)),
-        identifiability=Identifiability(rank, 1.0, ("mass",) * (12 - rank)),
-    )
-    assert self_test_verdict(estimate) is expected
+    quality = replace(results.QUALITY, unidentifiable=("mass",) * (12 - rank))
+    assert self_test_verdict(scale, error, quality) is expected
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,6 @@ from robot_sysid.results import written_model as model_module
 from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.written_model import write_model
 from robot_sysid.simulator import ArmTorque
-from robot_sysid.spatial import PARAMETER_NAMES
 
 MJCF = ARM.replace(
     '<body name="tool" pos="0 0 0.1" euler="10 20 30">',
@@ -119,13 +118,10 @@ def payload_of(robot, theta, flange_position=None, link=None):
 def result_of(robot, theta=None, file=None, payload=None, **changes):
     """A result with the parameters theta (10,) of the terminal link, by default the model's own."""
     theta = robot.prior.theta if theta is None else theta
-    identifiability = records.Identifiability(10, 5.0, ())
-    estimate = records.Estimate(
-        PARAMETER_NAMES, theta, identifiability, 1e-4, {}, np.zeros(10), {}, {}
-    )
-    fields = {"robot": robot, "verdict": record.Verdict.OK, "links": {}}
+    link = record.BodyEstimate(theta, robot.body_name)
+    fields = {"robot": robot, "verdict": record.Verdict.OK, "links": {"": link}}
     fields |= {"file": file, "payload": payload, **changes}
-    return made.found(estimate, **fields)
+    return made.found(**fields)
 
 
 def some_payload(rng):
