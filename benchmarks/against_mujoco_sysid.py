@@ -25,14 +25,11 @@ from mujoco import rollout
 from benchmarks.arm_results import result_of_logs
 from rigs import arms
 from rigs.core_fits import BASIC, NOISE_ONLY
+from rigs.stepped_arm import stepped_log
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.records import Measurement
-from robot_sysid.trajectory import generate_excitation_trajectory
 
 STEP = 0.002
 SECONDS = 15.0
-TORQUE_NOISE = 0.05
-ENCODER = 1e-4
 PIECE = 0.3
 HORIZON = 0.5
 START = {"armature": 0.1, "damping": 1.0, "frictionloss": 0.5, "offset": 0.0}
@@ -80,37 +77,8 @@ def truth(rng) -> dict:
     }
 
 
-def record_log(model, robot, seed: int, seconds: float):
-    """Return (time, q, held torque) of a controlled motion of the true arm, as sensors read it."""
-    rng = np.random.default_rng(seed)
-    plan = generate_excitation_trajectory(robot, rng, seconds)
-    plan = plan.scale_amplitudes(np.array([3.0] * 6 + [1.0]))
-    clock = np.arange(0.0, seconds, STEP)
-    motion = plan.evaluate(clock)
-    data = mujoco.MjData(model)
-    data.qpos[:] = motion.q[0]
-    q = np.empty_like(motion.q)
-    tau = np.empty_like(motion.q)
-    mass = np.empty((7, 7))
-    for k in range(len(clock)):
-        mujoco.mj_forward(model, data)
-        q[k] = data.qpos
-        mujoco.mj_fullM(model, data, mass)
-        commanded = motion.qdd[k] + 900.0 * (motion.q[k] - data.qpos)
-        commanded = commanded + 60.0 * (motion.qd[k] - data.qvel)
-        dry = model.dof_frictionloss * np.tanh(motion.qd[k] / 0.02)
-        tau[k] = mass @ commanded + data.qfrc_bias + model.dof_damping * data.qvel + dry
-        data.ctrl[:] = tau[k]
-        mujoco.mj_step(model, data)
-    read = tau + TORQUE_NOISE * rng.normal(size=tau.shape)
-    return clock, np.round(q / ENCODER) * ENCODER, read
-
-
 def by_torques(robot, log) -> dict:
     """Return the joints' numbers identified by robot-sysid's inverse dynamics."""
-    clock, q, tau = log
-    # MuJoCo's second difference of positions around a sample is the acceleration by its torque.
-    log = Measurement(clock, q, None, tau)
     result = result_of_logs(
         robot, [log], EstimationOptions(friction_model=BASIC, **NOISE_ONLY)
     )
@@ -228,9 +196,8 @@ def by_rollouts(log) -> dict:
 
 
 def moving(log):
-    """Return a log (time, q, torque) with the velocities that initial states of pieces need."""
-    clock, q, tau = log
-    return clock, q, speeds(q), tau
+    """Return (time, q, qd, torque) of a log, with velocities for the initial states of pieces."""
+    return log.time, log.q, speeds(log.q), log.tau
 
 
 def _set(spec, name, number, value) -> None:
@@ -275,8 +242,8 @@ def compare_sides() -> dict[str, Side]:
     true = truth(np.random.default_rng(0))
     model = spec_of(true).compile()
     robot = arms.robot_of(spec_of().compile())
-    log = record_log(model, robot, 1, SECONDS)
-    other = record_log(model, robot, 2, SECONDS)
+    log = stepped_log(model, robot, 1, SECONDS)
+    other = stepped_log(model, robot, 2, SECONDS)
     print(
         f"start: held-out rollout error {rollout_error(None, other):.2f} mrad",
         file=sys.stderr,

@@ -60,8 +60,9 @@ from benchmarks.answers import (
     write_log,
 )
 from benchmarks.confusion_causes import CAUSES, RIGHT, Cause, Scene, draw_scene
-from benchmarks.real_arms import ARMS, DEVIATIONS, USUAL_ARMS
+from benchmarks.real_arms import USUAL_ARMS
 from rigs.params import motors, rows
+from rigs.wrong_arms import ARMS, DEVIATIONS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 

@@ -16,18 +16,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks import wrong_logs
-from benchmarks.real_arms import SENSOR_ARMS, RealArm, draw_arm
+from benchmarks.real_arms import SENSOR_ARMS
 from benchmarks.wrong_logs import carrying_joint
-from rigs.wrong_logs import Truth
+from rigs.wrong_arms import Truth, draw_arm, link_torque, resting_torque
 from robot_sysid import spatial
-from robot_sysid.dynamics.inverse_dynamics import (
-    LinkDynamics,
-    gravity_vector,
-    turn_gravity,
-)
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector, turn_gravity
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import Array, Measurement
 from robot_sysid.signals.resampling import slice_samples
+from robot_sysid.simulator import ArmTorque
 
 RIGHT = "right"
 """The cause that changes nothing."""
@@ -46,7 +43,6 @@ class Scene(Truth):
     """A recorded motion of an arm that is not as its model, and something may be wrong with it.
 
     Attributes:
-        arm: the arm as it was drawn, with its motion and its right log.
         last_masses: of the last link, all that are true at some time of the log [kg].
         path: the right model's file.
         edit: changes the right model's ``MjSpec`` into the one that the log is identified with.
@@ -55,7 +51,6 @@ class Scene(Truth):
         pieces: logs that are identified together; () for the log alone.
     """
 
-    arm: RealArm
     last_masses: tuple[float, ...]
     path: Path
     edit: Edit | None = None
@@ -94,18 +89,6 @@ class Scene(Truth):
         return replace(self, log=replace(self.log, tau=self.log.tau * factor))
 
 
-def resting_torque(
-    robot: RobotModel, q: Array, thetas: Array, gravity_vector: Array | None = None
-) -> Array:
-    """Return the torque (N, n) of links (n, 10) at rest, under the model's or another gravity."""
-    no_motion = np.zeros_like(q)
-    return (
-        LinkDynamics(robot, gravity_vector)
-        .motion(q, no_motion, no_motion)
-        .torque(thetas)
-    )
-
-
 def draw_scene(
     path: Path, arm_name: str, deviation: str, duration: float, seed: int
 ) -> Scene:
@@ -114,20 +97,17 @@ def draw_scene(
     Every other log has white noise.
     """
     robot = load_robot_model(path)
-    arm = draw_arm(
-        robot, deviation, arm_name in SENSOR_ARMS, duration, seed % 2 == 0, seed
-    )
+    has_sensors = arm_name in SENSOR_ARMS
+    truth = draw_arm(robot, deviation, has_sensors, duration, seed % 2 == 0, seed)
     return Scene(
-        robot=robot,
-        plan=arm.plan,
-        theta=arm.thetas[-1],
-        log=arm.log,
-        still=resting_torque(robot, arm.motion.q, arm.thetas),
-        rigid=arm.rigid,
-        friction=arm.log.tau - arm.rigid,
+        truth.arm,
+        truth.plan,
+        truth.motion,
+        truth.log,
+        truth.rigid,
+        friction=truth.log.tau - truth.rigid,
         rng=np.random.default_rng([seed, _CAUSE_STREAM]),
-        arm=arm,
-        last_masses=(float(arm.thetas[-1, 0]),),
+        last_masses=(float(truth.theta[0]),),
         path=path,
     )
 
@@ -152,16 +132,14 @@ def last_link_alone(scene: Scene, theta: Array) -> Array:
 
 def torque_of_payload(scene: Scene, theta: Array) -> Array:
     """Return the torque (N, n) of a body (10,) that moves with the last link [N m]."""
-    motion = scene.arm.motion
-    links = LinkDynamics(scene.robot).motion(motion.q, motion.qd, motion.qdd)
-    return links.torque(last_link_alone(scene, theta))
+    return link_torque(scene.robot, scene.motion, last_link_alone(scene, theta))
 
 
 def torque_of_force(scene: Scene, force: Array) -> Array:
     """Return the torque (N, n) that holds a force (3,) at the last link's origin [N, N m]."""
     unit_mass = np.eye(10)[0]
     thetas = last_link_alone(scene, unit_mass)
-    return resting_torque(scene.robot, scene.arm.motion.q, thetas, force)
+    return resting_torque(scene.robot, scene.motion.q, thetas, force)
 
 
 def change_payload(
@@ -207,7 +185,7 @@ def hand_carries(scene: Scene) -> Scene:
     """Return a log in which a hand carries 40 % of the last link with a payload."""
     loaded = change_payload(scene, 1.0, 1.0, 0.0)
     carried = last_link_alone(scene, scene.theta + payload_of(scene))
-    weight_torque = resting_torque(scene.robot, scene.arm.motion.q, carried)
+    weight_torque = resting_torque(scene.robot, scene.motion.q, carried)
     return loaded.with_more_torque(-0.4 * weight_torque)
 
 
@@ -230,7 +208,7 @@ def constant_force(scene: Scene) -> Scene:
 def spring(scene: Scene) -> Scene:
     """Return a log with a spring at one joint that makes 30 % of what the joint carries."""
     joint = carrying_joint(scene)
-    q = scene.arm.motion.q[:, joint]
+    q = scene.motion.q[:, joint]
     stiffness = 0.3 * scene.usual_torque[joint] / max(float(np.std(q)), 1e-3)
     return scene.with_joint_torque(joint, stiffness * (q - np.mean(q) - 0.3))
 
@@ -248,7 +226,7 @@ def tilt(scene: Scene) -> Scene:
 def tilt_by(degrees: Array, scene: Scene) -> Scene:
     """Return a log of an arm whose base is turned by two angles (2,) [degrees]."""
     tilted = turn_gravity(gravity_vector(scene.robot), np.radians(degrees))
-    held = resting_torque(scene.robot, scene.arm.motion.q, scene.arm.thetas, tilted)
+    held = resting_torque(scene.robot, scene.motion.q, scene.arm.thetas, tilted)
     return scene.with_more_torque(held - scene.still)
 
 
@@ -267,7 +245,7 @@ def ripple(scene: Scene) -> Scene:
     per_turn = float(scene.rng.choice([7, 12, 20]))
     size = 0.1 * scene.usual_torque[joint]
     return scene.with_joint_torque(
-        joint, size * np.sin(per_turn * scene.arm.motion.q[:, joint])
+        joint, size * np.sin(per_turn * scene.motion.q[:, joint])
     )
 
 
@@ -281,7 +259,7 @@ def crosstalk(scene: Scene) -> Scene:
 def coupling(scene: Scene) -> Scene:
     """Return a log of an arm with one motor that turns with both of its last two joints."""
     joints = [scene.robot.n_joints - 2, scene.robot.n_joints - 1]
-    speed = np.sum(scene.arm.motion.qd[:, joints], axis=1)
+    speed = np.sum(scene.motion.qd[:, joints], axis=1)
     size = scene.usual_torque[joints[0]]
     torque = size * (0.4 * np.sign(speed) + 0.3 * speed / np.std(speed))
     return scene.with_joint_torque(joints[0], torque).with_joint_torque(
@@ -293,7 +271,7 @@ def hot_gears(scene: Scene) -> Scene:
     """Return a log whose dry friction begins 70 % larger and falls within 10 s."""
     excess = 0.7 * np.exp(-scene.log.time / 10.0)
     return scene.with_more_torque(
-        excess[:, None] * scene.arm.coulomb * np.sign(scene.arm.motion.qd)
+        excess[:, None] * scene.arm.coulomb * np.sign(scene.motion.qd)
     )
 
 
@@ -339,20 +317,20 @@ def stale_samples(scene: Scene) -> Scene:
 
 def own_torque(noise: float, scene: Scene) -> Scene:
     """Return a log of the torques that the model itself takes, with noise [N m]."""
-    tau = scene.arm.motion.tau
+    tau = ArmTorque(scene.robot)(scene.motion)
     tau = tau + noise * scene.rng.normal(size=tau.shape)
     return replace(scene, log=replace(scene.log, tau=tau))
 
 
 def gear_loss(scene: Scene) -> Scene:
     """Return a log of gears that lose 15 % of what they carry."""
-    motion = scene.arm.motion
+    motion = scene.motion
     return scene.with_more_torque(0.15 * np.abs(scene.rigid) * np.sign(motion.qd))
 
 
 def friction_falls(scene: Scene) -> Scene:
     """Return a log whose friction falls by a third from its beginning to its end."""
-    qd = scene.arm.motion.qd
+    qd = scene.motion.qd
     friction = scene.arm.coulomb * np.sign(qd) + scene.arm.viscous * qd
     share = scene.log.time / scene.log.time[-1] / 3.0
     return scene.with_more_torque(-share[:, None] * friction)
@@ -360,7 +338,7 @@ def friction_falls(scene: Scene) -> Scene:
 
 def with_velocities(scene: Scene, factors: Array) -> Scene:
     """Return the scene with recorded velocities, times factors (n,)."""
-    qd = scene.arm.motion.qd
+    qd = scene.motion.qd
     noisy = qd + 1e-3 * scene.rng.normal(size=qd.shape)
     return replace(scene, log=replace(scene.log, qd=factors * noisy))
 

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.imperfect_arm import Imperfections, draw_imperfect_arm
 from benchmarks.payload_by_difference import recordings, rms, weigh
-from benchmarks.real_arms import ARMS
-from rigs.imperfect_arm import ImperfectArm, Imperfections
+from rigs.wrong_arms import ARMS
 from robot_sysid import spatial
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.parser import load_robot_model
@@ -60,9 +60,9 @@ def calibration(robot, arm, rng, sets):
 def run(robot, seed, sets):
     """Return relative errors as measured and with scales, stated errors, scales' coverage."""
     rng = np.random.default_rng([seed, 78])
-    arm = ImperfectArm(robot, rng, Imperfections(scale=SCALE))
+    arm = draw_imperfect_arm(robot, rng, Imperfections(scale=SCALE))
     scale, sure = calibration(robot, arm, rng, sets)
-    off = [abs(scale / arm.scale - 1.0) < 1.96e-2 * np.array(sure)]
+    off = [abs(scale / arm.scales - 1.0) < 1.96e-2 * np.array(sure)]
     plain = []
     scaled = []
     stated = []

@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 
 import robot_sysid
-from benchmarks.confusion_causes import Scene, draw_scene, resting_torque
-from benchmarks.real_arms import ARMS
+from benchmarks.confusion_causes import Scene, draw_scene
+from rigs.wrong_arms import ARMS, resting_torque
 from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate.fit import Fit
@@ -47,7 +47,7 @@ def force_torque(scene: Scene, link: int, force: Array) -> Array:
     """Return the joints' torque (N, n) that holds a force (3,) at a link's origin [N, N m]."""
     thetas = np.zeros_like(scene.robot.thetas)
     thetas[link, 0] = 1.0
-    return resting_torque(scene.robot, scene.arm.motion.q, thetas, force)
+    return resting_torque(scene.robot, scene.motion.q, thetas, force)
 
 
 def draw_span(scene: Scene, shortest: float, longest: float) -> Span:

@@ -30,44 +30,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
-
 from benchmarks.speed_table import rewrite
-from rigs.damaged_links import Damage
-from rigs.fault_bench import (
-    MOTOR_TYPES,
-    BenchRun,
-    Case,
-    SetUp,
-    loaded_joint,
-    outcomes_of,
+from rigs.fault_bench import BenchRun, Case, SetUp, outcomes_of
+from rigs.fault_lines import (
+    DAMAGE_BOUND,
+    LINES,
+    SHOULDER,
+    UNSEEN,
+    Line,
+    damage_cases,
+    hold_cases,
 )
-from rigs.fault_lines import LINES, SHOULDER, UNSEEN, Line
-from rigs.motor_causes import DamagedFrame, LostMotor, SecondMaster, WeakMotor
+from rigs.motor_causes import SecondMaster
 from rigs.places import ROOT
 
-DAMAGES = {
-    "position": (0.2, 0.78, 3.9),
-    "velocity": (5, 8, 11),
-    "torque": (5, 8, 11),
-    "status": (0x0, 0x9, 0xA, 0xD),
-    "id nibble": ("other", 0xF),
-    "arbitration id": ("other", 0x7A),
-    "text": ("any",),
-}
-"""Fields of a feedback frame, and what happens to them; see ``Damage``."""
-MOMENTS = {
-    "enabling": (0.0, 0.0, 0.05),
-    "raising": (0.0, 0.75, 0.15),
-    "moving": (0.0, 1.45, 0.2),
-    "playing": (0.0, 4.95, 0.4),
-    "coming": (0.0, 0.45, 0.1),
-    "lowering": (0.0, 2.0, 0.1),
-}
-"""Phases: the earliest and the latest onset after their beginning [s], and their share of runs."""
-DAMAGE_PATIENCE = 1.0
-DAMAGE_BOUND = 0.05
-"""Largest departure of a joint after a damaged frame [rad]."""
 PAGE = ROOT / "benchmarks" / "motor_faults.md"
 PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
 PAGE_END = "<!-- end of faults -->"
@@ -75,46 +51,7 @@ PAGE_HEAD = "| Fault | Departure [rad] | The message contains |\n| --- | --- | -
 _UNSEEN_MASTER = SecondMaster(SHOULDER, 0.5, False)
 FAULTS = (*LINES, Line("second master, shoulder, not seen", _UNSEEN_MASTER, UNSEEN))
 """Faults of ``faults``: those of the page, and one more."""
-HOLD_FAULT_AFTER = 1.0
-HOLD_STIFFNESS = (60.0, 180.0)
 RATES = (50.0, 100.0, 250.0, 500.0)
-
-
-def damage_cases(runs: int, seed: int) -> list[Case]:
-    """Return cases of one damaged frame each, spread over fields, sizes, phases and joints."""
-    random = np.random.default_rng(seed)
-    kinds = []
-    for name, sizes in DAMAGES.items():
-        kinds += zip(itertools.repeat(name), sizes)
-    shares = np.array([share for *_, share in MOMENTS.values()])
-    cases = []
-    for number in range(runs):
-        name, size = kinds[number % len(kinds)]
-        phase = str(random.choice(list(MOMENTS), p=shares / shares.sum()))
-        park = "rest" if phase == "lowering" or random.random() < 0.5 else None
-        setup = SetUp(model_is_given=bool(random.random() < 0.5), park=park)
-        joint = int(random.integers(len(MOTOR_TYPES)))
-        damage = _damage(name, size, joint, len(MOTOR_TYPES), random)
-        begin, end, _ = MOMENTS[phase]
-        instant = random.uniform(begin, end)
-        cause = DamagedFrame(damage)
-        label = f"{name}, {size}"
-        cases.append(Case(label, setup, cause, phase, instant, DAMAGE_PATIENCE, joint))
-    return cases
-
-
-def _damage(name, size, joint: int, n: int, random: np.random.Generator) -> Damage:
-    """Return a damage of a field of the feedback frame of a joint (from 0) of n."""
-    other = 1 + (joint + int(random.integers(1, n))) % n
-    if name == "position":
-        return Damage(name, float(size * random.choice([-1.0, 1.0])), joint)
-    if name == "id nibble" and size == "other":
-        return Damage(name, other, joint)
-    if name == "arbitration id" and size == "other":
-        return Damage(name, other + 0x10, joint)
-    if name == "text":
-        return Damage(name, int(random.integers(21 * 8)), joint)
-    return Damage(name, size, joint)
 
 
 def fault_cases(belief: str = "guess") -> list[Case]:
@@ -123,24 +60,6 @@ def fault_cases(belief: str = "guess") -> list[Case]:
     for is_given in (True, False):
         setup = SetUp(belief, is_given)
         cases += [replace(line.case, setup=setup) for line in FAULTS]
-    return cases
-
-
-def hold_cases() -> list[Case]:
-    """Return a case for each fault of a motor that holds the arm still, pose and stiffness."""
-    cases = []
-    for kp in HOLD_STIFFNESS:
-        for pose in range(5):
-            setup = SetUp("truth", kp=kp, pose=pose, stands=True, duration=2.5)
-            joint = loaded_joint(setup)
-            for name, cause in (
-                ("weak motor, half", WeakMotor(joint, 0.5)),
-                ("weak motor, 0.6", WeakMotor(joint, 0.6)),
-                ("motor lost", LostMotor(joint)),
-            ):
-                cases.append(
-                    Case(name, setup, cause, "playing", HOLD_FAULT_AFTER, None, joint)
-                )
     return cases
 
 

@@ -3,7 +3,7 @@
     python -m benchmarks.payload_by_difference MODELS [--runs 20] [--scale 0 1] [--arms ...]
 
 MODELS is a folder of public models as in MuJoCo Menagerie. Each run draws an arm with all errors at
-once (rigs/imperfect_arm.py) and four recordings (empty, loaded, loaded, empty) along one
+once (benchmarks/imperfect_arm.py) and four recordings (empty, loaded, loaded, empty) along one
 random trajectory, or along four with --different. Printed: rms errors of the payload's mass and
 centre of mass, stated errors and coverage; with --single also the error of the difference of two
 separate fits. The trajectory moves all joints widely; with --narrow all joints but the last move by
@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.arm_results import result_of_logs
-from benchmarks.real_arms import ARMS
+from benchmarks.imperfect_arm import Imperfections, draw_imperfect_arm
 from rigs.core_fits import ORIGIN
-from rigs.imperfect_arm import ImperfectArm, Imperfections
+from rigs.wrong_arms import ARMS
 from robot_sysid import spatial
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.options import EstimationOptions, Priors
@@ -75,7 +75,7 @@ def recordings(
     records = []
     for k, loaded in enumerate(ORDER):
         carried = payload if second is None or k != 2 else second
-        samples = arm.log(plans[k % len(plans)], loaded * carried, rng)
+        samples = arm.record(plans[k % len(plans)], rng, loaded * carried)
         records.append(Piece(f"log{k}", samples, loaded))
     return records
 
@@ -113,7 +113,7 @@ def single_difference(robot, raw):
 def run(robot, seed, off, different, single, wide, second):
     """Return errors of mass (true, stated, by noise), centre of mass, and difference."""
     rng = np.random.default_rng([seed, 77])
-    arm = ImperfectArm(robot, rng, off)
+    arm = draw_imperfect_arm(robot, rng, off)
     raw = recordings(robot, arm, rng, different, wide=wide, second=second)
     result = weigh(robot, raw)
     body = result.payload.body

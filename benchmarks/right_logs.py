@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.answers import bare_model_text, run_command, write_log
-from benchmarks.real_arms import ARMS, RATE, SENSOR_ARMS, draw_arm
+from benchmarks.real_arms import SENSOR_ARMS
+from rigs.wrong_arms import ARMS, RATE, draw_arm
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan
 

@@ -21,38 +21,30 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.answers import bare_model_text, number, run_command, write_log
-from benchmarks.real_arms import (
+from benchmarks.real_arms import SENSOR_ARMS, arms_parser
+from rigs.wrong_arms import (
     ARMS,
     NOISE,
     RATE,
-    SENSOR_ARMS,
-    STEP,
     STRIBECK,
-    arms_parser,
+    WrongArm,
     noise_samples,
     wrong_links,
 )
 from robot_sysid import spatial
-from robot_sysid.dynamics.inverse_dynamics import (
-    LinkDynamics,
-    gravity_vector,
-    turn_gravity,
-    with_gravity,
-)
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.comparison import compare_runs
 from robot_sysid.records import Array, Measurement, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.report.runs import load_run
-from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 MASS = 0.1
@@ -96,54 +88,50 @@ def draw_pair(
 ) -> Iterator[Measurement]:
     """Yield the two logs of one arm."""
     n = robot.n_joints
-    arm = with_gravity(
-        robot,
-        turn_gravity(gravity_vector(robot), np.radians(0.3) * rng.standard_normal(2)),
-    )
-    thetas = wrong_links(robot, rng)
+    tilt = np.radians(0.3) * rng.standard_normal(2)
+    arm = WrongArm(robot, wrong_links(robot, rng), tilt, robot.armature)
     spread = rng.uniform(0.7, 1.4, n)
     viscous_spread = rng.uniform(0.5, 1.5, n)
     rotor_spread = rng.uniform(0.3, 1.5, n)
-    loss = rng.uniform(0.02, 0.06, n)
+    visible_share = 0.1 if has_sensors else 1.0
+    loss = visible_share * rng.uniform(0.02, 0.06, n)
     scales = 1.0 + 0.02 * rng.standard_normal(n)
     zeros = 2e-3 * rng.standard_normal(n)
-    visible_share = 0.1 if has_sensors else 1.0
-    nominal = rotor = fastest = np.zeros(0)
+    nominal = np.zeros(0)
     for is_second in (False, True):
         duration = float(rng.choice([20.0, 25.0, 30.0]))
         plan = generate_excitation_trajectory(robot, rng, duration)
         motion = plan.evaluate(np.arange(round(RATE * duration)) / RATE)
-        exact = next(iter(simulate_inverse(robot, iter([motion]))))
-        series = exact.q, exact.qd, exact.qdd
-        dry_factor, viscous_factor = np.ones((2, n))
-        links = thetas.copy()
         if is_second:
-            links[-1] += change.body
             dry_factor, viscous_factor = change.friction
-        rigid = exact.tau - robot.friction.torque(exact.qd)
-        rigid -= LinkDynamics(robot).motion(*series).torque(robot.thetas)
-        rigid += LinkDynamics(arm).motion(*series).torque(links)
-        if not is_second:
-            peak = np.max(np.abs(rigid), axis=0)
-            fastest = np.max(np.abs(exact.qd), axis=0)
+            arm = replace(
+                arm,
+                coulomb=dry_factor * arm.coulomb,
+                stribeck=dry_factor * arm.stribeck,
+                loss=dry_factor * arm.loss,
+                viscous=viscous_factor * arm.viscous,
+            )
+        else:
+            peak = np.max(np.abs(arm.torques(motion)[0]), axis=0)
+            fastest = np.max(np.abs(motion.qd), axis=0)
             nominal = np.maximum(0.04 * peak, 0.004 * np.max(peak)) * spread
-            acceleration = np.sqrt(np.mean(exact.qdd**2, axis=0))
+            acceleration = np.sqrt(np.mean(motion.qdd**2, axis=0))
             rotor = 0.02 * np.max(peak) / acceleration * rotor_spread
-            rotor = rotor * (not has_sensors)
-        load = np.abs(rigid - robot.armature * exact.qdd)
-        rigid = rigid + (rotor - robot.armature) * exact.qdd
-        coulomb = visible_share * nominal
-        speed = np.abs(exact.qd)
-        dry = coulomb * (1.0 + STRIBECK * np.exp(-speed / (0.1 * fastest)))
-        dry = dry + visible_share * loss * load
-        tau = scales * rigid + dry_factor * dry * np.sign(exact.qd)
-        viscous = coulomb / fastest * viscous_spread
-        tau = tau + viscous_factor * viscous * exact.qd
-        tau = tau + NOISE * nominal * noise_samples(
-            rng, tau.shape, bool(rng.integers(2))
-        )
-        q = np.round((exact.q + zeros) / STEP) * STEP
-        yield Measurement(exact.time, q, None, tau)
+            coulomb = visible_share * nominal
+            arm = replace(
+                arm,
+                rotor=rotor * (not has_sensors),
+                coulomb=coulomb,
+                stribeck=STRIBECK * coulomb,
+                fading=0.1 * fastest,
+                loss=loss,
+                viscous=coulomb / fastest * viscous_spread,
+                scales=scales,
+                zeros=zeros,
+            )
+        white = bool(rng.integers(2))
+        noise = NOISE * nominal * noise_samples(rng, motion.q.shape, white)
+        yield arm.log(motion, noise, is_second * change.body)
 
 
 def separate(first: dict[str, Any], second: dict[str, Any]) -> Iterator[str]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rigs.places import MODELS
-from rigs.wrong_logs import Truth, truth_of
+from rigs.wrong_arms import Truth, truth_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.signals.resampling import slice_samples

@@ -99,9 +99,9 @@ class FaultyLink:
     """Passes frames on; damages an answer when asked to, and lets another master talk.
 
     Attributes:
+        damage: what happens to the next answer of its joint; None once it has happened.
         commands: (time [s], joint, position [rad]) of each command that was sent, in order.
-        enabled_at, disabled_at: when the first enable and the first disable frame were sent [s].
-        damaged_at: when the damaged frame arrived [s]; None before.
+        disabled_at: when the first disable frame was sent [s].
     """
 
     def __init__(self, link, clock, joints):
@@ -109,17 +109,11 @@ class FaultyLink:
         self._clock = clock
         self._joints = joints
         self._joint_of_id = {joint.can_id: index for index, joint in enumerate(joints)}
-        self._damage = None
+        self.damage = None
         self._foreign = []
         self._foreign_is_seen = True
         self.commands = []
-        self.enabled_at = None
         self.disabled_at = None
-        self.damaged_at = None
-
-    def damage_next(self, damage):
-        """Damage the next answer of the joint that a damage is about."""
-        self._damage = damage
 
     def send_foreign(self, frame, is_seen):
         """Let another master send a frame, which this computer's adapter sees or does not."""
@@ -142,8 +136,6 @@ class FaultyLink:
             self.commands.append(
                 (now, joint_index, code / 0xFFFF * 2.0 * limit - limit)
             )
-        elif frame.data[7] == protocol.ENABLE and self.enabled_at is None:
-            self.enabled_at = now
         elif frame.data[7] == protocol.DISABLE and self.disabled_at is None:
             self.disabled_at = now
 
@@ -164,18 +156,16 @@ class FaultyLink:
                 return self._damaged(frame)
 
     def _is_to_be_damaged(self, frame):
-        if self._damage is None or frame.echo or len(frame.data) != 8:
+        if self.damage is None or frame.echo or len(frame.data) != 8:
             return False
-        joint = self._joints[self._damage.joint]
-        is_answer = frame.id == joint.master_id and frame.bus == joint.bus
+        joint = self._joints[self.damage.joint]
         # Answers to questions about registers repeat the id in their first two bytes.
         is_feedback = frame.data[0] & 0xF == joint.can_id & 0xF and frame.data[0] >> 4
-        return is_answer and bool(is_feedback)
+        return frame.id == joint.master_id and bool(is_feedback)
 
     def _damaged(self, frame):
-        damage = self._damage
-        self._damage = None
-        self.damaged_at = self._clock.now()
+        damage = self.damage
+        self.damage = None
         limit = self._joints[damage.joint].spec.limits[0]
         return frame_of_line(damage.apply(slcan_line(frame), limit), frame)
 

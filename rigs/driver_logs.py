@@ -18,7 +18,7 @@ import numpy as np
 from rigs import recorded
 from rigs.places import MODELS
 from rigs.recorded import START_NS, STATE, joint_state, typestore, write_bag
-from rigs.wrong_logs import truth_of
+from rigs.wrong_arms import truth_of
 from robot_sysid.logs.ros_messages import KORTEX, LBR
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel

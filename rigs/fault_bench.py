@@ -325,6 +325,8 @@ class BenchRun:
         self._children.discard(child)
 
     def _record(self, error):
+        if self.link.damage is not None:
+            error = "Error: no frame was damaged"
         self.arm.advance(self.clock.now() + 0.05)
         times, q, qd = map(np.array, zip(*self.arm.truth))
         since = np.searchsorted(times, self._onset - 0.01)
@@ -357,7 +359,7 @@ class BenchRun:
         except SysidError as error:
             return str(error)
         except Exception as error:
-            return f"DEFECT {type(error).__name__}: {error}"
+            return f"{type(error).__name__}: {error}"
         return ""
 
     def _note_phase(self, name):
@@ -521,6 +523,8 @@ def _ending(record):
 
 def judged_outcome(case, record, clean):
     """Return what came of a case, by its record and that of the undisturbed run."""
+    # The player stops at errors of the bench, too.
+    assert "Error: " not in record.error, record.error
     onset = record.onset
     stop_at = record.stop_at
     last = record.time[-1] if record.disabled_at is None else record.disabled_at

@@ -5,12 +5,17 @@ benchmarks/motor_faults.md shows the table that ``benchmarks/motor_faults.py`` m
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from rigs.fault_bench import BenchRun, Case, SetUp
+import numpy as np
+
+from rigs.damaged_links import Damage
+from rigs.fault_bench import MOTOR_TYPES, BenchRun, Case, SetUp, loaded_joint
 from rigs.motor_causes import (
+    DamagedFrame,
     FailedMotor,
     FrozenEncoder,
     GrippedMass,
@@ -99,3 +104,70 @@ LINES = (
     Line("zero 0.3 rad off", MovedZero(SHOULDER, 0.3), MOVED, 0.35, options=AT_START),
     Line("zero -0.3 rad off", MovedZero(SHOULDER, -0.3), MOVED, 0.35, options=AT_START),
 )  # fmt: skip
+
+DAMAGES = [
+    *(("position", angle) for angle in (0.2, 0.78, 3.9)),
+    *((name, bit) for name in ("velocity", "torque") for bit in (5, 8, 11)),
+    *(("status", code) for code in (0x0, 0x9, 0xA, 0xD)),
+    ("id nibble", "other"),
+    ("id nibble", 0xF),
+    ("arbitration id", "other"),
+    ("arbitration id", 0x7A),
+    ("text", "any"),
+]
+"""Fields of a feedback frame, and what happens to them; see ``Damage``."""
+MOMENTS = {
+    "enabling": (0.0, 0.0, 0.05),
+    "raising": (0.0, 0.75, 0.15),
+    "moving": (0.0, 1.45, 0.2),
+    "playing": (0.0, 4.95, 0.4),
+    "coming": (0.0, 0.45, 0.1),
+    "lowering": (0.0, 2.0, 0.1),
+}
+"""Phases: the earliest and the latest onset after their beginning [s], and their share of runs."""
+DAMAGE_BOUND = 0.05
+"""Largest departure of a joint after a damaged frame [rad]."""
+
+
+def damage_cases(runs, seed):
+    """Return cases of one damaged frame each, spread over fields, sizes, phases and joints."""
+    random = np.random.default_rng(seed)
+    shares = [share for *_, share in MOMENTS.values()]
+    cases = []
+    for number in range(runs):
+        name, size = DAMAGES[number % len(DAMAGES)]
+        phase = str(random.choice(list(MOMENTS), p=shares))
+        park = "rest" if phase == "lowering" or random.random() < 0.5 else None
+        setup = SetUp(model_is_given=bool(random.random() < 0.5), park=park)
+        joint = int(random.integers(len(MOTOR_TYPES)))
+        cause = DamagedFrame(Damage(name, _size(name, size, joint, random), joint))
+        begin, end, _ = MOMENTS[phase]
+        onset = phase, random.uniform(begin, end), 1.0
+        cases.append(Case(f"{name}, {size}", setup, cause, *onset, joint))
+    return cases
+
+
+def _size(name, size, joint, random):
+    """Return the size of a damage of the feedback frame of a joint (from 0)."""
+    n = len(MOTOR_TYPES)
+    other = 1 + (joint + int(random.integers(1, n))) % n
+    if name == "position":
+        return float(size * random.choice([-1.0, 1.0]))
+    if size == "other":
+        return other + 0x10 * (name == "arbitration id")
+    return int(random.integers(21 * 8)) if size == "any" else size
+
+
+def hold_cases():
+    """Return a case for each fault of a motor that holds the arm still, pose and stiffness."""
+    cases = []
+    for kp, pose in itertools.product((60.0, 180.0), range(5)):
+        setup = SetUp("truth", kp=kp, pose=pose, stands=True, duration=2.5)
+        joint = loaded_joint(setup)
+        for name, cause in (
+            ("weak motor, half", WeakMotor(joint, 0.5)),
+            ("weak motor, 0.6", WeakMotor(joint, 0.6)),
+            ("motor lost", LostMotor(joint)),
+        ):
+            cases.append(Case(name, setup, cause, after=1.0, joint=joint))
+    return cases

@@ -20,7 +20,7 @@ from rigs import arms
 from rigs.driver_logs import states, with_extra_joints
 from rigs.places import MODELS
 from rigs.recorded import STATE, joint_state, typestore, write_bag, write_data_set
-from rigs.wrong_logs import truth_of
+from rigs.wrong_arms import truth_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement, RobotModel
 

@@ -26,7 +26,7 @@ class DamagedFrame:
     damage: Damage
 
     def __call__(self, run):
-        run.link.damage_next(self.damage)
+        run.link.damage = self.damage
 
 
 @dataclass(frozen=True)

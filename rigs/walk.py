@@ -20,7 +20,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from rigs.wrong_logs import truth_of
+from rigs.wrong_arms import truth_of, typical_torque
 from robot_sysid.cli import main
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.motion.trajectories import load_trajectory
@@ -55,26 +55,25 @@ class TrueArm:
         self, robot: RobotModel, seed: int = 1, constants: Array | float = 1.0
     ) -> None:
         self.robot = robot
-        self._seed = seed
         self._constants = constants
         self._rng = np.random.default_rng(seed)
         self.tool_mass = 0.05 * robot.mass
         first = truth_of(robot, seed, _WRONG_LINKS)
         self.first_plan = first.plan
-        typical = np.sqrt(np.mean(first.rigid**2, axis=0))
-        typical = np.maximum(typical, 0.03 * np.max(typical))
+        typical = typical_torque(first.rigid)
         self.noise = 0.01 * typical
-        self._coulomb = typical * self._rng.uniform(0.03, 0.1, robot.n_joints)
+        coulomb = typical * self._rng.uniform(0.03, 0.1, robot.n_joints)
+        self._arm = replace(first.arm, coulomb=coulomb, viscous=coulomb, stribeck=0.0)
 
     def record(self, path: Path, plan: MotionPlan, load: float) -> None:
         """Write the log of a motion with a load of this mass on the terminal link [kg]."""
-        truth = truth_of(self.robot, self._seed, _WRONG_LINKS, RATE, load, plan)
-        qd = truth.log.qd
-        noise = self.noise * self._rng.standard_normal(qd.shape)
-        tau = truth.rigid + self._coulomb * (np.sign(qd) + qd) + noise
+        motion = plan.evaluate(np.arange(round(RATE * plan.duration)) / RATE)
+        noise = self.noise * self._rng.standard_normal(motion.q.shape)
+        last = self._arm.thetas[-1]
+        log = self._arm.log(motion, noise, load / last[0] * last)
+        log = replace(log, qd=motion.qd, tau=log.tau / self._constants)
         path.parent.mkdir(parents=True, exist_ok=True)
-        samples = [replace(truth.log, tau=tau / self._constants)]
-        write_measurement_csv(path, self.robot.joint_names, samples)
+        write_measurement_csv(path, self.robot.joint_names, [log])
 
 
 @dataclass(frozen=True)

@@ -263,6 +263,16 @@ def test_a_fault_is_found(module, source, check, fault):
     assert any(fault in complaint for complaint in check(faulty_sources))
 
 
+@pytest.mark.parametrize(
+    ("folder", "others"),
+    [("tests", "benchmarks"), ("benchmarks", "tests"), ("rigs", "tests, benchmarks")],
+)
+def test_tests_and_benchmarks_share_nothing_but_rigs(folder, others):
+    for path in (PACKAGE.parent / folder).rglob("*.py"):
+        names = imports(path.read_text(encoding="utf-8"), {})
+        assert not {name.split(".")[0] for name in names} & {*others.split(", ")}, path
+
+
 def test_an_elif_is_not_nested_deeper():
     chain = "def f(x):\n  if x == 1:\n    pass\n"
     chain += "".join(f"  elif x == {k}:\n    pass\n" for k in range(2, 6))

@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3706,
     "robot_sysid": 10824,
-    "tests": 226504,
+    "tests": 228238,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

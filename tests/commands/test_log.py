@@ -13,7 +13,7 @@ import pytest
 from rigs import arms, recorded
 from rigs.command_line import CommandLine
 from rigs.payload_logs import TrueArm, wide_motion
-from rigs.wrong_logs import truth_of
+from rigs.wrong_arms import truth_of
 from robot_sysid.diagnosis import gate
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records import Measurement

@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.motor_faults import DAMAGE_BOUND, DAMAGES, damage_cases, hold_cases
 from rigs.fault_bench import SetUp, outcomes_of
+from rigs.fault_lines import DAMAGE_BOUND, DAMAGES, damage_cases, hold_cases
 
-KINDS = sum(map(len, DAMAGES.values()))
+KINDS = len(DAMAGES)
 """Number of kinds of damage: fields of a frame and sizes of the error."""
 IN_DEPTH = "in_depth"
 LOWERED = SetUp(park="rest")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rigs import arms
-from rigs.wrong_logs import truth_of
+from rigs.wrong_arms import truth_of
 from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question

@@ -9,13 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.confusion_causes import resting_torque
-from rigs.wrong_logs import truth_of
-from robot_sysid.dynamics.inverse_dynamics import (
-    LinkDynamics,
-    gravity_vector,
-    turn_gravity,
-)
+from rigs.wrong_arms import link_torque, resting_torque, truth_of
+from robot_sysid.dynamics.inverse_dynamics import gravity_vector, turn_gravity
 from tests.diagnosis.conftest import findings_of
 
 
@@ -52,8 +47,8 @@ def spring(truth, joint):
 
 def weight(truth, gravity):
     """Return the torque (N, 4) of all links at rest under a gravity (3,) [m/s^2]."""
-    thetas = np.array([*truth.robot.thetas[:-1], truth.theta])
-    return resting_torque(truth.robot, truth.log.q, thetas, np.array(gravity))
+    gravity = np.array(gravity)
+    return resting_torque(truth.robot, truth.motion.q, truth.arm.thetas, gravity)
 
 
 def tilt(truth, angles):
@@ -66,17 +61,15 @@ def pull(truth, force):
     """Return the torque (N, 4) of a force (3,) at the last link's origin [N]."""
     unit_mass = np.zeros((4, 10))
     unit_mass[-1, 0] = 1.0
-    return resting_torque(truth.robot, truth.log.q, unit_mass, np.array(force))
+    return resting_torque(truth.robot, truth.motion.q, unit_mass, np.array(force))
 
 
 def late_payload(truth, instant=6.3):
     """Return the torque (N, 4) of 80 % of the last link, added at an instant [s]."""
-    log = truth.log
     thetas = np.zeros((4, 10))
     thetas[-1] = 0.8 * truth.theta
-    qdd = np.gradient(log.qd, log.time, axis=0)
-    torque = LinkDynamics(truth.robot).motion(log.q, log.qd, qdd).torque(thetas)
-    return torque * (log.time > instant)[:, None]
+    torque = link_torque(truth.robot, truth.motion, thetas)
+    return torque * (truth.log.time > instant)[:, None]
 
 
 TORQUES = {

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.wrong_logs import truth_of
+from rigs.wrong_arms import truth_of
 from robot_sysid.diagnosis.gate import judge, usable
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions

@@ -11,12 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
-from benchmarks.real_arms import ARMS, DEVIATIONS, draw_arm
 from rigs import arms
 from rigs.log_files import JOINTS, arm_of, motion, read_measurements
 from rigs.places import DATA as real_logs
 from rigs.places import MODELS as public_models
-from rigs.wrong_logs import truth_of
+from rigs.wrong_arms import ARMS, DEVIATIONS, draw_arm, truth_of
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.gate import TRYING, require_acceptable
 from robot_sysid.diagnosis.log_checks import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rigs.places import MODELS
-from rigs.wrong_logs import truth_of
+from rigs.wrong_arms import truth_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Level
 from tests.diagnosis.conftest import findings_of

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs import arms
 from rigs.arms import SEEDS, rigid_bodies
-from rigs.core_fits import BASIC, NO_PRIORS, filter_logs, fit_recordings
+from rigs.core_fits import BASIC, NO_PRIORS, NOISE_ONLY, filter_logs, fit_recordings
 from rigs.measured_logs import XML, log_of, plan_of
 from rigs.notes import NoteRecorder
 from rigs.payload_logs import (
@@ -23,6 +24,7 @@ from rigs.payload_logs import (
     wide_motion,
 )
 from rigs.releases import since
+from rigs.stepped_arm import stepped_log
 from robot_sysid.estimate.choose import dry_friction, link_evidence, motors_of, solved
 from robot_sysid.estimate.links import (
     AS_STATED,
@@ -181,18 +183,28 @@ def test_links_share_an_error_in_mass(first, second):
 # ---- rows at turns
 
 
-@since(3, 2, 5)
 def test_rotors_of_joints_that_stand_at_their_turns_are_right():
     """MuJoCo's own dry friction holds them there; used, these rows read as 4 to 9 % more rotor."""
-    sysid = pytest.importorskip("benchmarks.against_mujoco_sysid")
-    true = sysid.truth(np.random.default_rng(0))
-    robot = arms.robot_of(sysid.spec_of().compile())
-    log = sysid.record_log(sysid.spec_of(true).compile(), robot, 1, 15.0)
-    identified = sysid.by_torques(robot, log)
+    armature = np.geomspace(0.5, 0.02, 7)
+    damping = np.geomspace(3.0, 0.5, 7)
+    option = 'timestep=".002" integrator="implicitfast"'
+    xml = arms.serial_arm(arms.SEVEN_AXES, option=option, joint="")
+    model = arms.compile_xml(xml)
+    model.dof_armature[:] = armature
+    model.dof_damping[:] = damping
+    model.dof_frictionloss[:] = np.geomspace(4.0, 0.5, 7)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    robot = arms.robot_of(xml)
+    log = stepped_log(model, robot, 1, 15.0)
+    options = EstimationOptions(friction_model=BASIC, **NOISE_ONLY)
+    recordings = filter_logs(robot, log, cutoff=None)
+    values = fit_recordings(robot, recordings, options).by_name
+    names = robot.joint_names
     # The last joint's rotor is a tenth of the link's inertia.
-    off = identified["armature"][:5] / true["armature"][:5] - 1.0
-    assert np.max(np.abs(off)) < 0.03
-    assert np.max(np.abs(identified["damping"] / true["damping"] - 1.0)) < 0.03
+    rotors = np.array([values[f"armature[{name}]"] for name in names[:5]])
+    viscous = np.array([values[f"viscous[{name}]"] for name in names])
+    assert np.max(np.abs(rotors / armature[:5] - 1.0)) < 0.03
+    assert np.max(np.abs(viscous / damping - 1.0)) < 0.03
 
 
 def test_rows_at_turns_are_used_where_a_joint_does_not_stand(plant):

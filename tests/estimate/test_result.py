@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 
 from rigs import arms
 from rigs.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
-from rigs.imperfect_arm import ImperfectArm, Imperfections
 from rigs.measured_logs import XML, log_of, plan_of
+from rigs.wrong_arms import draw_arm
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.errors import InputError
@@ -103,14 +103,9 @@ def test_unexplained_torque_is_noted(robot, noisy, share, verdict, is_noted):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_sensor_parameters_are_the_deviation_from_the_model(plant, seed):
     """An arm that is tilted and late, with wrong zeros and scales, all estimated at once."""
-    rng = np.random.default_rng(seed)
-    sizes = Imperfections(
-        links=0.02, scale=0.02, tilt=np.radians(0.3), lag=0.004, load=0.01, noise=0.05
-    )
-    arm = ImperfectArm(plant, rng, sizes)
-    log = arm.log(plan_of(plant, seed, 20.0), np.zeros(10), rng)
-    result = result_of(plant, log)
-    truth = arm.sensors()
+    drawn = draw_arm(plant, "priors", False, 20.0, True, seed)
+    result = result_of(plant, drawn.log)
+    truth = drawn.arm.sensors()
     sensors = {}
     for row in result.quantities:
         name = row.name.removeprefix("further_")
