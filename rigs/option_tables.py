@@ -10,10 +10,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
+from rigs.command_line import COMMANDS
 from rigs.places import ROOT
-from robot_sysid.commands import ConsoleOptions, identify, motors
+from robot_sysid.commands import ConsoleOptions
 from robot_sysid.commands.arguments import default_text
-from robot_sysid.config import MotorOptions, OutputOptions, PayloadOptions
+from robot_sysid.commands.motors import PlayChoices
+from robot_sysid.commands.motors.mapping import MapOptions
+from robot_sysid.commands.motors.setup import MonitorOptions, SetupOptions
+from robot_sysid.config import (
+    MotorOptions,
+    OutputOptions,
+    PayloadOptions,
+    SelfTestConfig,
+)
 from robot_sysid.damiao.adapters import BusAddress
 from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
@@ -26,7 +35,6 @@ from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.wording import with_option_names
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
-MAIN = identify.SPECS[""].main
 TABLES: Mapping[str, Sequence[type]] = {
     "model and output": (ModelOptions, OutputOptions),
     "trajectory": (TrajectoryOptions,),
@@ -37,7 +45,7 @@ TABLES: Mapping[str, Sequence[type]] = {
     "estimation": (EstimationOptions,),
     "priors": (Priors,),
     "Damiao motors": (MotorOptions,),
-    "main": tuple(identify.SPECS[""].config.records().values()),
+    "main": tuple(SelfTestConfig.records().values()),
     "plan for a payload": (AimOptions,),
     "console": (ConsoleOptions,),
     "payload": (PayloadOptions,),
@@ -45,10 +53,10 @@ TABLES: Mapping[str, Sequence[type]] = {
     "motors: motion and limits": (PlaySettings,),
     "motors: what to allow": (Permissions,),
     "motors: recording": (RecordingOptions,),
-    "motors: setup": motors.COMMANDS["setup"].groups["setup"],
-    "motors: monitor": motors.COMMANDS["monitor"].groups["monitor"],
-    "motors: map": motors.COMMANDS["map"].groups["map"],
-    "motors: play and simulate": (motors.PlayChoices,),
+    "motors: setup": (SetupOptions,),
+    "motors: monitor": (MonitorOptions,),
+    "motors: map": (MapOptions,),
+    "motors: play and simulate": (PlayChoices,),
 }
 """Name of a table to the records whose options it lists; of "main" only the main options."""
 _PLACE = re.compile(r"(<!-- options: (.*?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
@@ -59,8 +67,8 @@ def table(name: str) -> str:
     rows = ["| Option | Default | Meaning |", "| --- | --- | --- |"]
     for record in TABLES[name]:
         for field, option in options_of(record).items():
-            is_argument = not option.flag.startswith("-")
-            if is_argument or (name == "main" and option.key not in MAIN):
+            is_main = name != "main" or option.key in COMMANDS[""].main
+            if option.is_argument or not is_main:
                 continue
             shown = default_text(option)
             if shown and not option.default_text:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
-import shlex
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from robot_sysid import __version__
@@ -21,6 +20,8 @@ from robot_sysid.commands import (
     print_line,
     print_text,
 )
+from robot_sysid.commands.arguments import Command
+from robot_sysid.commands.remedies import remedies
 from robot_sysid.errors import (
     INTERRUPTED,
     ColumnsError,
@@ -29,9 +30,6 @@ from robot_sysid.errors import (
     handle_stop_signals,
 )
 from robot_sysid.records.option_fields import suggestion
-
-UNFINISHED = "interrupted; no unfinished file is left"
-"""Message of an interrupted command whose module has no message ``INTERRUPTED``."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -45,29 +43,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in arguments
     make_output_tolerant()
     _limit_libraries()
-    name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else ""
+    name = ""
+    values: Mapping[str, Any] = {}
     interrupted = "interrupted"
     with _record_interrupts(process_ends=argv is None) as interrupts:
         try:
             if arguments == ["--version"]:  # It takes no options.
                 print_line(f"{PROGRAM} {__version__}", sys.stdout)
                 return 0
-            if not name and not arguments:
+            if not arguments:
                 # Not 0: a script whose variable for the model is empty has run nothing.
                 print_text("\n".join([*overview(), ""]), sys.stdout)
                 return InputError.exit_code
-            if not name and not arguments[0].startswith("-"):
-                _refuse_misspelt_command(arguments[0])
-            module_name = COMMANDS.get(name, COMMANDS["identify"])
-            module = importlib.import_module(f"robot_sysid.commands.{module_name}")
-            interrupted = getattr(module, "INTERRUPTED", UNFINISHED)
-            if module_name == COMMANDS["identify"]:
-                return module.main(arguments, name)
-            return module.main(arguments)
+            if arguments == ["motors"]:
+                arguments.append("--help")
+            command = _find_command(arguments)
+            name = command.name
+            interrupted = command.interrupted
+            arguments = arguments[len(name.split()) :]
+            values, console = command.parse(arguments)
+            return command.run(values, console)
         except SysidError as error:
             message = f"{error}{_write_columns_draft(error)}"
-            for command in _remedies(error, name, arguments):
-                message += f"\n  {command}"
+            for line in remedies(error, name, arguments, values):
+                message += f"\n  {line}"
             return _report_error(message, error.exit_code, debug)
         except MemoryError:
             remedy = "use a shorter log or motion, or a lower rate"
@@ -94,38 +93,28 @@ def _write_columns_draft(error: SysidError) -> str:
         pass
     except OSError:
         error.options = ()
-        error.command_lines = ()
         return ""
     return f". {error.name} has the columns put right: read it, and go on with it:"
 
 
-def _remedies(error: SysidError, name: str, arguments: Sequence[str]) -> Iterator[str]:
-    """Yield the commands that remedy an error, complete and quoted for a shell.
+def _find_command(arguments: Sequence[str]) -> Command:
+    """Return the command with the longest name that the arguments begin with.
 
-    Args:
-        error: what stopped the command.
-        name: of the command; "" for a model file alone.
-        arguments: words behind the command's name.
+    InputError where the first word resembles a command and is no file.
     """
-    if not isinstance(error, InputError):
-        return
-    for arguments in error.command_lines:
-        yield shlex.join([PROGRAM, *arguments])
-    if not error.command_lines and error.command in ("", name):
-        typed = [name, *arguments] if name else list(arguments)
-        # The corrected columns file has all lines of the one in use.
-        if isinstance(error, ColumnsError) and "--columns" in typed:
-            at = typed.index("--columns")
-            del typed[at : at + 2]
-        for option in error.options:
-            yield shlex.join([PROGRAM, *typed, *option])
-
-
-def _refuse_misspelt_command(word: str) -> None:
-    """Raise InputError where a word resembles a subcommand and is no file."""
+    word = arguments[0]
+    is_file = word.startswith("-") or os.path.exists(word)
     hint = suggestion(word, COMMANDS)
-    if hint and not os.path.exists(word):
+    if word not in COMMANDS and hint and not is_file:
         raise InputError(f"there is no file and no command {word}: {hint}")
+    module = COMMANDS.get(word, COMMANDS["identify"])
+    commands = importlib.import_module(f"robot_sysid.commands.{module}").COMMANDS
+    names = {command.name: command for command in commands}
+    for count in (2, 1):
+        name = " ".join(arguments[:count])
+        if name in names:
+            return names[name]
+    return names[""]
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import chain
 from math import isfinite
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -27,6 +28,7 @@ from robot_sysid.records import file_access, option_fields
 from robot_sysid.records.controllers import AUTO, CHOICES
 from robot_sysid.records.option_fields import (
     SCALE,
+    Option,
     OptionRecord,
     TrajectoryOptions,
     joint_factors,
@@ -131,9 +133,18 @@ class Config:
         return {entry.name: entry.default for entry in entries}
 
     @classmethod
+    def options(cls) -> dict[str, list[Option]]:
+        """Return the options that the command has, by the attribute of their record."""
+        options = {}
+        for name, record in cls.records().items():
+            of_record = options_of(record).values()
+            options[name] = [each for each in of_record if each.key not in cls.left_out]
+        return options
+
+    @classmethod
     def option_keys(cls) -> set[str]:
         """Return the keys of the options that the command has."""
-        return option_fields.keys_of(*cls.records().values()) - {*cls.left_out}
+        return {stated.key for stated in chain(*cls.options().values())}
 
     @classmethod
     def of(cls: type[AnyConfig], path: Path, **values: Any) -> AnyConfig:

@@ -279,13 +279,13 @@ def test_a_command_in_an_error_stands_alone_on_its_line():
 def test_corrected_columns_take_the_place_of_those_in_use(
     monkeypatch, tmp_path, capsys
 ):
-    def refuse(arguments, name):
+    def refuse(command, arguments):
         error = ColumnsError("wrong", "a = b", "new.txt")
         error.options = (("--columns", "new.txt"),)
         raise error
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("robot_sysid.commands.identify.main", refuse)
+    monkeypatch.setattr("robot_sysid.commands.arguments.Command.parse", refuse)
     main(["identify", "arm.xml", "log.csv", "--columns", "old.txt", "--links"])
     command = "  robot-sysid identify arm.xml log.csv --links --columns new.txt\n"
     assert capsys.readouterr().err.endswith(command)

@@ -9,25 +9,19 @@ from functools import cache
 import pytest
 
 from rigs import pages
+from rigs.command_line import COMMANDS
 from robot_sysid.commands import COMMANDS as NAMES
-from robot_sysid.commands import example, identify, log, motors, report
+from robot_sysid.commands.arguments import Parser
 from tests.test_architecture import nodes_of, package_sources
 
-MODULES = {"log": log, "report": report, "example": example}
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 FREE = {"--help", "--version"}
 
 
 @cache
 def options_of(command: str) -> frozenset[str]:
-    """Return the options of a command, such as "motors play"; of a run for "run"."""
-    word, _, name = command.partition(" ")
-    if word in MODULES:
-        parser = MODULES[word].build_parser()
-    elif name:
-        parser = motors.build_parser(name)
-    else:
-        parser = identify.build_parser(word.replace("run", ""))
+    """Return the options of a command, such as "motors play"."""
+    parser = Parser(COMMANDS[command])
     return frozenset(o for action in parser._actions for o in action.option_strings)
 
 
@@ -38,17 +32,15 @@ def test_options_that_a_page_types_exist(page):
         for line in pages.command_lines(block) if language == "bash" else ():
             if line[0] != "robot-sysid" or "[options]" in line:
                 continue
-            command = "run"
-            if line[1] in (*NAMES, "motors"):
+            command = ""
+            if line[1] in NAMES:
                 command = " ".join(line[1 : 3 if line[1] == "motors" else 2])
             typed = {word.partition("=")[0] for word in line if word.startswith("--")}
             assert typed <= options_of(command) | FREE, line
 
 
 def test_options_that_a_text_of_the_package_names_exist():
-    commands = ["run", "plan", "identify", "payload", *MODULES]
-    commands += [f"motors {name}" for name in motors.COMMANDS]
-    known = frozenset().union(FREE, *map(options_of, commands))
+    known = frozenset().union(FREE, *map(options_of, COMMANDS))
     for name, source in package_sources().items():
         for node in nodes_of(source):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):

@@ -35,7 +35,7 @@ from robot_sysid.pipeline.planning import design_motion, predict_plan
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Array, Measurement, RobotModel, checked_array
 from robot_sysid.records.messages import Progress, says
-from robot_sysid.records.option_fields import record_from
+from robot_sysid.records.option_fields import options_of_all, record_from
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -136,7 +136,7 @@ def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Res
     return Result(**fields, config=config)
 
 
-@with_keywords(LogOptions)
+@with_keywords(options_of_all(LogOptions))
 def read_log(log: Log, model: Model | RobotModel, **options: Any) -> MeasurementLog:
     """Recognise, check and read a log of an arm.
 
@@ -277,7 +277,7 @@ class Regressor:
         return f"<Regressor Y {self.Y.shape}, tau {self.tau.shape}, {len(self.names)} parameters>"
 
 
-@with_keywords(ModelOptions)
+@with_keywords(options_of_all(ModelOptions))
 def joint_torque_regressor(
     model: Model, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, **options: Any
 ) -> Regressor:

@@ -11,7 +11,8 @@ import functools
 import inspect
 import os
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar, Union
 
@@ -24,7 +25,6 @@ from robot_sysid.records import RobotModel
 from robot_sysid.records.option_fields import (
     Option,
     given_values,
-    options_of_all,
     record_from,
     refuse_unknown,
     value_text,
@@ -64,19 +64,12 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a decorated function, which the decorator keeps."""
 
 
-def with_keywords(
-    *records: Any, only: Collection[str] = (), **defaults: Any
-) -> Callable[[Function], Function]:
-    """Return a decorator that gives a function the options of records as keywords.
+def with_keywords(options: Iterable[Option]) -> Callable[[Function], Function]:
+    """Return a decorator that gives a function some options as keywords.
 
     The decorated function shows them in its signature, explains each in its docstring in place of
     the argument ``options``, refuses other keywords before it runs, and raises errors that speak of
     keywords instead of command-line options. Options that are arguments already stay these.
-
-    Args:
-        records: classes of option records.
-        only: keys of the only options; empty for all.
-        defaults: defaults that the function has in place of the records'.
     """
 
     def decorate(function: Function) -> Function:
@@ -85,9 +78,9 @@ def with_keywords(
         parameters = dict(signature.parameters)
         del parameters["options"]
         helps = []
-        for option in options_of_all(records, only, **defaults):
-            # A log is an argument of its own, which has no flag either.
-            if not option.flag.startswith("-") or option.key in parameters:
+        for option in options:
+            # A log is an argument of its own, in Python too.
+            if option.is_argument or option.key in parameters:
                 continue
             parameters[option.key] = inspect.Parameter(
                 option.key, inspect.Parameter.KEYWORD_ONLY, default=option.default
@@ -114,9 +107,9 @@ def with_options_of(config: type[Config]) -> Callable[[Function], Function]:
 
     Those of its output are left out: the function prints and writes nothing.
     """
-    records = config.records()
-    del records["output"]
-    return with_keywords(*records.values(), only=config.option_keys())
+    groups = config.options()
+    del groups["output"]
+    return with_keywords(chain(*groups.values()))
 
 
 def _with_keyword_help(docstring: str, helps: Iterable[str]) -> str:

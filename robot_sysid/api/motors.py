@@ -15,11 +15,9 @@ from robot_sysid.damiao import execution
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.player import PlayReport, StopRequest
 from robot_sysid.damiao.preflight import require_playable
-from robot_sysid.damiao.trajectory import LIMITS
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.motion import LimitOptions
 from robot_sysid.records.file_access import atomic_files, temporary_folder
-from robot_sysid.records.option_fields import given_values, keys_of
+from robot_sysid.records.option_fields import given_values
 
 if TYPE_CHECKING:
     from robot_sysid.api.results import PlanResult
@@ -35,12 +33,7 @@ Say = Callable[[str], None]
 """Function that is called with one sentence about each event of a run."""
 
 
-@with_keywords(
-    *execution.RECORDS,
-    LimitOptions,
-    only={*keys_of(*execution.RECORDS), *LIMITS},
-    **dict.fromkeys(LIMITS),
-)
+@with_keywords(execution.RUN_OPTIONS)
 def play(
     trajectory: Path | str | PlanResult,
     *,

@@ -1,72 +1,139 @@
-"""Command-line parsers made from option records, and their values."""
+"""A command as one record, and the parser and the values of options that are made from it."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Callable, NoReturn
+from typing import Any, NoReturn
 
+from robot_sysid import __version__
 from robot_sysid.commands import PROGRAM, Console, ConsoleOptions, print_line
 from robot_sysid.errors import EXIT_CODES, InputError, prefix_input_errors
 from robot_sysid.records import option_fields as options
 from robot_sysid.records.file_access import read_toml
 from robot_sysid.wording import with_option_names
 
+MODEL = (
+    options.Option(
+        "path", "MuJoCo XML (MJCF) or URDF file", metavar="MODEL", parse=Path
+    ),
+)
+"""The model file that most commands take first."""
+CONSOLE = options.options_of_all(ConsoleOptions)
+"""Options that all commands have."""
 
-class _Formatter(argparse.HelpFormatter):
-    """Help on wide lines, with an option and its meaning side by side."""
 
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, max_help_position=34, width=100)
+@dataclass(frozen=True)
+class Command:
+    """One command: its words, its options and what runs it.
 
-    def _format_usage(self, usage: Any, actions: Any, groups: Any, prefix: Any) -> str:
-        names = [str(self._prog)]
-        for action in actions:
-            if not action.option_strings:
-                names.append(self._metavar_formatter(action, action.dest)(1)[0])
-        return f"usage: {' '.join(names)} [options]\n\n"
+    Attributes:
+        name: words behind the program's name, "" for the program itself.
+        example: words behind the program's name of a complete command line.
+        description: what the command does.
+        groups: options by heading in the help, under which positional arguments are not listed.
+        run: runs the command with the values of its options, by key, and a console; returns the
+            exit code.
+        main: keys of the options in the short help, which work otherwise as well; empty for all.
+        required: keys of options that have to be given.
+        codes: exit codes that the command may have.
+        overview: lines of the help between the example and the usage.
+        interrupted: what is said where the user interrupts it.
+    """
+
+    name: str
+    example: str
+    description: str
+    groups: Mapping[str, Iterable[options.Option]]
+    run: Callable[[Mapping[str, Any], Console], int]
+    main: Collection[str] = ()
+    required: Collection[str] = ()
+    codes: Collection[int] = (0, 1, 2, 130)
+    overview: Sequence[str] = ()
+    interrupted: str = "interrupted; no unfinished file is left"
+
+    def parse(self, arguments: Sequence[str]) -> tuple[dict[str, Any], Console]:
+        """Return key to value of the options in the arguments, and the console.
+
+        Options that were not given are left out; lists are tuples. Those of the file of --config
+        come first; they are checked where the options' records are made.
+        """
+        parser = Parser(self, "--help-all" in arguments)
+        config_parser = argparse.ArgumentParser(add_help=False)
+        config_parser.add_argument("--config", nargs="?", type=Path)
+        path = config_parser.parse_known_args(arguments)[0].config
+        content = parser.read_file(path) if path else {}
+        values = {**content, **parser.given_values(arguments, content)}
+        values = {key: options.immutable_value(value) for key, value in values.items()}
+        console = options.record_from(Console, values)
+        for option in CONSOLE:
+            values.pop(option.key, None)
+        return values, console
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser that reports a usage error as one line and shows an example first.
+    """Parser of a command; it reports a usage error as one line and shows an example first.
 
     Args:
-        command: the subcommand's words after the program's name, "" for the program itself.
-        example: a complete command line.
-        description: what the command does.
-        main: keys of the options in the help; None for all. The others work as well.
-        codes: exit codes that the command may have.
-        overview: lines between the example and the usage.
+        command: whose parser it is.
+        full: whether the help has all options, not the main ones alone.
     """
 
-    def __init__(
-        self,
-        command: str,
-        example: str,
-        description: str,
-        main: Collection[str] | None = None,
-        codes: Sequence[int] = (0, 1, 2, 130),
-        overview: Sequence[str] = (),
-    ) -> None:
-        meanings = ", ".join(f"{code} {EXIT_CODES[code]}" for code in codes)
+    def __init__(self, command: Command, full: bool = True) -> None:
+        meanings = ", ".join(f"{code} {EXIT_CODES[code]}" for code in command.codes)
         super().__init__(
-            prog=f"{PROGRAM} {command}".strip(),
-            description=description,
+            prog=f"{PROGRAM} {command.name}".strip(),
+            description=command.description,
             epilog=f"Exit codes: {meanings}.",
-            formatter_class=_Formatter,
+            # Wide lines, with an option and its meaning side by side.
+            formatter_class=partial(
+                argparse.HelpFormatter, max_help_position=34, width=100
+            ),
             allow_abbrev=False,
             add_help=False,
         )
-        self._example = example
-        self._overview = overview
-        self._main = main
+        self._command = command
+        self._full = full
+        # The positional arguments.
+        self._arguments: list[argparse.Action] = []
+        if not command.name:
+            version = f"{PROGRAM} {__version__}"
+            text = "print the version"
+            self.add_argument("--version", action="version", version=version, help=text)
+        for title, group in command.groups.items():
+            self._add_group(title, group)
+        group = self._add_group("console", CONSOLE)
+        group.add_argument("-h", "--help", action="help", help="print the main options")
+        group.add_argument("--help-all", action="help", help="print all options")
+        names = [str(action.metavar) for action in self._arguments]
+        self.usage = " ".join([self.prog, *names, "[options]"])
+
+    def _add_group(self, title: str, group: Iterable[options.Option]) -> Any:
+        """Add options as one group of the help, and return that."""
+        main = self._command.main
+        help_group = self.add_argument_group(title)
+        for option in group:
+            settings = _settings(option)
+            if option.is_argument:
+                self._arguments.append(self.add_argument(option.flag, **settings))
+                continue
+            if main and not self._full and option.key not in main:
+                settings["help"] = argparse.SUPPRESS
+            settings["required"] = option.key in self._command.required
+            settings["default"] = argparse.SUPPRESS
+            flags = filter(None, (option.short, option.flag))
+            help_group.add_argument(*flags, dest=option.key, **settings)
+        return help_group
 
     def format_help(self) -> str:
         """Return the example, then the overview if there is one, the usage and all options."""
-        overview = "\n".join(self._overview)
-        paragraphs = (f"example: {self._example}", overview, super().format_help())
+        example = f"example: {PROGRAM} {self._command.example}"
+        overview = "\n".join(self._command.overview)
+        paragraphs = (example, overview, super().format_help())
         return "\n\n".join(filter(None, paragraphs))
 
     def error(self, message: str) -> NoReturn:
@@ -84,16 +151,9 @@ class Parser(argparse.ArgumentParser):
             self.error(f"{fault}; {flag}: {hint}" if hint else fault)
         return namespace
 
-    def parse_with_file(self, path: Path, arguments: Sequence[str]) -> dict[str, Any]:
-        """Return the options of a TOML file, replaced by those of the command line.
-
-        The values of the file are checked where the options' records are made. A positional
-        argument may come from either, so that this method makes all of them optional in this
-        parser. Options that were not given are left out.
-        """
-        positionals = [a for a in self._actions if not a.option_strings]
-        required = [action for action in positionals if action.required]
-        for action in positionals:
+    def read_file(self, path: Path) -> Mapping[str, Any]:
+        """Return the options of a TOML file; positional arguments may then be left out."""
+        for action in self._arguments:
             action.nargs = "*" if action.nargs == "+" else "?"
             action.required = False
         content = read_toml(path)
@@ -101,42 +161,32 @@ class Parser(argparse.ArgumentParser):
         known -= {"config", "help", "help_all", "version"}
         with prefix_input_errors(f"{path}: {self.prog}"):
             options.refuse_unknown(content, known)
+        return content
+
+    def given_values(
+        self, arguments: Sequence[str], content: Collection[str]
+    ) -> dict[str, Any]:
+        """Return the values of the options in the arguments.
+
+        InputError where a positional argument is neither there nor in ``content``, the options of
+        a file.
+        """
         given = vars(self.parse_args(arguments))
-        # A positional argument that was not given is None, or an empty list of many.
-        given = {k: value for k, value in given.items() if value not in (None, [])}
-        values = {**content, **given}
-        missing = [str(a.metavar) for a in required if a.dest not in values]
+        missing = []
+        for action in self._arguments:
+            # A positional argument that was not given is None, or an empty list of many.
+            if given[action.dest] in (None, []):
+                del given[action.dest]
+                if action.dest not in content:
+                    missing.append(str(action.metavar))
         if missing:
-            self.error(f"the following arguments are required: {', '.join(missing)}")
-        return values
+            names = ", ".join(missing)
+            self.error(f"the following arguments are required: {names}")
+        return given
 
     def _print_message(self, message: str, file: Any = None) -> None:
         for line in message.splitlines():
             print_line(line, file or sys.stdout)
-
-    def add(
-        self, title: str, *records: Any, only: Collection[str] = (), **defaults: Any
-    ) -> Any:
-        """Add the options of records as one group of the help and return the group.
-
-        Args:
-            records: classes of option records.
-            only: keys of the options to add; empty for all.
-            defaults: by key, defaults of this command in place of the records'.
-        """
-        group = self.add_argument_group(title)
-        for option in options.options_of_all(records, only, **defaults):
-            is_hidden = self._main is not None and option.key not in self._main
-            is_flag = option.flag.startswith("-")
-            _add_option(group if is_flag else self, option, is_hidden and is_flag)
-        return group
-
-    def add_console_options(self) -> Parser:
-        """Add the options that every command has, and return the parser."""
-        group = self.add("console", ConsoleOptions)
-        group.add_argument("-h", "--help", action="help", help="print the main options")
-        group.add_argument("--help-all", action="help", help="print all options")
-        return self
 
 
 def default_text(option: options.Option) -> str:
@@ -149,39 +199,24 @@ def default_text(option: options.Option) -> str:
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def _help_text(option: options.Option) -> str:
-    """Return an option's help with unit and default, for argparse."""
+def _settings(option: options.Option) -> dict[str, Any]:
+    """Return the arguments of argparse's ``add_argument`` for an option, without its name.
+
+    A truth value for its default makes it a switch without a value.
+    """
     text = with_option_names(option.help)
     if option.unit:
         text += f" [{option.unit}]"
     if default_text(option):
         text += f" (default: {default_text(option)})"
-    return text.replace("%", "%%")
-
-
-def _add_option(group: Any, option: options.Option, is_hidden: bool) -> None:
-    """Add an option to a group of a parser.
-
-    Args:
-        group: group of an argparse parser, which is changed.
-        option: to add; a truth value for its default makes it a switch without a value.
-        is_hidden: whether the help leaves the option out.
-    """
-    flags = [option.short, option.flag] if option.short else [option.flag]
-    settings: dict[str, Any] = {
-        "help": argparse.SUPPRESS if is_hidden else _help_text(option),
-        "default": argparse.SUPPRESS,
-    }
-    if option.flag.startswith("-"):
-        settings["dest"] = option.key
+    settings: dict[str, Any] = {"help": text.replace("%", "%%")}
     if isinstance(option.default, bool):
-        group.add_argument(*flags, action="store_true", **settings)
-        return
+        return {**settings, "action": "store_true"}
+    settings["metavar"] = option.metavar or option.key.upper()
     if option.choices:
         settings["choices"] = option.choices
         settings["metavar"] = option.metavar or "{" + ",".join(option.choices) + "}"
     else:
-        settings["metavar"] = option.metavar or option.key.upper()
         settings["type"] = _argument_type(option.parse or str)
     if isinstance(option.metavar, tuple):
         settings["nargs"] = len(option.metavar)
@@ -189,7 +224,7 @@ def _add_option(group: Any, option: options.Option, is_hidden: bool) -> None:
         settings["nargs"] = "+"
     if option.repeats:
         settings["action"] = "append"
-    group.add_argument(*flags, **settings)
+    return settings
 
 
 def _argument_type(parse: Callable[[str], Any]) -> Callable[[str], Any]:
@@ -205,33 +240,3 @@ def _argument_type(parse: Callable[[str], Any]) -> Callable[[str], Any]:
 
     argument_type.__name__ = getattr(parse, "__name__", "value")
     return argument_type
-
-
-def parse_command(
-    build_parser: Callable[[bool], Parser], arguments: Sequence[str]
-) -> tuple[dict[str, Any], Console]:
-    """Parse the arguments of a command, and the file of its --config.
-
-    Args:
-        build_parser: makes the command's parser; its argument says whether its help has all
-            options.
-        arguments: words behind the command's name.
-
-    Returns:
-        Key to value of the options that were given, lists as tuples; the console.
-    """
-    parser = build_parser("--help-all" in arguments)
-    config_parser = argparse.ArgumentParser(add_help=False, formatter_class=_Formatter)
-    config_parser.add_argument("--config", nargs="?", type=Path)
-    path = config_parser.parse_known_args(arguments)[0].config
-    if path:
-        parsed_values = parser.parse_with_file(path, arguments)
-    else:
-        parsed_values = vars(parser.parse_args(arguments))
-    values = {
-        key: options.immutable_value(value) for key, value in parsed_values.items()
-    }
-    console = options.record_from(Console, values)
-    for key in options.options_of(Console):
-        values.pop(key, None)
-    return values, console

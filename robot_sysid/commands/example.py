@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from shlex import quote
+from typing import Any
 
 import robot_sysid
-from robot_sysid.commands.arguments import Parser, parse_command
+from robot_sysid.commands import Console
+from robot_sysid.commands.arguments import Command
 from robot_sysid.config import OutputOptions, SelfTestConfig
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.file_access import temporary_folder
-from robot_sysid.records.option_fields import record_from
+from robot_sysid.records.option_fields import Option, options_of_all, record_from
 
 EXAMPLES = ("kinova",)
 GUESS = "kinova_fullinertia_guess.xml"
@@ -39,27 +41,8 @@ WALKTHROUGH = {
 """Heading to command, with the copied files in braces."""
 
 
-def build_parser(full: bool = True) -> Parser:
-    """Return the parser of this command; without ``full``, its help has the main options only."""
-    parser = Parser(
-        "example",
-        "robot-sysid example kinova",
-        "Copy an example out of the package, with two logs of its true arm, and print "
-        "the commands that walk through it.",
-        None if full else ("output_dir",),
-        codes=(0, 2, 130),
-    )
-    parser.add_argument(
-        "name", metavar="NAME", choices=EXAMPLES, help=", ".join(EXAMPLES)
-    )
-    folder = "the example's name"
-    parser.add("output", OutputOptions, only=("output_dir",), output_dir=folder)
-    return parser.add_console_options()
-
-
-def main(arguments: Sequence[str]) -> int:
+def run(values: Mapping[str, Any], console: Console) -> int:
     """Run the command and return its exit code."""
-    values, console = parse_command(build_parser, arguments)
     folder = Path(values["name"])
     if "output_dir" in values:
         folder = record_from(OutputOptions, values).output_dir
@@ -77,6 +60,27 @@ def main(arguments: Sequence[str]) -> int:
         console.stage("", f"# {heading}", commands[-1])
     console.result({"folder": str(folder), "commands": commands})
     return 0
+
+
+COMMANDS = (
+    Command(
+        "example",
+        "example kinova",
+        "Copy an example out of the package, with two logs of its true arm, and print "
+        "the commands that walk through it.",
+        {
+            "": (
+                Option("name", ", ".join(EXAMPLES), metavar="NAME", choices=EXAMPLES),
+            ),
+            "output": options_of_all(
+                OutputOptions, only=("output_dir",), output_dir="the example's name"
+            ),
+        },
+        run,
+        main=("output_dir",),
+        codes=(0, 2, 130),
+    ),
+)
 
 
 def _copy_example(source: Path, folder: Path) -> None:
@@ -108,7 +112,7 @@ def _source_folder(name: str) -> Path:
 
 def _record_logs(model_folder: Path, folder: Path) -> None:
     """Simulate the true arm on random trajectories and write its logs into ``folder``."""
-    from robot_sysid.pipeline.stages import run
+    from robot_sysid.pipeline import stages
 
     for seed, (log, plant) in enumerate(PLANTS.items(), start=1):
         with temporary_folder() as discarded:
@@ -120,4 +124,4 @@ def _record_logs(model_folder: Path, folder: Path) -> None:
                 seed=seed,
                 output_dir=discarded,
             )
-            run(config)
+            stages.run(config)

@@ -1,176 +1,51 @@
-"""``robot-sysid MODEL``, ``plan``, ``identify`` and ``payload``: their parsers and runs."""
+"""``robot-sysid MODEL``, ``plan``, ``identify`` and ``payload``: their options and runs."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from shlex import quote
-from typing import Any, NamedTuple
+from typing import Any
 
-from robot_sysid import __version__
 from robot_sysid.commands import PROGRAM, Console, overview
-from robot_sysid.commands.arguments import Parser, parse_command
-from robot_sysid.commands.remedies import add_weighing
+from robot_sysid.commands.arguments import MODEL, Command
 from robot_sysid.commands.report import draw_report
 from robot_sysid.config import (
     Config,
     IdentifyConfig,
-    LogConfig,
     MotionConfig,
     PayloadConfig,
     PlanConfig,
     SelfTestConfig,
 )
-from robot_sysid.errors import InputError, SysidError
-from robot_sysid.pipeline.next_steps import values_of
+from robot_sysid.errors import SysidError
 from robot_sysid.records import file_access
 from robot_sysid.records.option_fields import given_values
 from robot_sysid.report.drawing import require_matplotlib
 
 
-class CommandSpec(NamedTuple):
-    """Help and options of one command.
-
-    Attributes:
-        config: class of the record of the command's options.
-        example: a complete command line.
-        description: what the command does.
-        main: keys of the options in the short help.
-        overview: lines of the help before the usage.
-    """
-
-    config: type[Config]
-    example: str
-    description: str
-    main: Collection[str]
-    overview: Sequence[str] = ()
-
-
-SPECS = {
-    "": CommandSpec(
-        SelfTestConfig,
-        "robot-sysid identify arm.xml log.csv",
-        "With a model alone: simulate it along a random motion and identify its terminal link from "
-        "that, as a test of the program. A model file that is called like a command is reached as "
-        "./plan.",
-        (
-            "mesh_dir",
-            "duration",
-            "sample_rate",
-            "no_friction",
-            "output_dir",
-            "export_damiao",
-            "motor_type",
-            "seed",
-            "joint",
-        ),
-        overview=overview(),
-    ),
-    "plan": CommandSpec(
-        PlanConfig,
-        "robot-sysid plan arm.xml --save-trajectory plan.json",
-        "Design a trajectory that tells most about the terminal link, check it against "
-        "all limits, say what it promises, and write it. --trajectory checks one that was saved.",
-        (
-            "mesh_dir",
-            "joint",
-            "output_dir",
-            "duration",
-            "seed",
-            "speed",
-            "trajectory",
-            "save_trajectory",
-            "excitation",
-            "max_velocity",
-            "max_torque",
-            "workspace",
-            "keep_out",
-            "export_damiao",
-            "motor_type",
-        ),
-    ),
-    "identify": CommandSpec(
-        IdentifyConfig,
-        "robot-sysid identify arm.xml log.csv",
-        "Identify an arm from one log of it, or from several together: the terminal link, every "
-        "other link with --links, friction and rotor inertia. Write a corrected model.",
-        (
-            "mesh_dir",
-            "joint",
-            "output_dir",
-            "columns",
-            "units",
-            "torque_scale",
-            "validation_measurements",
-            "friction_model",
-            "links",
-            "keep",
-        ),
-    ),
-    "payload": CommandSpec(
-        PayloadConfig,
-        "robot-sysid payload arm.xml --empty a.csv d.csv --loaded b.csv c.csv --order ABBA",
-        "Identify what is bolted to the flange from logs without and with it, and "
-        "write a model that carries it and a card for controllers.",
-        (
-            "mesh_dir",
-            "joint",
-            "output_dir",
-            "empty",
-            "loaded",
-            "order",
-            "flange",
-            "as_body",
-            "known_mass",
-            "save_torque_scale",
-            "columns",
-            "units",
-            "torque_scale",
-        ),
-    ),
-}
-"""Name of the command to its specification; "" is the program with a model alone."""
-
-
-def build_parser(command: str = "", full: bool = True) -> Parser:
-    """Return the parser of a command; without ``full``, its help has the main options only."""
-    spec = SPECS[command]
-    main = None if full else spec.main
-    parser = Parser(
-        command, spec.example, spec.description, main, overview=spec.overview
-    )
-    parser.add_argument(
-        "path", metavar="MODEL", type=Path, help="MuJoCo XML (MJCF) or URDF file"
-    )
-    for title, record in spec.config.records().items():
-        parser.add(title, record, only=spec.config.option_keys())
-    if not command:
-        version = f"{PROGRAM} {__version__}"
-        parser.add_argument(
-            "--version", action="version", version=version, help="print the version"
-        )
-    return parser.add_console_options()
-
-
-def main(arguments: Sequence[str], command: str = "") -> int:
-    """Run a command of ``SPECS``, print what it has written, draw its report; return the exit code.
+def run_config(
+    config_class: type[Config], name: str, values: Mapping[str, Any], console: Console
+) -> int:
+    """Run a command, print what it has written, draw its report; return the exit code.
 
     The verdict is printed last, and not at all where the run failed: the error states it then.
 
     Args:
-        arguments: words behind the command's name on the command line.
-        command: "plan", "identify" or "payload"; "" for ``robot-sysid MODEL`` alone.
+        config_class: class of the options of the command.
+        name: "plan", "identify" or "payload"; "" for ``robot-sysid MODEL`` alone.
+        values: of the options, by key.
+        console: prints the result.
 
     Raises:
         SysidError: the run failed, its result cannot be used, or a wanted report is missing.
     """
-    values, console = parse_command(partial(build_parser, command), arguments)
-    config = SPECS[command].config.of(**values)
+    config = config_class.of(**values)
     if config.output.report:
         require_matplotlib()
     # Imported here so that --help and usage errors do not wait for MuJoCo.
@@ -181,12 +56,7 @@ def main(arguments: Sequence[str], command: str = "") -> int:
     if isinstance(config, MotionConfig):
         config = config.with_seed()
     with library_warnings_as_notes(console):
-        try:
-            written = run(config, console)
-        except InputError as error:
-            if isinstance(config, LogConfig):
-                _add_weighing(error, config)
-            raise
+        written = run(config, console)
     console.stage(*written.lines)
     answer = written.result
     for path in written.files:
@@ -194,7 +64,7 @@ def main(arguments: Sequence[str], command: str = "") -> int:
             answer = path.read_text(encoding="utf-8")
     console.result(answer)
     if written.files:
-        _write_settings(config, command)
+        _write_settings(config, name)
     missing = None
     if config.output.report:
         missing = draw_report(config, console)
@@ -206,16 +76,66 @@ def main(arguments: Sequence[str], command: str = "") -> int:
     return 0
 
 
-def _add_weighing(error: InputError, config: LogConfig) -> None:
-    """Add the command that weighs torque scales to an error that asks for it."""
-    logs: Sequence[Path] = ()
-    if isinstance(config, IdentifyConfig):
-        logs = config.log.measurements
-    elif isinstance(config, PayloadConfig):
-        # A payload of known mass has all that the weighing needs, but for the first scales.
-        logs = () if config.payload.known_mass else config.payload.empty
-    for log in logs[:1]:
-        add_weighing(error, values_of(config.model, config.log), log)
+def _command(
+    name: str,
+    config: type[Config],
+    example: str,
+    description: str,
+    main: str,
+    overview: Sequence[str] = (),
+) -> Command:
+    """Return the command that runs with a class of options; ``main``: keys of its main options."""
+    return Command(
+        name,
+        example,
+        description,
+        {"": MODEL, **config.options()},
+        partial(run_config, config, name),
+        main=main.split(),
+        overview=overview,
+    )
+
+
+COMMANDS = (
+    _command(
+        "",
+        SelfTestConfig,
+        "identify arm.xml log.csv",
+        "With a model alone: simulate it along a random motion and identify its terminal link from "
+        "that, as a test of the program. A model file that is called like a command is reached as "
+        "./plan.",
+        "mesh_dir duration sample_rate no_friction output_dir export_damiao motor_type "
+        "seed joint",
+        overview(),
+    ),
+    _command(
+        "plan",
+        PlanConfig,
+        "plan arm.xml --save-trajectory plan.json",
+        "Design a trajectory that tells most about the terminal link, check it against "
+        "all limits, say what it promises, and write it. --trajectory checks one that was saved.",
+        "mesh_dir joint output_dir duration seed speed trajectory save_trajectory "
+        "excitation max_velocity max_torque workspace keep_out export_damiao motor_type",
+    ),
+    _command(
+        "identify",
+        IdentifyConfig,
+        "identify arm.xml log.csv",
+        "Identify an arm from one log of it, or from several together: the terminal link, every "
+        "other link with --links, friction and rotor inertia. Write a corrected model.",
+        "mesh_dir joint output_dir columns units torque_scale validation_measurements "
+        "friction_model links keep",
+    ),
+    _command(
+        "payload",
+        PayloadConfig,
+        "payload arm.xml --empty a.csv d.csv --loaded b.csv c.csv --order ABBA",
+        "Identify what is bolted to the flange from logs without and with it, and "
+        "write a model that carries it and a card for controllers.",
+        "mesh_dir joint output_dir empty loaded order flange as_body known_mass "
+        "save_torque_scale columns units torque_scale",
+    ),
+)
 
 
 def _write_settings(config: Config, command: str) -> None:

@@ -1,32 +1,54 @@
-"""Commands that remedy an error, where the one that failed has not the options for it."""
+"""Commands that remedy an error, complete and quoted for a shell."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.errors import InputError
-from robot_sysid.pipeline.next_steps import step_after
+from robot_sysid.commands import PROGRAM
+from robot_sysid.errors import ColumnsError, InputError, SysidError
+from robot_sysid.pipeline.next_steps import SAME_LOG, step_after
 
 
-def add_commands(
-    error: InputError, state: str, values: Mapping[str, Any], **words: Any
-) -> None:
-    """Add the command of a state, with each of the options that remedy an error, to the error."""
-    steps = [step_after(state, values, *option, **words) for option in error.options]
-    error.command_lines = [step.command[1:] for step in steps]
+def remedies(
+    error: SysidError, name: str, arguments: Sequence[str], values: Mapping[str, Any]
+) -> Iterator[str]:
+    """Yield the commands that remedy an error.
 
-
-def add_weighing(error: InputError, values: Mapping[str, Any], log: Path) -> None:
-    """Add the command that weighs torque scales to an error whose options are for ``payload``.
+    They are the one that failed, with one more option, or the one that has such an option.
 
     Args:
-        error: what stopped the reading of a log; one with options for other commands is left.
-        values: see ``step_after``.
-        log: of the arm without a weight.
+        error: what stopped the command.
+        name: of the command; "" for a model file alone.
+        arguments: words behind the command's name.
+        values: of its options, by key; empty where it was not parsed.
     """
-    if error.command == "payload":
-        # The recording with the weight has the form of the log, and lies beside it.
-        weight = log.with_name(f"weight{log.suffix}")
-        add_commands(error, "torque scales unknown", values, log=log, weight=weight)
+    if not isinstance(error, InputError):
+        return
+    for words in error.command_lines:
+        yield shlex.join([PROGRAM, *words])
+    if error.command_lines:
+        return
+    logs = [*values.get("measurements", ()), *values.get("empty", ())]
+    log = Path(values.get("log") or [*logs, ""][0])
+    typed = [PROGRAM, *name.split(), *arguments]
+    # The corrected columns file has all lines of the one in use.
+    if isinstance(error, ColumnsError) and "--columns" in typed:
+        at = typed.index("--columns")
+        del typed[at : at + 2]
+    for option in error.options:
+        # A payload of known mass has all that the weighing needs, but for the first scales.
+        if error.command == "payload" and log.name and "known_mass" not in values:
+            # The recording with the weight has the form of the log, and lies beside it.
+            weight = log.with_name(f"weight{log.suffix}")
+            state = "torque scales unknown"
+            step = step_after(state, values, *option, log=log, weight=weight)
+            yield shlex.join(step.command)
+        # Only that command has these options, or who has stated columns goes on to it.
+        elif name == "log" and (error.command or isinstance(error, ColumnsError)):
+            step = step_after(SAME_LOG, values, *option, log=log)
+            yield shlex.join(step.command)
+        elif error.command in ("", name):
+            yield shlex.join([*typed, *option])

@@ -2,42 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from robot_sysid.commands import Console
-from robot_sysid.commands.arguments import Parser, parse_command
+from robot_sysid.commands.arguments import Command
 from robot_sysid.config import Config, OutputOptions
 from robot_sysid.errors import SysidError
 from robot_sysid.model import ModelOptions
-from robot_sysid.records.option_fields import record_from
+from robot_sysid.records.option_fields import Option, options_of_all, record_from
 from robot_sysid.report.drawing import require_matplotlib
 
 
-def build_parser(full: bool = True) -> Parser:
-    """Return the parser of this command, whose help always has all options."""
-    parser = Parser(
-        "report",
-        "robot-sysid report sysid_output",
-        "Write report.html about an earlier run: a page with figures that opens "
-        "without a network. Several folders are compared in comparison.html.",
-    )
-    parser.add_argument(
-        "folders",
-        metavar="DIR",
-        nargs="+",
-        type=Path,
-        help="folder that a run wrote to",
-    )
-    folder = "the first run's own"
-    parser.add("page", OutputOptions, only=("output_dir",), output_dir=folder)
-    parser.add("model", ModelOptions, only=("mesh_dir",))
-    return parser.add_console_options()
-
-
-def main(arguments: Sequence[str]) -> int:
+def run(values: Mapping[str, Any], console: Console) -> int:
     """Run the command and return its exit code."""
-    values, console = parse_command(build_parser, arguments)
     mesh_dir = record_from(ModelOptions, values).mesh_dir
     folder = record_from(OutputOptions, values).output_dir
     require_matplotlib()
@@ -66,6 +45,32 @@ def main(arguments: Sequence[str]) -> int:
     if len(runs) == 1:
         console.stage(*verdicts[0])
     return 0
+
+
+COMMANDS = (
+    Command(
+        "report",
+        "report sysid_output",
+        "Write report.html about an earlier run: a page with figures that opens "
+        "without a network. Several folders are compared in comparison.html.",
+        {
+            "": (
+                Option(
+                    "folders",
+                    "folder that a run wrote to",
+                    metavar="DIR",
+                    parse=Path,
+                    takes_many=True,
+                ),
+            ),
+            "page": options_of_all(
+                OutputOptions, only=("output_dir",), output_dir="the first run's own"
+            ),
+            "model": options_of_all(ModelOptions, only=("mesh_dir",)),
+        },
+        run,
+    ),
+)
 
 
 def draw_report(config: Config, console: Console) -> str | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -36,18 +36,47 @@ from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import LimitOptions
 from robot_sysid.records.messages import Remark
-from robot_sysid.records.option_fields import given_values, record_from
+from robot_sysid.records.option_fields import (
+    Option,
+    OptionRecord,
+    given_values,
+    option,
+    options_of_all,
+    record_from,
+)
 from robot_sysid.wording import option_name, option_setting
 
-RECORDS: tuple[Any, ...] = (
-    BusAddress,
-    BusTiming,
-    ModelOptions,
-    PlaySettings,
-    Permissions,
-    RecordingOptions,
+
+@dataclass(frozen=True)
+class ArmFiles(OptionRecord):
+    """The trajectory to play, and the files that say what its arm is."""
+
+    trajectory: Path | None = option(
+        None, "damiao_trajectory.csv", "TRAJECTORY", flag="trajectory"
+    )
+    model: Path | None = option(None, "MJCF or URDF of the arm", "MODEL")
+    joint_map: Path | None = option(
+        None, "how each joint's motor is mounted (see: motors map)", "FILE"
+    )
+
+
+LIMIT_OPTIONS = options_of_all(
+    LimitOptions, only=motion.LIMITS, **dict.fromkeys(motion.LIMITS)
 )
-"""Classes of the options of a run, but for limits of the motion."""
+"""Limits of a run; by default only the model limits the motion."""
+RUN_OPTIONS: list[Option] = [
+    *options_of_all(
+        ArmFiles,
+        BusAddress,
+        BusTiming,
+        ModelOptions,
+        PlaySettings,
+        Permissions,
+        RecordingOptions,
+    ),
+    *LIMIT_OPTIONS,
+]
+"""Options of a run."""
 
 
 class MotorRun:

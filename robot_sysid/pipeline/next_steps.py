@@ -10,13 +10,15 @@ from robot_sysid.logs import LogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import PAYLOAD_ORDER
 from robot_sysid.records.messages import NextStep
-from robot_sysid.records.option_fields import command_arguments
+from robot_sysid.records.option_fields import command_arguments, options_of_all
 
 _WEIGHED = (
     "payload {model} --empty {folder}/empty.csv {folder}/empty_again.csv --loaded "
     f"{{folder}}/loaded.csv {{folder}}/loaded_again.csv --order {PAYLOAD_ORDER} {{options}} "
     "--output-dir {folder}"
 )
+SAME_LOG = "log is fine"
+"""State after which the command is about the log that was read."""
 STEPS: Mapping[str, tuple[str, str]] = {
     "self-test passed": (
         "Next, plan a motion for the arm, to record it",
@@ -36,7 +38,7 @@ STEPS: Mapping[str, tuple[str, str]] = {
         "Next, rehearse the motion on simulated motors",
         "motors simulate {trajectory} --model {model} {options}",
     ),
-    "log is fine": ("Next, identify the arm", "identify {model} {log} {options}"),
+    SAME_LOG: ("Next, identify the arm", "identify {model} {log} {options}"),
     "motion recorded": (
         "Next, identify the arm",
         "identify {model} {log} {options} --output-dir {folder}",
@@ -75,7 +77,7 @@ def step_after(
         state: of ``STEPS``.
         values: "path" to the model file, and the keys of options to their values. The command
             repeats those that choose the arm and say how its logs are read, but for options that
-            it states itself.
+            it states itself, or that another log lacks.
         further: more arguments of the command.
         words: what fills the other names in braces, a word, a path, or several of them.
     """
@@ -85,12 +87,12 @@ def step_after(
     if parts[0] in ("identify", "payload"):
         # Only a motion starts at a keyframe.
         stated.add("--keyframe")
-    repeated = {
-        key: value
-        for key, value in values.items()
-        if f"--{key.replace('_', '-')}" not in stated
-    }
-    options = command_arguments(repeated, ModelOptions, LogOptions)
+    if state != SAME_LOG:
+        # They hold for one log.
+        stated.update(("--episode", "--accept"))
+    every = options_of_all(ModelOptions, LogOptions)
+    repeated = [option for option in every if option.flag not in stated]
+    options = command_arguments(values, repeated)
     words = {"model": values["path"], "options": [*options, *further], **words}
     command = ["robot-sysid"]
     for part in parts:
@@ -119,9 +121,3 @@ def step_with_motion(
         return step_after("motion planned for payload", values, folder=folder)
     links = ["--links"] if purpose == "arm" else []
     return step_after(state, values, *links, folder=folder, log=log)
-
-
-def values_of(model: ModelOptions, log: LogOptions) -> dict[str, Any]:
-    """Return the values of the options that hold for every log of the same arm."""
-    keys = ("columns", "units", "torque_scale", "torque_constants", "topic")
-    return {**vars(model), **{key: getattr(log, key) for key in keys}}

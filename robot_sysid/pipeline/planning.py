@@ -22,6 +22,7 @@ from robot_sysid.records.option_fields import (
     command_arguments,
     given_values,
     joint_values,
+    options_of_all,
 )
 from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
@@ -189,7 +190,8 @@ def _step_after(config: PlanConfig, paths: Sequence[Path]) -> NextStep:
             from robot_sysid.damiao.trajectory import LIMITS
 
             given = given_values(config.limits)
-            limits = command_arguments(given, config.limits, only=LIMITS)
+            options = options_of_all(config.limits, only=LIMITS)
+            limits = command_arguments(given, options)
             state = "motion planned for motors"
             return step_after(state, values, *limits, trajectory=path)
     folder = config.plan_file.parent

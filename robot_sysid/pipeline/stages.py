@@ -28,7 +28,7 @@ from robot_sysid.dynamics.friction import split_name
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
 from robot_sysid.parser import load_robot_model
-from robot_sysid.pipeline.next_steps import step_after, values_of
+from robot_sysid.pipeline.next_steps import step_after
 from robot_sysid.pipeline.planning import (
     design_motion,
     draft_motor_file,
@@ -246,7 +246,7 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
         if scales is None or not empty:
             return None
         # The scales that the run began with are in those that it writes.
-        values = values_of(config.model, config.log)
+        values = {**vars(config.model), **vars(config.log)}
         return step_after("torque scales known", values, log=empty, scales=scales)
     parts = [result.quantity(name, BEYOND) for name in (MOMENT, "mass")]
     ratios = [part.value / part.error for part in parts if part and part.error]
@@ -255,7 +255,7 @@ def step_after_run(config: Config, result: Result) -> NextStep | None:
         if ratios[-1] > 20.0:
             return None
         logs = config.log.measurements
-        values = values_of(config.model, config.log)
+        values = {**vars(config.model), **vars(config.log)}
         return step_after("part bolted on", values, log=logs, folder=folder)
     if result.body.errors[0] < KNOWN * result.body.mass:
         return None

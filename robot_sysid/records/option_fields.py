@@ -20,6 +20,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
+from itertools import chain
 from keyword import iskeyword
 from numbers import Integral, Real
 from pathlib import Path
@@ -98,6 +99,11 @@ class Option:
         """The option's name as a keyword: no_friction for --no-friction, for_ for --for."""
         name = self.flag.lstrip("-").replace("-", "_")
         return f"{name}_" if iskeyword(name) else name
+
+    @property
+    def is_argument(self) -> bool:
+        """Whether it is a positional argument, which has no flag before its value."""
+        return not self.flag.startswith("-")
 
     @property
     def name(self) -> str:
@@ -188,23 +194,21 @@ def given_values(record: Any) -> dict[str, Any]:
 
 
 def command_arguments(
-    values: Mapping[str, Any], *records: Any, only: Collection[str] = ()
+    values: Mapping[str, Any], options: Iterable[Option]
 ) -> list[str]:
-    """Return the arguments of a command line that state the options of some records.
+    """Return the arguments of a command line that state some options.
 
-    Args:
-        values: option's key to its value; an option without a value, or with None or False, is
-            left out. Floats are written with 12 digits.
-        records: records of options, or their classes.
-        only: keys of the options to state; empty for all.
+    ``values``: option's key to its value; an option without a value, or with None or False, is left
+    out. Floats are written with 12 digits.
     """
     arguments = []
-    for stated in options_of_all(records, only):
+    for stated in options:
         value = values.get(stated.key)
         if value is None or value is False:
             continue
         for single in value if stated.repeats else (value,):
-            arguments.append(stated.flag)
+            if not stated.is_argument:
+                arguments.append(stated.flag)
             # A switch, which parses nothing, is its flag alone.
             if stated.parse is None:
                 continue
@@ -300,26 +304,25 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 def keys_of(*records: Any) -> set[str]:
     """Return the keys of all options of some records, or of their classes."""
-    return {stated.key for stated in options_of_all(records)}
+    return {stated.key for stated in options_of_all(*records)}
 
 
 def options_of_all(
-    records: Collection[Any], only: Collection[str] = (), **defaults: Any
-) -> Iterator[Option]:
-    """Yield the options of some records, or of their classes.
+    *records: Any, only: Collection[str] = (), **defaults: Any
+) -> list[Option]:
+    """Return the options of some records, or of their classes, in the order of the records.
 
     Args:
-        records: in whose order the options come.
-        only: keys of the options to yield; empty for all.
+        records: the records.
+        only: keys of the options to return; empty for all.
         defaults: by key, defaults in place of the records'.
     """
-    for record in records:
-        for stated in options_of(record).values():
-            if only and stated.key not in only:
-                continue
-            if stated.key in defaults:
-                stated = replace(stated, default=defaults[stated.key])
-            yield stated
+    options = chain.from_iterable(options_of(record).values() for record in records)
+    return [
+        replace(stated, default=defaults.get(stated.key, stated.default))
+        for stated in options
+        if not only or stated.key in only
+    ]
 
 
 def refuse_unknown(keys: Collection[str], valid_keys: Collection[str]) -> None:

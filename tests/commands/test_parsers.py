@@ -4,40 +4,42 @@ from __future__ import annotations
 
 import argparse
 import re
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from rigs import option_samples
-from robot_sysid import __version__
+from rigs.command_line import COMMANDS
+from robot_sysid import __version__, commands
 from robot_sysid.cli import main
-from robot_sysid.commands import COMMANDS, identify, log
-from robot_sysid.commands.arguments import parse_command
-from robot_sysid.commands.identify import SPECS, build_parser, settings_text
-from robot_sysid.config import IdentifyConfig
+from robot_sysid.commands.arguments import Parser
+from robot_sysid.commands.identify import settings_text
+from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
 from robot_sysid.errors import InputError
 
-PARSERS = {name: partial(build_parser, name) for name in SPECS}
-PARSERS["log"] = log.build_parser
+CONFIGS = {
+    "": SelfTestConfig,
+    "plan": PlanConfig,
+    "identify": IdentifyConfig,
+    "payload": PayloadConfig,
+}
 POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
-IDENTIFY = partial(build_parser, "identify")
+IDENTIFY = COMMANDS["identify"]
 MOST_OPTIONS = 26
 
 
-@pytest.mark.parametrize("name", SPECS)
+@pytest.mark.parametrize("name", CONFIGS)
 def test_every_option_arrives_as_the_value_that_was_typed(name, tmp_path, monkeypatch):
     """Whether it was typed, or is in the settings of a run that is repeated."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "priors.toml").write_text("link = 7.0")
-    config = SPECS[name].config
-    samples = {s.option.key: s for s in option_samples.samples(config)}
-    assert option_samples.keys_of(PARSERS[name]()) == {*samples}
+    samples = {s.option.key: s for s in option_samples.samples(CONFIGS[name])}
+    assert option_samples.keys_of(Parser(COMMANDS[name])) == {*samples}
     positional = POSITIONAL.get(name, ["arm.xml"])
     for key, sample in samples.items():
         if key == "measurements":
             continue
-        values, _ = parse_command(PARSERS[name], [*positional, *sample.words])
+        values, _ = COMMANDS[name].parse([*positional, *sample.words])
         assert values[key] == sample.value
         assert set(values) <= {"path", "measurements", key}
 
@@ -50,7 +52,7 @@ def test_the_settings_of_a_run_repeat_it(tmp_path, monkeypatch):
     given.update(keep=["friction"], measurements=[Path("a 'b'.csv"), Path("c.csv")])
     config = IdentifyConfig.of("an 'arm'.xml", **given)
     file.write_text(settings_text(config))
-    values, _ = parse_command(IDENTIFY, ["--config", str(file)])
+    values, _ = IDENTIFY.parse(["--config", str(file)])
     assert IdentifyConfig.of(**values) == config
     assert config.estimation.priors.scale == (1.0, 2.0)
 
@@ -61,7 +63,7 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
         'path = "arm.xml"\nunits = "deg"\nkeep = ["friction"]\nverbose = true\n'
     )
     arguments = ["other.xml", "b.csv", f"--config={file}", "--keep", "links"]
-    values, console = parse_command(IDENTIFY, [*arguments, "--units", "rad"])
+    values, console = IDENTIFY.parse([*arguments, "--units", "rad"])
     assert values == {
         **{"path": Path("other.xml"), "measurements": (Path("b.csv"),)},
         **{"units": "rad", "keep": ("links",)},
@@ -88,7 +90,7 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path, text, message):
     if text is not None:
         file.write_text(text)
     with pytest.raises(InputError) as error:
-        values, _ = parse_command(IDENTIFY, ["--config", str(file)])
+        values, _ = IDENTIFY.parse(["--config", str(file)])
         IdentifyConfig.of(**values)
     assert message in str(error.value)
 
@@ -100,24 +102,24 @@ def help_lines(arguments, capsys):
     return capsys.readouterr().out.splitlines()
 
 
-@pytest.mark.parametrize("name", PARSERS)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_help_is_an_example_and_the_main_options_and_the_full_help_has_all(
     name, capsys
 ):
     lines = help_lines([*name.split(), "--help"], capsys)
-    assert lines[0].startswith(f"example: robot-sysid {name or 'identify'}")
+    assert lines[0] == f"example: robot-sysid {COMMANDS[name].example}"
     full = help_lines([*name.split(), "--help-all"], capsys)
-    assert max(map(len, (*lines, *full))) <= 100
-    assert name == "log" or len(lines) <= 50
-    for action in PARSERS[name]()._actions:
+    assert max(map(len, (*lines[1:], *full[1:]))) <= 100
+    assert name == "log" or len(lines) <= 51
+    for action in Parser(COMMANDS[name])._actions:
         assert all(
             re.search(rf"{flag}\b", "\n".join(full)) for flag in action.option_strings
         )
-    visible = [
-        a for a in PARSERS[name](full=False)._actions if a.help != argparse.SUPPRESS
-    ]
-    main_options = identify.SPECS[name].main if name in identify.SPECS else ()
-    assert set(main_options) <= {action.dest for action in visible}
+    actions = Parser(COMMANDS[name], full=False)._actions
+    visible = {action.dest for action in actions if action.help != argparse.SUPPRESS}
+    main = COMMANDS[name].main
+    hidden = {action.dest for action in actions} - visible
+    assert hidden.isdisjoint(main) and bool(hidden) == bool(main)
 
 
 def test_without_arguments_the_commands_are_printed_in_the_order_of_their_use(capsys):
@@ -129,7 +131,7 @@ def test_without_arguments_the_commands_are_printed_in_the_order_of_their_use(ca
     assert list(dict.fromkeys(names)) == [
         *("log", "identify", "report", "plan", "payload", "motors", "MODEL", "example")
     ]
-    assert set(COMMANDS) == {*names} - {"MODEL"} and "--help" in end
+    assert set(commands.COMMANDS) == {*names} - {"MODEL"} and "--help" in end
     full_help = help_lines(["--help"], capsys)
     assert full_help[2:4] == [heading, lines[0]]
     assert "usage: robot-sysid MODEL [options]" in full_help

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import re
-from functools import partial
 
 import pytest
 
 from rigs import arms, witness
-from rigs.command_line import files_in
+from rigs.command_line import COMMANDS, files_in
 from robot_sysid.commands import Console
-from robot_sysid.commands.arguments import parse_command
-from robot_sysid.commands.identify import build_parser
 from robot_sysid.config import PlanConfig
 from robot_sysid.motion.trajectories import load_trajectory
 from robot_sysid.trajectory import SineTrajectory
@@ -47,9 +44,8 @@ def test_it_writes_the_trajectory_and_says_what_it_promises(
     assert isinstance(saved.plan, SineTrajectory)
     assert saved.joint_names == ("joint0", "joint1", "joint2")
     file = path.parent / "sysid_output" / "trajectory.toml"
-    repeated = PlanConfig.of(
-        **parse_command(partial(build_parser, "plan"), ["--config", str(file)])[0]
-    )
+    values, _ = COMMANDS["plan"].parse(["--config", str(file)])
+    repeated = PlanConfig.of(**values)
     assert repeated.excitation.kind == "sines"
 
 

@@ -12,21 +12,18 @@ import numpy as np
 import pytest
 
 from rigs import arms, log_files
+from rigs.command_line import COMMANDS
 from rigs.damiao_rig import map_line, swing, trajectory_file
 from rigs.measured_logs import JOINT, log_of, true_arm
 from robot_sysid.cli import main
-from robot_sysid.commands import example, identify, log, motors, report
+from robot_sysid.commands.arguments import Parser
 from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.parser import load_robot_model
 
 resource = pytest.importorskip("resource")
 
 PARSERS = {
-    **{name: identify.build_parser(name) for name in identify.SPECS},
-    **{f"motors {name}": motors.build_parser(name) for name in motors.COMMANDS},
-    "log": log.build_parser(),
-    "report": report.build_parser(),
-    "example": example.build_parser(),
+    name: Parser(command) for name, command in COMMANDS.items() if name != "motors"
 }
 BASES = {
     "": "arm.xml --output-dir out",

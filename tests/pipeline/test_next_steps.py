@@ -8,7 +8,7 @@ import mujoco
 import pytest
 
 from rigs import results as made
-from robot_sysid.commands import identify, motors
+from rigs.command_line import COMMANDS
 from robot_sysid.pipeline.next_steps import STEPS, step_after
 from robot_sysid.records.messages import NextStep
 from robot_sysid.results.content import content_of
@@ -29,11 +29,9 @@ def test_the_command_of_every_state_is_taken(state):
     step = step_after(state, values, **WORDS)
     program, name, *words = step.command
     assert program == "robot-sysid" and "{" not in step.sentence
-    build_parser = identify.build_parser
     if name == "motors":
-        name = words.pop(0)
-        build_parser = motors.build_parser
-    assert build_parser(name).parse_args(words).joint == "j6"
+        name = f"motors {words.pop(0)}"
+    assert COMMANDS[name].parse(words)[0]["joint"] == "j6"
     assert ("b.csv" in words) == ("{log}" in STEPS[state][1])
 
 

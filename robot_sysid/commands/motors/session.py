@@ -12,12 +12,11 @@ import numpy as np
 from robot_sysid.commands import PROGRAM, Console
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.bus import InspectedMotor
-from robot_sysid.damiao.execution import RECORDS, MotorRun
+from robot_sysid.damiao.execution import RUN_OPTIONS, MotorRun
 from robot_sysid.damiao.joints import DamiaoJoint, limits_agree, matching_types
 from robot_sysid.damiao.player import PlayReport
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.errors import InputError
-from robot_sysid.motion import LimitOptions
 from robot_sysid.pipeline.next_steps import step_with_motion
 from robot_sysid.records.file_access import plan_settings
 from robot_sysid.records.messages import Level, NextStep, Remark, aligned_lines
@@ -82,13 +81,7 @@ class Session(MotorRun):
         ``changes`` are values of options, by key, that are added or replaced; None leaves one out.
         """
         values = {**self.values, **changes}
-        arguments = [PROGRAM, "motors", name]
-        if values.get("trajectory"):
-            arguments.append(str(values["trajectory"]))
-        for key in ("model", "joint_map"):
-            if values.get(key):
-                arguments += [f"--{key.replace('_', '-')}", str(values[key])]
-        return (*arguments, *command_arguments(values, *RECORDS, LimitOptions))
+        return (PROGRAM, "motors", name, *command_arguments(values, RUN_OPTIONS))
 
 
 _HEADINGS = (
