@@ -52,6 +52,7 @@ class ForwardPlant:
     def __init__(self, plant: RobotModel, period: float, configurations: Array) -> None:
         self._plant = plant
         self.model = forward_model(plant)
+        self.model.dof_damping[plant.dof_index] = plant.friction.viscous
         self.model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
         self.model.opt.tolerance = 1e-12
         self.data = mujoco.MjData(self.model)

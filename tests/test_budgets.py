@@ -20,7 +20,7 @@ BUDGETS = {
     "robot_sysid/commands": 9765,
     "robot_sysid/damiao": 30532,
     "robot_sysid/diagnosis": 16641,
-    "robot_sysid/dynamics": 3155,
+    "robot_sysid/dynamics": 3181,
     "robot_sysid/estimate": 30204,
     "robot_sysid/logs": 15314,
     "robot_sysid/mjcf": 6842,
@@ -32,9 +32,9 @@ BUDGETS = {
     "robot_sysid/results": 10667,
     "robot_sysid/servo": 4879,
     "robot_sysid/signals": 4799,
-    "robot_sysid/simulation": 3706,
+    "robot_sysid/simulation": 3577,
     "robot_sysid": 10845,
-    "tests": 228119,
+    "tests": 228114,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -57,18 +57,25 @@ TILT_NAMES = ("tilt_1", "tilt_2")
 """Names of the two angles by which a base is tilted."""
 
 
-def analysis_copy(mj_model: Any) -> Any:
+def analysis_copy(
+    mj_model: Any, disabled: Sequence[str] = ("CONSTRAINT", "CONTACT", "SENSOR")
+) -> Any:
     """Return a copy of a compiled model reduced to rigid-body dynamics, armature and springs.
 
     Switched off: constraints (contacts, limits, equalities, and MuJoCo's own frictionloss, which is
     a ramp in acceleration and velocity and not Coulomb's law), gravity compensation (a real joint
     carries the weight), fluid drag, and linear joint damping (friction is added by the caller).
+
+    ``disabled``: what of MuJoCo does not act, by the names of its flags, beside what the file
+    disables; of constraints and actuators this alone decides.
     """
     model = copy.copy(mj_model)
     options = model.opt
-    for name in ("CONSTRAINT", "CONTACT", "SENSOR"):
-        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
-        options.disableflags |= int(flag)
+    bits = mujoco.mjtDisableBit
+    options.disableflags &= ~int(bits.mjDSBL_CONSTRAINT | bits.mjDSBL_ACTUATION)
+    for name in disabled:
+        # Older releases lack some of these flags.
+        options.disableflags |= int(getattr(bits, f"mjDSBL_{name}", 0))
     # "invdiscrete" would reinterpret qacc, "fwdinv" and "energy" only cost time.
     options.enableflags = 0
     options.density = options.viscosity = 0.0

@@ -124,22 +124,29 @@ def _joints_text(robot: RobotModel) -> str:
 def forward_model(robot: RobotModel) -> Any:
     """Return a copy of an arm's compiled MuJoCo model in which only the chain moves.
 
-    Contacts, joint stops, equalities, actuators, gravity compensation and drag are switched off;
-    joints outside the chain get an armature that holds them still. The copy may be changed.
+    Contacts, joint stops, equalities, gravity compensation and drag are switched off, actuators
+    have no effect, and joints have no damping; joints outside the chain get an armature that holds
+    them still. The copy may be changed.
     """
-    model = analysis_copy(robot.mj_model)
-    disable = mujoco.mjtDisableBit
-    for name in ("EQUALITY", "LIMIT", "ACTUATION"):
-        model.opt.disableflags |= int(getattr(disable, f"mjDSBL_{name}"))
-    # MuJoCo's frictionloss, which the copy for analysis switches off, is a constraint.
-    model.opt.disableflags &= ~int(disable.mjDSBL_CONSTRAINT)
+    # A rollout that diverges must not go on from the start; a chain has no islands to be found.
+    disabled = ("CONTACT", "SENSOR", "EQUALITY", "LIMIT", "AUTORESET", "ISLAND")
+    model = analysis_copy(robot.mj_model, disabled)
     model.opt.solver = int(mujoco.mjtSolver.mjSOL_NEWTON)
     model.opt.iterations = 100
-    chain = robot.dof_index
-    model.dof_damping[chain] = robot.mj_model.dof_damping[chain]
-    held_dofs = np.setdiff1d(np.arange(model.nv), chain)
+    model.opt.tolerance = 1e-8
+    model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    held_dofs = np.setdiff1d(np.arange(model.nv), robot.dof_index)
     model.dof_armature[held_dofs] = 1e9
     model.dof_frictionloss[held_dofs] = 0.0
+    if not model.ntendon:
+        # Nothing needs the pose of a geom: MuJoCo then takes it from its body.
+        model.geom_sameframe[:] = 1
+    # Actuators may have states.
+    model.actuator_gear[:] = 0.0
+    model.actuator_ctrllimited[:] = 0
+    if hasattr(model, "actuator_delay"):
+        # In releases with delayed actuators; the commands of a rollout are delayed already.
+        model.actuator_delay[:] = 0.0
     return model
 
 
@@ -177,10 +184,9 @@ class ArmStepper:
         self._robot = robot
         self.n_joints = robot.n_joints
         self.timestep = timestep
-        self._model = forward_model(robot)
         # Damping and dry friction are stepped here, not by MuJoCo: nothing here calls its
         # constraint solver, in which its frictionloss would act.
-        self._model.dof_damping[:] = 0.0
+        self._model = forward_model(robot)
         self._data = data_at_pose(self._model, robot.reference_qpos)
         self._viscous = robot.friction.viscous
         # Friction torque (motors, n) of motors that turn several joints; no rows where none does.

@@ -131,16 +131,18 @@ def _joint_actuator(model: Any, joint: int) -> tuple[int, float, float, float]:
         model: compiled MuJoCo model.
         joint: MuJoCo joint id.
     """
-    moving = [k for k in actuators_on(model, joint) if gear_ratio(model, k) != 0.0]
-    usable = [k for k in moving if servo_gains(model, k) is not None]
-    usable += [
-        k for k in moving if is_static(model, k) and len(control_rows(model, k)) == 1
-    ]
-    if not usable:
-        return NO_ACTUATOR, 1.0, np.nan, 0.0
-    gear = gear_ratio(model, usable[0])
-    kp, kv = servo_gains(model, usable[0]) or (np.nan, 0.0)
-    return usable[0], gear, gear**2 * kp, gear**2 * kv
+    # Behind whether they are position actuators, which come first.
+    usable = [(2, NO_ACTUATOR, 1.0, np.nan, 0.0)]
+    for actuator in actuators_on(model, joint):
+        gear = gear_ratio(model, actuator)
+        gains = servo_gains(model, actuator)
+        kp, kv = gains or (np.nan, 0.0)
+        has_control = len(control_rows(model, actuator)) == 1
+        is_plain = has_control and is_static(model, actuator)
+        if gear != 0.0 and (gains or is_plain):
+            squared = gear**2
+            usable.append((gains is None, actuator, gear, squared * kp, squared * kv))
+    return min(usable)[1:]
 
 
 def servos_in_model(robot: RobotModel) -> ServoParameters:
@@ -158,76 +160,6 @@ def servos_in_model(robot: RobotModel) -> ServoParameters:
         model.dof_armature[dofs],
     )
     return ServoParameters(np.stack(numbers), 0.0)
-
-
-def servo_model(robot: RobotModel) -> Any:
-    """Return a copy of an arm's compiled MuJoCo model, set up for rollouts in steps of ``STEP``.
-
-    Its actuators do nothing yet.
-    """
-    model = forward_model(robot)
-    model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    model.opt.timestep = STEP
-    model.opt.tolerance = 1e-8
-    # A rollout that diverges must not go on from the start; a chain has no islands to be found.
-    for name in ("AUTORESET", "ISLAND"):
-        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0)
-        model.opt.disableflags |= int(flag)
-    if not model.ntendon:
-        # No rollout needs the pose of a geom: MuJoCo then takes it from its body.
-        model.geom_sameframe[:] = 1
-    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
-    # Actuators beside those of ``set_servos`` may have states, but no effect.
-    model.actuator_gear[:] = 0.0
-    model.actuator_ctrllimited[:] = 0
-    if hasattr(model, "actuator_delay"):
-        # In releases with delayed actuators; the commands of a window are delayed already.
-        model.actuator_delay[:] = 0.0
-    return model
-
-
-def set_servos(model: Any, robot: RobotModel, servos: ServoParameters) -> None:
-    """Write servo parameters into a ``servo_model``, over those of an earlier call.
-
-    The delay is left out: it shifts the commands. A spring stands for a missing actuator's gain.
-
-    Args:
-        model: from ``servo_model``; it is changed.
-        robot: the arm as in the model file.
-        servos: the parameters.
-    """
-    dofs = robot.dof_index
-    actuators = chain_actuators(robot)
-    stiffness, damping, frictionloss, armature = servos.numbers
-    model.dof_armature[dofs] = armature
-    model.dof_frictionloss[dofs] = frictionloss
-    kv = actuators.damping_share * damping
-    model.dof_damping[dofs] = damping - kv
-    driven = actuators.index != NO_ACTUATOR
-    ids = actuators.index[driven]
-    # At the joint: Kp and kv are reduced by the gear ratio already.
-    model.actuator_gear[output_rows(model)[ids], 0] = 1.0
-    model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
-    model.actuator_biasprm[ids, 0] = 0.0
-    model.actuator_biasprm[ids, 1] = -stiffness[driven]
-    model.actuator_biasprm[ids, 2] = -kv[driven]
-    # A PID controller takes its gain from the bias.
-    plain = ids[[len(control_rows(model, actuator)) == 1 for actuator in ids]]
-    model.actuator_gaintype[plain] = int(mujoco.mjtGain.mjGAIN_FIXED)
-    model.actuator_gainprm[plain, 0] = -model.actuator_biasprm[plain, 1]
-    limit = actuators.limit[driven]
-    model.actuator_forcelimited[ids] = np.isfinite(limit)
-    model.actuator_forcerange[ids] = np.column_stack((-limit, limit))
-    springs = model.dof_jntid[dofs][~driven]
-    model.jnt_stiffness[springs] = (
-        robot.mj_model.jnt_stiffness[springs] + stiffness[~driven]
-    )
-    # As in a compiled file, dry friction is as firm as these rotor inertias make it.
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    # An implicit step damps the velocity at its end. Half a step of damping less of rotor inertia
-    # makes it the mean of those at both ends.
-    less = 0.5 * model.opt.timestep * damping
-    model.dof_armature[dofs] = np.maximum(armature - less, 0.0)
 
 
 @dataclass(frozen=True)
@@ -278,12 +210,14 @@ class ServoRollouts:
 
     Attributes:
         robot: as given.
-        model: the copy.
+        model: the copy, see ``forward_model``.
+        actuators: those of the chain.
     """
 
     def __init__(self, robot: RobotModel) -> None:
         self.robot = robot
-        self.model = servo_model(robot)
+        self.model = forward_model(robot)
+        self.actuators = chain_actuators(robot)
         self._pool: Any = None
         threads = 1
         # Older releases play one rollout at a time.
@@ -307,8 +241,8 @@ class ServoRollouts:
         """
         robot = self.robot
         self.model.opt.timestep = edges[1] - edges[0]
-        set_servos(self.model, robot, servos)
-        index = chain_actuators(robot).index
+        self.set_servos(servos)
+        index = self.actuators.index
         driven = index != NO_ACTUATOR
         rows = [control_rows(self.model, actuator)[0] for actuator in index[driven]]
         spring_rest = robot.mj_model.qpos_spring[robot.qpos_index]
@@ -324,6 +258,45 @@ class ServoRollouts:
         spring = servos.numbers[0] * ~driven * (command - spring_rest)
         inputs[:, :, self.model.nu + robot.dof_index] = spring
         return self.play(windows, inputs)
+
+    def set_servos(self, servos: ServoParameters) -> None:
+        """Write servo parameters into the model, over those of an earlier call.
+
+        The delay is left out: it shifts the commands. A spring stands for a missing actuator's
+        gain.
+        """
+        model = self.model
+        dofs = self.robot.dof_index
+        actuators = self.actuators
+        stiffness, damping, frictionloss, armature = servos.numbers
+        model.dof_armature[dofs] = armature
+        model.dof_frictionloss[dofs] = frictionloss
+        kv = actuators.damping_share * damping
+        model.dof_damping[dofs] = damping - kv
+        driven = actuators.index != NO_ACTUATOR
+        ids = actuators.index[driven]
+        # At the joint: Kp and kv are reduced by the gear ratio already.
+        model.actuator_gear[output_rows(model)[ids], 0] = 1.0
+        model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
+        model.actuator_biasprm[ids, 0] = 0.0
+        model.actuator_biasprm[ids, 1] = -stiffness[driven]
+        model.actuator_biasprm[ids, 2] = -kv[driven]
+        # A PID controller takes its gain from the bias.
+        plain = ids[[len(control_rows(model, actuator)) == 1 for actuator in ids]]
+        model.actuator_gaintype[plain] = int(mujoco.mjtGain.mjGAIN_FIXED)
+        model.actuator_gainprm[plain, 0] = -model.actuator_biasprm[plain, 1]
+        limit = actuators.limit[driven]
+        model.actuator_forcelimited[ids] = np.isfinite(limit)
+        model.actuator_forcerange[ids] = np.column_stack((-limit, limit))
+        springs = model.dof_jntid[dofs][~driven]
+        in_file = self.robot.mj_model.jnt_stiffness[springs]
+        model.jnt_stiffness[springs] = in_file + stiffness[~driven]
+        # As in a compiled file, dry friction is as firm as these rotor inertias make it.
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        # An implicit step damps the velocity at its end. Half a step of damping less of rotor
+        # inertia makes it the mean of those at both ends.
+        less = 0.5 * model.opt.timestep * damping
+        model.dof_armature[dofs] = np.maximum(armature - less, 0.0)
 
     def play(self, windows: Sequence[ServoWindow], inputs: Array) -> Array:
         """Return chain positions (W, S + 1, n) under inputs (W, S, nu + nv) of the model."""

@@ -14,7 +14,7 @@ from rigs.arms import MODELS, SEVEN, X, Y, Z, robot_of, serial_arm
 from rigs.releases import since
 from rigs.servo_logs import SERVOS, TRUTH, XML, commanded
 from robot_sysid.simulation import playback
-from robot_sysid.simulation.plant import set_chain_state
+from robot_sysid.simulation.plant import forward_model, set_chain_state
 
 
 def random_inputs(rollouts, count=4, steps=30):
@@ -73,7 +73,7 @@ def test_actuators_and_contacts_of_the_model_do_not_act():
 @pytest.mark.parametrize("name", ["coupled fingers", "home keyframe"])
 def test_joints_behind_the_chain_stay_where_they_are(name):
     robot = robot_of(MODELS[name])
-    model = playback.servo_model(robot)
+    model = forward_model(robot)
     data = mujoco.MjData(model)
     speed = np.full(robot.n_joints, 2.0)
     set_chain_state(robot, model, data, robot.reference, speed)
@@ -128,10 +128,11 @@ def test_rollouts_are_neither_late_nor_early():
 def test_servo_and_joint_share_any_damping_as_the_model_does(factor):
     robot = robot_of(XML)
     servos = playback.servos_in_model(robot)
-    model = playback.servo_model(robot)
-    playback.set_servos(model, robot, TRUTH)
+    rollouts = playback.ServoRollouts(robot)
+    rollouts.set_servos(TRUTH)
     servos.numbers[1] *= factor
-    playback.set_servos(model, robot, servos)
+    rollouts.set_servos(servos)
+    model = rollouts.model
     assert_allclose(model.dof_damping, factor * robot.mj_model.dof_damping, rtol=1e-12)
     bias = factor * robot.mj_model.actuator_biasprm[:, 2]
     assert_allclose(model.actuator_biasprm[:, 2], bias, rtol=1e-12)
@@ -142,10 +143,10 @@ def test_friction_is_as_firm_as_in_a_file_with_the_numbers():
     robot = robot_of(XML.replace(' armature=".05"', ""))
     servos = playback.servos_in_model(robot)
     servos.numbers[3] = 0.05
-    model = playback.servo_model(robot)
-    playback.set_servos(model, robot, servos)
+    rollouts = playback.ServoRollouts(robot)
+    rollouts.set_servos(servos)
     compiled = robot_of(XML).mj_model
-    assert_allclose(model.dof_invweight0, compiled.dof_invweight0, rtol=1e-9)
+    assert_allclose(rollouts.model.dof_invweight0, compiled.dof_invweight0, rtol=1e-9)
 
 
 def test_a_joint_without_actuator_is_pulled_by_a_spring_of_the_same_gain():
