@@ -32,11 +32,11 @@ from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.simulated import SimulatedLink
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
 from robot_sysid.simulation.plant import ArmStepper
-from robot_sysid.simulator import ArmTorque
 
 PHYSICS_STEP = 1e-3
 DURATION = 5.0
@@ -107,7 +107,7 @@ def robot_of(belief):
 def gravity_torque(robot, q):
     """Return the torques (N, n) that hold an arm still at positions (N, n) [N m]."""
     zero = np.zeros_like(q)
-    return np.asarray(ArmTorque(robot)(Motion(np.zeros(len(q)), q, zero, zero)))
+    return np.asarray(ArmDynamics(robot)(Motion(np.zeros(len(q)), q, zero, zero)))
 
 
 @cache
@@ -170,7 +170,7 @@ def exported_trajectory(setup):
         qd = np.zeros_like(q)
         qdd = np.zeros_like(q)
     robot = robot_of(setup.belief)
-    tau = np.asarray(ArmTorque(robot)(Motion(time_, q, qd, qdd)))
+    tau = np.asarray(ArmDynamics(robot)(Motion(time_, q, qd, qdd)))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "damiao_trajectory.csv"
         export([(time_, q, qd, tau)], MOTOR_TYPES, path)

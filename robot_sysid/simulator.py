@@ -3,33 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SimulationError
-from robot_sysid.records import Array, Measurement, Motion, RobotModel
-
-
-class ArmTorque:
-    """A function of a motion that returns the torques the model needs for it, friction included.
-
-    It is pickled as its robot alone: a pickle of MuJoCo's data ends the process in MuJoCo 3.0.
-    """
-
-    def __init__(self, robot: RobotModel) -> None:
-        self._robot = robot
-        self._dynamics = ArmDynamics(robot)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return how pickle makes the object again: its class and its robot."""
-        return type(self), (self._robot,)
-
-    def __call__(self, motion: Motion) -> Array:
-        """Return joint torques (N, n) [N m]."""
-        rigid = self._dynamics.torque(motion.q, motion.qd, motion.qdd)
-        return rigid + self._robot.friction.torque(motion.qd)
+from robot_sysid.records import Measurement, Motion, RobotModel
 
 
 def simulate_inverse(
@@ -43,7 +22,7 @@ def simulate_inverse(
     Raises:
         SimulationError: a torque is not finite; names the first such joint and its time.
     """
-    torque = ArmTorque(robot)
+    torque = ArmDynamics(robot)
     for motion in motions:
         tau = torque(motion)
         invalid = np.argwhere(~np.isfinite(tau))

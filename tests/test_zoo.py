@@ -33,7 +33,7 @@ from robot_sysid.motion.search import (
 )
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
-from robot_sysid.simulator import ArmTorque, simulate_inverse
+from robot_sysid.simulator import simulate_inverse
 from robot_sysid.solver import LastLinkTerms, identify_parameters
 from robot_sysid.trajectory import (
     TrajectoryOptions,
@@ -174,7 +174,7 @@ FEW_DRAWS = {"draws": 60, "rounds": 6, "iterations": 30}
 def violations(robot, plan):
     """Sentences on limits of the model that a trajectory breaks at 1 kHz."""
     limits = robot.limits
-    torque = ArmTorque(robot)
+    torque = ArmDynamics(robot)
     for motion in motion_chunks(plan, 1000.0):
         for name, value, limit in (
             ("upper", motion.q, limits.upper),

@@ -21,13 +21,13 @@ from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan
 from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, WEIGH_FIRST, Bounds, excesses
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.trajectories import LineTrajectory
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.messages import Remark
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.wording import with_option_names
 
 # Remedy for a trajectory that leaves the model's limits, or touches something.
@@ -106,7 +106,7 @@ def torque_checks(plan: Plan, robot: RobotModel) -> Iterator[Remark]:
     Further stops are yielded where the file feeds forward another torque than the motion needs. The
     needed torques are those of ``robot``, the model of the arm.
     """
-    arm = ArmTorque(robot)
+    arm = ArmDynamics(robot)
     trajectory = plan.trajectory
     speed = plan.settings.speed
     q, qd, qdd = trajectory.q, trajectory.qd, trajectory.qdd
@@ -144,7 +144,7 @@ def gravity_check(robot: RobotModel, joints: tuple[DamiaoJoint, ...]) -> Holding
         robot: model of the arm with n joints.
         joints: joints of the arm with their motors, base to terminal.
     """
-    arm = ArmTorque(robot)
+    arm = ArmDynamics(robot)
     doubt = torque_doubt(joints) + robot.friction.largest_dry
 
     def holding_torque(q: Array) -> Array:

@@ -38,7 +38,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.regressor import wrench_regressor
 from robot_sysid.spatial import (
     N_INERTIAL,
@@ -115,7 +115,9 @@ def has_only_armature(mj_model: Any) -> bool:
 
 
 class ArmDynamics:
-    """Inverse dynamics of an entire arm, by MuJoCo.
+    """Inverse dynamics of an entire arm, by MuJoCo; as a function of a motion, with friction.
+
+    It is pickled as its arguments alone: a pickle of MuJoCo's data ends the process in MuJoCo 3.0.
 
     Args:
         robot: the arm.
@@ -129,9 +131,20 @@ class ArmDynamics:
     """
 
     def __init__(self, robot: RobotModel, mj_model: Any = None) -> None:
+        self._arguments = robot, mj_model
         self.model = analysis_copy(mj_model or robot.mj_model)
         self.data = data_at_pose(self.model, robot.reference_qpos)
         self.chain = robot.qpos_index, robot.dof_index
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how pickle makes the object again: its class and its arguments."""
+        return type(self), self._arguments
+
+    def __call__(self, motion: Motion) -> Array:
+        """Return the joint torques (N, n) of a motion, the model's friction included [N m]."""
+        robot, _ = self._arguments
+        rigid = self.torque(motion.q, motion.qd, motion.qdd)
+        return rigid + robot.friction.torque(motion.qd)
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return MuJoCo's joint torques (N, n) for motions (N, n) [N m].

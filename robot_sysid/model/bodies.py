@@ -144,7 +144,10 @@ _NAMES = (
     "eef?|end_?effector",
 )
 _PATTERNS = tuple(
-    re.compile(rf"(?:.*[/_.:-])?(?:{name})(?:[_-](?:site|frame|link))?", re.IGNORECASE)
+    re.compile(
+        rf"(?:site|body) '(?:.*[/_.:-])?(?:{name})(?:[_-](?:site|frame|link))?'",
+        re.IGNORECASE,
+    )
     for name in _NAMES
 )
 
@@ -164,8 +167,8 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
     if text is None:
         return _guess_flange(robot, frames)
     name = text.strip()
-    for frame_name, frame in frames:
-        if frame_name == name:
+    for frame in frames:
+        if frame.name in (f"site '{name}'", f"body '{name}'"):
             return frame
     if "," in name:
         return _parse_flange(robot, name)
@@ -175,17 +178,13 @@ def find_flange(robot: RobotModel, text: str | None = None) -> Flange:
     )
 
 
-# Names of sites and bodies, and their frames.
-_Frames = Sequence[tuple[str, Flange]]
-
-
-def _list_names(frames: _Frames) -> str:
+def _list_names(frames: Sequence[Flange]) -> str:
     """Return what frames are called, separated by commas."""
-    return ", ".join(flange.name for _, flange in frames)
+    return ", ".join(frame.name for frame in frames)
 
 
-def _fixed_frames(robot: RobotModel) -> Iterator[tuple[str, Flange]]:
-    """Yield name and frame of all sites, then bodies, that are fixed to the terminal body.
+def _fixed_frames(robot: RobotModel) -> Iterator[Flange]:
+    """Yield the frames of all sites, then bodies, that are fixed to the terminal body.
 
     The terminal body is the first of the bodies.
     """
@@ -196,34 +195,34 @@ def _fixed_frames(robot: RobotModel) -> Iterator[tuple[str, Flange]]:
     for site, body in enumerate(mj_model.site_bodyid.tolist()):
         name = mj_model.site(site).name
         if name and body in fixed:
-            frames.append(("site", name, data.site(site)))
+            frames.append((f"site '{name}'", data.site(site)))
     for body, name in fixed.items():
-        frames.append(("body", name, data.body(body)))
-    for kind, name, frame in frames:
+        frames.append((f"body '{name}'", data.body(body)))
+    for name, frame in frames:
         pose = pose_in(frame, data.body(robot.body_id))
-        yield name, Flange(f"{kind} '{name}'", *pose, robot.body_name)
+        yield Flange(name, *pose, robot.body_name)
 
 
-def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
+def _guess_flange(robot: RobotModel, frames: Sequence[Flange]) -> Flange:
     """Return the frame that is called like a flange, else the terminal body's, with a note on it.
 
     A note is a sentence for the user. ModelError where several different frames are called so.
     """
     for pattern in _PATTERNS:
-        matches = [item for item in frames if pattern.fullmatch(item[0])]
+        matches = [frame for frame in frames if pattern.fullmatch(frame.name)]
         if not matches:
             continue
         # A site counts more than a body.
-        sites = [item for item in matches if item[1].name.startswith("site")]
+        sites = [frame for frame in matches if frame.name.startswith("site")]
         matches = sites or matches
         # Several names of one and the same frame are no ambiguity.
-        poses = [np.column_stack((f.rotation, f.translation)) for _, f in matches]
+        poses = [np.column_stack((f.rotation, f.translation)) for f in matches]
         if not np.allclose(poses, poses[0], rtol=0.0, atol=1e-9):
             listed = _list_names(matches)
             raise ModelError(
                 f"{listed} could each be the flange; choose one by its name"
             )
-        flange = matches[0][1]
+        flange = matches[0]
         others = option_name("flange")
         note = f"{flange.name} was taken for the flange, because of its name ({others} has others)"
         if pattern is _PATTERNS[-1]:
@@ -233,7 +232,9 @@ def _guess_flange(robot: RobotModel, frames: _Frames) -> Flange:
         f"no site or body that is fixed to body '{robot.body_name}' is called like a flange, so "
         f"the frame of that body is taken; those that can be named: {_list_names(frames)}"
     )
-    return replace(dict(frames)[robot.body_name], note=note)
+    return Flange(
+        f"body '{robot.body_name}'", np.eye(3), np.zeros(3), robot.body_name, note
+    )
 
 
 def _parse_flange(robot: RobotModel, text: str) -> Flange:

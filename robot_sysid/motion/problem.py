@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
+    ArmDynamics,
     LinkDynamics,
     other_links,
     split_motion,
@@ -26,7 +27,6 @@ from robot_sysid.records.option_fields import (
     PerJoint,
     joint_values,
 )
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.spatial import N_INERTIAL
 from robot_sysid.trajectory import (
     POSITION_MARGIN,
@@ -261,7 +261,7 @@ def build_problem(
         links=links,
         dynamics=LinkDynamics(robot),
         tool=tool_corners(robot),
-        arm_torque=ArmTorque(robot),
+        arm_torque=ArmDynamics(robot),
         reserve=limits.payload_reserve,
         link_errors=link_factor(robot, links, 0.01 * link_uncertainty),
         obstacles=Clearance(robot, start_pose, limits.clearance, spaces),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_sysid.config import MotionConfig, MotorOptions, PlanConfig
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.export import Written
 from robot_sysid.motion import WEIGHT
@@ -24,7 +25,6 @@ from robot_sysid.records.option_fields import (
     joint_values,
     options_of_all,
 )
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import motion_chunks
 from robot_sysid.wording import option_name
 
@@ -309,7 +309,7 @@ def motor_commands(
     The step of dry friction at a reversal would be a blow to the arm, so it is made smooth:
     coulomb tanh(qd / 0.01 rad/s) in place of coulomb sign(qd).
     """
-    torque = ArmTorque(robot)
+    torque = ArmDynamics(robot)
     # A wider transition is gentler, but an arm that sticks longer at its reversals shows less: 0.03
     # costs a millimetre more.
     speed = 0.01

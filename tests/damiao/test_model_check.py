@@ -15,10 +15,10 @@ from rigs.damiao_rig import swing, trajectory_file
 from robot_sysid.damiao.model_check import model_checks, torque_checks, transfer_checks
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.records import JointLimits, Motion
 from robot_sysid.records.messages import Level
-from robot_sysid.simulator import ArmTorque
 
 # Wide frames, so that the export clamps nothing.
 MOTOR = "DM10010L"
@@ -125,7 +125,7 @@ def with_its_torque(arm, seed, factor=1.0):
     scale = np.random.default_rng(seed).uniform(0.5, 1.0, 3)
     time, q, qd, _ = swing(3, duration=2.0, rate=100.0)
     motion = Motion(time, q + scale, qd, np.gradient(qd, time, axis=0))
-    return time, q + scale, qd, factor * ArmTorque(arm)(motion)
+    return time, q + scale, qd, factor * ArmDynamics(arm)(motion)
 
 
 def refusals(folder, arm, motion, **settings):

@@ -25,14 +25,13 @@ from robot_sysid.diagnosis.log_checks import (
     velocity_notes,
     velocity_ratios,
 )
-from robot_sysid.dynamics.inverse_dynamics import with_gravity
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, with_gravity
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.logs import CHECKS
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Level
 from robot_sysid.signals.resampling import slice_samples
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, judged
 
@@ -208,7 +207,7 @@ def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     motion = next(motion_chunks(plan, 200.0))
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.q.shape)
     log = Measurement(
-        motion.time, np.round(motion.q, 5), None, ArmTorque(robot)(motion) + noise
+        motion.time, np.round(motion.q, 5), None, ArmDynamics(robot)(motion) + noise
     )
     assert findings_of(robot, log) == ()
 

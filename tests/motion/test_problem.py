@@ -17,11 +17,11 @@ from rigs import arms
 from rigs.arms import SEEDS, robot_of
 from rigs.excitation_arms import TUBES, make_problem, robot
 from robot_sysid import spatial
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.problem import _half_spaces, build_problem
 from robot_sysid.records import JointLimits, Motion
-from robot_sysid.simulator import ArmTorque
 
 
 def limited_arm(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf):
@@ -100,7 +100,7 @@ def test_the_torque_of_a_load_equals_that_of_a_loaded_arm(seed, mass):
     model = copy.copy(arm.mj_model)
     arms.write_body(model, arm.body_id, arm.prior.theta + load)
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    expected = ArmTorque(robot_of(model))(motion)
+    expected = ArmDynamics(robot_of(model))(motion)
     assert_allclose(loaded_torque(motion, mass), expected, rtol=1e-7, atol=1e-7)
 
 

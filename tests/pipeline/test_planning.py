@@ -9,6 +9,7 @@ import pytest
 
 from rigs import arms
 from robot_sysid.config import MotorOptions, PlanConfig
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import starts
 from robot_sysid.motion.plan import CheckedPlan
@@ -23,7 +24,6 @@ from robot_sysid.pipeline.planning import (
     plan_verdict,
     write_plan,
 )
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import SineTrajectory
 
 XML = arms.serial_arm((arms.Z, arms.Y), joint='range="-2 2" frictionloss=".4"')
@@ -43,7 +43,7 @@ def test_sent_torques_differ_from_the_models_at_reversals_only(robot):
     )
     for time, q, qd, tau in motor_commands(robot, plan, 500.0):
         motion = plan.evaluate(time)
-        difference = np.abs(tau - ArmTorque(robot)(motion))
+        difference = np.abs(tau - ArmDynamics(robot)(motion))
         np.testing.assert_array_equal(q, motion.q)
         np.testing.assert_array_equal(qd, motion.qd)
         assert np.all(difference <= 0.4 + 1e-12)

@@ -25,7 +25,7 @@ from rigs import results as made
 from rigs.model_files import ARM, random_theta, write_files
 from rigs.releases import since
 from robot_sysid import records, spatial
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
 from robot_sysid.errors import ExportError
 from robot_sysid.estimate.choose import coupling, motors_of
 from robot_sysid.model.bodies import body_theta, find_flange
@@ -36,7 +36,6 @@ from robot_sysid.results import record
 from robot_sysid.results import written_model as model_module
 from robot_sysid.results.record import ModelTarget
 from robot_sysid.results.written_model import write_model
-from robot_sysid.simulator import ArmTorque
 
 MJCF = ARM.replace(
     '<body name="tool" pos="0 0 0.1" euler="10 20 30">',
@@ -372,7 +371,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
         torque = values["coulomb"] * np.sign(speed) + values["viscous"] * speed
         torque += values.get("armature", 0.0) * (motion.qdd @ ratios)
         expected += np.outer(torque, ratios)
-    assert_allclose(ArmTorque(reloaded)(motion), expected, rtol=1e-9, atol=1e-9)
+    assert_allclose(ArmDynamics(reloaded)(motion), expected, rtol=1e-9, atol=1e-9)
 
     # Written again, it is the same motor with other numbers.
     file = with_motor(reloaded, np.random.default_rng(8))

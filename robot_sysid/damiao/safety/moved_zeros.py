@@ -34,11 +34,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, other_links
+from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics, other_links
 from robot_sysid.estimate.links import LARGEST, link_factor
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.usual_errors import LINK
-from robot_sysid.simulator import ArmTorque
 
 # Time over which signals are averaged [s]; a window that takes twice as long is discarded.
 _WINDOW = 0.1
@@ -70,7 +69,7 @@ class MovedZeroCheck:
 
     def __init__(self, robot: RobotModel, doubt: Array) -> None:
         n = robot.n_joints
-        self._needed_torque = ArmTorque(robot)
+        self._needed_torque = ArmDynamics(robot)
         self._dynamics = LinkDynamics(robot)
         self._links = [*other_links(robot), n - 1]
         factor = link_factor(robot, self._links, 0.01 * LINK, LARGEST)
