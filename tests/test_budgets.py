@@ -24,7 +24,7 @@ BUDGETS = {
     "robot_sysid/estimate": 30204,
     "robot_sysid/logs": 15314,
     "robot_sysid/mjcf": 6842,
-    "robot_sysid/model": 8617,
+    "robot_sysid/model": 8557,
     "robot_sysid/motion": 16280,
     "robot_sysid/pipeline": 6446,
     "robot_sysid/records": 7994,

@@ -122,11 +122,7 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     # Refuses pipes, for which MuJoCo would wait for ever.
     find_assets(document)
     with captured_warnings() as warnings:
-        notes: tuple[str, ...] = ()
-        if document.is_urdf:
-            mj_model, notes = _compile_urdf(document)
-        else:
-            mj_model = _compile_mjcf(document)
+        mj_model, notes = _compile(document)
     _check_values(mj_model, document)
     return CompiledModel(
         with_actuators_in_joints(mj_model),
@@ -137,50 +133,43 @@ def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
     )
 
 
-def _compile_mjcf(document: ModelDocument) -> Any:
-    """Return an MJCF document, which may be changed, compiled; or raise ModelError."""
-    text = None
-    if document.mesh_dir is not None or not document.is_utf8:
-        relocate(document, folder=None)
-        text = document.text().decode()
-    try:
-        return _compile(document.path, text)
-    except ModelError:
-        # Asked only now, so that MuJoCo's own rules decide what is missing.
-        refuse_missing_assets(document)
-        raise
+def _compile(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
+    """Return a document, which may be changed, compiled, and notes on what was changed.
 
-
-def _compile_urdf(document: ModelDocument) -> tuple[Any, tuple[str, ...]]:
-    """Return a URDF document, which is changed, compiled, and notes on what was changed.
-
-    ModelError where it cannot be compiled.
-
-    Moving links without mass get a minimum, and moments of inertia that no body has are raised.
-    Other inertias are exact.
+    ModelError where it cannot be compiled. In a URDF, moving links without mass get a minimum, and
+    moments of inertia that no body has are raised; other inertias are exact.
     """
+    notes: tuple[str, ...] = ()
+    inertias = {}
+    is_changed = True
+    if document.is_urdf:
+        try:
+            notes = make_compilable(document)
+            inertias = link_inertias(document)
+        except (ValueError, TypeError) as error:
+            raise ModelError(
+                f"{document.path}: a number cannot be read: {error}"
+            ) from None
+    elif document.mesh_dir is not None or not document.is_utf8:
+        relocate(document, folder=None)
+    else:
+        is_changed = False
     try:
-        notes = make_compilable(document)
-        inertias = link_inertias(document)
-    except (ValueError, TypeError) as error:
-        raise ModelError(f"{document.path}: a number cannot be read: {error}") from None
-    mj_model = _compile(document.path, document.text().decode())
-    restore_exact_inertias(mj_model, inertias)
-    return mj_model, notes
-
-
-def _compile(path: Path, text: str | None) -> Any:
-    """Return the MjModel of a file, or of the text that stands for it; ModelError on refusal."""
-    try:
-        if text is None:
-            return mujoco.MjModel.from_xml_path(str(path))
-        return mujoco.MjModel.from_xml_string(text)
+        if is_changed:
+            mj_model = mujoco.MjModel.from_xml_string(document.text().decode())
+        else:
+            mj_model = mujoco.MjModel.from_xml_path(str(document.path))
     except FAILURES as error:
+        if not document.is_urdf:
+            # Asked only now, so that MuJoCo's own rules decide what is missing.
+            refuse_missing_assets(document)
         message = error_text(error)
-        if text is not None:
+        if is_changed:
             # The lines of the text are not those of the file.
             message = message.partition(", line")[0]
-        raise ModelError(f"MuJoCo cannot compile {path}: {message}") from None
+        raise ModelError(f"MuJoCo cannot compile {document.path}: {message}") from None
+    restore_exact_inertias(mj_model, inertias)
+    return mj_model, notes
 
 
 def _check_values(mj_model: Any, document: ModelDocument) -> None:
@@ -204,7 +193,6 @@ def restore_exact_inertias(
     Only where MuJoCo's differs by inaccuracy; a change that a compiler setting made on purpose
     stays. ``inertias``: as ``urdf.link_inertias`` returns them.
     """
-    changed = False
     for name, (_, _, inertia) in inertias.items():
         body = mujoco.mj_name2id(mj_model, int(mujoco.mjtObj.mjOBJ_BODY), name)
         moments, axes = np.linalg.eigh(inertia)
@@ -224,8 +212,7 @@ def restore_exact_inertias(
             mj_model.body_inertia[body] = moments
             axes = axes if np.linalg.det(axes) > 0.0 else -axes
             mujoco.mju_mat2Quat(mj_model.body_iquat[body], axes.ravel())
-            changed = True
-    if changed:
+    if inertias:
         mujoco.mj_setConst(mj_model, mujoco.MjData(mj_model))
 
 
