@@ -20,7 +20,7 @@ BUDGETS = {
     "robot_sysid/commands": 9765,
     "robot_sysid/damiao": 30530,
     "robot_sysid/diagnosis": 16641,
-    "robot_sysid/dynamics": 3262,
+    "robot_sysid/dynamics": 3230,
     "robot_sysid/estimate": 30204,
     "robot_sysid/logs": 15314,
     "robot_sysid/mjcf": 6842,
@@ -32,7 +32,7 @@ BUDGETS = {
     "robot_sysid/results": 10667,
     "robot_sysid/servo": 4879,
     "robot_sysid/signals": 4799,
-    "robot_sysid/simulation": 3577,
+    "robot_sysid/simulation": 3558,
     "robot_sysid": 10739,
     "tests": 228114,
 }

@@ -249,16 +249,20 @@ class LinksMotion:
         """Return the joint torque (N, n) [N m] of rigid links with inertial parameters ``thetas``
         (n, 10), base to terminal; a link with zeros has no effect.
         """
-        samples = self.velocity[0].shape[1]
-        tau = np.zeros((samples, len(thetas)))
-        wrench = np.zeros((6, samples))
+        torques = [self.screws[link] @ wrench for link, wrench in self.wrenches(thetas)]
+        return np.stack(torques[::-1], axis=-1)
+
+    def wrenches(self, thetas: Array) -> Iterator[tuple[int, Array]]:
+        """Yield, from the last link inwards, its index and the wrench (6, N) that moves it and all
+        beyond it, in its frame; ``thetas`` as in ``torque``.
+        """
+        wrench = np.zeros_like(self.velocity[0])
         for link in reversed(range(len(thetas))):
             wrench = wrench + wrench_of(
                 thetas[link], self.velocity[link], self.acceleration[link]
             )
-            tau[:, link] = self.screws[link] @ wrench
+            yield link, wrench
             wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
-        return tau
 
     def slopes(self, thetas: Array, qd: Array) -> Array:
         """Return the derivative (N, n, n) of joint torques by joint positions [N m/rad].
@@ -290,17 +294,12 @@ class LinksMotion:
             behind = wrench_of(theta, *(motion[:, :, None] - twists))
             wrench_slopes.append(0.5 * (ahead - behind))
         # Inwards: the wrench of a link and all beyond it, and the derivative of that sum.
-        wrench = np.zeros((6, samples))
         total = np.zeros((6, count, samples))
-        for link in reversed(range(count)):
-            wrench = wrench + wrench_of(
-                thetas[link], self.velocity[link], self.acceleration[link]
-            )
+        for link, wrench in self.wrenches(thetas):
             total[:, : link + 1] += wrench_slopes[link]
             slopes[:, link] = np.tensordot(self.screws[link], total, 1).T
             total[:, link] -= self.brackets[link].T @ wrench
             total = np.einsum("abn,ajn->bjn", self.steps[link], total)
-            wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
         return slopes
 
 

@@ -116,7 +116,7 @@ def chain_actuators(robot: RobotModel) -> ChainActuators:
     # An index of -1, which stands for no actuator, finds the last value.
     largest = np.max(np.abs(output_ranges(robot.mj_model)), axis=1)
     limit = np.minimum(np.append(largest, np.inf)[index], robot.limits.torque)
-    damping = kv + robot.mj_model.dof_damping[robot.dof_index]
+    damping = kv + robot.friction.viscous
     share = kv / np.maximum(damping, 1e-300)
     return ChainActuators(index, gear, stiffness, damping, limit, share)
 
@@ -150,16 +150,9 @@ def servos_in_model(robot: RobotModel) -> ServoParameters:
 
     The damping is that of joint and servo together.
     """
-    model = robot.mj_model
-    dofs = robot.dof_index
     actuators = chain_actuators(robot)
-    numbers = (
-        actuators.stiffness,
-        actuators.damping,
-        model.dof_frictionloss[dofs],
-        model.dof_armature[dofs],
-    )
-    return ServoParameters(np.stack(numbers), 0.0)
+    resistances = actuators.damping, robot.friction.coulomb, robot.armature
+    return ServoParameters(np.stack((actuators.stiffness, *resistances)), 0.0)
 
 
 @dataclass(frozen=True)
