@@ -23,12 +23,7 @@ from robot_sysid.model.chain import (
     joint_limits,
     resolve_joint,
 )
-from robot_sysid.model.compilation import (
-    InMemory,
-    compile_model,
-    compiled_in_memory,
-    is_in_memory,
-)
+from robot_sysid.model.compilation import InMemory, compile_model, is_in_memory
 from robot_sysid.model.stated import placeholder_notes, with_references
 from robot_sysid.model.units import refuse_cad_units, with_mass_scale
 from robot_sysid.records import RobotModel
@@ -60,12 +55,8 @@ def load_robot_model(
         AmbiguousJointError: several joints could be the terminal one.
         InputError: there is no such keyframe; lists those there are.
     """
-    path = Path("model")
-    if is_in_memory(model):
-        compiled = compiled_in_memory(model)
-    else:
-        path = Path(model)
-        compiled = compile_model(path, None if mesh_dir is None else Path(mesh_dir))
+    path = Path("model" if is_in_memory(model) else model)
+    compiled = compile_model(model, mesh_dir)
     mj_model = compiled.mj_model
     terminal = (
         find_terminal_joint(mj_model)

@@ -24,7 +24,7 @@ BUDGETS = {
     "robot_sysid/estimate": 30204,
     "robot_sysid/logs": 15314,
     "robot_sysid/mjcf": 6842,
-    "robot_sysid/model": 8557,
+    "robot_sysid/model": 8545,
     "robot_sysid/motion": 16280,
     "robot_sysid/pipeline": 6446,
     "robot_sysid/records": 7994,
@@ -33,7 +33,7 @@ BUDGETS = {
     "robot_sysid/servo": 4879,
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3558,
-    "robot_sysid": 10739,
+    "robot_sysid": 10712,
     "tests": 228114,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""

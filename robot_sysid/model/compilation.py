@@ -69,9 +69,9 @@ class CompiledModel:
     """
 
     mj_model: Any
-    notes: tuple[str, ...]
-    sha256: str
-    kind: str
+    notes: tuple[str, ...] = ()
+    sha256: str = ""
+    kind: str = "mjcf"
     velocity_limits: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -103,12 +103,17 @@ def warnings_as_notes(progress: Progress) -> Iterator[None]:
     progress.note(*dict.fromkeys(warnings))
 
 
-def compile_model(path: Path, mesh_dir: Path | None = None) -> CompiledModel:
+def compile_model(model: Any, mesh_dir: Any = None) -> CompiledModel:
     """Compile an MJCF or URDF file, or raise ModelError with one line on why not.
 
-    ``mesh_dir``: folder that replaces the file's own for meshes (and, in a URDF, its packages).
+    Args:
+        model: path of the file; an MjSpec or MjModel is taken with all its digits.
+        mesh_dir: folder that replaces the file's own for meshes (and, in a URDF, its packages).
     """
-    document = read_document(path, mesh_dir)
+    if is_in_memory(model):
+        mj_model = _compile_spec(model) if _is_spec(model) else model
+        return CompiledModel(with_actuators_in_joints(mj_model))
+    document = read_document(Path(model), mesh_dir)
     if mesh_dir is not None and not os.path.isdir(mesh_dir):
         raise ModelError(
             f"mesh folder {mesh_dir} is no folder; check {option_name('mesh_dir')}"
@@ -231,13 +236,6 @@ def _is_spec(model: Any) -> bool:
     """Return whether an object is an ``MjSpec``."""
     # Releases before 3.2 have none.
     return isinstance(model, getattr(mujoco, "MjSpec", ()))
-
-
-def compiled_in_memory(model: Any) -> CompiledModel:
-    """Return an MjSpec or MjModel with all its digits; ModelError where it does not compile."""
-    mj_model = _compile_spec(model) if _is_spec(model) else model
-    mj_model = with_actuators_in_joints(mj_model)
-    return CompiledModel(mj_model, notes=(), sha256="", kind="mjcf")
 
 
 def mjcf_of(path: Path, mesh_dir: Path | None = None) -> Path:
