@@ -178,7 +178,9 @@ class FaultyArm(SimulatedArm):
         model = self.mechanism._model
         data = self.mechanism._data
         jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, self.mechanism.tip(), robot.body_id)
+        self.mechanism.mobility()
+        tip = data.xipos[robot.body_id]
+        mujoco.mj_jac(model, data, jacobian, None, tip, robot.body_id)
         return jacobian[:, robot.dof_index].T @ self.push
 
     def _read_sensors(self):

@@ -17,7 +17,7 @@ from rigs.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 3853,
-    "robot_sysid/commands": 9765,
+    "robot_sysid/commands": 9798,
     "robot_sysid/damiao": 30530,
     "robot_sysid/diagnosis": 16641,
     "robot_sysid/dynamics": 3230,
@@ -32,9 +32,9 @@ BUDGETS = {
     "robot_sysid/results": 10667,
     "robot_sysid/servo": 4879,
     "robot_sysid/signals": 4799,
-    "robot_sysid/simulation": 3558,
+    "robot_sysid/simulation": 3465,
     "robot_sysid": 10712,
-    "tests": 228114,
+    "tests": 228125,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

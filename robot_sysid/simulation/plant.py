@@ -245,20 +245,6 @@ class ArmStepper:
             )
         return torque - damping * mean_velocity
 
-    def tip(self) -> Array:
-        """Return the present world position of the terminal link's centre of mass (3,) [m]."""
-        self._dynamics(self.q, self.qd)
-        return np.array(self._data.xipos[self._robot.body_id])
-
-    def axis(self, joint: int) -> Array:
-        """Return the present direction (3,) of a joint's axis in the world, a unit vector.
-
-        ``joint`` is the index in the chain.
-        """
-        self._dynamics(self.q, self.qd)
-        mujoco_joint = self._model.dof_jntid[self._robot.dof_index[joint]]
-        return np.array(self._data.xaxis[mujoco_joint])
-
     def mobility(self) -> Array:
         """Return the present inverse mass matrix (n, n) [1 / (kg m^2)]."""
         return self._dynamics(self.q, self.qd)[0]

@@ -45,17 +45,21 @@ def movement_texts(robot: RobotModel) -> list[str]:
     which the joint is seen to turn counter-clockwise.
     """
     # Imported here so that setting up and monitoring do not wait for MuJoCo.
-    from robot_sysid.simulation.plant import ArmStepper
+    from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 
-    arm = ArmStepper(robot, robot.reference)
+    model = robot.mj_model
+    joints = model.dof_jntid[robot.dof_index].tolist()
+    reference = robot.reference_qpos
+    start = data_at_pose(model, reference)
     texts = []
     # Row j of the matrix turns joint j alone, by 0.3 rad.
-    for joint, turn in enumerate(0.3 * np.eye(robot.n_joints)):
-        vector = ArmStepper(robot, robot.reference + turn).tip() - arm.tip()
+    for joint, turn in zip(joints, 0.3 * np.eye(model.nq)[robot.qpos_index]):
+        turned = data_at_pose(model, reference + turn)
+        vector = (turned.xipos - start.xipos)[robot.body_id]
         text = "the end of the arm moves towards"
         # A person sees a tip that moves by more than 2 cm.
         if not np.max(np.abs(vector)) > 0.02:
-            vector = arm.axis(joint)
+            vector = start.xaxis[joint]
             text = "it turns counter-clockwise seen from"
         axis = np.argmax(np.abs(vector))
         texts.append(f"{text} {_DIRECTIONS[axis][int(vector[axis] > 0.0)]}")
