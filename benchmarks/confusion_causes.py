@@ -20,11 +20,14 @@ from benchmarks.real_arms import SENSOR_ARMS
 from benchmarks.wrong_logs import carrying_joint
 from rigs.wrong_arms import Truth, draw_arm, link_torque, resting_torque
 from robot_sysid import spatial
-from robot_sysid.dynamics.inverse_dynamics import gravity_vector, turn_gravity
+from robot_sysid.dynamics.inverse_dynamics import (
+    ArmDynamics,
+    gravity_vector,
+    turn_gravity,
+)
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Array, Measurement
 from robot_sysid.signals.resampling import slice_samples
-from robot_sysid.simulator import ArmTorque
 
 RIGHT = "right"
 """The cause that changes nothing."""
@@ -317,7 +320,7 @@ def stale_samples(scene: Scene) -> Scene:
 
 def own_torque(noise: float, scene: Scene) -> Scene:
     """Return a log of the torques that the model itself takes, with noise [N m]."""
-    tau = ArmTorque(scene.robot)(scene.motion)
+    tau = ArmDynamics(scene.robot)(scene.motion)
     tau = tau + noise * scene.rng.normal(size=tau.shape)
     return replace(scene, log=replace(scene.log, tau=tau))
 

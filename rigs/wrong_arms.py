@@ -16,13 +16,13 @@ from rigs.synthetic_data import autocorrelated
 from robot_sysid import spatial
 from robot_sysid.dynamics.friction import FADING_SPEEDS
 from robot_sysid.dynamics.inverse_dynamics import (
+    ArmDynamics,
     LinkDynamics,
     gravity_vector,
     other_links,
     turn_gravity,
 )
 from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
-from robot_sysid.simulator import ArmTorque
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 ARMS = {
@@ -98,7 +98,7 @@ class WrongArm:
         robot = self.robot
         thetas = self.thetas.copy()
         thetas[-1] += payload
-        load = ArmTorque(robot)(motion) - robot.friction.torque(motion.qd)
+        load = ArmDynamics(robot).torque(motion.q, motion.qd, motion.qdd)
         load -= robot.armature * motion.qdd + link_torque(robot, motion, robot.thetas)
         gravity = turn_gravity(gravity_vector(robot), self.tilt)
         load += link_torque(robot, motion, thetas, gravity)
