@@ -24,21 +24,21 @@ def files_in(folder: Path) -> dict[str, bytes]:
     return contents
 
 
-def run_motors(capsys, *arguments):
-    """Run ``motors``; return exit code, output and the error: one line, and a command below."""
-    code = main(["motors", *(str(argument) for argument in arguments)])
-    out, err = capsys.readouterr()
-    text = [line for line in err.splitlines() if not line.startswith("  robot-sysid ")]
-    assert len(text) <= 1, err
-    return code, out, err
-
-
 def words_of(arguments) -> list[str]:
     """The words of a command line: a text is split at blanks, anything else is one word."""
     words = []
     for argument in arguments:
         words += argument.split(" ") if isinstance(argument, str) else [str(argument)]
     return words
+
+
+def run_motors(capsys, *arguments):
+    """Run ``motors``; return exit code, output and the error: one line, and a command below."""
+    code = main(["motors", *words_of(arguments)])
+    out, err = capsys.readouterr()
+    text = [line for line in err.splitlines() if not line.startswith("  robot-sysid ")]
+    assert len(text) <= 1, err
+    return code, out, err
 
 
 class CommandLine:

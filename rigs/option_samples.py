@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robot_sysid.commands import ConsoleOptions
+from robot_sysid.commands.arguments import CONSOLE
 from robot_sysid.config import Config
 from robot_sysid.estimate.options import Priors
-from robot_sysid.records.option_fields import Option, options_of
+from robot_sysid.records.option_fields import Option, command_arguments, options_of
 
 # Values that cannot be made from the kind of value alone.
 _CHOSEN = {
@@ -49,23 +49,17 @@ class Sample:
     @property
     def words(self) -> list[str]:
         """What is typed to give it that value."""
-        flag = self.option.flag
-        if self.value is True:
-            return [flag]
-        arguments = []
-        for value in self.value if self.option.repeats else (self.value,):
-            values = value if isinstance(value, tuple) else (value,)
-            arguments += [flag, *map(str, values)]
-        return arguments
+        return command_arguments({self.option.key: self.value}, [self.option])
 
 
 def samples(config_type: type[Config]) -> Iterator[Sample]:
     """Yield a sample of every option of a command."""
-    for name, record in config_type.records().items():
-        for field, option in options_of(record).items():
-            if option.key in config_type.option_keys():
-                value = _value(option)
-                yield Sample(name, field, option, value)
+    for name, options in config_type.options().items():
+        fields = {
+            o.key: field for field, o in options_of(config_type.records()[name]).items()
+        }
+        for option in options:
+            yield Sample(name, fields[option.key], option, _value(option))
 
 
 def _value(option: Option) -> Any:
@@ -86,5 +80,5 @@ def _value(option: Option) -> Any:
 def keys_of(parser: argparse.ArgumentParser) -> set[str]:
     """Return the keys of the options that a parser takes, the console's left out."""
     keys = {action.dest for action in parser._actions}
-    console = {option.key for option in options_of(ConsoleOptions).values()}
-    return keys - console - {"help", "version", "help_all", "path", "log"}
+    console = {option.key for option in CONSOLE}
+    return keys - console - {"help", "version", "help_all", "path"}

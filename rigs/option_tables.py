@@ -12,82 +12,68 @@ from collections.abc import Mapping, Sequence
 
 from rigs.command_line import COMMANDS
 from rigs.places import ROOT
-from robot_sysid.commands import ConsoleOptions
-from robot_sysid.commands.arguments import default_text
-from robot_sysid.commands.motors import PlayChoices
-from robot_sysid.commands.motors.mapping import MapOptions
-from robot_sysid.commands.motors.setup import MonitorOptions, SetupOptions
+from robot_sysid.commands import motors
+from robot_sysid.commands.arguments import CONSOLE, argument_settings, default_text
 from robot_sysid.config import (
     MotorOptions,
     OutputOptions,
     PayloadOptions,
     SelfTestConfig,
 )
-from robot_sysid.damiao.adapters import BusAddress
-from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.settings import Permissions, PlaySettings, RecordingOptions
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.model import ModelOptions
 from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
-from robot_sysid.records.option_fields import Option, TrajectoryOptions, options_of
+from robot_sysid.records.option_fields import Option, TrajectoryOptions, options_of_all
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.wording import with_option_names
 
 PAGES = (ROOT / "README.md", ROOT / "docs" / "options.md")
-TABLES: Mapping[str, Sequence[type]] = {
-    "model and output": (ModelOptions, OutputOptions),
-    "trajectory": (TrajectoryOptions,),
-    "excitation": (ExcitationOptions,),
-    "limits": (LimitOptions,),
-    "measurements": (FittedLogOptions,),
-    "simulated plant": (SimulatedArmOptions,),
-    "estimation": (EstimationOptions,),
-    "priors": (Priors,),
-    "Damiao motors": (MotorOptions,),
-    "main": tuple(SelfTestConfig.records().values()),
-    "plan for a payload": (AimOptions,),
-    "console": (ConsoleOptions,),
-    "payload": (PayloadOptions,),
-    "motors: bus": (BusAddress, BusTiming),
-    "motors: motion and limits": (PlaySettings,),
-    "motors: what to allow": (Permissions,),
-    "motors: recording": (RecordingOptions,),
-    "motors: setup": (SetupOptions,),
-    "motors: monitor": (MonitorOptions,),
-    "motors: map": (MapOptions,),
-    "motors: play and simulate": (PlayChoices,),
+_MAIN = COMMANDS[""].main
+TABLES: Mapping[str, Sequence[Option]] = {
+    "model and output": options_of_all(ModelOptions, OutputOptions),
+    "trajectory": options_of_all(TrajectoryOptions),
+    "excitation": options_of_all(ExcitationOptions),
+    "limits": options_of_all(LimitOptions),
+    "measurements": options_of_all(FittedLogOptions),
+    "simulated plant": options_of_all(SimulatedArmOptions),
+    "estimation": options_of_all(EstimationOptions),
+    "priors": options_of_all(Priors),
+    "Damiao motors": options_of_all(MotorOptions),
+    "main": options_of_all(*SelfTestConfig.records().values(), only=_MAIN),
+    "plan for a payload": options_of_all(AimOptions),
+    "payload": options_of_all(PayloadOptions),
+    "console": CONSOLE,
+    **{
+        f"motors: {title}": options
+        for command in motors.COMMANDS
+        for title, options in command.groups.items()
+        # Arguments, and what other tables list.
+        if title not in ("", "arm", "limits")
+    },
 }
-"""Name of a table to the records whose options it lists; of "main" only the main options."""
+"""Name of a table to the options that it lists; of a group of motors' options its heading."""
 _PLACE = re.compile(r"(<!-- options: (.*?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
 def table(name: str) -> str:
     """Return the table of a name in ``TABLES``."""
     rows = ["| Option | Default | Meaning |", "| --- | --- | --- |"]
-    for record in TABLES[name]:
-        for field, option in options_of(record).items():
-            is_main = name != "main" or option.key in COMMANDS[""].main
-            if option.is_argument or not is_main:
-                continue
-            shown = default_text(option)
-            if shown and not option.default_text:
-                shown = f"`{shown}`"
-            form = f"`{field}`" if name == "priors" else _typed_form(option)
-            cells = (form, shown, _meaning(option))
-            rows.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
+    for option in TABLES[name]:
+        if option.is_argument:
+            continue
+        shown = default_text(option)
+        if shown and not option.default_text:
+            shown = f"`{shown}`"
+        form = f"`{option.key}`" if name == "priors" else _typed_form(option)
+        cells = (form, shown, _meaning(option))
+        rows.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
     return "\n".join(rows) + "\n"
 
 
 def _typed_form(option: Option) -> str:
-    text = option.key.upper()
-    if isinstance(option.default, bool):
-        text = ""
-    elif option.metavar:
-        names = option.metavar
-        text = names if isinstance(names, str) else " ".join(names)
-    elif option.choices:
-        text = "{" + ",".join(option.choices) + "}"
+    names = argument_settings(option).get("metavar", "")
+    text = names if isinstance(names, str) else " ".join(names)
     short = f", `{option.short}`" if option.short else ""
     return f"`{f'{option.flag} {text}'.strip()}`{short}"
 

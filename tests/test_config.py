@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigs import option_samples
+from rigs.command_line import COMMANDS
 from robot_sysid.config import (
     IdentifyConfig,
     PayloadConfig,
@@ -29,9 +30,16 @@ from robot_sysid.records.option_fields import write_torque_scale
 MODEL = Path("arm.xml")
 LOG = {"measurements": (Path("log.csv"),)}
 PLANT = {"plant_model": Path("truth.xml")}
-FILE = {"trajectory": Path("saved.json")}
 MOTORS = {"export_damiao": True, "motor_type": ("DM4340",)}
 LOGS = {"empty": (Path("a.csv"),), "loaded": (Path("b.csv"),)}
+PAYLOAD = "payload a.xml --empty a.csv --loaded b.csv"
+CONFIGS = {
+    "": SelfTestConfig,
+    "plan": PlanConfig,
+    "identify": IdentifyConfig,
+    "payload": PayloadConfig,
+}
+"""Class of the options of each command that estimates or plans."""
 CONTEXTS = {
     SelfTestConfig: ({}, PLANT, MOTORS),
     PlanConfig: ({}, {"for_": "payload"}, MOTORS),
@@ -66,68 +74,72 @@ def test_every_option_of_a_command_is_accepted_in_some_run_and_kept(config_class
             assert sample.option.key in ("torque_from", "motor_type"), sample.option.key
 
 
+REFUSED = {
+    "a.xml --noise-torque 0.1": "--noise-torque belongs to a simulated plant",
+    "a.xml --duration 0": "--duration must be positive",
+    "a.xml --duration=--": "--duration must be a number",
+    "a.xml --duration long": "argument --duration: invalid float value",
+    "a.xml --speed 1e-12": "a trajectory of 1.5e+13 s with --sample-rate 1000 has",
+    "a.xml --torques all": "argument --torques: invalid choice: 'all'",
+    "a.xml --output-di a": "unrecognized arguments: --output-di a; --output-di: did you mean --ou",
+    "a.xml --export-damiao": "--export-damiao requires at least one --motor-type; ",
+    "a.xml --motor-type DM4340": "--motor-type requires --export-damiao",
+    "a.xml --trajectory b.json --duration 3": "--trajectory and --duration ex",
+    "identify a.xml b.csv --friction-model glue": "unknown friction term",
+    "identify a.xml b.csv --no-friction --friction-model coulomb": (
+        "--friction-model and --no-friction exclude each other"
+    ),
+    "identify a.xml b.csv --no-friction --keep friction": "--keep friction and --no-friction ex",
+    "identify a.xml b.csv --torque-from position-error --torque-scale 2": (
+        "--torque-scale is about measured torques"
+    ),
+    "identify a.xml b.csv --torque-from position-error --keep links": (
+        "--keep is about measured torques"
+    ),
+    "payload a.xml": "--empty LOG... is missing",
+    "payload a.xml --empty a.csv": "--loaded LOG... is missing",
+    f"{PAYLOAD} --order AAB": "--order AAB",
+    f"{PAYLOAD} --known-mass 1 --as-body load": "--known-mass writes no model",
+    f"{PAYLOAD} --save-torque-scale s": "--save-torque-scale is about",
+    "a.xml --save-trajectory a.xml": "--save-trajectory would overwrite",
+    "a.xml --trajectory b.json --save-trajectory b.json": "--save-trajectory would ov",
+    "a.xml --save-measurements a.xml": "--save-measurements would overwrite",
+    "a.xml --save-trajectory a.json --save-measurements a.csv": (
+        "--save-measurements would overwrite what the CSV file beside --save-trajectory writes"
+    ),
+    "plan a.xml --trajectory sysid_output/trajectory.json": "--output-dir would overwrite",
+    "identify a.xml sysid_output/params.json": "--output-dir would overwrite",
+    f"{PAYLOAD} sysid_output/payload_card.txt": "--output-dir would overwrite",
+}
+"""Command line to the beginning of the message with which it is refused before any work."""
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_what_means_nothing_or_excludes_each_other_is_refused(line):
+    name, *words = line.split()
+    if name not in COMMANDS:
+        name, words = "", [name, *words]
+    with pytest.raises(InputError) as caught:
+        values, _ = COMMANDS[name].parse(words)
+        CONFIGS[name].of(**values)
+    assert str(caught.value).startswith(REFUSED[line])
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("config", "values", "message"),
     [
-        (SelfTestConfig, {"noise_torque": 0.1}, "--noise-torque belongs to a simul"),
-        (SelfTestConfig, {"duration": 0.0}, "--duration must be positive"),
-        (SelfTestConfig, {"speed": 1e-12}, "a trajectory of 1.5e+13 s with --samp"),
-        (SelfTestConfig, {"torques": "all"}, "--torques 'all': choose one of"),
-        (
-            SelfTestConfig,
-            {"export_damiao": True},
-            "--export-damiao requires at least one --motor-type; ",
-        ),
-        (
-            SelfTestConfig,
-            {"motor_type": ("DM4340",)},
-            "--motor-type requires --export-damiao",
-        ),
-        (SelfTestConfig, {**FILE, "duration": 3.0}, "--trajectory and --duration ex"),
         (SelfTestConfig, LOG, "unknown option 'measurements'"),
         (IdentifyConfig, {**LOG, "frictio_model": "x"}, "unknown option 'frictio_mod"),
-        (IdentifyConfig, {**LOG, "friction_model": "glue"}, "unknown friction term"),
-        (
-            IdentifyConfig,
-            {**LOG, "friction_model": "coulomb", "no_friction": True},
-            "--friction-model and --no-friction exclude each other",
-        ),
-        (
-            IdentifyConfig,
-            {**LOG, "keep": "friction", "no_friction": True},
-            "--keep friction and --no-friction exclude each other",
-        ),
-        (
-            IdentifyConfig,
-            {**LOG, "torque_from": "position-error", "torque_scale": 2.0},
-            "--torque-scale is about measured torques",
-        ),
-        (
-            IdentifyConfig,
-            {**LOG, "torque_from": "position-error", "priors": {"scale": 1.0}},
-            "--priors is about measured torques",
-        ),
-        (PayloadConfig, {}, "--empty LOG... is missing"),
-        (PayloadConfig, {"empty": (Path("a.csv"),)}, "--loaded LOG... is missing"),
-        (PayloadConfig, {**LOGS, "order": "AAB"}, "--order AAB"),
-        (
-            PayloadConfig,
-            {**LOGS, "known_mass": 1.0, "as_body": "load"},
-            "--known-mass writes no",
-        ),
+        (SelfTestConfig, {"torques": "all"}, "--torques 'all': choose one of"),
         (
             PayloadConfig,
             {**LOGS, "known_mass": 1.0, "priors": {"scale": 0.0}},
             "--known-mass estimates torque scales",
         ),
-        (
-            PayloadConfig,
-            {**LOGS, "save_torque_scale": Path("s")},
-            "--save-torque-scale is about",
-        ),
     ],
 )
-def test_what_means_nothing_or_excludes_each_other_is_refused(config, values, message):
+def test_what_no_command_line_can_say_is_refused(config, values, message):
     assert refusal(config, **values).startswith(message)
 
 
@@ -147,25 +159,6 @@ def test_scales_are_as_sure_as_their_file_says_unless_the_user_says(tmp_path):
     assert sure(torque_scale=path) is sure(torque_scale=1.1) is sure() is None
 
 
-@pytest.mark.parametrize(
-    ("config", "values"),
-    [
-        (SelfTestConfig, {"save_trajectory": MODEL}),
-        (SelfTestConfig, {**FILE, "save_trajectory": Path("saved.json")}),
-        (SelfTestConfig, {"save_measurements": MODEL}),
-        (
-            SelfTestConfig,
-            {"save_trajectory": Path("a.json"), "save_measurements": Path("a.csv")},
-        ),
-        (PlanConfig, {"trajectory": Path("sysid_output/trajectory.json")}),
-        (IdentifyConfig, {"measurements": Path("sysid_output/params.json")}),
-        (PayloadConfig, {**LOGS, "loaded": Path("sysid_output/payload_card.txt")}),
-    ],
-)
-def test_no_file_is_written_over_another_one(config, values):
-    assert "would overwrite" in refusal(config, **values)
-
-
 @given(st.floats(0.01, 1e5), st.floats(0.01, 1e5))
 def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_accepted(
     duration, rate
@@ -180,17 +173,14 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
         assert "less than two samples" in refusal(SelfTestConfig, **values)
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({}, friction_terms(DEFAULT_MEASURED)),
-        ({"no_friction": True}, ()),
-        ({"friction_model": "coulomb-load"}, friction_terms("coulomb-load")),
-        ({"torques": "terminal"}, friction_terms(DEFAULT_TERMINAL)),
-    ],
-)
-def test_friction_has_the_usual_terms_unless_it_is_said(options, expected):
-    assert EstimationOptions(**options).friction == expected
+def test_friction_has_the_usual_terms_unless_it_is_said():
+    for terms, options in (
+        (DEFAULT_MEASURED, {}),
+        ("none", {"no_friction": True}),
+        ("coulomb-load", {"friction_model": "coulomb-load"}),
+        (DEFAULT_TERMINAL, {"torques": "terminal"}),
+    ):
+        assert EstimationOptions(**options).friction == friction_terms(terms)
 
 
 def test_priors_are_read_from_toml_and_json_and_are_else_the_usual_ones(tmp_path):
@@ -205,23 +195,20 @@ def test_priors_are_read_from_toml_and_json_and_are_else_the_usual_ones(tmp_path
         assert vars(priors) == {**vars(expected), "file": priors.file}
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        (
-            "scal = 1",
-            "there is no prior 'scal'; priors are numbers by these names: link,",
-        ),
-        ("link = 'x'", "link must be a number (got 'x'); priors are numbers by"),
-        ("link = -1", "link must be a number that is not negative (got -1); priors"),
-        ("noise = 0", "noise must be positive (got 0); priors are"),
-        ("link = nan", "link must be a number that is not negative"),
-        ("link", "cannot read "),
-    ],
-)
-def test_a_file_of_priors_that_cannot_be_used_is_refused(tmp_path, text, complaint):
+COMPLAINTS = {
+    "scal = 1": "there is no prior 'scal'; priors are numbers by these names: link,",
+    "link = 'x'": "link must be a number (got 'x'); priors are numbers by",
+    "link = -1": "link must be a number that is not negative (got -1); priors",
+    "noise = 0": "noise must be positive (got 0); priors are",
+    "link = nan": "link must be a number that is not negative",
+    "link": "cannot read ",
+}
+
+
+@pytest.mark.parametrize("text", COMPLAINTS)
+def test_a_file_of_priors_that_cannot_be_used_is_refused(tmp_path, text):
     path = tmp_path / "priors.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=r"priors\.toml") as caught:
         read_priors(path)
-    assert complaint in str(caught.value) and "\n" not in str(caught.value)
+    assert COMPLAINTS[text] in str(caught.value) and "\n" not in str(caught.value)

@@ -117,7 +117,7 @@ class Parser(argparse.ArgumentParser):
         main = self._command.main
         help_group = self.add_argument_group(title)
         for option in group:
-            settings = _settings(option)
+            settings = argument_settings(option)
             if option.is_argument:
                 self._arguments.append(self.add_argument(option.flag, **settings))
                 continue
@@ -199,7 +199,7 @@ def default_text(option: options.Option) -> str:
     return f"{default:g}" if isinstance(default, float) else str(default)
 
 
-def _settings(option: options.Option) -> dict[str, Any]:
+def argument_settings(option: options.Option) -> dict[str, Any]:
     """Return the arguments of argparse's ``add_argument`` for an option, without its name.
 
     A truth value for its default makes it a switch without a value.

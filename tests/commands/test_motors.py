@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from rigs import arms
-from rigs.command_line import fail, succeed
+from rigs.command_line import fail, succeed, words_of
 from rigs.command_line import run_motors as run
 from rigs.damiao_rig import (
     fault,
@@ -33,8 +33,8 @@ from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.damiao.protocol import DISABLED, Register
 
-CAN0 = ("--channel", "can0")
-AT_100 = ("--rate", "100")
+CAN0 = "--channel can0"
+AT_100 = "--rate 100"
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def no_real_time(monkeypatch):
 
 def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
     bus.motors[1].registers[Register.TIMEOUT] = 100000.0
-    out = succeed(capsys, "check", trajectory, *CAN0)
+    out = succeed(capsys, "check", trajectory, CAN0)
     assert "ready to play" in out
     assert re.search(
         r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms .* 31/29 +status 0", out
@@ -83,8 +83,9 @@ def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
 
 
 def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
-    limits = ["--max-velocity", "9", "--max-torque", "20,27"]
-    assert main(["motors", "check", str(trajectory), *CAN0, "--json", *limits]) == 0
+    limits = "--max-velocity 9 --max-torque 20,27"
+    check = ("motors check", trajectory, CAN0, "--json", limits)
+    assert main(words_of(check)) == 0
     printed = capsys.readouterr()
     answer = json.loads(printed.out)
     assert (answer["command"], answer["exit_code"]) == ("check", 0)
@@ -92,14 +93,14 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
         answer["lines"] == printed.err.splitlines()
         and answer["lines"][-3:] == answer["verdict"]
     )
-    record = str(trajectory.with_name("slow.csv"))
-    command_options = [*CAN0, "--speed", "0.3", "--record", record, *limits]
-    following = ["robot-sysid", "motors", "play", str(trajectory), *command_options]
+    record = trajectory.with_name("slow.csv")
+    options = (CAN0, "--speed 0.3 --record", record, limits)
+    following = words_of(("robot-sysid motors play", trajectory, *options))
     assert answer["verdict"][0] == "Usable: ready to play"
     assert shlex.split(answer["verdict"][2]) == following
     assert answer["next_step"]["command"] == following
     fault("mode", 0, 2)(bus)
-    assert main(["motors", "play", str(trajectory), *CAN0, "--yes", "--json"]) == 3
+    assert main(words_of(("motors play", trajectory, CAN0, "--yes --json"))) == 3
     answer = json.loads(capsys.readouterr().out)
     assert answer["verdict"][0].startswith(
         "Not usable: not played: motor 1 is in mode 2"
@@ -109,7 +110,7 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
 def test_check_says_what_has_to_change(capsys, bus, trajectory):
     fault("mode", 0, 2)(bus)
     fault("tmax", 1, 40.0)(bus)
-    code, out, _ = run(capsys, "check", trajectory, *CAN0)
+    code, out, _ = run(capsys, "check", trajectory, CAN0)
     assert code == 1
     assert "[STOP] motor 1 is in mode 2 (POS_VEL); set CTRL_MODE to 1 (MIT)" in out
     assert "not DM4340!" in out and "2 to change before playing" in out
@@ -120,8 +121,9 @@ def test_check_says_what_has_to_change(capsys, bus, trajectory):
 
 def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
     record = tmp_path / "measured.csv"
-    arguments = ("--yes", "--record", record, "--kd", "2", "--rate", "100")
-    out = succeed(capsys, "play", trajectory, *CAN0, *arguments)
+    out = succeed(
+        capsys, "play", trajectory, CAN0, AT_100, "--yes --kd 2 --record", record
+    )
     assert "all motors are disabled" in out
     assert [m.status for m in bus.motors] == [DISABLED] * 2
     recording = read_recording(record)
@@ -131,21 +133,21 @@ def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
 
 def test_check_without_a_bus_checks_the_file(capsys, bus, trajectory):
     succeed(capsys, "check", trajectory)
-    code, out, _ = run(capsys, "check", trajectory, "--rate", "2000")
+    code, out, _ = run(capsys, "check", trajectory, "--rate 2000")
     assert code == 1 and "limit 70 %; use --rate 250" in out
     assert bus.wire is None
 
 
 def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
-    err = fail(capsys, 2, "play", trajectory, *CAN0)
+    err = fail(capsys, 2, "play", trajectory, CAN0)
     assert "give --yes" in err
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda prompt: "no")
-    err = fail(capsys, 2, "play", trajectory, *CAN0)
+    err = fail(capsys, 2, "play", trajectory, CAN0)
     assert "not confirmed" in err
     assert only_asks(bus.wire.sent)
     monkeypatch.setattr("builtins.input", lambda prompt: " Yes ")
-    succeed(capsys, "play", trajectory, *CAN0, *AT_100)
+    succeed(capsys, "play", trajectory, CAN0, AT_100)
 
 
 def test_existing_recordings_are_kept_and_nobody_is_asked_first(
@@ -154,11 +156,11 @@ def test_existing_recordings_are_kept_and_nobody_is_asked_first(
     record = ("--record", tmp_path / "measured.csv")
     existing = tmp_path / "measured.csv"
     existing.write_text("precious")
-    err = fail(capsys, 2, "play", trajectory, *CAN0, *record)
+    err = fail(capsys, 2, "play", trajectory, CAN0, *record)
     assert f"{existing.name} exists" in err
     assert existing.read_text() == "precious"
     assert sorted(tmp_path.iterdir()) == sorted([trajectory, existing])
-    succeed(capsys, "play", trajectory, *CAN0, *record, *AT_100, "--yes", "--overwrite")
+    succeed(capsys, "play", trajectory, CAN0, *record, AT_100, "--yes", "--overwrite")
     assert (
         read_recording(tmp_path / "measured.csv").ending == "completed"
         and person[1] == []
@@ -170,7 +172,7 @@ def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
         raise KeyboardInterrupt
 
     person[0].append(interrupt)
-    err = fail(capsys, 130, "play", trajectory, *CAN0)
+    err = fail(capsys, 130, "play", trajectory, CAN0)
     assert "no motor is enabled" in err
     assert only_asks(bus.wire.sent)
 
@@ -178,24 +180,20 @@ def test_interrupting_before_anything_moves(capsys, bus, trajectory, person):
 # --- usage --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("arguments", "command_options"),
-    [
-        (["fly"], "unknown command 'fly'; valid: simulate, check, play, setup"),
-        (["check"], "the following arguments are required: TRAJECTORY"),
-        (["play", "T"], "this command needs --channel"),
-        (["play", *CAN0], "the following arguments are required: TRAJECTORY"),
-        (["play", "missing.csv", *CAN0], "cannot read missing.csv"),
-        (["check", "T", *CAN0, "--interface", "udp_multicast"], "invalid choice: 'udp_multicast'"),
-        (["simulate", "T"], "the following arguments are required: --model"),
-    ],
-)  # fmt: skip
-def test_bad_usage_is_one_line_and_exit_code_2(
-    capsys, trajectory, model, arguments, command_options
-):
-    files = {"T": trajectory, "M": model}
-    err = fail(capsys, 2, *(files.get(word, word) for word in arguments))
-    assert command_options in err, err
+BAD_USAGE = {
+    "fly": "unknown command 'fly'; valid: simulate, check, play, setup",
+    "check": "the following arguments are required: TRAJECTORY",
+    "play T": "this command needs --channel",
+    "play --channel can0": "the following arguments are required: TRAJECTORY",
+    "play missing.csv --channel can0": "cannot read missing.csv",
+    "check T --interface udp_multicast": "invalid choice: 'udp_multicast'",
+    "simulate T": "the following arguments are required: --model",
+}
+
+
+def test_bad_usage_is_one_line_and_exit_code_2(capsys, trajectory):
+    for line, message in BAD_USAGE.items():
+        assert message in fail(capsys, 2, line.replace("T", str(trajectory))), line
 
 
 # --- a model of the arm -------------------------------------------------------------------------
@@ -209,16 +207,16 @@ def refused_by(capsys, folder, trajectory, path):
     files = set(folder.iterdir())
     message = []
     for arguments in (
-        ("play", trajectory, "--model", path, *CAN0, "--yes", "--record", record),
+        ("play", trajectory, "--model", path, CAN0, "--yes --record", record),
         ("simulate", trajectory, "--model", path, "--record", record),
-        ("simulate", trajectory, "--model", path, *CAN0),
+        ("simulate", trajectory, "--model", path, CAN0),
     ):
         err = fail(capsys, 3, *arguments)
         text = err.splitlines()[0]
         message.append(
             text.partition(" played: ")[2] or text.partition("not rehearsed: ")[2]
         )
-    for channel in (CAN0, ()):
+    for channel in ((CAN0,), ()):
         code, out, _ = run(capsys, "check", trajectory, "--model", path, *channel)
         assert code == 1
         lines = [line.partition("[STOP] ") for line in out.splitlines()]
@@ -245,16 +243,15 @@ def test_a_trajectory_beyond_the_joint_ranges_is_refused(
 
 def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):
     """At 0.31 rad/s; planes only with a model."""
-    err = fail(capsys, 3, "play", trajectory, *CAN0, "--yes", "--max-velocity", "0.3")
+    err = fail(capsys, 3, "play", trajectory, CAN0, "--yes --max-velocity 0.3")
     assert "rad/s is beyond your limit 0.3" in err
-    plane = "--keep-out", "0", "0", "1", "0"
-    err = fail(capsys, 2, "play", trajectory, *CAN0, "--yes", *plane)
+    err = fail(capsys, 2, "play", trajectory, CAN0, "--yes --keep-out 0 0 1 0")
     assert "--keep-out is about a model; add --model" in err
     assert only_asks(bus.wire.sent)
 
 
 def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file):
-    err = fail(capsys, 2, "play", trajectory, *CAN0, "--model", arm_file(arms.THREE))
+    err = fail(capsys, 2, "play", trajectory, CAN0, "--model", arm_file(arms.THREE))
     assert "has 2 joints but the chain" in err and "has 3" in err
     assert bus.wire is None
 
@@ -271,7 +268,7 @@ def test_a_rehearsal_takes_no_real_time_and_reads_its_model_once(
         parser, "load_robot_model", lambda *a, **k: read.append(a) or load(*a, **k)
     )
     record = tmp_path / "measured.csv"
-    arguments = ("--model", model, "--fd", "--rate", "250", "--record", record)
+    arguments = ("--model", model, "--fd --rate 250 --record", record)
     out = succeed(capsys, "simulate", trajectory, *arguments)
     assert (
         "played 126 cycles, 0 skipped; started late by 0.00 ms" in out
@@ -288,7 +285,7 @@ def test_a_map_names_the_joints_in_what_is_said_about_motors(
     table = tmp_path / "map.csv"
     write_joint_map(table, [map_line("hip", 1, 0x11), map_line("knee", 2, 0x12)])
     fault("watchdog", 1, 0.0)(bus)
-    code, out, _ = run(capsys, "check", trajectory, *CAN0, "--joint-map", table)
+    code, out, _ = run(capsys, "check", trajectory, CAN0, "--joint-map", table)
     assert code == 1 and "[STOP] motor 2 (joint knee)'s watchdog of 0 ms" in out
     message = [
         line for line in out.splitlines() if line.startswith("[") and "motor 1" in line
@@ -299,7 +296,7 @@ def test_a_map_names_the_joints_in_what_is_said_about_motors(
 # --- real time ----------------------------------------------------------------------------------
 
 # Wide enough for most computers; one that has other things to do keeps time for what may go first.
-SLOWLY = ("--rate", "25", "--max-tracking-error", "1")
+SLOWLY = ["--rate", "25", "--max-tracking-error", "1"]
 PROGRAM = (sys.executable, "-m", "robot_sysid", "motors")
 
 

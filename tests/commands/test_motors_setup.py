@@ -6,7 +6,6 @@ import pytest
 
 from rigs import arms
 from rigs.command_line import fail, succeed
-from rigs.command_line import run_motors as run
 from rigs.damiao_rig import only_asks
 from robot_sysid.damiao.joints import read_joint_map
 from robot_sysid.damiao.protocol import (
@@ -19,7 +18,8 @@ from robot_sysid.damiao.protocol import (
     is_special,
 )
 
-CAN0 = ("--channel", "can0")
+SETUP = "setup --channel can0"
+MAP = "map --channel can0 --model"
 
 
 def drives_nothing(frames):
@@ -30,7 +30,7 @@ def drives_nothing(frames):
 
 
 def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
-    out = succeed(capsys, "setup", *CAN0)
+    out = succeed(capsys, SETUP)
     assert "DM4340" in out
     assert only_asks(bus.wire.sent)
 
@@ -38,38 +38,21 @@ def test_setup_alone_lists_the_motors_and_changes_nothing(capsys, bus):
 def test_setup_changes_what_it_is_told_and_says_what_was_there(capsys, bus):
     motor = bus.motors[0]
     motor.registers[Register.CTRL_MODE] = 2.0
-    options = (
-        "--motor",
-        1,
-        "--new-id",
-        5,
-        "--new-master-id",
-        "0x15",
-        "--mit",
-        "--watchdog",
-        "0.2",
-    )
-    out = succeed(capsys, "setup", *CAN0, *options, "--store")
+    options = "--motor 1 --new-id 5 --new-master-id 0x15 --mit --watchdog 0.2 --store"
+    out = succeed(capsys, SETUP, options)
     assert (
         "motor 1: CTRL_MODE=2 is now CTRL_MODE=1" in out
         and "ESC_ID=1 is now ESC_ID=5" in out
     )
     assert "MST_ID=17 is now MST_ID=21" in out and "keeps its values" in out
-    values = [
-        motor.registers[n]
-        for n in (
-            Register.ESC_ID,
-            Register.MST_ID,
-            Register.CTRL_MODE,
-            Register.TIMEOUT,
-        )
-    ]
+    changed = Register.ESC_ID, Register.MST_ID, Register.CTRL_MODE, Register.TIMEOUT
+    values = [motor.registers[number] for number in changed]
     assert values == [5.0, 21.0, 1.0, 4000.0] and motor.stored == motor.registers
     assert bus.motors[1].stored == {} and drives_nothing(bus.wire.sent)
 
 
 def test_nothing_is_stored_unless_asked_for(capsys, bus):
-    succeed(capsys, "setup", *CAN0, "--motor", 1, "--watchdog", "0.2")
+    succeed(capsys, SETUP, "--motor 1 --watchdog 0.2")
     assert (
         bus.motors[0].registers[Register.TIMEOUT] == 4000.0
         and bus.motors[0].stored == {}
@@ -77,78 +60,55 @@ def test_nothing_is_stored_unless_asked_for(capsys, bus):
     assert not any(f.id == REGISTER_ID and f.data[2] == STORE for f in bus.wire.sent)
 
 
-@pytest.mark.parametrize(
-    "change", [("--mit",), ("--clear-error",), ("--store",), ("--new-id", 3)]
-)
+@pytest.mark.parametrize("change", ["--mit", "--clear-error", "--store", "--new-id 3"])
 def test_an_enabled_motor_is_never_changed(capsys, bus, change):
     bus.motors[0].status = ENABLED
     bus.motors[0].registers[Register.TIMEOUT] = 0.0
     registers = dict(bus.motors[0].registers)
-    err = fail(capsys, 3, "setup", *CAN0, "--motor", 1, *change)
+    err = fail(capsys, 3, SETUP, "--motor 1", change)
     assert "motor 1 is enabled" in err
     assert bus.motors[0].registers == registers and only_asks(bus.wire.sent)
 
 
 def test_an_error_is_cleared_by_name(capsys, bus):
     bus.motors[1].status = 0xA
-    out = succeed(capsys, "setup", *CAN0, "--motor", 2, "--clear-error")
+    out = succeed(capsys, SETUP, "--motor 2 --clear-error")
     assert "status A: over-current is now status 0" in out
     assert bus.motors[1].status == DISABLED
 
 
-@pytest.mark.parametrize(
-    ("options", "message", "code"),
-    [
-        (("--mit",), "--motor says which motor", 2),
-        (("--motor", 9, "--mit"), "no motor answers to CAN id 9", 3),
-        (
-            ("--motor", 1, "--new-id", 2),
-            "CAN id 0x02 is used by more than one motor",
-            2,
-        ),
-        (
-            ("--motor", 1, "--new-master-id", "0x02"),
-            "taken as commands by the motor with CAN",
-            2,
-        ),
-        (
-            ("--motor", 1, "--new-master-id", "0x102"),
-            "taken as commands by the motor with CAN",
-            2,
-        ),
-        (
-            ("--motor", 1, "--new-master-id", "0x12"),
-            "master id 0x12 is used by more than one",
-            2,
-        ),
-        (
-            ("--motor", 1, "--new-id", 3, "--new-master-id", 2),
-            "commands by the motor with",
-            2,
-        ),
-        (("--motor", 1, "--new-id", 16), "CAN id 16 is outside 1 to 15", 2),
-    ],
-)
-def test_what_cannot_be_meant_is_refused(capsys, bus, options, message, code):
-    got, _, err = run(capsys, "setup", *CAN0, *options)
-    assert got == code and message in err
-    assert bus.wire is None or only_asks(bus.wire.sent)
+REFUSED = {
+    "--mit": "--motor says which motor",
+    "--motor 1 --new-id 2": "CAN id 0x02 is used by more than one motor",
+    "--motor 1 --new-master-id 0x02": "taken as commands by the motor with CAN",
+    "--motor 1 --new-master-id 0x102": "taken as commands by the motor with CAN",
+    "--motor 1 --new-master-id 0x12": "master id 0x12 is used by more than one",
+    "--motor 1 --new-id 3 --new-master-id 2": "commands by the motor with",
+    "--motor 1 --new-id 16": "CAN id 16 is outside 1 to 15",
+}
 
 
-@pytest.mark.parametrize("options", [("--new-master-id", "0x13"), ("--new-id", 3)])
+def test_what_cannot_be_meant_is_refused(capsys, bus):
+    for options, message in REFUSED.items():
+        assert message in fail(capsys, 2, SETUP, options), options
+        assert bus.wire is None or only_asks(bus.wire.sent)
+    assert "no motor answers to CAN id 9" in fail(capsys, 3, SETUP, "--motor 9 --mit")
+
+
+@pytest.mark.parametrize("option", ["--new-master-id 0x13", "--new-id 3"])
 def test_ids_of_motors_that_already_clash_can_be_put_right_one_by_one(
-    capsys, bus, options
+    capsys, bus, option
 ):
     """As they come from the factory: all answer on 0, and one's answers are another's commands."""
     for motor in bus.motors:
         motor.registers[Register.MST_ID] = 0.0
     bus.motors[1].registers[Register.MST_ID] = 0x101
-    succeed(capsys, "setup", *CAN0, "--motor", 1, *options)
+    succeed(capsys, SETUP, "--motor 1", option)
 
 
 def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
     bus.arm.mechanism.q[:] = [0.25, -0.5]
-    out = succeed(capsys, "monitor", *CAN0, "--for", "1", "--every", "0.3")
+    out = succeed(capsys, "monitor --channel can0 --for 1 --every 0.3")
     assert out.count("0x11") == 4 and " 0.250 " in out and "-0.500" in out
     assert only_asks(bus.wire.sent)
 
@@ -174,18 +134,14 @@ def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, model):
         q[:] = [0.3, -0.1]
 
     waiting += [turn(1, 0.05), turn(1, -0.5), turn(0, 0.4), home]
-    succeed(capsys, "map", *CAN0, "--model", model, "--output", output)
+    succeed(capsys, MAP, model, "--output", output)
     assert (
         "move joint joint0 alone" in prompts[0]
         and "no motor, or several, turned clearly" in prompts[1]
     )
     first, second = read_joint_map(output)
-    assert (first.name, first.can_id, first.master_id, first.direction) == (
-        "joint0",
-        2,
-        18,
-        -1,
-    )
+    assert (first.name, first.can_id, first.direction) == ("joint0", 2, -1)
+    assert first.master_id == 18
     assert (second.name, second.can_id, second.direction) == ("joint1", 1, 1)
     assert first.offset == pytest.approx(-0.1, abs=1e-3)
     assert second.offset == pytest.approx(0.3, abs=1e-3)
@@ -200,7 +156,7 @@ def test_a_map_is_not_guessed(capsys, bus, person, tmp_path, model):
         bus.arm.mechanism.q += 0.5
 
     waiting += [both] * 3
-    err = fail(capsys, 3, "map", *CAN0, "--model", model, "--output", output)
+    err = fail(capsys, 3, MAP, model, "--output", output)
     assert "cannot be told which motor drives joint0" in err
     assert not output.exists()
 

@@ -14,15 +14,10 @@ from robot_sysid import __version__, commands
 from robot_sysid.cli import main
 from robot_sysid.commands.arguments import Parser
 from robot_sysid.commands.identify import settings_text
-from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
+from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError
+from tests.test_config import CONFIGS
 
-CONFIGS = {
-    "": SelfTestConfig,
-    "plan": PlanConfig,
-    "identify": IdentifyConfig,
-    "payload": PayloadConfig,
-}
 POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
 IDENTIFY = COMMANDS["identify"]
 MOST_OPTIONS = 26
@@ -71,28 +66,25 @@ def test_what_is_typed_counts_before_the_file(tmp_path):
     assert console.verbose and console.config == file
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("unit = 8", "robot-sysid identify: unknown option 'unit'"),
-        ("help = true", "robot-sysid identify: unknown option 'help'"),
-        ("units = ", "mine.toml: "),
-        ("units = 'deg'", "the following arguments are required: MODEL, LOG"),
-        (
-            "path = 'a'\nmeasurements = ['b']\nlinks = 'x'",
-            "--links must be True or Fal",
-        ),
-        (None, "mine.toml: No such file"),
-    ],
-)
-def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path, text, message):
+WRONG_FILES = {
+    "unit = 8": "mine.toml: robot-sysid identify: unknown option 'unit'",
+    "help = true": "mine.toml: robot-sysid identify: unknown option 'help'",
+    "units = ": "mine.toml: ",
+    "units = 'deg'": "the following arguments are required: MODEL, LOG",
+    "path = 'a'\nmeasurements = ['b']\nlinks = 'x'": "--links must be True or Fal",
+}
+
+
+def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path):
     file = tmp_path / "mine.toml"
-    if text is not None:
+    with pytest.raises(InputError, match=r"mine\.toml: No such file"):
+        IDENTIFY.parse(["--config", str(file)])
+    for text, message in WRONG_FILES.items():
         file.write_text(text)
-    with pytest.raises(InputError) as error:
-        values, _ = IDENTIFY.parse(["--config", str(file)])
-        IdentifyConfig.of(**values)
-    assert message in str(error.value)
+        with pytest.raises(InputError) as error:
+            values, _ = IDENTIFY.parse(["--config", str(file)])
+            IdentifyConfig.of(**values)
+        assert message in str(error.value)
 
 
 def help_lines(arguments, capsys):
