@@ -7,15 +7,15 @@ tested from the day it is there.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from robot_sysid.commands.arguments import CONSOLE
 from robot_sysid.config import Config
 from robot_sysid.estimate.options import Priors
-from robot_sysid.records.option_fields import Option, command_arguments, options_of
+from robot_sysid.records.option_fields import Option, command_arguments
 
 # Values that cannot be made from the kind of value alone.
 _CHOSEN = {
@@ -35,14 +35,10 @@ class Sample:
     """One option of a run.
 
     Attributes:
-        record: name of its record in the configuration.
-        field: name of its field there.
         option: what is said about it.
         value: one it may have, other than its default.
     """
 
-    record: str
-    field: str
     option: Option
     value: Any
 
@@ -52,14 +48,10 @@ class Sample:
         return command_arguments({self.option.key: self.value}, [self.option])
 
 
-def samples(config_type: type[Config]) -> Iterator[Sample]:
-    """Yield a sample of every option of a command."""
-    for name, options in config_type.options().items():
-        fields = {
-            o.key: field for field, o in options_of(config_type.records()[name]).items()
-        }
-        for option in options:
-            yield Sample(name, fields[option.key], option, _value(option))
+def samples(config_type: type[Config]) -> list[Sample]:
+    """Return a sample of every option of a command."""
+    options = chain(*config_type.options().values())
+    return [Sample(option, _value(option)) for option in options]
 
 
 def _value(option: Option) -> Any:

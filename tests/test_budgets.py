@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10712,
-    "tests": 227209,
+    "tests": 226995,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

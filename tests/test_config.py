@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs import option_samples
 from rigs.command_line import COMMANDS
 from robot_sysid.config import (
     IdentifyConfig,
@@ -29,8 +28,6 @@ from robot_sysid.records.option_fields import write_torque_scale
 
 MODEL = Path("arm.xml")
 LOG = {"measurements": (Path("log.csv"),)}
-PLANT = {"plant_model": Path("truth.xml")}
-MOTORS = {"export_damiao": True, "motor_type": ("DM4340",)}
 LOGS = {"empty": (Path("a.csv"),), "loaded": (Path("b.csv"),)}
 PAYLOAD = "payload a.xml --empty a.csv --loaded b.csv"
 CONFIGS = {
@@ -40,13 +37,6 @@ CONFIGS = {
     "payload": PayloadConfig,
 }
 """Class of the options of each command that estimates or plans."""
-CONTEXTS = {
-    SelfTestConfig: ({}, PLANT, MOTORS),
-    PlanConfig: ({}, {"for_": "payload"}, MOTORS),
-    IdentifyConfig: (LOG,),
-    PayloadConfig: (LOGS, {**LOGS, "known_mass": 1.0}),
-}
-"""Class of a command's options to options that others of its options may need."""
 
 
 def refusal(config, **values):
@@ -55,23 +45,6 @@ def refusal(config, **values):
         config.of(MODEL, **values)
     assert "\n" not in str(caught.value)
     return str(caught.value)
-
-
-@pytest.mark.parametrize("config_class", CONTEXTS)
-def test_every_option_of_a_command_is_accepted_in_some_run_and_kept(config_class):
-    samples = list(option_samples.samples(config_class))
-    assert len({sample.option.key for sample in samples}) == len(samples)
-    for sample in samples:
-        for context in CONTEXTS[config_class]:
-            values = {**context, sample.option.key: sample.value}
-            try:
-                config = config_class.of(MODEL, **values)
-            except InputError:
-                continue
-            assert getattr(getattr(config, sample.record), sample.field) == sample.value
-            break
-        else:
-            assert sample.option.key in ("torque_from", "motor_type"), sample.option.key
 
 
 REFUSED = {

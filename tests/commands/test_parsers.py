@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import re
+from collections import ChainMap
 from pathlib import Path
 
 import pytest
@@ -16,40 +18,48 @@ from robot_sysid.commands.arguments import Parser
 from robot_sysid.commands.identify import settings_text
 from robot_sysid.config import IdentifyConfig
 from robot_sysid.errors import InputError
+from robot_sysid.records.option_fields import given_values
 from tests.test_config import CONFIGS
 
-POSITIONAL = {"identify": ["arm.xml", "log.csv"], "log": ["log.csv", "arm.xml"]}
 IDENTIFY = COMMANDS["identify"]
 MOST_OPTIONS = 26
+ARM = "an 'arm'.xml"
+MOTORS = ([ARM, "--export-damiao"], [ARM, "--motor-type", "DM4340"])
+LOGS = [ARM, "--empty", "a.csv", "--loaded", "b.csv"]
+CONTEXTS = {
+    "": ([ARM], [ARM, "--plant-model", "truth.xml"], *MOTORS),
+    "plan": ([ARM], *MOTORS),
+    "identify": ([ARM, "a 'b'.csv", "c.csv"],),
+    "payload": (LOGS, [*LOGS, "--known-mass", "1"]),
+}
+"""Command to words that others of its options may need."""
 
 
-@pytest.mark.parametrize("name", CONFIGS)
-def test_every_option_arrives_as_the_value_that_was_typed(name, tmp_path, monkeypatch):
-    """Whether it was typed, or is in the settings of a run that is repeated."""
+def config_of(name, words):
+    values, _ = COMMANDS[name].parse(words)
+    return CONFIGS[name].of(**values)
+
+
+@pytest.mark.parametrize("name", CONTEXTS)
+def test_every_option_is_kept_as_it_was_typed_and_repeated_by_a_file(
+    name, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
+    file = tmp_path / "run.toml"
     (tmp_path / "priors.toml").write_text("link = 7.0")
     samples = {s.option.key: s for s in option_samples.samples(CONFIGS[name])}
     assert option_samples.keys_of(Parser(COMMANDS[name])) == {*samples}
-    positional = POSITIONAL.get(name, ["arm.xml"])
     for key, sample in samples.items():
         if key == "measurements":
             continue
-        values, _ = COMMANDS[name].parse([*positional, *sample.words])
-        assert values[key] == sample.value
-        assert set(values) <= {"path", "measurements", key}
-
-
-def test_the_settings_of_a_run_repeat_it(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "priors.json").write_text('{"scale": [1.0, 2.0]}')
-    file = tmp_path / "run.toml"
-    given = {"torque_scale": "1.1,1.2", "priors": "priors.json", "links": True}
-    given.update(keep=["friction"], measurements=[Path("a 'b'.csv"), Path("c.csv")])
-    config = IdentifyConfig.of("an 'arm'.xml", **given)
-    file.write_text(settings_text(config))
-    values, _ = IDENTIFY.parse(["--config", str(file)])
-    assert IdentifyConfig.of(**values) == config
-    assert config.estimation.priors.scale == (1.0, 2.0)
+        configs = []
+        for context in CONTEXTS[name]:
+            with contextlib.suppress(InputError):
+                configs.append(config_of(name, [*context, *sample.words]))
+        kept = [given_values(record) for record in vars(configs[0]).values()]
+        assert ChainMap(*kept)[key] == sample.value
+        file.write_text(settings_text(configs[0]))
+        assert config_of(name, ["--config", str(file)]) == configs[0]
 
 
 def test_what_is_typed_counts_before_the_file(tmp_path):
