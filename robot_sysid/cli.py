@@ -189,18 +189,14 @@ def _message_lines(message: str) -> list[str]:
     """
     lines = [""]
     for line in message.splitlines():
-        is_command = line.startswith(COMMAND_STARTS)
-        if is_command or lines[-1].startswith(COMMAND_STARTS):
-            lines.append("")
-        lines[-1] += line if is_command else f" {line}"
-    for index, line in enumerate(lines):
         if line.startswith(COMMAND_STARTS):
-            continue
-        text = " ".join(line.split())
-        if len(text) > 1900:
-            text = f"{text[:1500]} [...] {text[-400:]}"
-        lines[index] = text
-    return lines
+            lines += [line, ""]
+        else:
+            lines[-1] = " ".join([*lines[-1].split(), *line.split()])
+    for index, text in enumerate(lines):
+        if len(text) > 1900 and not text.startswith(COMMAND_STARTS):
+            lines[index] = f"{text[:1500]} [...] {text[-400:]}"
+    return [*filter(None, lines)]
 
 
 if __name__ == "__main__":

@@ -177,13 +177,12 @@ class Config:
     def _files(self) -> Iterator[tuple[str, Path]]:
         """Yield (key, path) of each file that an option names."""
         for record in vars(self).values():
-            for name, stated in options_of(record).items():
-                value = getattr(record, name)
+            for key, value in option_fields.given_values(record).items():
                 value = value.file if isinstance(value, Priors) else value
-                values = value if isinstance(value, tuple) else (value,)
-                paths = [path for path in values if isinstance(path, Path)]
-                if name not in _FOLDERS:
-                    yield from ((stated.key, path) for path in paths)
+                leaves = option_fields.leaves(value)
+                paths = [path for path in leaves if isinstance(path, Path)]
+                if key not in _FOLDERS:
+                    yield from ((key, path) for path in paths)
 
     def _output_files(self) -> Iterator[tuple[str, Path]]:
         """Yield (option that has a file written, path) of each file that might replace an input."""

@@ -33,7 +33,7 @@ BUDGETS = {
     "robot_sysid/servo": 4879,
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3465,
-    "robot_sysid": 10712,
+    "robot_sysid": 10697,
     "tests": 226995,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""

@@ -213,7 +213,7 @@ def command_arguments(
             if stated.parse is None:
                 continue
             texts = []
-            for leaf in _leaves(single):
+            for leaf in leaves(single):
                 texts.append(f"{leaf:.12g}" if isinstance(leaf, float) else str(leaf))
             if stated.takes_many or isinstance(stated.metavar, tuple):
                 arguments += texts
@@ -269,7 +269,7 @@ def _checked_value(stated: Option, raw_value: Any) -> Any:
     takes_many = takes_many or has_rows or stated.type_text.endswith(_PER_JOINT)
     # Python counts a bool as a number; an option does not.
     fits = takes_many or is_single
-    for leaf in _leaves(value):
+    for leaf in leaves(value):
         fits &= isinstance(leaf, stated.types) and (
             bool in stated.types or not isinstance(leaf, bool)
         )
@@ -293,11 +293,11 @@ def immutable_value(value: Any, parse: Callable[[str], Any] | None = None) -> An
     return parse(value) if isinstance(value, str) and parse is not None else value
 
 
-def _leaves(value: Any) -> Iterator[Any]:
+def leaves(value: Any) -> Iterator[Any]:
     """Yield the values inside nested tuples; a value that is no tuple is yielded as it is."""
     if isinstance(value, tuple):
         for item in value:
-            yield from _leaves(item)
+            yield from leaves(item)
     else:
         yield value
 
