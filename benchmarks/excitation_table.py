@@ -151,7 +151,8 @@ def line(path, joint, seeds):
         f"{name} {ratio:5.1f} ({100.0 * f:3.0f} %)" for name, ratio, f in pairs
     )
     text = f"{path.parent.name}/{path.stem:24s} {ratio_text}  stated {1e3 * stated:6.1f} mm"
-    text += f"  real {1e3 * real:6.1f} mm  tool {check.largest[-1]:4.2f} m/s  {spent:4.1f} s"
+    tool_speed = check.uses[-1].value
+    text += f"  real {1e3 * real:6.1f} mm  tool {tool_speed:4.2f} m/s  {spent:4.1f} s"
     return text
 
 

@@ -15,7 +15,7 @@ from rigs import arms
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import MeasurementLog, open_log
-from robot_sysid.records import JointLimits, Measurement, RobotModel
+from robot_sysid.records import Limits, Measurement, RobotModel
 
 JOINTS = ("base", "elbow", "wrist")
 TITLES = ("time", "q1", "q2", "q3", "tau1", "tau2", "tau3")
@@ -48,15 +48,15 @@ def write(
     return path
 
 
-def limits(reach: float = 2.0, count: int = 3) -> JointLimits:
+def limits(reach: float = 2.0, count: int = 3) -> Limits:
     """Symmetric limits of some joints."""
     full = np.full(count, reach)
-    return JointLimits(-full, full, np.full(count, 10.0), np.full(count, np.inf))
+    return Limits(-full, full, 10.0)
 
 
 def arm_of(
     names: Sequence[str],
-    joint_limits: JointLimits | None = None,
+    joint_limits: Limits | None = None,
     is_slide: Sequence[bool] = (),
 ) -> RobotModel:
     """An arm with such joints; hinges without limits where nothing else is said."""
@@ -82,7 +82,7 @@ def _text(cell: object) -> str:
 def read_measurements(
     path: Path,
     joint_names: Sequence[str],
-    limits: JointLimits | None = None,
+    limits: Limits | None = None,
     is_slide: Sequence[bool] = (),
     **options: Any,
 ) -> MeasurementLog:

@@ -12,9 +12,10 @@ from rigs.links import RememberingLink
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import BusTiming, MitCommand, Scaling
-from robot_sysid.damiao.safety.guards import CommandRange, Replies
+from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.simulated import SimulatedArm, SimulatedLink
+from robot_sysid.records import Limits
 
 SPEC = MOTORS["DM4340"]
 
@@ -32,7 +33,7 @@ class Bench:
         self.link = GuardedLink(self.bus, self.clock)
         self.client = RegisterClient(self.link)
         far = np.full(n, 99.0)
-        anywhere = CommandRange(-far, far, far)
+        anywhere = Limits(-far, far, far)
         scaling = Scaling([SPEC.limits] * n)
         self.session = MotorSession(self.link, joints, scaling, anywhere)
 

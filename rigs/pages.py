@@ -12,12 +12,12 @@ import numpy as np
 from rigs import arms, recorded
 from rigs.places import ROOT
 from robot_sysid.cli import main
+from robot_sysid.config import SelfTestConfig
 from robot_sysid.damiao.joints import write_joint_map
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.records import Measurement
 from robot_sysid.records.messages import Progress
 from robot_sysid.signals.resampling import join_measurements
@@ -141,12 +141,8 @@ def record(
 ) -> None:
     """Write what the sensors of an arm in the folder report along a motion for my_arm.xml [s]."""
     robot = load_robot_model(folder / "my_arm.xml")
-    motion = (
-        TrajectoryOptions(duration, 200.0),
-        ExcitationOptions(kind="sines"),
-        LimitOptions(),
-    )
-    plan = make_plan(MotionRequest(*motion), robot, seed, Progress()).plan
+    settings = SelfTestConfig(trajectory=TrajectoryOptions(duration, 200.0, seed=seed))
+    plan = design_motion(settings, robot, Progress()).plan
     sensors = SimulatedArmOptions(noise_torque=0.05, encoder_resolution=1e-5)
     truth = load_plant(robot, folder / plant)
     rng = np.random.default_rng([seed, 1])

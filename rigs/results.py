@@ -18,7 +18,7 @@ from robot_sysid.records import (
     Flange,
     InertialParameters,
     JointFriction,
-    JointLimits,
+    Limits,
     RobotModel,
     SubtreeBody,
     Validation,
@@ -52,7 +52,7 @@ ARM = RobotModel(
     dof_index=np.arange(2),
     reference_qpos=np.zeros(2),
     is_slide=np.zeros(2, dtype=bool),
-    limits=JointLimits(*np.array([[-2.0], [2.0], [2.0], [np.inf]]) * np.ones(2)),
+    limits=Limits(*np.array([[-2.0], [2.0], [2.0]]) * np.ones(2)),
     friction=JointFriction(
         np.array([0.3, 0.2]), np.array([0.1, 0.0]), np.zeros((0, 2))
     ),

@@ -45,13 +45,12 @@ _NAMES = {
     "estimate.options": ("Priors",),
     "logs.column_map": ("ColumnMap",),
     "logs.reader": ("MeasurementLog",),
-    "motion.plan": ("CheckedPlan",),
     "parser": ("load_robot_model",),
+    "pipeline.motions": ("CheckedPlan",),
     "records.arm": (
         "ArmLink",
         "InertialParameters",
         "JointFriction",
-        "JointLimits",
         "RobotModel",
         "SubtreeBody",
     ),
@@ -63,6 +62,7 @@ _NAMES = {
         "Traces",
         "Validation",
     ),
+    "records.limits": ("Limits",),
     "records.messages": ("Level", "Remark"),
     "results.record": ("BodyEstimate", "ModelFile", "Payload", "Quantity", "Verdict"),
 }

@@ -28,12 +28,11 @@ from robot_sysid.errors import SysidError as SysidError
 from robot_sysid.estimate.options import Priors as Priors
 from robot_sysid.logs.column_map import ColumnMap as ColumnMap
 from robot_sysid.logs.reader import MeasurementLog as MeasurementLog
-from robot_sysid.motion.plan import CheckedPlan as CheckedPlan
 from robot_sysid.parser import load_robot_model as load_robot_model
+from robot_sysid.pipeline.motions import CheckedPlan as CheckedPlan
 from robot_sysid.records.arm import ArmLink as ArmLink
 from robot_sysid.records.arm import InertialParameters as InertialParameters
 from robot_sysid.records.arm import JointFriction as JointFriction
-from robot_sysid.records.arm import JointLimits as JointLimits
 from robot_sysid.records.arm import RobotModel as RobotModel
 from robot_sysid.records.arm import SubtreeBody as SubtreeBody
 from robot_sysid.records.data import DataOrigin as DataOrigin
@@ -42,6 +41,7 @@ from robot_sysid.records.data import Measurement as Measurement
 from robot_sysid.records.data import Motion as Motion
 from robot_sysid.records.data import Traces as Traces
 from robot_sysid.records.data import Validation as Validation
+from robot_sysid.records.limits import Limits as Limits
 from robot_sysid.records.messages import Level as Level
 from robot_sysid.records.messages import Remark as Remark
 from robot_sysid.results.record import BodyEstimate as BodyEstimate

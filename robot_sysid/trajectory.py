@@ -172,24 +172,27 @@ def generate_excitation_trajectory(
     return shape.scale_amplitudes(factor)
 
 
+def assumed_reach(robot: RobotModel) -> Array:
+    """Return how far joints without limits may move from their reference (n,) [rad or m]."""
+    ranges = np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
+    return 0.5 * ranges
+
+
 def _center_and_reach(robot: RobotModel) -> tuple[Array, Array]:
     """Return each joint's position at rest (n,), and how far it may move from there (n,) [rad; m
     for slides].
     """
-    lower = robot.limits.lower
-    upper = robot.limits.upper
-    is_limited = np.isfinite(lower) & np.isfinite(upper)
-    assumed = np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
-    span = np.where(is_limited, upper - lower, assumed)
+    limits = robot.limits.around(robot.reference, assumed_reach(robot))
     # Of its range, which the terminal joint uses widely.
     share = np.full(robot.n_joints, 0.1)
     share[-1] = 0.7
-    reach = 0.5 * span * share
+    reach = limits.span * share
     center = robot.reference.copy()
-    if is_limited[-1]:
-        center[-1] = 0.5 * (lower[-1] + upper[-1])
-    margin = POSITION_MARGIN * span
-    return np.clip(center, lower + reach + margin, upper - reach - margin), reach
+    if robot.limits.has_range[-1]:
+        center[-1] = limits.center[-1]
+    margin = 2.0 * POSITION_MARGIN * limits.span
+    lower = limits.lower + reach + margin
+    return np.clip(center, lower, limits.upper - reach - margin), reach
 
 
 def _draw_sinusoids(

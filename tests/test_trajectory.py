@@ -14,7 +14,7 @@ from numpy.testing import assert_array_equal
 from rigs import arms
 from rigs.arms import SEEDS, robot_of
 from robot_sysid import trajectory
-from robot_sysid.records import JointLimits
+from robot_sysid.records import Limits
 from robot_sysid.trajectory import (
     generate_excitation_trajectory,
     sample_count,
@@ -37,7 +37,7 @@ def dense(plan, points=4001):
 
 @st.composite
 def limited_arms(draw):
-    """Draw an arm with any limits that JointLimits accepts and any rest position."""
+    """Draw an arm with any limits that Limits accepts and any rest position."""
 
     def three(low, high):
         """Draw one number per joint between two bounds (3,)."""
@@ -46,12 +46,12 @@ def limited_arms(draw):
 
     middle = three(-6.0, 6.0)
     width = three(1e-3, 12.0)
-    # Most joints are limited on both sides.
-    sides = st.sampled_from([(0, 0), (0, 0), (1, 1), (0, 1), (1, 0)])
+    # Most joints have a range.
+    sides = st.sampled_from([False, False, True])
     is_open = np.array(draw(st.lists(sides, min_size=3, max_size=3)))
-    lower = np.where(is_open[:, 0], -np.inf, middle - 0.5 * width)
-    upper = np.where(is_open[:, 1], np.inf, middle + 0.5 * width)
-    limits = JointLimits(lower, upper, three(0.01, 20.0), np.full(3, np.inf))
+    lower = np.where(is_open, -np.inf, middle - 0.5 * width)
+    upper = np.where(is_open, np.inf, middle + 0.5 * width)
+    limits = Limits(lower, upper, three(0.01, 20.0))
     reference = three(-8.0, 8.0)
     return replace(THREE, limits=limits, reference_qpos=reference)
 

@@ -28,9 +28,9 @@ from robot_sysid.damiao.protocol import (
     encode_mit,
     is_special,
 )
-from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import SysidError
+from robot_sysid.records import Limits
 
 N = 2
 _LONGEST = 200
@@ -220,7 +220,7 @@ def _session(frames: list[Frame]) -> None:
     scaling = Scaling([(12.5, 10.0, 28.0)] * N)
     zeros = np.zeros(N)
     far = np.full(N, 99.0)
-    anywhere = CommandRange(-far, far, far)
+    anywhere = Limits(-far, far, far)
     with MotorSession(link, _joints(), scaling, anywhere) as session:
         session.enable()
         for _ in range(3):

@@ -14,6 +14,7 @@ import numpy as np
 from benchmarks.fuzz.harness import Case, write_case
 from benchmarks.fuzz.mutations import damaged_json, damaged_table
 from rigs import arms
+from robot_sysid.config import PlanConfig
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.preflight import plan_checks
 from robot_sysid.damiao.settings import Plan
@@ -21,9 +22,9 @@ from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
-from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion.plan import MotionRequest, make_plan
+from robot_sysid.motion import ExcitationOptions
 from robot_sysid.motion.trajectories import at_speed, load_trajectory, save_trajectory
+from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.option_fields import TrajectoryOptions, require_countable
 from robot_sysid.trajectory import SineTrajectory, motion_chunks
@@ -91,7 +92,9 @@ def use(case: Case, folder: Path) -> None:
         1.0, saved.plan.duration / LONGEST
     )  # a day's motion is checked for minutes
     options = TrajectoryOptions(sample_rate=RATE, file=path, speed=faster)
-    request = MotionRequest(options, ExcitationOptions(), LimitOptions(), played=True)
-    plan = make_plan(request, _robot(), 0, Progress())
+    settings = PlanConfig(
+        trajectory=options, excitation=ExcitationOptions(kind="sines")
+    )
+    plan = design_motion(settings, _robot(), Progress())
     for _, motion in zip(range(ENOUGH_CHUNKS), motion_chunks(plan.plan, RATE)):
         assert np.all(np.isfinite(motion.q)) or plan.failure

@@ -31,7 +31,8 @@ from robot_sysid.logs.titles import read_title
 from robot_sysid.model import ModelOptions
 from robot_sysid.model.compilation import warnings_as_notes
 from robot_sysid.pipeline import stages
-from robot_sysid.pipeline.planning import design_motion, predict_plan
+from robot_sysid.pipeline.motions import design_motion
+from robot_sysid.pipeline.planning import predict_plan
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records import Array, Measurement, RobotModel, checked_array
 from robot_sysid.records.messages import Progress, says

@@ -17,7 +17,7 @@ from robot_sysid.config import PlanConfig
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.export import Written, writable_folder
 from robot_sysid.model.compilation import lasting_folder
-from robot_sysid.motion.plan import CheckedPlan
+from robot_sysid.pipeline.motions import CheckedPlan
 from robot_sysid.pipeline.planning import draft_plan
 from robot_sysid.pipeline.stages import write_results
 from robot_sysid.records import Array, Motion, RobotModel

@@ -123,12 +123,10 @@ class MotorRun:
             )
         trajectory = replace(trajectory, joints=self._with_joint_map(trajectory.joints))
         mobility = None
-        model_range = None
         if robot is not None:
             from robot_sysid.simulation.plant import ArmStepper
 
             mobility = ArmStepper(robot, trajectory.q[0]).mobility()
-            model_range = robot.limits.lower, robot.limits.upper
         recording = record_from(RecordingOptions, self.values)
         inputs = map(self.values.get, ("trajectory", "model", "joint_map"))
         recording.require_free(*inputs)
@@ -140,7 +138,7 @@ class MotorRun:
             recording=recording,
             mobility=mobility,
             limits=self._limits(),
-            model_range=model_range,
+            model_limits=robot and robot.limits,
         )
 
     def _limits(self) -> LimitOptions:
@@ -285,7 +283,7 @@ def run(
     joints = plan.trajectory.joints
     motors = [inspection.motors[joint.can_id] for joint in joints]
     scaling = Scaling(motor.limits for motor in motors)
-    session = MotorSession(link, joints, scaling, plan.command_range)
+    session = MotorSession(link, joints, scaling, plan.command_limits)
     console = Aside(link.clock.live)
     writer = Aside(link.clock.live)
     path = plan.recording.record

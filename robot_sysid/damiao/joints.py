@@ -35,7 +35,7 @@ import numpy as np
 
 from robot_sysid.damiao.protocol import MitCommand
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Limits
 from robot_sysid.records.file_access import read_text, write_atomically
 from robot_sysid.wording import option_name
 
@@ -98,6 +98,14 @@ def motor_spec(name: str) -> MotorSpec:
 def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:
     """Return the peak torque (n,) that each joint's motor makes at its joint [N m]."""
     return np.array([joint.spec.peak_torque for joint in joints])
+
+
+def torque_limits(joints: Sequence[DamiaoJoint]) -> Limits:
+    """Return the limits of the joints' motors: the peak torque, or TMAX of a frame if that is less,
+    for no command can exceed it.
+    """
+    frames = [joint.spec.limits[2] for joint in joints]
+    return Limits(torque=np.minimum(peak_torques(joints), frames))
 
 
 def matching_types(limits: Sequence[float]) -> tuple[str, ...]:
@@ -256,10 +264,11 @@ class Mounting:
         p, v, t = self.signals(command.position, command.velocity, command.torque)
         return command._replace(position=p, velocity=v, torque=t)
 
-    def frame_range(self, pmax: Array) -> tuple[Array, Array]:
-        """Return the joint positions (n,) [rad] at the ends of frames with PMAX (n,) [rad]."""
+    def frame_limits(self, frames: Array) -> Limits:
+        """Return what frames with PMAX, VMAX and TMAX (n, 3) [rad, rad/s, N m] can carry."""
+        pmax, vmax, tmax = frames.T
         middle = self.inverse.offset
-        return middle - pmax, middle + pmax
+        return Limits(middle - pmax, middle + pmax, vmax, torque=tmax)
 
 
 # The columns of a joint map file, in their order.

@@ -20,7 +20,7 @@ from robot_sysid.damiao.preflight import note, stop
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.damiao.settings import Plan
-from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, WEIGH_FIRST, Bounds, excesses
+from robot_sysid.damiao.trajectory import CANNOT_FOLLOW, WEIGH_FIRST, limit_excesses
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.limit_check import first_contact
 from robot_sysid.motion.problem import ExcitationProblem
@@ -89,10 +89,9 @@ def model_checks(plan: Plan, problem: ExcitationProblem) -> Iterator[Remark]:
     if unguarded:
         yield note(unguarded)
     limits = problem.robot.limits
-    bounds = Bounds(
-        "the model's", limits.lower, limits.upper, limits.velocity, torque=limits.torque
-    )
-    for excess in excesses(plan.trajectory, plan.settings.speed, bounds):
+    for excess in limit_excesses(
+        plan.trajectory, plan.settings.speed, "the model's", limits
+    ):
         yield stop(f"{excess}; {_SMALLER}")
     contact = first_contact(problem, PlayedPath(plan))
     if contact is not None:

@@ -142,7 +142,7 @@ class Player:
         self._announce = on_phase
         self._holding = holding
         self._observer = Observer(
-            session.joints, settings, session.steps, session.peak_torque, holding
+            session.joints, settings, session.steps, session.limits.torque, holding
         )
         self._timer: CycleTimer
         # Factor, from 0 to 1, of stiffness and feed-forward torque.
@@ -247,10 +247,7 @@ class Player:
             self._session.open_range()
         session = self._session
         lowering = Lowering(
-            begin,
-            self._settings.approach_speed,
-            session.peak_torque,
-            session.command_range,
+            begin, self._settings.approach_speed, session.limits.torque, session.limits
         )
         self._follower = lowering
         return lowering
@@ -402,7 +399,7 @@ class Player:
             qd,
             fed=np.nan_to_num(fed),
             stuck=observer.stuck,
-            command_range=self._session.command_range,
+            limits=self._session.limits,
         )
         return self._follower
 

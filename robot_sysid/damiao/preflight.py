@@ -82,8 +82,10 @@ def plan_checks(plan: Plan) -> Iterator[Remark]:
             f"frames at {settings.rate:g} Hz load {bus_type} to {100 * load:.0f} %, limit "
             f"{100 * limit:.0f} %; use {option_name('rate', f'{rate:g}')}"
         )
-    bounds = motion.user_bounds(plan.limits, len(joints))
-    yield from map(stop, motion.excesses(trajectory, settings.speed, bounds))
+    yield from map(
+        stop,
+        motion.limit_excesses(trajectory, settings.speed, "your", plan.user_limits),
+    )
 
 
 def bus_checks(plan: Plan, inspection: Inspection) -> Iterator[Remark]:
@@ -260,10 +262,10 @@ def _readiness_checks(
     trajectory = plan.trajectory
     joints = trajectory.joints
     settings = plan.settings
-    pmax, velocity, torque = np.array(limits).T
-    lower, upper = Mounting.of(joints).frame_range(pmax)
-    bounds = motion.Bounds("its registers'", lower, upper, velocity, torque=torque)
-    for excess in motion.excesses(trajectory, settings.speed, bounds):
+    frames = Mounting.of(joints).frame_limits(np.array(limits))
+    for excess in motion.limit_excesses(
+        trajectory, settings.speed, "its registers'", frames
+    ):
         yield stop(f"{excess}; export a smaller trajectory")
 
     # Time from the commands to the last answer [s].

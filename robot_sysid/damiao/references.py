@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_sysid.damiao.joints import DamiaoJoint, peak_torques
-from robot_sysid.damiao.safety.guards import CommandRange, Mask
+from robot_sysid.damiao.safety.guards import Mask
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Limits
 
 
 class Reference(NamedTuple):
@@ -123,11 +123,11 @@ class Lowering:
         begin: reference from which the arm is lowered.
         speed: largest speed of a joint [rad/s].
         peak: peak torque (n,) of the joints [N m].
-        command_range: range of the joints' positions.
+        limits: of the joints' positions.
     """
 
     def __init__(
-        self, begin: Reference, speed: float, peak: Array, command_range: CommandRange
+        self, begin: Reference, speed: float, peak: Array, limits: Limits
     ) -> None:
         self._position = begin.position.copy()
         self._fed = begin.torque
@@ -135,7 +135,7 @@ class Lowering:
         # Torque from which a joint is lowered with full speed; less torque, less speed. It is a
         # judgement: dry friction is of this size, and should not move a joint.
         self._full_load = 0.05 * peak
-        self._range = command_range
+        self._limits = limits
         self._torque = np.zeros(len(peak))
         self._time = 0.0
         self._moved_at = 0.0
@@ -157,7 +157,7 @@ class Lowering:
             # The torque that carries a joint is opposite to its load.
             velocity = -self._speed * load_share
         unlimited = self._position + velocity * (time - self._time)
-        self._position = np.clip(unlimited, self._range.lower, self._range.upper)
+        self._position = np.clip(unlimited, self._limits.lower, self._limits.upper)
         velocity = np.where(self._position == unlimited, velocity, 0.0)
         self._time = time
         # Slower joints are still.
@@ -305,7 +305,7 @@ class CarriedStop:
         qd: last believed velocities (n,) [rad/s]; NaN where unknown.
         fed: torque (n,) that carries the arm at rest: of its model, or fed forward last [N m].
         stuck: whether each joint (n,) is blocked: the torque of its position error is removed.
-        command_range: range of commanded positions.
+        limits: of commanded positions.
 
     Attributes:
         last: reference returned last.
@@ -320,14 +320,14 @@ class CarriedStop:
         qd: Array,
         fed: Array,
         stuck: Mask,
-        command_range: CommandRange,
+        limits: Limits,
     ) -> None:
         self._q = q
         self._qd = qd
         self.last = reference
         self._begin = reference
         self._fed = fed
-        self._range = command_range
+        self._limits = limits
         self._kp = np.array(settings.kp)
         self._kd = np.array(settings.kd)
         self._rest_time = settings.rest_time
@@ -384,7 +384,7 @@ class CarriedStop:
         # The mean of the first and the present velocity is (1 + share_left) / 2 of the first.
         way = self._velocity * braked * (1.0 + share_left) / 2.0
         position = self._begin.position + way
-        position = np.clip(position, self._range.lower, self._range.upper)
+        position = np.clip(position, self._limits.lower, self._limits.upper)
         return position, self._velocity * share_left
 
     def _lift(self, goal: Array) -> Array:

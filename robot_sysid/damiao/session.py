@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.joints import DamiaoJoint, Mounting, peak_torques
+from robot_sysid.damiao.joints import DamiaoJoint, Mounting, torque_limits
 from robot_sysid.damiao.protocol import (
     DISABLE,
     ENABLE,
@@ -35,14 +35,14 @@ from robot_sysid.damiao.protocol import (
 )
 from robot_sysid.damiao.safety.guards import (
     NO_STATUS,
-    CommandBounds,
-    CommandRange,
     Mask,
     Replies,
     SampleFilter,
+    confine,
+    require_allowed,
 )
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Limits
 
 # Time between two disable commands to a motor [s], in which a full queue of 14 frames empties.
 _DISABLE_SPACING = 2e-3
@@ -117,14 +117,14 @@ class MotorSession:
 
     Commands and measurements are in joint space, see ``Mounting``. Half a quantisation step is
     added to measured values, because motors truncate them. Every command is checked by
-    ``CommandBounds`` and every answer by ``SampleFilter``.
+    ``confine`` and every answer by ``SampleFilter``.
 
     Args:
         link: link of the motors' bus.
         joints: joints with their motors, n in all.
         scaling: range of position, velocity and torque in each motor's frames, from its registers
             PMAX, VMAX and TMAX.
-        command_range: positions and speeds that commands may have, as far as frames carry them.
+        limits: of positions and speeds of commands, as far as frames carry them.
 
     Attributes:
         clock: clock of the link.
@@ -132,7 +132,7 @@ class MotorSession:
         scaling: as given.
         n_joints: number n of joints.
         steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m].
-        peak_torque: peak torque (n,) of each joint [N m].
+        limits: within which commands stay.
         sent_position: positions (n,) commanded last, or those of the arm when it was enabled [rad];
             NaN before. Callers must not change them.
         unconfirmed: joints whose motors may be enabled: they have not confirmed to be disabled.
@@ -143,7 +143,7 @@ class MotorSession:
         link: GuardedLink,
         joints: Sequence[DamiaoJoint],
         scaling: Scaling,
-        command_range: CommandRange,
+        limits: Limits,
     ) -> None:
         self._link = link
         self.clock = link.clock
@@ -153,24 +153,20 @@ class MotorSession:
         self._labels = [joint.label for joint in joints]
         self._mounting = Mounting.of(joints)
         self.steps = scaling.steps
-        pmax, vmax, tmax = scaling.limits.T
         # A frame cannot command more than TMAX either.
-        self.peak_torque: Array = np.minimum(peak_torques(joints), tmax)
-        self._frame_range = CommandRange(*self._mounting.frame_range(pmax), vmax)
+        self._frames = self._mounting.frame_limits(scaling.limits)
+        # In a stop commands are limited to these, which must not exceed what frames can carry.
+        self.limits = Limits.of(limits, torque_limits(joints), self._frames)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         # Command in force as the motors read it, in joint space; None before the first.
         self._command: MitCommand | None = None
-        # In a stop commands are limited to the range, which must not exceed what frames can carry.
-        self._bounds = CommandBounds(
-            command_range.within(self._frame_range), self.peak_torque, self.steps
-        )
         self.sent_position = np.full(self.n_joints, np.nan)
         # Time up to which each joint's commands have moved it: that of the last command, minus
         # what this left unused [s].
         self._moved_until = np.full(self.n_joints, -np.inf)
         # Data of each motor's last command, by joint.
         self._sent_data: dict[int, bytes] = {}
-        self._filter = SampleFilter(self.peak_torque, self.steps[1])
+        self._filter = SampleFilter(self.limits.torque, self.steps[1])
         self._outstanding = Outstanding(self.n_joints)
         # Number of commands in this cycle that another program sent to each motor.
         self._foreign = np.zeros(self.n_joints, int)
@@ -188,18 +184,13 @@ class MotorSession:
         """
         return self._filter.last.q, self._filter.last.qd
 
-    @property
-    def command_range(self) -> CommandRange:
-        """Positions and speeds of each joint within which commands stay."""
-        return self._bounds.command_range
-
     def open_range(self) -> None:
         """Widen the range of commanded positions to that of the frames; speeds stay limited.
 
         This is for lowering an arm without a model, whose end position is unknown.
         """
-        lowered = self._bounds.including(self._frame_range.lower)
-        self._bounds = lowered.including(self._frame_range.upper)
+        frames = self._frames
+        self.limits = self.limits.including(frames.lower).including(frames.upper)
 
     def __enter__(self) -> MotorSession:
         """Return the session; no motor is enabled by this."""
@@ -240,7 +231,7 @@ class MotorSession:
         position = np.array(positions)
         now = self.clock.now()
         self._filter.start(now, position)
-        self._bounds = self._bounds.including(position)
+        self.limits = self.limits.including(position)
         self.sent_position = position.copy()
         self._moved_until = np.full(self.n_joints, now)
         return position
@@ -314,11 +305,11 @@ class MotorSession:
         # trajectory.
         elapsed = np.minimum(now - self._moved_until, 0.2)
         q = self._filter.last.q
-        allowed = self._bounds.confine(command, self.sent_position, elapsed, q)
+        allowed = confine(command, self.limits, self.sent_position, elapsed, q)
         if braking:
             command = allowed
         else:
-            self._bounds.require(self._labels, command, allowed, q)
+            require_allowed(self._labels, command, allowed, q, self.steps)
         packed = encode_mit(self._mounting.command(command), self.scaling)
         commanded = joints if braking else self._outstanding.may_be_commanded(joints)
         # Replies are sampled before this command acts, while the last one is in force.
@@ -361,7 +352,7 @@ class MotorSession:
             *(np.where(commanded, *pair) for pair in zip(new, old))
         )
         moved = np.abs(new.position - self.sent_position)
-        used = moved / self._bounds.command_range.speed
+        used = moved / self.limits.velocity
         # One command leaves at most 0.02 s for the next one to move in: as much as it may be late,
         # by ``PlaySettings.max_lateness``.
         moved_until = np.clip(self._moved_until + used, now - 0.02, now)

@@ -12,11 +12,10 @@ import numpy as np
 from robot_sysid.damiao.bus import Inspection
 from robot_sysid.damiao.joints import MotorSpec, Mounting
 from robot_sysid.damiao.protocol import KD_MAX, KD_STEP, KP_MAX, BusTiming, default_rate
-from robot_sysid.damiao.safety.guards import CommandRange
-from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory, user_bounds
+from robot_sysid.damiao.trajectory import NO_LIMITS, DamiaoTrajectory
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Limits
 from robot_sysid.records.file_access import refuse_overwriting
 from robot_sysid.records.option_fields import (
     OptionRecord,
@@ -221,7 +220,7 @@ class Plan:
         mobility: the arm's inverse mass matrix (n, n) at the first point [1/(kg m^2)]; None without
             a model.
         limits: user's limits of the trajectory and of the transfer to its first point.
-        model_range: least and greatest joint positions (n,) of the model [rad]; None without one.
+        model_limits: limits of the model's joints; None without one.
 
     The settings become complete when the plan is made: ``PlaySettings.for_motors`` fills them in.
     The approach is made as slow as the user's limits ask for.
@@ -234,7 +233,7 @@ class Plan:
     recording: RecordingOptions = RecordingOptions()
     mobility: Array | None = None
     limits: LimitOptions = NO_LIMITS
-    model_range: tuple[Array, Array] | None = None
+    model_limits: Limits | None = None
 
     def __post_init__(self) -> None:
         """Complete the settings; InputError where the trajectory has fewer than two rows."""
@@ -245,11 +244,11 @@ class Plan:
         specs = [joint.spec for joint in self.trajectory.joints]
         settings = self.settings.for_motors(specs, self.timing, self.mobility)
         # The transfer keeps the user's limits, too.
-        bounds = user_bounds(self.limits, self.trajectory.n_joints)
-        speed = min(settings.approach_speed, np.min(bounds.velocity))
+        user = self.user_limits
+        speed = min(settings.approach_speed, np.min(user.velocity))
         # The peak acceleration of a transfer is at most 3.08 times its peak speed over its least
         # duration.
-        time = 3.08 * speed / np.min(bounds.acceleration)
+        time = 3.08 * speed / np.min(user.acceleration)
         settings = replace(
             settings,
             approach_speed=speed,
@@ -263,19 +262,24 @@ class Plan:
         return np.ptp(self.trajectory.time) / self.settings.speed
 
     @property
-    def command_range(self) -> CommandRange:
-        """Range of commands for the n joints: the model's positions, or else the trajectory's.
+    def user_limits(self) -> Limits:
+        """The user's limits of the n joints, none of which is a slide."""
+        return self.limits.limits([False] * self.trajectory.n_joints)
+
+    @property
+    def command_limits(self) -> Limits:
+        """Limits of commands for the n joints: the model's positions, or else the trajectory's.
 
         A joint's speed limit is a tenth above its largest speed in the trajectory as played (by
         velocities and by slopes of positions), or above the approach speed if that is larger.
         """
         q = self.trajectory.q
-        lower, upper = self.model_range or (np.min(q, axis=0), np.max(q, axis=0))
+        ranges = self.model_limits or Limits(np.min(q, axis=0), np.max(q, axis=0))
         speeds = np.vstack([self.trajectory.slopes, self.trajectory.qd])
         peak_speed = self.settings.speed * np.abs(speeds).max(axis=0)
         speed = np.maximum(peak_speed, self.settings.approach_speed)
         # The trajectory's rows are rounded.
-        return CommandRange(lower, upper, 1.1 * speed)
+        return Limits(ranges.lower, ranges.upper, 1.1 * speed)
 
     def joint_positions(self, inspection: Inspection) -> Array:
         """Return the positions (n,) [rad] of the trajectory's joints when the bus was inspected.

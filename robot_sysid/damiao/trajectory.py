@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, takewhile
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,8 @@ from numpy.typing import NDArray
 from robot_sysid.damiao.joints import MASTER_ID_OFFSET, RPM, DamiaoJoint, motor_spec
 from robot_sysid.errors import InputError
 from robot_sysid.motion import LimitOptions
-from robot_sysid.records import Array
+from robot_sysid.records import LIMITED, Array, Limits
 from robot_sysid.records.file_access import read_text
-from robot_sysid.records.option_fields import joint_values
-from robot_sysid.wording import option_name
 
 # A name and a value in a comment line of a file.
 _PAIR = re.compile(r"\s*([a-z_]+)\s*=\s*([^,\s]+)\s*")
@@ -295,76 +293,39 @@ LIMITS = ("max_velocity", "max_acceleration", "max_torque", *MODEL_LIMITS)
 """Names of the limits of a motion that hold for all that a run moves."""
 
 
-class Bounds(NamedTuple):
-    """Limits of n joints in one unit each: (n,), or one number for all.
-
-    Attributes:
-        owner: whose limits they are, in messages: "your", "the model's".
-        lower: least position [rad].
-        upper: greatest position [rad].
-        velocity: largest velocity [rad/s].
-        acceleration: largest acceleration [rad/s^2].
-        torque: largest torque [N m].
-    """
-
-    owner: str
-    lower: Any = -np.inf
-    upper: Any = np.inf
-    velocity: Any = np.inf
-    acceleration: Any = np.inf
-    torque: Any = np.inf
-
-
-def user_bounds(limits: LimitOptions, n_joints: int) -> Bounds:
-    """Return the limits of velocity, acceleration and torque that a user gives for n joints."""
-    velocity, acceleration, torque = (
-        joint_values(np.inf if limit is None else limit, n_joints, option_name(key))
-        for limit, key in (
-            (limits.max_velocity, "max_velocity"),
-            (limits.max_acceleration, "max_acceleration"),
-            (limits.max_torque, "max_torque"),
-        )
-    )
-    return Bounds("your", velocity=velocity, acceleration=acceleration, torque=torque)
-
-
-def excesses(
-    trajectory: DamiaoTrajectory, speed: float, bounds: Bounds
+def limit_excesses(
+    trajectory: DamiaoTrajectory, speed: float, owner: str, limits: Limits
 ) -> Iterator[str]:
     """Yield a sentence for each joint and each limit that a trajectory exceeds.
 
     The slope of the positions from row to row counts as a velocity too. What the rounding of the
-    file's numbers may make is left to each quantity. ``speed`` is the factor of the file's speed at
-    which it is played.
+    file's numbers may make is left to each quantity.
+
+    Args:
+        trajectory: with n joints.
+        speed: factor of the file's speed at which it is played.
+        owner: whose limits they are, in words: "your", "the model's".
+        limits: of the joints.
     """
     step = np.diff(trajectory.time)[:, None]
     velocity = np.abs(trajectory.qd)
     slopes = np.abs(trajectory.slopes) - 2.0 * ROUNDING / step
     velocity[:-1] = np.maximum(velocity[:-1], slopes)
-    change = 2.0 * ROUNDING / step.min()
-    for quantity, unit, values, bound, rounding in (
-        ("position", "rad", trajectory.q, bounds.upper, ROUNDING),
-        ("position", "rad", -trajectory.q, -bounds.lower, ROUNDING),
-        ("velocity", "rad/s", speed * velocity, bounds.velocity, ROUNDING),
-        (
-            "acceleration",
-            "rad/s^2",
-            speed**2 * np.abs(trajectory.qdd),
-            bounds.acceleration,
-            change,
-        ),
-        ("torque", "N·m", np.abs(trajectory.tau), bounds.torque, ROUNDING),
-    ):
-        largest = np.max(values, axis=0)
-        limit = bound + 0.0 * largest
-        # Registers hold float32.
-        slack = rounding + 1e-6 * np.abs(limit)
-        for j in np.flatnonzero(largest > limit + slack):
-            row = np.argmax(values[:, j])
-            moment = (trajectory.time[row] - trajectory.time[0]) / speed
+    acceleration = speed**2 * trajectory.qdd
+    signals = limits.signals(
+        trajectory.q, speed * velocity, acceleration, trajectory.tau
+    )
+    time = (trajectory.time - trajectory.time[0]) / speed
+    labels = [joint.label for joint in trajectory.joints]
+    units = dict(zip(LIMITED, ("rad", "rad/s", "rad/s^2", "N·m")))
+    rounding = np.full(signals.shape[1], ROUNDING)
+    # A velocity is rounded at both ends of a step.
+    rounding[2 * len(labels) : 3 * len(labels)] = 2.0 * ROUNDING / step.min()
+    for use in limits.uses([(time, signals)], labels, rounding):
+        if not use.is_kept:
             yield (
-                f"{trajectory.joints[j].label}: {quantity} {largest[j]:.4g} {unit} is beyond "
-                f"{bounds.owner} limit {limit[j]:g}, at {moment:.2f} s"
+                f"{use.owner}: {use.quantity} {use.middle + use.value:.4g} {units[use.quantity]} "
+                f"is beyond {owner} limit {use.middle + use.limit:g}, at {use.time:.2f} s"
             )
 
 

@@ -187,8 +187,7 @@ def implausible_joints(
         is_other = robot.is_slide == slide
         is_other[index] = False
         strongest = 3.0 * np.max(torques[is_other], initial=0.0) or np.inf
-        # A limit of zero means that the model states none.
-        if dry > min(robot.limits.torque[index] or np.inf, strongest):
+        if dry > min(robot.limits.torque[index], strongest):
             yield Verdict.IMPLAUSIBLE.remark(
                 f"{name} would have {dry:.3g} {torque_unit(slide)} of dry friction or more"
             )

@@ -256,17 +256,6 @@ def _parse_flange(robot: RobotModel, text: str) -> Flange:
     return Flange(text.replace(" ", ""), rotation, translation, robot.body_name)
 
 
-def joint_ranges(robot: RobotModel) -> tuple[Array, Array]:
-    """Return the lowest and the highest positions (n,), (n,) of the chain joints [rad or m].
-
-    Where a joint has no limit, it is half a turn (pi) away from the reference configuration.
-    """
-    lower = robot.limits.lower
-    upper = robot.limits.upper
-    lowest = np.where(np.isfinite(lower), lower, robot.reference - np.pi)
-    return lowest, np.where(np.isfinite(upper), upper, robot.reference + np.pi)
-
-
 def count_moving_joints(robot: RobotModel) -> NDArray[np.int64]:
     """Return how many chain joints move each body (nbody,); k joints are the chain's first k.
 
@@ -333,8 +322,9 @@ def _never_part(
     ``data`` is used; its joints are moved.
     """
     model = robot.mj_model
-    lowest, highest = joint_ranges(robot)
-    grid = np.linspace(lowest[between], highest[between], 7)
+    # Half a turn to both sides where a joint has no limit.
+    limits = robot.limits.around(robot.reference, np.pi)
+    grid = np.linspace(limits.lower[between], limits.upper[between], 7)
     data.qpos[:] = robot.reference_qpos
     for positions in product(*grid.T):
         data.qpos[robot.qpos_index[between]] = positions

@@ -29,7 +29,7 @@ from robot_sysid.model.actuators import (
     tendon_coefficients,
     torque_limits,
 )
-from robot_sysid.records import Array, JointFriction, JointLimits
+from robot_sysid.records import Array, JointFriction, Limits
 from robot_sysid.records.option_fields import PerJoint, joint_values
 from robot_sysid.wording import option_name, option_setting
 
@@ -267,7 +267,7 @@ def joint_limits(
     joints: tuple[int, ...],
     max_velocity: PerJoint,
     model_velocities: Sequence[float | None],
-) -> JointLimits:
+) -> Limits:
     """Return the limits of joints.
 
     Args:
@@ -279,13 +279,13 @@ def joint_limits(
             none; the lower of both counts.
     """
     index = np.array(joints)
-    is_limited = mj_model.jnt_limited[index].astype(bool)
+    has_range = mj_model.jnt_limited[index].astype(bool)
     is_slide = mj_model.jnt_type[index] == _SLIDE
     limits = joint_values(max_velocity, len(joints), option_name("max_velocity"))
     limits[is_slide] = np.minimum(DEFAULT_SLIDE_VELOCITY, limits[is_slide])
-    return JointLimits(
-        lower=np.where(is_limited, mj_model.jnt_range[index, 0], -np.inf),
-        upper=np.where(is_limited, mj_model.jnt_range[index, 1], np.inf),
+    return Limits(
+        lower=np.where(has_range, mj_model.jnt_range[index, 0], -np.inf),
+        upper=np.where(has_range, mj_model.jnt_range[index, 1], np.inf),
         velocity=np.fmin(limits, np.array(model_velocities, dtype=float)),
         torque=torque_limits(mj_model, joints),
     )

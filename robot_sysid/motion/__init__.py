@@ -12,12 +12,16 @@ from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
     OptionRecord,
     PerJoint,
+    joint_values,
     option,
 )
 from robot_sysid.wording import option_name
 
 if TYPE_CHECKING:
-    from robot_sysid.records import Array
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from robot_sysid.records import HalfSpace, Limits
 
 EXCITATIONS = ("sines", "optimal")
 WEIGHT = "weight"
@@ -34,25 +38,6 @@ the payload."""
 TOP_FREQUENCY_HZ = 0.6
 """Largest frequency of a designed trajectory [Hz], the upper end of the band of random sinusoids.
 Where no acceleration limit is given, the limit is what full speed at this frequency needs."""
-
-
-@dataclass(frozen=True)
-class HalfSpace:
-    """Space that certain bodies must stay in: points x with normal . x >= offset.
-
-    Attributes:
-        normal: (3,) unit vector in the world that points into the space.
-        offset: of the boundary from the world's origin along the normal [m].
-        clearance: distance that the bodies have to keep from the boundary [m].
-        bodies: MuJoCo ids of these bodies.
-        label: name of the boundary for messages.
-    """
-
-    normal: Array
-    offset: float
-    clearance: float
-    bodies: tuple[int, ...]
-    label: str
 
 
 @dataclass(frozen=True)
@@ -117,6 +102,38 @@ class LimitOptions(OptionRecord):
         # Raises InputError for a plane or a box that is no half-space, before any work is done.
         self.half_spaces()
 
+    def limits(
+        self,
+        is_slide: Sequence[bool] | NDArray[np.bool_],
+        moving: Sequence[int] = (),
+        link: Sequence[int] = (),
+    ) -> Limits:
+        """Return the limits that the user gives for n joints, and for what they carry.
+
+        Args:
+            is_slide: (n,) whether each joint is a slide, whose acceleration no option limits.
+            moving, link: as in ``half_spaces``.
+
+        Raises:
+            InputError: an option has neither one number nor one per joint.
+        """
+        import numpy as np
+
+        from robot_sysid.records import LIMITED, Limits
+
+        numbers = {}
+        for quantity in LIMITED[1:]:
+            key = f"max_{quantity}"
+            limit = getattr(self, key) or np.inf
+            numbers[quantity] = joint_values(limit, len(is_slide), option_name(key))
+        numbers["acceleration"][is_slide] = np.inf
+        return Limits(
+            **numbers,
+            tool_speed=self.max_tool_speed or np.inf,
+            clearance=self.clearance,
+            spaces=self.half_spaces(moving, link),
+        )
+
     def half_spaces(
         self, moving: Sequence[int] = (), link: Sequence[int] = ()
     ) -> tuple[HalfSpace, ...]:
@@ -153,6 +170,8 @@ def _plane(
     """
     import numpy as np
 
+    from robot_sysid.records import HalfSpace
+
     length = math.hypot(*values[:3]) if len(values) == 4 else 0.0
     if not (length > 0.0 and math.isfinite(length) and math.isfinite(values[3])):
         raise InputError(
@@ -176,6 +195,8 @@ def _box(sides: Sequence[float], bodies: tuple[int, ...]) -> Iterator[HalfSpace]
         InputError: there are not six numbers, or a minimum is not below its maximum.
     """
     import numpy as np
+
+    from robot_sysid.records import HalfSpace
 
     lows = sides[0::2]
     highs = sides[1::2]

@@ -29,14 +29,12 @@ from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.errors import InputError
 from robot_sysid.model.bodies import (
     count_moving_joints,
-    joint_ranges,
     touching_by_design,
     update_contacts,
 )
 from robot_sysid.model.chain import body_label
-from robot_sysid.motion import HalfSpace
 from robot_sysid.motion.solids import Solid, solids_of
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import Array, HalfSpace, Limits, RobotModel
 from robot_sysid.spatial import cross
 
 HORIZON = 0.05
@@ -98,8 +96,8 @@ class Clearance:
     Args:
         robot: the arm.
         start: (n,) configuration at rest, in which the motion starts [rad or m].
-        clearance: distance to keep between bodies that are apart at rest [m].
-        half_spaces: half-spaces that their ``bodies`` have to stay in.
+        limits: their clearance between bodies that are apart at rest, and their half-spaces, are
+            kept.
 
     Attributes:
         rates: approach bounds (P, n): pairs of row p approach at rates[p] @ abs(qd) [m/s] at most;
@@ -111,14 +109,9 @@ class Clearance:
         InputError: a body is outside a half-space at rest.
     """
 
-    def __init__(
-        self,
-        robot: RobotModel,
-        start: Array,
-        clearance: float,
-        half_spaces: Sequence[HalfSpace],
-    ) -> None:
-        self._arguments = robot, start, clearance, half_spaces
+    def __init__(self, robot: RobotModel, start: Array, limits: Limits) -> None:
+        self._arguments = robot, start, limits
+        clearance = limits.clearance
         self._robot = robot
         self._model = model = _with_margin(robot.mj_model, clearance + HORIZON)
         self._data = data_at_pose(model, robot.reference_qpos)
@@ -132,7 +125,7 @@ class Clearance:
         self._required = np.full((model.nbody, model.nbody), clearance)
         self.collisions = self._set_required_distances(start, clearance)
         self._ignore_harmless_neighbours(start)
-        self._set_required_heights(start, half_spaces)
+        self._set_required_heights(start, limits.spaces)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the constructor's arguments: a pickle of MuJoCo's data ends the process in 3.0."""
@@ -293,8 +286,7 @@ class Clearance:
         mujoco.mj_kinematics(self._model, data)
         for space in half_spaces:
             for solid in solids_of(self._model, space.bodies):
-                lowest = solid.lowest(data.xpos[None], data.xmat[None], space.normal)
-                height = lowest[0] @ space.normal - space.offset
+                height = solid.height(data, space.normal) - space.offset
                 if height <= 0.0:
                     body = body_label(self._model, solid.body)
                     raise InputError(
@@ -313,9 +305,12 @@ class Clearance:
         """
         # Links next to each other are always near; to know that this is harmless saves most tests.
         slacks = np.full_like(self._required, np.inf)
-        for joint, (low, high) in enumerate(zip(*joint_ranges(self._robot))):
+        robot = self._robot
+        # Half a turn to both sides where a joint has no limit.
+        limits = robot.limits.around(robot.reference, np.pi)
+        for joint, ends in enumerate(zip(limits.lower, limits.upper)):
             q = np.tile(start, (361, 1))
-            q[:, joint] = np.linspace(low, high, len(q))
+            q[:, joint] = np.linspace(*ends, len(q))
             near = self._near(q)
             links = np.sort(self._link_of_body[near.bodies], axis=1)
             is_neighbour = np.all(links == (joint, joint + 1), axis=1)
@@ -355,9 +350,8 @@ def approach_rates(
     n = robot.n_joints
     mj_model = robot.mj_model
     anchors = data.xanchor[mj_model.dof_jntid[robot.dof_index]]
-    travel = np.where(robot.is_slide, robot.limits.upper - robot.limits.lower, 0.0)
-    # Assumed for a slide without limits.
-    travel[~np.isfinite(travel)] = 1.0
+    # A metre is assumed for a slide without limits.
+    travel = 2.0 * robot.is_slide * robot.limits.around(robot.reference, 0.5).span
     # From each joint's anchor to the next one, which a slide there moves away by its travel.
     lengths = np.linalg.norm(np.diff(anchors, axis=0), axis=1) + travel[1:]
     # The ball about each body's origin that holds all its geoms.

@@ -12,15 +12,14 @@ The check is for one serial chain.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from robot_sysid.motion.clearance import Clearance, Closest
-from robot_sysid.motion.problem import OBSTACLE_LENGTH, ROUNDING, ExcitationProblem
-from robot_sysid.records import Array, MotionPlan
-from robot_sysid.records.messages import percent
+from robot_sysid.motion.problem import OBSTACLE_LENGTH, ExcitationProblem
+from robot_sysid.records import LimitUse, MotionPlan
 from robot_sysid.trajectory import SineTrajectory, motion_chunks, sample_times
 
 LEAST_RATE_HZ = 1000.0
@@ -31,47 +30,19 @@ approach is a sum with rounding errors, so a motion that just keeps a clearance 
 1e-9 m."""
 
 
-class Excess(NamedTuple):
-    """One limit that is not kept.
-
-    Attributes:
-        limit: its name for messages.
-        share: the largest value over the limit, above 1; for a clearance 1 + missing distance over
-            ``OBSTACLE_LENGTH``.
-        time: when it is exceeded most [s].
-    """
-
-    limit: str
-    share: float
-    time: float
-
-    def __str__(self) -> str:
-        over = percent(self.share - 1.0)
-        return f"{self.limit} ({over} over at {self.time:.2f} s)"
-
-
 @dataclass(frozen=True)
 class LimitCheck:
     """A trajectory against all its limits.
 
     Attributes:
-        largest: (4 n + 1,) largest absolute value of each of ``ExcitationProblem.signals``.
-        time: (4 n + 1,) when it is reached [s].
+        uses: of all limits of joints and tool.
         closest: the pair with the least slack: distance minus required distance.
-        excesses: limits that are not kept, the worst first; () for a trajectory that may be run.
+        excesses: limits that are not kept, the worst first; none for a trajectory that may be run.
     """
 
-    largest: Array
-    time: Array
+    uses: Sequence[LimitUse]
     closest: Closest
-    excesses: tuple[Excess, ...]
-
-    @property
-    def failure(self) -> str | None:
-        """Why the trajectory must not be run, or None."""
-        if not self.excesses:
-            return None
-        return f"this trajectory must not be run: it breaks the {self.excesses[0]}"
+    excesses: Sequence[LimitUse]
 
 
 def check_limits(
@@ -84,18 +55,15 @@ def check_limits(
         plan: the trajectory.
         sample_rate: at which it will be run [Hz]; it is checked at this rate, at least at 1 kHz.
     """
-    largest, time = _peaks(problem, plan, max(LEAST_RATE_HZ, sample_rate))
-    share = largest / problem.limits.columns
-    excesses = []
-    # Written with "not", so that NaN counts as an excess.
-    for k in np.flatnonzero(~(share <= 1.0 + ROUNDING)):
-        excesses.append(Excess(problem.signal_names[k], share[k], time[k]))
+    uses = _uses(problem, plan, max(LEAST_RATE_HZ, sample_rate))
+    excesses = [use for use in uses if not use.is_kept]
     closest = _tightest(problem.obstacles, plan)
     if closest.slack < -TOUCH:
-        missing = 1.0 - closest.slack / OBSTACLE_LENGTH
-        excesses.append(Excess(f"clearance of {closest.label}", missing, closest.time))
-    worst = tuple(sorted(excesses, key=lambda excess: -excess.share))
-    return LimitCheck(largest, time, closest, worst)
+        missing = OBSTACLE_LENGTH - closest.slack
+        numbers = missing, OBSTACLE_LENGTH, closest.time, False
+        excesses.append(LimitUse("clearance", closest.label, 0.0, *numbers))
+    excesses.sort(key=lambda excess: -excess.share)
+    return LimitCheck(uses, closest, excesses)
 
 
 def scale_to_limits(
@@ -127,9 +95,7 @@ def keeps_limits(
     """
     # Most motions that break a limit break it at the samples of the lower rate too.
     for rate in (100.0, sample_rate):
-        largest, _ = _peaks(problem, plan, rate)
-        # NaN keeps no limit.
-        if not np.all(largest <= (1.0 + ROUNDING) * problem.limits.columns):
+        if not all(use.is_kept for use in _uses(problem, plan, rate)):
             return False
     return first_contact(problem, plan) is None
 
@@ -142,21 +108,11 @@ def first_contact(problem: ExcitationProblem, plan: MotionPlan) -> Closest | Non
     return closest if closest.slack < 0.0 else None
 
 
-def _peaks(
-    problem: ExcitationProblem, plan: MotionPlan, rate: float
-) -> tuple[Array, Array]:
-    """Return the largest values (4 n + 1,) of limited quantities along a motion sampled at a rate
-    [Hz], and when they are reached (4 n + 1,) [s].
-    """
-    columns = np.arange(4 * problem.n_joints + 1)
-    largest, time = np.zeros((2, len(columns)))
-    for motion in motion_chunks(plan, rate):
-        magnitudes = np.abs(problem.signals(motion))
-        peak_samples = np.argmax(magnitudes, axis=0)
-        peaks = magnitudes[peak_samples, columns]
-        time = np.where(peaks > largest, motion.time[peak_samples], time)
-        largest = np.maximum(largest, peaks)
-    return largest, time
+def _uses(problem: ExcitationProblem, plan: MotionPlan, rate: float) -> list[LimitUse]:
+    """Return how far a motion sampled at a rate [Hz] uses the limits of joints and tool."""
+    chunks = motion_chunks(plan, rate)
+    samples = ((motion.time, problem.signals(motion)) for motion in chunks)
+    return problem.limits.uses(samples, problem.owners)
 
 
 def _tightest(obstacles: Clearance, plan: MotionPlan) -> Closest:

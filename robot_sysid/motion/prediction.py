@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_sysid.motion.limit_check import LimitCheck
-from robot_sysid.motion.problem import LIMIT_NAMES, ExcitationProblem
+from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.motion.solids import unguarded_text
 from robot_sysid.motion.starts import contact_on_the_way
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records import LIMITED, Array, LimitUse, MotionPlan
 from robot_sysid.records.messages import Detail, percent, position_unit
 from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.wording import option_setting
@@ -83,7 +83,13 @@ def limit_lines(
     if unguarded:
         yield unguarded[0].upper() + unguarded[1:]
     for excess in check.excesses:
-        yield f"NOT KEPT: {excess}"
+        yield f"NOT KEPT: {excess_text(excess)}"
+
+
+def excess_text(excess: LimitUse) -> str:
+    """Return which limit is not kept, by how much, and when."""
+    over = percent(excess.share - 1.0)
+    return f"{excess.name} ({over} over at {excess.time:.2f} s)"
 
 
 def error_lines(prediction: Prediction) -> Iterator[str]:
@@ -132,9 +138,9 @@ def motion_lines(
     assumed limits are no detail.
     """
     yield Detail("Largest values, a position from the middle of its range:")
-    uses = zip(problem.signal_names, check.largest, problem.limits.columns, check.time)
-    for name, largest, limit, time in uses:
-        yield Detail(f"  {largest:.2f} of {limit:.2f} at {time:.2f} s: {name}")
+    for use in check.uses:
+        numbers = f"{abs(use.value):.2f} of {abs(use.limit):.2f} at {use.time:.2f} s"
+        yield Detail(f"  {numbers}: {use.name}")
     limits_text = "; ".join(_assumed_limits(problem))
     if limits_text:
         yield f"Limits of this program (check them against the arm's): {limits_text}"
@@ -156,13 +162,12 @@ def _assumed_limits(problem: ExcitationProblem) -> Iterator[str]:
     """Yield the limits that neither the model nor an option states, such as "velocity 2 rad/s of
     joint0, joint1": a real arm may allow less than that.
     """
-    limits = problem.limits.columns[:-1].reshape(len(LIMIT_NAMES), -1)
+    limits = problem.limits.columns[:-1].reshape(len(LIMITED), -1)
     joints: dict[str, list[str]] = {}
-    for row, per_second in enumerate(("", "/s", "/s²")):
-        for joint in np.flatnonzero(problem.limits.assumed[row]):
-            unit = position_unit(problem.robot.is_slide[joint])
-            limit = f"{LIMIT_NAMES[row]} {limits[row, joint]:.4g} {unit}{per_second}"
-            joints.setdefault(limit, []).append(problem.joint_names[joint])
+    for row, joint in np.argwhere(problem.assumed):
+        unit = position_unit(problem.robot.is_slide[joint]) + ("", "/s", "/s²")[row]
+        limit = f"{LIMITED[row]} {limits[row, joint]:.4g} {unit}"
+        joints.setdefault(limit, []).append(problem.joint_names[joint])
     for limit, names in joints.items():
         is_general = len(names) == problem.n_joints
         yield f"{limit} of {'all joints' if is_general else ', '.join(names)}"

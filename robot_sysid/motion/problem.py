@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,10 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.estimate.links import link_factor
 from robot_sysid.model.chain import DEFAULT_SLIDE_VELOCITY
-from robot_sysid.motion import TOP_FREQUENCY_HZ, HalfSpace, LimitOptions
+from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.clearance import Clearance
 from robot_sysid.motion.solids import mounting_plane, tool_corners, unguarded_links
-from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records import Array, Limits, Motion, RobotModel
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.option_fields import (
     DEFAULT_MAX_VELOCITY,
@@ -31,13 +31,10 @@ from robot_sysid.spatial import N_INERTIAL
 from robot_sysid.trajectory import (
     POSITION_MARGIN,
     TORQUE_MARGIN,
-    UNLIMITED_RANGE,
     TorqueFunction,
+    assumed_reach,
 )
-from robot_sysid.wording import option_name
 
-LIMIT_NAMES = ("position", "velocity", "acceleration", "torque")
-"""The families of joint limits, in the order of their columns."""
 LIMIT_SHARE = 0.99
 """Share of the limits the search uses; the rest covers peaks between grid points.
 
@@ -45,46 +42,8 @@ A peak between two of 25 points per period is cos(pi / 25) = 0.992 of itself at 
 """
 OBSTACLE_LENGTH = 0.05
 """A slack of minus this length [m] counts as much as exceeding a limit by 100 %."""
-ROUNDING = 1e-9
-"""Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
 DEFAULT_NOISE_TORQUE = 0.3
 """Torque noise that a plan predicts errors for where none is given [N m]."""
-
-
-@dataclass(frozen=True)
-class MotionLimits:
-    """Limits of a motion, (n,) each; infinite where there is none, but for positions.
-
-    Attributes:
-        lower: (n,) smallest positions, with the margin already added [rad or m].
-        upper: (n,) largest positions, with the margin already subtracted [rad or m].
-        velocity: largest absolute speed of each joint [rad/s or m/s].
-        acceleration: largest absolute acceleration of each joint [rad/s^2 or m/s^2].
-        torque: largest absolute torque of each joint [N m or N].
-        tool_speed: largest speed of the tool's fastest point, one number [m/s].
-        assumed: (3, n) whether a joint's limit of position, velocity and acceleration is stated
-            neither by the model nor by an option.
-    """
-
-    lower: Array
-    upper: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
-    tool_speed: float
-    assumed: NDArray[np.bool_]
-
-    @property
-    def center(self) -> Array:
-        """Middle of the position limits (n,) [rad or m]."""
-        return 0.5 * (self.lower + self.upper)
-
-    @property
-    def columns(self) -> Array:
-        """Limits (4 n + 1,) of the columns of ``ExcitationProblem.signals``."""
-        span = 0.5 * (self.upper - self.lower)
-        joints = (span, self.velocity, self.acceleration, self.torque)
-        return np.append(joints, self.tool_speed)
 
 
 @dataclass(frozen=True)
@@ -94,7 +53,9 @@ class ExcitationProblem:
     Attributes:
         robot: the arm.
         rest: (n,) configuration in which the motion starts and ends [rad].
-        limits: of joints and of the tool.
+        limits: that the motion may use, with margins already taken off; all positions have some.
+        assumed: (3, n) whether a joint's limit of position, velocity and acceleration is stated
+            neither by the model nor by an option.
         links: L indices in ``robot.links`` of the links with mass: the terminal one, then the
             others from the base on.
         dynamics: motion of all links.
@@ -114,7 +75,8 @@ class ExcitationProblem:
 
     robot: RobotModel
     rest: Array
-    limits: MotionLimits
+    limits: Limits
+    assumed: NDArray[np.bool_]
     links: tuple[int, ...]
     dynamics: LinkDynamics
     tool: Array
@@ -183,24 +145,18 @@ class ExcitationProblem:
         return self.torque(motion_of_samples(q, zero + qd, zero))
 
     @property
-    def signal_names(self) -> tuple[str, ...]:
-        """Names (4 n + 1,) of the limits of the columns of ``signals``."""
-        names = []
-        for family in LIMIT_NAMES:
-            names += [f"{family} limit of joint {joint}" for joint in self.joint_names]
-        return (*names, "speed limit of the tool")
+    def owners(self) -> list[str]:
+        """The joints in words, as owners of limits."""
+        return [f"joint {name}" for name in self.joint_names]
 
     def signals(self, motion: Motion) -> Array:
-        """Return the quantities that have limits (N, 4 n + 1): distance from the middle of the
-        range, speed, acceleration and torque of all joints, and speed of the tool's fastest point.
-        """
-        offset = motion.q - self.limits.center
+        """Return the quantities that have limits (N, 4 n + 1), see ``Limits.signals``."""
         links = self.dynamics.motion(motion.q, motion.qd, motion.qdd)
         spin, velocity = np.split(links.velocity[-1][:, None], 2)
         corners = velocity + spatial.cross(spin, self.tool.T[:, :, None])
         fastest = np.max(np.linalg.norm(corners, axis=0), axis=0)
         torque = self.torque(motion)
-        return np.column_stack((offset, motion.qd, motion.qdd, torque, fastest))
+        return self.limits.signals(motion.q, motion.qd, motion.qdd, torque, fastest)
 
     @property
     def scale(self) -> Array:
@@ -216,31 +172,36 @@ def motion_of_samples(q: Array, qd: Array, qdd: Array) -> Motion:
 
 def build_problem(
     robot: RobotModel,
-    limits: LimitOptions,
+    options: LimitOptions,
     torques: str = "chain",
     noise_torque: PerJoint = DEFAULT_NOISE_TORQUE,
     shakes_gently: bool = True,
     link_uncertainty: float = 0.0,
+    motors: Limits | None = None,
 ) -> ExcitationProblem:
     """Return the problem of a motion of an arm: its limits, obstacles and dynamics.
 
     Args:
         robot: the arm.
-        limits: options that limit its motion.
+        options: that limit its motion.
         torques: "chain" or "terminal": which joint torques will be used.
         noise_torque: standard deviation of the torque noise [N m], one number or one per joint.
         shakes_gently: where no acceleration limit is given, whether there is the one that full
             speed at the top of the usual band needs.
         link_uncertainty: how far the links may be off [%]; torque is reserved for that.
+        motors: limits of the motors that will play it.
 
     Raises:
         InputError: the arm breaks a limit already at rest; says which.
     """
-    motion_limits = _limits(robot, limits, shakes_gently)
+    model = robot.mj_model
+    moving = subtree(model, model.dof_bodyid[robot.dof_index[0]])
+    user = options.limits(robot.is_slide, moving, subtree(model, robot.body_id))
+    stated = Limits.of(robot.limits, user, motors or Limits())
+    limits, assumed = _usable(robot, stated, user, shakes_gently)
     # A motion that starts outside what the search uses would break its limits, however small.
-    center = motion_limits.center
-    span = LIMIT_SHARE * (motion_limits.upper - center)
-    start_pose = np.clip(robot.reference, center - span, center + span)
+    span = LIMIT_SHARE * limits.span
+    start_pose = np.clip(robot.reference, limits.center - span, limits.center + span)
     moved = [
         f"{name} at {q:.3f} instead of {reference:.3f}"
         for name, q, reference in zip(robot.joint_names, start_pose, robot.reference)
@@ -250,21 +211,23 @@ def build_problem(
         "the reference configuration is at or beyond a position limit; the motion starts and "
         f"ends with {', '.join(moved)}"
     )
-    spaces = _half_spaces(robot, limits, start_pose)
+    if not options.below_base:
+        limits = _above_base(robot, limits, start_pose)
     n_joints = robot.n_joints
     links = (n_joints - 1, *other_links(robot))
     rows = tuple(range(0 if torques == "chain" else n_joints - 1, n_joints))
     return ExcitationProblem(
         robot=robot,
         rest=start_pose,
-        limits=motion_limits,
+        limits=limits,
+        assumed=assumed,
         links=links,
         dynamics=LinkDynamics(robot),
         tool=tool_corners(robot),
         arm_torque=ArmDynamics(robot),
-        reserve=limits.payload_reserve,
+        reserve=options.payload_reserve,
         link_errors=link_factor(robot, links, 0.01 * link_uncertainty),
-        obstacles=Clearance(robot, start_pose, limits.clearance, spaces),
+        obstacles=Clearance(robot, start_pose, limits),
         rows=rows,
         sigma=joint_values(noise_torque, robot.n_joints, "the prior noise")[list(rows)],
         notes=(note,) if moved else (),
@@ -272,70 +235,52 @@ def build_problem(
     )
 
 
-def _position_limits(robot: RobotModel) -> tuple[Array, Array]:
-    """Return the lower and upper position limits (n,) of a motion [rad or m]: those of the model
-    less a margin, or an assumed range about the reference where the model has none.
+def _usable(
+    robot: RobotModel, stated: Limits, user: Limits, shakes_gently: bool
+) -> tuple[Limits, NDArray[np.bool_]]:
+    """Return what a motion may use of stated limits: all but a margin, with usual limits where none
+    are stated; and ``ExcitationProblem.assumed``.
+
+    Args:
+        robot: the arm.
+        stated: limits by the model, the user and motors.
+        user: limits by the user alone.
+        shakes_gently: as in ``build_problem``.
     """
-    lower = robot.limits.lower
-    upper = robot.limits.upper
-    assumed = np.where(robot.is_slide, UNLIMITED_RANGE[True], UNLIMITED_RANGE[False])
-    assumed_lower = np.minimum(robot.reference, upper) - 0.5 * assumed
-    lower = np.where(np.isfinite(lower), lower, assumed_lower)
-    assumed_upper = np.maximum(robot.reference, lower) + 0.5 * assumed
-    upper = np.where(np.isfinite(upper), upper, assumed_upper)
-    margin = POSITION_MARGIN * (upper - lower)
-    return lower + margin, upper - margin
-
-
-def _limits(
-    robot: RobotModel, options: LimitOptions, shakes_gently: bool
-) -> MotionLimits:
-    """Return the limits of a motion; ``shakes_gently`` is as in ``build_problem``."""
-    model_limits = robot.limits
     is_slide = robot.is_slide
-    top = TOP_FREQUENCY_HZ if shakes_gently else np.inf
     # The acceleration of a sinusoid of this frequency that reaches the speed limit.
-    natural = 2.0 * np.pi * top * model_limits.velocity
-
-    is_natural = is_slide | (options.max_acceleration is None)
-    acceleration = np.where(is_natural, natural, options.max_acceleration or 0.0)
-    torque = joint_values(
-        options.max_torque or np.inf, robot.n_joints, option_name("max_torque")
+    top = TOP_FREQUENCY_HZ if shakes_gently else np.inf
+    is_natural = np.isinf(stated.acceleration)
+    acceleration = np.where(
+        is_natural, 2.0 * np.pi * top * stated.velocity, stated.acceleration
     )
-    # The robot's velocity limits are those of ``--max-velocity`` (for slides, at most the default)
-    # unless the model states lower ones.
-    speed = joint_values(
-        options.max_velocity, robot.n_joints, option_name("max_velocity")
+    usual_speed = np.where(is_slide, DEFAULT_SLIDE_VELOCITY, DEFAULT_MAX_VELOCITY)
+    is_usual_speed = is_slide | (user.velocity == DEFAULT_MAX_VELOCITY)
+    assumed = (
+        ~stated.has_range,
+        is_usual_speed & (stated.velocity == usual_speed),
+        is_natural & np.isfinite(acceleration),
     )
-    default_speed = np.where(is_slide, np.minimum(DEFAULT_SLIDE_VELOCITY, speed), speed)
-    is_default = is_slide | (speed == DEFAULT_MAX_VELOCITY)
-    has_range = np.isfinite(model_limits.lower) & np.isfinite(model_limits.upper)
-    is_usual_speed = is_default & (model_limits.velocity >= default_speed)
-    is_usual_acceleration = is_natural & np.isfinite(acceleration)
-    return MotionLimits(
-        *_position_limits(robot),
-        velocity=model_limits.velocity,
+    ranged = stated.around(robot.reference, assumed_reach(robot))
+    margin = 2.0 * POSITION_MARGIN * ranged.span
+    usable = replace(
+        ranged,
+        lower=ranged.lower + margin,
+        upper=ranged.upper - margin,
         acceleration=acceleration,
-        torque=TORQUE_MARGIN * np.minimum(model_limits.torque, torque),
-        tool_speed=options.max_tool_speed or np.inf,
-        assumed=np.stack((~has_range, is_usual_speed, is_usual_acceleration)),
+        torque=TORQUE_MARGIN * stated.torque,
     )
+    return usable, np.stack(assumed)
 
 
-def _half_spaces(
-    robot: RobotModel, options: LimitOptions, start_pose: Array
-) -> tuple[HalfSpace, ...]:
-    """Return the half-spaces of the options, and the one above the body that carries the arm.
+def _above_base(robot: RobotModel, limits: Limits, start_pose: Array) -> Limits:
+    """Return the limits with the half-space above the body that carries the arm.
 
-    There is none above it where an option allows to go below it, the model has a floor, or a
-    keep-out plane is one. The base's height is taken with the joints at ``start_pose`` (n,).
+    There is none where the model has a floor, or a half-space is one. The base's height is taken
+    with the joints at ``start_pose`` (n,).
     """
-    model = robot.mj_model
-    moving = subtree(model, model.dof_bodyid[robot.dof_index[0]])
-    spaces = options.half_spaces(moving, subtree(model, robot.body_id))
     base = mounting_plane(robot, start_pose)
-    if options.below_base or base is None:
-        return spaces
     # The cosine of a slope: a plane that is less steep is a ground.
-    is_ground = [space.normal @ base.normal > 0.9 for space in spaces]
-    return spaces if any(is_ground) else (*spaces, base)
+    if base is None or any(space.normal @ base.normal > 0.9 for space in limits.spaces):
+        return limits
+    return replace(limits, spaces=(*limits.spaces, base))

@@ -39,11 +39,11 @@ from robot_sysid.motion.limit_check import keeps_limits
 from robot_sysid.motion.problem import (
     LIMIT_SHARE,
     OBSTACLE_LENGTH,
-    ROUNDING,
     ExcitationProblem,
     motion_of_samples,
 )
-from robot_sysid.records import Array
+from robot_sysid.records import LIMITED, Array
+from robot_sysid.records.limits import ROUNDING, limit_name, limited_quantities
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import SineTrajectory, TrajectoryOptions
 from robot_sysid.wording import option_name
@@ -428,13 +428,10 @@ def draw_trajectory(design: Design, seed: int, number: int) -> Draw:
             return Draw(design.criterion_of(x), x, "")
     # The constraint that the smallest multiple exceeds most.
     sample, column = np.unravel_index(np.argmax(value), value.shape)
-    names = design.problem.signal_names
-    if column < len(names):
-        obstacle = names[column]
-    else:
-        closest = design.problem.obstacles.closest(motion[0][sample])
-        obstacle = f"clearance of {closest.label}"
-    return Draw(np.inf, np.zeros_like(full), obstacle)
+    problem = design.problem
+    closest = problem.obstacles.closest(motion[0][sample])
+    limits = [*limited_quantities(problem.owners), ("clearance", closest.label)]
+    return Draw(np.inf, np.zeros_like(full), limit_name(*limits[column]))
 
 
 def _draw_within_motion_limits(design: Design, rng: np.random.Generator) -> Array:
@@ -474,7 +471,7 @@ def _largest_factor(design: Design, base: Array, x: Array) -> Array:
     start = design.motion(base)
     start[0] -= limits.center
     step = design.on_grid @ x.T
-    largest = LIMIT_SHARE * limits.columns[:-1].reshape(4, 1, -1)[:3]
+    largest = LIMIT_SHARE * limits.columns[:-1].reshape(len(LIMITED), 1, -1)[:3]
     room = largest - np.sign(step) * start
     factor = np.min(room / np.maximum(np.abs(step), 1e-12), axis=(0, 1))
     return np.maximum(factor, 0.0)

@@ -8,18 +8,18 @@ geoms, but not from planes that are no part of a model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import data_at_pose, subtree
 from robot_sysid.model.bodies import count_moving_joints
 from robot_sysid.model.stated import GROUND_TYPES
-from robot_sysid.motion import HalfSpace
-from robot_sysid.records import Array, RobotModel
+from robot_sysid.records import Array, HalfSpace, RobotModel
 from robot_sysid.wording import option_name
 
 # MuJoCo's types of geoms.
@@ -72,16 +72,27 @@ class Solid:
         corner = self.farthest(-up @ turns)
         return positions[:, self.body] + np.einsum("nab,nb->na", turns, corner)
 
+    def height(self, data: Any, up: Array) -> float:
+        """Return the height of the body's lowest point along a unit vector (3,) [m], in
+        MuJoCo's ``data``.
+        """
+        return self.lowest(data.xpos[None], data.xmat[None], up)[0] @ up
 
-def solids_of(mj_model: Any, bodies: Sequence[int]) -> list[Solid]:
-    """Return the shapes of bodies, given by MuJoCo ids, without those that are planes alone."""
-    solids = [_solid(mj_model, body) for body in bodies]
+
+def solids_of(
+    mj_model: Any, bodies: Iterable[int], geoms: NDArray[np.bool_] | bool = True
+) -> list[Solid]:
+    """Return the shapes of bodies, given by MuJoCo ids, without those that are planes alone.
+
+    ``geoms`` (ngeom,) says which geoms count.
+    """
+    solids = [_solid(mj_model, body, geoms) for body in bodies]
     return [solid for solid in solids if len(solid.points)]
 
 
-def _solid(mj_model: Any, body: int) -> Solid:
-    """Return the shape of a body; it has no points where it is a plane."""
-    geoms = np.flatnonzero(mj_model.geom_bodyid == body)
+def _solid(mj_model: Any, body: int, counts: NDArray[np.bool_] | bool) -> Solid:
+    """Return the shape of a body by the geoms that count; it has no points where it is a plane."""
+    geoms = np.flatnonzero((mj_model.geom_bodyid == body) & counts)
     if not len(geoms):
         return Solid(body, np.zeros((1, 3)), np.zeros(1))
     points = []
@@ -154,16 +165,13 @@ def mounting_plane(robot: RobotModel, start_pose: Array) -> HalfSpace | None:
     carrier = model.body_parentid[moving[0]]
     is_fixed = model.body_weldid[model.geom_bodyid] == model.body_weldid[carrier]
     is_mesh = is_fixed & (model.geom_type == _TYPES.mjGEOM_MESH)
-    height = up @ data.xpos[carrier]
-    for geom in np.flatnonzero(is_mesh if np.any(is_mesh) else is_fixed).tolist():
-        points, radius = _shape(model, geom)
-        turned = points @ data.geom_xmat[geom].reshape(3, 3).T
-        heights = (data.geom_xpos[geom] + turned) @ up - radius
-        height = np.min(heights, initial=height)
+    counts = is_mesh if np.any(is_mesh) else is_fixed
+    grounded = solids_of(model, np.unique(model.geom_bodyid[counts]), counts)
+    heights = [solid.height(data, up) for solid in grounded]
+    height = min([up @ data.xpos[carrier], *heights])
     above = []
-    for solid in solids_of(model, moving.tolist()):
-        (lowest,) = solid.lowest(data.xpos[None], data.xmat[None], up)
-        if lowest @ up > height:
+    for solid in solids_of(model, moving):
+        if solid.height(data, up) > height:
             above.append(solid.body)
         elif link_of_body[solid.body] > 1:
             return None
@@ -207,17 +215,18 @@ def tool_corners(robot: RobotModel) -> Array:
     """Return the corners (8, 3) of a box about the terminal link and all it carries, along the axes
     of the terminal body's frame, in that frame [m]; the frame's origin is in the box.
     """
-    data = data_at_pose(robot.mj_model, robot.reference_qpos)
+    model = robot.mj_model
+    data = data_at_pose(model, robot.reference_qpos)
     body = robot.body_id
-    points = [np.zeros((1, 3))]
-    for solid in solids_of(robot.mj_model, subtree(robot.mj_model, body)):
-        turn = data.xmat[solid.body].reshape(3, 3)
-        world = data.xpos[solid.body] + solid.points @ turn.T - data.xpos[body]
-        local = world @ data.xmat[body].reshape(3, 3)
-        radius = solid.radius[:, None]
-        points += [local - radius, local + radius]
-    lower = np.min(np.concatenate(points), axis=0)
-    upper = np.max(np.concatenate(points), axis=0)
+    axes = data.xmat[body].reshape(3, 3).T
+    solids = solids_of(model, subtree(model, body))
+    extents = []
+    for direction in (*axes, *-axes):
+        origin = data.xpos[body] @ direction
+        # How far below the frame's origin the shapes reach.
+        depths = [origin - solid.height(data, direction) for solid in solids]
+        extents.append(max([0.0, *depths]))
+    lower, upper = np.array(extents).reshape(2, 3) * [[-1.0], [1.0]]
     return 0.5 * (lower + upper + (upper - lower) * _CORNERS)
 
 

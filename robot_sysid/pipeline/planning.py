@@ -3,71 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_sysid.config import MotionConfig, MotorOptions, PlanConfig
+from robot_sysid.config import MotionConfig, PlanConfig
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.export import Written
 from robot_sysid.motion import WEIGHT
-from robot_sysid.motion.plan import CheckedPlan, MotionRequest, make_plan
+from robot_sysid.pipeline.motions import CheckedPlan, motor_joints
 from robot_sysid.pipeline.next_steps import step_after, step_with_motion
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.file_access import DAMIAO_NAME, AtomicFiles, atomic_files
-from robot_sysid.records.messages import NextStep, Progress, percent
+from robot_sysid.records.messages import NextStep, percent
 from robot_sysid.records.option_fields import (
     command_arguments,
     given_values,
-    joint_values,
     options_of_all,
 )
 from robot_sysid.trajectory import motion_chunks
 from robot_sysid.wording import option_name
 
 if TYPE_CHECKING:
-    from robot_sysid.damiao.joints import DamiaoJoint
     from robot_sysid.damiao.trajectory import MotionChunk
     from robot_sysid.motion.prediction import Prediction
-
-
-def design_motion(
-    config: MotionConfig, robot: RobotModel, progress: Progress
-) -> CheckedPlan:
-    """Return the motion of a run with its limit check.
-
-    Args:
-        config: settings of motion, design, limits, motors and estimate; without a seed, one is
-            drawn.
-        robot: the arm.
-        progress: receives stages, and the progress of a search.
-    """
-    limits = config.limits
-    motors = config.motors
-    joints = motor_joints(motors, robot)
-    if joints:
-        # The motors of the export keep their torque limits, too.
-        max_torque = joint_values(
-            limits.max_torque or np.inf, robot.n_joints, option_name("max_torque")
-        )
-        # The last limit is TMAX, which no command of torque can exceed.
-        peaks = [min(j.spec.peak_torque, j.spec.limits[2]) for j in joints]
-        max_torque = np.minimum(max_torque, peaks)
-        limits = replace(limits, max_torque=tuple(max_torque.tolist()))
-    request = MotionRequest(
-        config.trajectory,
-        config.excitation,
-        limits,
-        config.estimation,
-        played=motors.export_damiao,
-        plan_only=isinstance(config, PlanConfig),
-        aim=config.aim,
-    )
-    seed = config.with_seed().trajectory.seed or 0
-    return make_plan(request, robot, seed, progress)
 
 
 def predict_plan(
@@ -251,24 +212,6 @@ def draft_plan(
     with files.open(samples_path) as file:
         save_samples(file, plan, robot.joint_names, config.trajectory.sample_rate)
     return path, samples_path
-
-
-def motor_joints(motors: MotorOptions, robot: RobotModel) -> tuple[DamiaoJoint, ...]:
-    """Return the joints of an arm with their motors; none where no option asks for an export.
-
-    InputError where the export is impossible for this arm.
-    """
-    if not motors.export_damiao:
-        return ()
-    from robot_sysid.damiao.joints import damiao_joints
-
-    return damiao_joints(
-        motors.motor_type,
-        robot.n_joints,
-        motors.can_id,
-        motors.master_id,
-        robot.joint_names,
-    )
 
 
 def draft_motor_file(

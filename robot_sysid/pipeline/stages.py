@@ -28,13 +28,9 @@ from robot_sysid.dynamics.friction import split_name
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
 from robot_sysid.parser import load_robot_model
+from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.pipeline.next_steps import step_after
-from robot_sysid.pipeline.planning import (
-    design_motion,
-    draft_motor_file,
-    draft_plan,
-    write_plan,
-)
+from robot_sysid.pipeline.planning import draft_motor_file, draft_plan, write_plan
 from robot_sysid.records import ITSELF, DataOrigin, MotionPlan, RobotModel
 from robot_sysid.records.data import FitQuality
 from robot_sysid.records.file_access import atomic_files

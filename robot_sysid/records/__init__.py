@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from robot_sysid.records.arm import *  # noqa: F403
+    from robot_sysid.records.arrays import *  # noqa: F403
     from robot_sysid.records.data import *  # noqa: F403
+    from robot_sysid.records.limits import *  # noqa: F403
 
 
 def __getattr__(name: str) -> Any:
-    """Import ``arm`` and ``data`` on first use: options and progress do not wait for numpy."""
-    for module_name in ("arm", "data"):
+    """Import the modules of records on first use: options and progress do not wait for numpy."""
+    for module_name in ("arm", "arrays", "data", "limits"):
         names = vars(importlib.import_module(f"{__name__}.{module_name}"))
         if name in names:
             return globals().setdefault(name, names[name])

@@ -11,53 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid import spatial
-from robot_sysid.errors import InputError
+from robot_sysid.records.arrays import Array, check_arrays
+from robot_sysid.records.limits import Limits
 from robot_sysid.records.messages import MeshesLeftOut
-
-Array = NDArray[np.float64]
-"""Array of floats, of any shape."""
-
-
-def checked_array(value: Any, shape: tuple[int | None, ...], name: str) -> Array:
-    """Return a read-only float array of a shape, a view of ``value`` if that is a float array.
-
-    Args:
-        value: an array, or anything that numpy converts to one.
-        shape: expected length of each axis; None for any length.
-        name: names the value in the error.
-
-    Raises:
-        InputError: the shape differs, or an element is not finite.
-    """
-    array = np.asarray(value, dtype=np.float64).view()
-    fits = array.ndim == len(shape)
-    for expected, length in zip(shape, array.shape):
-        fits &= expected in (None, length)
-    if not fits:
-        raise InputError(
-            f"{name} has shape {array.shape}, expected {shape} (None = any length)"
-        )
-    is_finite = np.isfinite(array)
-    if not np.all(is_finite):
-        index = tuple(np.argwhere(~is_finite)[0].tolist())
-        raise InputError(f"{name} is not finite at index {index}")
-    array.flags.writeable = False
-    return array
-
-
-def check_arrays(record: Any, **shapes: tuple[int | None, ...]) -> None:
-    """Replace fields of a frozen record by read-only float arrays, see ``checked_array``.
-
-    Args:
-        record: the record, which is changed in place.
-        shapes: name of a field to the expected length of each axis; None for any length.
-
-    Raises:
-        InputError: a shape differs, or an element is not finite.
-    """
-    for name, shape in shapes.items():
-        array = checked_array(getattr(record, name), shape, name)
-        object.__setattr__(record, name, array)
 
 
 @dataclass(frozen=True)
@@ -206,34 +162,6 @@ class Flange:
 
 
 @dataclass(frozen=True)
-class JointLimits:
-    """Limits of the n chain joints; infinite where there is none.
-
-    Attributes:
-        lower: (n,) smallest positions [rad or m].
-        upper: (n,) largest positions [rad or m].
-        velocity: (n,) largest speeds in both directions [rad/s or m/s].
-        torque: (n,) largest torques in both directions [N m or N].
-    """
-
-    lower: Array
-    upper: Array
-    velocity: Array
-    torque: Array
-
-    def __post_init__(self) -> None:
-        sizes = {np.shape(values) for values in vars(self).values()}
-        if len(sizes) != 1 or np.any(np.isnan((self.lower, self.upper))):
-            raise InputError(
-                f"joint limits must be numbers of one length, got shapes {sizes}"
-            )
-        if np.any(self.lower >= self.upper) or np.any(self.velocity <= 0.0):
-            raise InputError(
-                "joint limits are empty: need lower < upper and velocity > 0"
-            )
-
-
-@dataclass(frozen=True)
 class JointFriction:
     """Friction of n chain joints, tau_f = coulomb sign(qd) + viscous qd + that of shared motors.
 
@@ -303,7 +231,7 @@ class RobotModel:
     dof_index: NDArray[np.int64]
     reference_qpos: Array
     is_slide: NDArray[np.bool_]
-    limits: JointLimits
+    limits: Limits
     friction: JointFriction
     links: tuple[ArmLink, ...]
     sha256: str = ""

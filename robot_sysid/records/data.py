@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
-from robot_sysid.records.arm import Array, check_arrays
+from robot_sysid.records.arrays import Array, check_arrays
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from rigs import arms, witness
 from rigs.command_line import words_of
 from rigs.excitation_arms import TUBES
 from robot_sysid.cli import main
-from robot_sysid.motion.limit_check import LimitCheck
 from robot_sysid.motion.trajectories import load_trajectory
+from robot_sysid.pipeline.motions import CheckedPlan
 
 RATE = ("--sample-rate 100",)
 SHORT = ("--duration 2", *RATE, "--seed 1")
@@ -56,7 +56,7 @@ def test_where_a_limit_is_broken_nothing_is_written_or_called_good(
     case, command, arm, monkeypatch
 ):
     monkeypatch.setattr(
-        LimitCheck, "failure", property(lambda check: "it breaks the law")
+        CheckedPlan, "failure", property(lambda plan: "it breaks the law")
     )
     arguments, code = (("plan", arm), 1) if case.startswith("planned") else ((arm,), 2)
     assert "it breaks the law" in command.refused(*arguments, *CHECKED[case], code=code)

@@ -17,7 +17,7 @@ from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.trajectory import NO_LIMITS
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.motion.problem import build_problem
-from robot_sysid.records import JointLimits, Motion
+from robot_sysid.records import Limits, Motion
 from robot_sysid.records.messages import Level
 
 # Wide frames, so that the export clamps nothing.
@@ -45,7 +45,7 @@ def folder(tmp_path_factory):
 def limited_robot(arm, share, peaks):
     """The arm with limits (3, n) that peaks of position, velocity and torque are a share of."""
     position, velocity, torque = np.array(peaks) / share
-    return replace(arm, limits=JointLimits(-position, position, velocity, torque))
+    return replace(arm, limits=Limits(-position, position, velocity, torque=torque))
 
 
 def check_trajectory(folder, motion, speed, robot, limits=NO_LIMITS):
@@ -108,7 +108,7 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     time, q, qd, tau = swing(3, duration=1.0, rate=rate, amplitude=2.0)
     steepest = (np.abs(np.diff(q, axis=0)).max(axis=0) - 1e-4) * rate * speed
     free = np.full(3, np.inf)
-    robot = replace(arm, limits=JointLimits(-free, free, steepest / share, free))
+    robot = replace(arm, limits=Limits(-free, free, steepest / share, torque=free))
     excesses = limit_findings(
         check_trajectory(folder, (time, q, 0 * qd, tau), speed, robot)
     )

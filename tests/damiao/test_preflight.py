@@ -35,7 +35,8 @@ def checks_of(rows, types, timing=None, **settings):
     completed = PlaySettings(**settings).for_motors(
         [joint.spec for joint in joints], timing
     )
-    fields = {"settings": completed, "timing": timing, "limits": NO_LIMITS}
+    user = NO_LIMITS.limits([False] * len(types))
+    fields = {"settings": completed, "timing": timing, "user_limits": user}
     played = DamiaoTrajectory(Path(), joints, *rows)
     return [*plan_checks(SimpleNamespace(trajectory=played, duration=5.0, **fields))]
 

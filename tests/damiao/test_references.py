@@ -18,9 +18,9 @@ from robot_sysid.damiao.references import (
     trajectory_reference,
     transfer_reference,
 )
-from robot_sysid.damiao.safety.guards import CommandRange
 from robot_sysid.damiao.settings import PlaySettings
 from robot_sysid.errors import HardwareAbort
+from robot_sysid.records import Limits
 
 ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=7)
 
@@ -71,7 +71,7 @@ def test_an_approach_goes_from_rest_to_rest_within_its_speed(
 def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
     """A torque that never goes away, as of a joint that lies on its stop, does not lead it on."""
     begin = Reference(np.array([0.4, 0.0]), np.zeros(2), np.array([3.0, 0.0]))
-    command_range = CommandRange(np.full(2, -0.1), np.full(2, 1.0), np.full(2, 9.0))
+    command_range = Limits(np.full(2, -0.1), np.full(2, 1.0), np.full(2, 9.0))
     lowering = Lowering(begin, 0.2, np.full(2, 27.0), command_range)
     lowering.follow(np.zeros(2), np.zeros(2), np.array([9.0, 0.0]))
     moments = np.arange(0.0, 8.0, 0.004)
@@ -82,7 +82,7 @@ def test_an_arm_is_lowered_to_the_end_of_its_range_and_no_farther():
     assert lowering.is_done and references[-1].velocity[0] == 0.0
 
 
-FAR = CommandRange(np.full(2, -9.0), np.full(2, 9.0), np.full(2, 9.0))
+FAR = Limits(np.full(2, -9.0), np.full(2, 9.0), np.full(2, 9.0))
 ZERO = (0.0, 0.0)
 KP = 180.0
 KD = 4.5
@@ -101,12 +101,12 @@ def stop(
     q=ZERO,
     qd=ZERO,
     stuck=(False, False),
-    command_range=FAR,
+    limits=FAR,
 ):
     """A stop of two joints."""
     reference = Reference(*np.array([position, velocity, torque]))
     state = np.array(q), np.array(qd), reference.torque, np.array(stuck)
-    return CarriedStop(stop_settings(2), reference, *state, command_range)
+    return CarriedStop(stop_settings(2), reference, *state, limits)
 
 
 STOP_ANGLES = st.tuples(*[st.floats(-2.0, 2.0)] * 2)
@@ -205,7 +205,7 @@ def thrown_energy(motor_inertia, link_inertia, spring, cycles_late, step=1e-4):
     zero = np.zeros(n)
     path = CarriedStop(
         *(stop_settings(n), Reference(zero, zero, zero), zero, zero, zero),
-        *(zero != 0.0, CommandRange(-far, far, far)),
+        *(zero != 0.0, Limits(-far, far, far)),
     )
     q = zero
     qd = np.full(n, 0.5)

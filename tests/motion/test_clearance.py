@@ -16,6 +16,7 @@ from rigs.excitation_arms import TUBES_AND_POST, robot
 from robot_sysid.dynamics.inverse_dynamics import subtree
 from robot_sysid.motion import LimitOptions
 from robot_sysid.motion.clearance import KEPT_SHARE, Clearance
+from robot_sysid.records import Limits
 
 KEEP = 0.01
 # Two balls: one turns about z at radius 0.3, one stands at the same radius.
@@ -42,7 +43,7 @@ def clearance_of(xml, planes=(), keep=KEEP):
     arm = robot(xml)
     moving = subtree(arm.mj_model, int(arm.mj_model.jnt_bodyid[0]))
     limits = LimitOptions(clearance=keep, keep_out=planes)
-    return Clearance(arm, arm.reference, keep, limits.half_spaces(moving))
+    return Clearance(arm, arm.reference, limits.limits(arm.is_slide, moving))
 
 
 @pytest.mark.parametrize("gap", [0.001, 0.02, 0.05])
@@ -152,7 +153,7 @@ def test_the_slack_of_a_pair_depends_on_its_gap_at_rest(gap, collisions, slack):
 def test_only_the_start_pose_reduces_the_clearance_of_a_pair():
     """A pair that is close in another pose than the start keeps the full clearance."""
     arm = robot(balls_with_gap(0.004))
-    started = Clearance(arm, np.array([-0.3, 0.0]), KEEP, ())
+    started = Clearance(arm, np.array([-0.3, 0.0]), Limits(clearance=KEEP))
     assert started.closest(np.zeros(2)).slack == pytest.approx(0.004 - KEEP, abs=1e-6)
 
 

@@ -20,14 +20,14 @@ from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
-from robot_sysid.motion.problem import _half_spaces, build_problem
-from robot_sysid.records import JointLimits, Motion
+from robot_sysid.motion.problem import build_problem
+from robot_sysid.records import Limits, Motion
 
 
 def limited_arm(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf):
     """Return an arm of three joints with equal limits [rad, rad/s, N m]."""
-    limits = [np.full(3, limit) for limit in (lower, upper, velocity, torque)]
-    return replace(robot_of(arms.THREE), limits=JointLimits(*limits))
+    limits = Limits(np.full(3, lower), upper, velocity, torque=torque)
+    return replace(robot_of(arms.THREE), limits=limits)
 
 
 def build(arm, *arguments, **changes):
@@ -137,7 +137,7 @@ def test_bodies_stay_above_the_support_of_an_arm_that_does_not_hang(
     model, limits, lowest
 ):
     arm = robot(model)
-    half_spaces = _half_spaces(arm, LimitOptions(**limits), arm.reference)
+    half_spaces = build_problem(arm, LimitOptions(**limits)).limits.spaces
     assert len(half_spaces) == (lowest is not None)
     for half_space in half_spaces:
         assert half_space.offset == pytest.approx(lowest)

@@ -32,7 +32,6 @@ from robot_sysid.errors import InputError
 from robot_sysid.motion import search
 from robot_sysid.motion.information import Criterion
 from robot_sysid.motion.limit_check import keeps_limits
-from robot_sysid.motion.problem import ROUNDING
 from robot_sysid.motion.search import (
     GRID_PER_CYCLE,
     INFORMATION_POINTS,
@@ -42,6 +41,7 @@ from robot_sysid.motion.search import (
     design_excitation,
     draw_trajectory,
 )
+from robot_sysid.records.limits import ROUNDING
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions, motion_chunks
 

@@ -12,10 +12,10 @@ from robot_sysid.config import MotorOptions, PlanConfig
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import starts
-from robot_sysid.motion.plan import CheckedPlan
 from robot_sysid.motion.prediction import Prediction
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import planning
+from robot_sysid.pipeline.motions import CheckedPlan
 from robot_sysid.pipeline.planning import (
     draft_motor_file,
     motor_commands,

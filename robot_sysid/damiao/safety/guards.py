@@ -9,13 +9,13 @@ command did. An implausible sample is not used, unless the next sample confirms 
 Positions, velocities and torques are scaled by numbers stored in the motor. If one of these is
 wrong, every value is wrong by a constant factor, which ``ScaleCheck`` detects.
 
-Every command to a motor has to keep to ``CommandBounds``.
+Every command to a motor has to keep its joint's ``Limits`` (``confine``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.damiao.protocol import ENABLED, Codes, Feedback, MitCommand
 from robot_sysid.errors import HardwareAbort
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Limits
 from robot_sysid.wording import option_setting
 
 NO_STATUS = -1
@@ -299,128 +299,92 @@ class VelocityCheck:
         return None
 
 
-@dataclass(frozen=True)
-class CommandRange:
-    """Positions and speeds that commands of n joints may have, each (n,).
+def confine(
+    command: MitCommand, limits: Limits, last: Array, elapsed: Array, q: Array
+) -> MitCommand:
+    """Return the command within limits.
 
-    Attributes:
-        lower: least position [rad], from the model's range or else the trajectory's.
-        upper: greatest position [rad].
-        speed: greatest rate of change of a commanded position, and commanded velocity [rad/s].
+    Stiffness is reduced where it alone would exceed the torque limit, the feed-forward torque
+    where the sum would. Damping stays. A position that is not finite becomes the last one, a
+    velocity or torque that is NaN becomes 0.
+
+    Args:
+        command: command, fields (n,), in joint space.
+        limits: of commanded positions, of their rates of change and commanded velocities, and of
+            the sum of kp times position error and feed-forward torque.
+        last: (n,) positions commanded last [rad].
+        elapsed: (n,) time since the last command [s].
+        q: (n,) last believed positions [rad]; NaN where a joint has never answered.
     """
+    top_speed = limits.velocity
+    reach = top_speed * elapsed
+    start = np.clip(last, limits.lower, limits.upper)
+    lowest = np.maximum(limits.lower, start - reach)
+    highest = np.minimum(limits.upper, start + reach)
+    position = np.where(np.isfinite(command.position), command.position, last)
+    position = np.clip(position, lowest, highest)
+    velocity = np.clip(np.nan_to_num(command.velocity), -top_speed, top_speed)
+    error = np.nan_to_num(position - q)
+    most_stiffness = limits.torque / np.maximum(np.abs(error), 1e-9)
+    stiffness = np.minimum(command.kp, most_stiffness)
+    spring = stiffness * error
+    fed = np.clip(np.nan_to_num(command.torque), -limits.torque, limits.torque)
+    fed = np.clip(fed, -limits.torque - spring, limits.torque - spring)
+    return MitCommand(position, velocity, stiffness, command.kd, fed)
 
-    lower: Array
-    upper: Array
-    speed: Array
 
-    def within(self, other: CommandRange) -> CommandRange:
-        """Return the intersection of this range and another one."""
-        lower = np.maximum(self.lower, other.lower)
-        upper = np.minimum(self.upper, other.upper)
-        return CommandRange(lower, upper, np.minimum(self.speed, other.speed))
+def require_allowed(
+    labels: Sequence[str],
+    command: MitCommand,
+    allowed: MitCommand,
+    q: Array,
+    steps: tuple[Array, ...],
+) -> None:
+    """Raise HardwareAbort for the first joint whose command is beyond what is allowed.
 
-
-@dataclass(frozen=True)
-class CommandBounds:
-    """Bounds of every command of n joints, each (n,).
-
-    Attributes:
-        command_range: range of positions and speeds.
-        torque: largest sum of kp times position error and feed-forward torque [N m].
-        steps: one quantisation step of position, velocity and torque [rad, rad/s, N m].
+    Args:
+        labels: names of the n joints, for messages.
+        command: command that is to be sent, fields (n,), in joint space.
+        allowed: this command, limited to the bounds by ``confine``.
+        q: (n,) last believed positions [rad]; NaN where a joint has never answered.
+        steps: one quantisation step (n,) of position, velocity and torque [rad, rad/s, N m], by
+            which a command may exceed what is allowed.
     """
-
-    command_range: CommandRange
-    torque: Array
-    steps: tuple[Array, ...]
-
-    def including(self, q: Array) -> CommandBounds:
-        """Return the bounds, widened to include the positions q (n,) of an arm [rad]."""
-        current = self.command_range
-        widened = replace(
-            current, lower=np.fmin(current.lower, q), upper=np.fmax(current.upper, q)
+    # A joint that has never answered has an unknown position error: only its torque counts.
+    with np.errstate(over="ignore"):
+        asked, makes = (
+            given.kp * np.nan_to_num(given.position - q) + given.torque
+            for given in (command, allowed)
         )
-        return replace(self, command_range=widened)
-
-    def require(
-        self, labels: Sequence[str], command: MitCommand, allowed: MitCommand, q: Array
-    ) -> None:
-        """Raise HardwareAbort for the first joint whose command is beyond its bounds.
-
-        Args:
-            labels: names of the n joints, for messages.
-            command: command that is to be sent, fields (n,), in joint space.
-            allowed: this command, limited to the bounds by ``confine``.
-            q: (n,) last believed positions [rad]; NaN where a joint has never answered.
-
-        """
-        # A joint that has never answered has an unknown position error: only its torque counts.
-        with np.errstate(over="ignore"):
-            asked, makes = (
-                given.kp * np.nan_to_num(given.position - q) + given.torque
-                for given in (command, allowed)
+    position_step, velocity_step, torque_step = steps
+    torque_slack = torque_step + command.kp * position_step
+    weighing = option_setting("for_", "weight")
+    for wanted, limited, slack, text in (
+        (
+            command.position,
+            allowed.position,
+            position_step,
+            "be sent to {:.3f} rad; from the last command it may go to {:.3f}",
+        ),
+        (
+            command.velocity,
+            allowed.velocity,
+            velocity_step,
+            "be told {:.2f} rad/s, limit {:.2f}",
+        ),
+        (
+            asked,
+            makes,
+            torque_slack,
+            "be asked for {:.1f} N·m and makes {:.1f} at most: something holds the arm back, "
+            f"or it needs more than this motor has (see {weighing} of plan)",
+        ),
+    ):
+        # A command at its bound is rounded by its conversion to frames and back.
+        tolerance = slack + 1e-6 * (1.0 + np.abs(limited))
+        # Written so that a NaN counts as too much.
+        beyond = ~(np.abs(wanted - limited) <= tolerance)
+        for j in np.flatnonzero(beyond).tolist():
+            raise HardwareAbort(
+                f"{labels[j]} would {text.format(wanted[j], limited[j])}"
             )
-        position_step, velocity_step, torque_step = self.steps
-        torque_slack = torque_step + command.kp * position_step
-        weighing = option_setting("for_", "weight")
-        for wanted, limited, slack, text in (
-            (
-                command.position,
-                allowed.position,
-                position_step,
-                "be sent to {:.3f} rad; from the last command it may go to {:.3f}",
-            ),
-            (
-                command.velocity,
-                allowed.velocity,
-                velocity_step,
-                "be told {:.2f} rad/s, limit {:.2f}",
-            ),
-            (
-                asked,
-                makes,
-                torque_slack,
-                "be asked for {:.1f} N·m and makes {:.1f} at most: something holds the arm back, "
-                f"or it needs more than this motor has (see {weighing} of plan)",
-            ),
-        ):
-            # A command at its bound is rounded by its conversion to frames and back.
-            tolerance = slack + 1e-6 * (1.0 + np.abs(limited))
-            # Written so that a NaN counts as too much.
-            beyond = ~(np.abs(wanted - limited) <= tolerance)
-            for j in np.flatnonzero(beyond).tolist():
-                raise HardwareAbort(
-                    f"{labels[j]} would {text.format(wanted[j], limited[j])}"
-                )
-
-    def confine(
-        self, command: MitCommand, last: Array, elapsed: Array, q: Array
-    ) -> MitCommand:
-        """Return the command limited to the bounds.
-
-        Stiffness is reduced where it alone would exceed the torque bound, the feed-forward torque
-        where the sum would. Damping stays. A position that is not finite becomes the last one, a
-        velocity or torque that is NaN becomes 0.
-
-        Args:
-            command: command, fields (n,), in joint space.
-            last: (n,) positions commanded last [rad].
-            elapsed: (n,) time since the last command [s].
-            q: (n,) last believed positions [rad]; NaN where a joint has never answered.
-        """
-        within = self.command_range
-        top_speed = within.speed
-        reach = top_speed * elapsed
-        start = np.clip(last, within.lower, within.upper)
-        lowest = np.maximum(within.lower, start - reach)
-        highest = np.minimum(within.upper, start + reach)
-        position = np.where(np.isfinite(command.position), command.position, last)
-        position = np.clip(position, lowest, highest)
-        velocity = np.clip(np.nan_to_num(command.velocity), -top_speed, top_speed)
-        error = np.nan_to_num(position - q)
-        most_stiffness = self.torque / np.maximum(np.abs(error), 1e-9)
-        stiffness = np.minimum(command.kp, most_stiffness)
-        spring = stiffness * error
-        fed = np.clip(np.nan_to_num(command.torque), -self.torque, self.torque)
-        fed = np.clip(fed, -self.torque - spring, self.torque - spring)
-        return MitCommand(position, velocity, stiffness, command.kd, fed)

@@ -20,13 +20,14 @@ from robot_sysid.damiao.protocol import (
     is_special,
 )
 from robot_sysid.damiao.safety.guards import (
-    CommandBounds,
-    CommandRange,
     SampleFilter,
     VelocityCheck,
+    confine,
+    require_allowed,
 )
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import HardwareAbort, SysidError
+from robot_sysid.records import Limits
 
 PEAK = 27.0
 STEP = 0.005
@@ -251,7 +252,7 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
     clock = ScriptedClock()
     link = AbsurdLink(clock, list(answers))
     session = MotorSession(
-        GuardedLink(link, clock), JOINTS, SCALING, CommandRange(LOWER, UPPER, SPEED)
+        GuardedLink(link, clock), JOINTS, SCALING, Limits(LOWER, UPPER, SPEED)
     )
     start = session.enable()
     last = start.copy()
@@ -299,9 +300,8 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
             sent_at[j] = moment
 
 
-BOUNDS = CommandBounds(
-    CommandRange(LOWER, UPPER, SPEED), np.array([27.0, 7.0]), (np.full(2, 1e-4),) * 3
-)
+LIMITS = Limits(LOWER, UPPER, SPEED, torque=np.array([27.0, 7.0]))
+STEPS = (np.full(2, 1e-4),) * 3
 
 
 LABELS = "first", "second"
@@ -326,17 +326,18 @@ def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
     ],
 )
 def test_what_is_asked_too_much_is_named(requested, message):
-    allowed = BOUNDS.confine(requested, *STANDING)
+    allowed = confine(requested, LIMITS, *STANDING)
     with pytest.raises(HardwareAbort, match=f"^second {message}"):
-        BOUNDS.require(LABELS, requested, allowed, np.zeros(2))
-    BOUNDS.require(LABELS, allowed, BOUNDS.confine(allowed, *STANDING), np.zeros(2))
+        require_allowed(LABELS, requested, allowed, np.zeros(2), STEPS)
+    again = confine(allowed, LIMITS, *STANDING)
+    require_allowed(LABELS, allowed, again, np.zeros(2), STEPS)
 
 
 def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
     """In a stop a command beyond the frames' scale would be an error, and nothing be sent."""
     clock = ScriptedClock()
     link = AbsurdLink(clock, [])
-    wide = CommandRange(np.full(2, -99.0), np.full(2, 99.0), np.full(2, 5e3))
+    wide = Limits(np.full(2, -99.0), np.full(2, 99.0), np.full(2, 5e3))
     session = MotorSession(GuardedLink(link, clock), JOINTS, SCALING, wide)
     session.enable()
     n_sent = len(link.sent)
@@ -346,5 +347,5 @@ def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
     )
     session.exchange(far, clock.now() + 0.004, BOTH, braking=True)
     assert len(link.sent) == n_sent + 2
-    np.testing.assert_array_equal(session.command_range.upper, SCALING.limits[:, 0])
-    np.testing.assert_array_equal(session.command_range.speed, SCALING.limits[:, 1])
+    np.testing.assert_array_equal(session.limits.upper, SCALING.limits[:, 0])
+    np.testing.assert_array_equal(session.limits.velocity, SCALING.limits[:, 1])

@@ -8,62 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_sysid import trajectory
+from robot_sysid.config import MotionConfig, MotorOptions, PlanConfig
 from robot_sysid.errors import InputError
-from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.motion import WEIGHT, AimOptions, ExcitationOptions, LimitOptions
+from robot_sysid.motion import WEIGHT
 from robot_sysid.motion.trajectories import at_speed, load_trajectory
 from robot_sysid.records import MotionPlan, RobotModel
 from robot_sysid.records.messages import Progress
-from robot_sysid.records.option_fields import (
-    TrajectoryOptions,
-    given_values,
-    require_countable,
-)
+from robot_sysid.records.option_fields import given_values, require_countable
 from robot_sysid.wording import option_name
 
 # A random motion that nothing plays imports nothing that checks and designs.
 if TYPE_CHECKING:
+    from robot_sysid.damiao.joints import DamiaoJoint
     from robot_sysid.motion.limit_check import LimitCheck
     from robot_sysid.motion.problem import ExcitationProblem
-
-
-@dataclass(frozen=True)
-class MotionRequest:
-    """What the motion of a run has to be: its options and its purpose.
-
-    Attributes:
-        trajectory: duration, sample rate, speed and files.
-        excitation: how the trajectory is made.
-        limits: that it has to keep beside the model's own.
-        estimation: of the identification: whose torques are used, their noise, and how far the
-            links may be off, for which torque is reserved.
-        played: whether the motion will be played on an arm.
-        plan_only: whether nothing follows but the result of the plan.
-        aim: purpose of the motion.
-    """
-
-    trajectory: TrajectoryOptions
-    excitation: ExcitationOptions
-    limits: LimitOptions
-    estimation: EstimationOptions = EstimationOptions()
-    played: bool = False
-    plan_only: bool = False
-    aim: AimOptions = AimOptions()
-
-    @property
-    def is_checked(self) -> bool:
-        """Whether the motion has to keep all limits: it is played, saved, planned only, from a file
-        or designed, or a limit other than ``--max-velocity`` was given.
-        """
-        options = self.trajectory
-        is_kept = self.played or self.plan_only or options.save
-        limits = given_values(self.limits).keys() - {"max_velocity"}
-        return bool(is_kept or options.file or self.is_designed or limits)
-
-    @property
-    def is_designed(self) -> bool:
-        """Whether a trajectory is to be designed, unless there is a file."""
-        return self.excitation.kind == "optimal"
 
 
 @dataclass(frozen=True)
@@ -83,27 +41,32 @@ class CheckedPlan:
     @property
     def failure(self) -> str | None:
         """Why the trajectory must not be run, or None."""
-        return None if self.check is None else self.check.failure
+        if self.check is None or not self.check.excesses:
+            return None
+        from robot_sysid.motion.prediction import excess_text
+
+        broken = excess_text(self.check.excesses[0])
+        return f"this trajectory must not be run: it breaks the {broken}"
 
 
-def make_plan(
-    request: MotionRequest, robot: RobotModel, seed: int, progress: Progress
+def design_motion(
+    config: MotionConfig, robot: RobotModel, progress: Progress
 ) -> CheckedPlan:
     """Return the trajectory of a run, checked where anything depends on its limits.
 
     Args:
-        request: options and purpose of the motion.
+        config: settings of motion, design, limits, motors and estimate; without a seed, one is
+            drawn.
         robot: the arm.
-        seed: of random and designed motions.
         progress: receives the stages, their progress and notes for the user.
 
     Raises:
         InputError: no motion keeps the limits, or it is too long to be checked or sampled.
     """
-    options = request.trajectory
-    problem = _problem(request, robot) if request.is_checked else None
-    rng = np.random.default_rng(seed)
-    plan = _plan_at_full_speed(request, robot, problem, rng, progress)
+    options = config.trajectory
+    problem = _problem(config, robot)
+    rng = np.random.default_rng(config.with_seed().trajectory.seed or 0)
+    plan = _plan_at_full_speed(config, robot, problem, rng, progress)
     plan = at_speed(plan, options.speed)
     if problem is None:
         return CheckedPlan(plan)
@@ -113,19 +76,52 @@ def make_plan(
     progress.note(*problem.notes)
     unguarded = unguarded_text(problem.unguarded)
     # The lines on a plan have this, and its verdict says what to do.
-    if unguarded and not request.plan_only:
+    if unguarded and not isinstance(config, PlanConfig):
         progress.note(unguarded)
     return CheckedPlan(plan, problem, check_limits(problem, plan, options.sample_rate))
 
 
-def _require_possible(request: MotionRequest, duration: float) -> None:
+def is_checked(config: MotionConfig) -> bool:
+    """Return whether a motion has to keep all limits: it is played, saved, planned only, from a
+    file or designed, or a limit other than ``--max-velocity`` was given.
+    """
+    options = config.trajectory
+    limits = given_values(config.limits).keys() - {"max_velocity"}
+    is_kept = options.save or options.file or isinstance(config, PlanConfig)
+    return bool(is_kept or limits or config.motors.export_damiao or is_designed(config))
+
+
+def is_designed(config: MotionConfig) -> bool:
+    """Return whether a trajectory is to be designed, unless there is a file."""
+    return config.excitation.kind == "optimal"
+
+
+def motor_joints(motors: MotorOptions, robot: RobotModel) -> tuple[DamiaoJoint, ...]:
+    """Return the joints of an arm with their motors; none where no option asks for an export.
+
+    InputError where the export is impossible for this arm.
+    """
+    if not motors.export_damiao:
+        return ()
+    from robot_sysid.damiao.joints import damiao_joints
+
+    return damiao_joints(
+        motors.motor_type,
+        robot.n_joints,
+        motors.can_id,
+        motors.master_id,
+        robot.joint_names,
+    )
+
+
+def _require_possible(config: MotionConfig, duration: float) -> None:
     """Raise InputError where a motion of this duration [s] has too many samples, or takes hours to
     be checked.
     """
-    duration = duration / request.trajectory.speed
-    require_countable(duration, request.trajectory.sample_rate)
+    duration = duration / config.trajectory.speed
+    require_countable(duration, config.trajectory.sample_rate)
     longest = 3600.0
-    if request.is_checked and duration > longest:
+    if is_checked(config) and duration > longest:
         raise InputError(
             f"a motion of {duration:.3g} s takes too long to check against all limits; make it at "
             f"most {longest:g} s long"
@@ -133,7 +129,7 @@ def _require_possible(request: MotionRequest, duration: float) -> None:
 
 
 def _plan_at_full_speed(
-    request: MotionRequest,
+    config: MotionConfig,
     robot: RobotModel,
     problem: ExcitationProblem | None,
     rng: np.random.Generator,
@@ -142,13 +138,13 @@ def _plan_at_full_speed(
     """Return the trajectory at full speed.
 
     Args:
-        request: options and purpose of the motion.
+        config: options and purpose of the motion.
         robot: the arm.
         problem: the arm with the limits that the motion has to keep; None where there are none.
         rng: draws random and designed motions.
         progress: receives the stages, their progress and notes for the user.
     """
-    options = request.trajectory
+    options = config.trajectory
     if options.file is not None:
         progress.stage(f"Loading excitation trajectory from {options.file}...")
         saved = load_trajectory(options.file)
@@ -158,15 +154,15 @@ def _plan_at_full_speed(
                 f"{', '.join(saved.joint_names)}, but this arm has the {robot.n_joints} joints "
                 f"{', '.join(robot.joint_names)}; design one for this arm with robot-sysid plan"
             )
-        _require_possible(request, saved.plan.duration)
+        _require_possible(config, saved.plan.duration)
         if saved.sha256 not in ("", robot.sha256):
             progress.note(
                 f"{options.file} was made for another model file; it is checked against the "
                 f"limits of {robot.path}"
             )
         return saved.plan
-    _require_possible(request, options.duration)
-    verb = "Designing" if request.is_designed else "Generating"
+    _require_possible(config, options.duration)
+    verb = "Designing" if is_designed(config) else "Generating"
     progress.stage(
         f"{verb} excitation trajectory ({options.duration:.1f}s, {options.sample_rate:g} Hz)..."
     )
@@ -175,12 +171,12 @@ def _plan_at_full_speed(
     duration = (trajectory.sample_count(options.duration, rate) - 1) / rate
     if problem is None:
         return trajectory.generate_excitation_trajectory(robot, rng, duration)
-    if request.is_designed:
+    if is_designed(config):
         from robot_sysid.motion.expected_errors import prior_knowledge
         from robot_sysid.motion.search import Design, design_excitation
 
-        knowledge = prior_knowledge(problem, request.estimation, request.aim.target)
-        design = Design(problem, request.excitation, options, knowledge)
+        knowledge = prior_knowledge(problem, config.estimation, config.aim.target)
+        design = Design(problem, config.excitation, options, knowledge)
         return design_excitation(design, rng, progress)
     from robot_sysid.motion.limit_check import scale_to_limits
 
@@ -196,9 +192,9 @@ def _plan_at_full_speed(
     return plan
 
 
-def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
-    """Return the arm with all its limits; for the purpose "weight" with half of the torque limits
-    and low speeds.
+def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | None:
+    """Return the arm with all its limits, those of its motors too; for the purpose "weight" with
+    half of the torque limits and low speeds. None where the motion does not have to keep any.
 
     For a new motion (not from a file) the top frequency of the band limits the accelerations too,
     and the start is a pose that touches nothing and that the motors can hold.
@@ -206,19 +202,28 @@ def _problem(request: MotionRequest, robot: RobotModel) -> ExcitationProblem:
     Raises:
         InputError: the arm breaks a limit at rest, or no pose can be a start.
     """
+    joints = motor_joints(config.motors, robot)
+    if not is_checked(config):
+        return None
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
     from robot_sysid.motion.starts import gentle_problem, startable
 
-    is_new = request.trajectory.file is None
-    estimation = request.estimation
+    motor_limits = None
+    if joints:
+        from robot_sysid.damiao.joints import torque_limits
+
+        motor_limits = torque_limits(joints)
+    is_new = config.trajectory.file is None
+    estimation = config.estimation
     problem = build_problem(
         robot,
-        request.limits,
+        config.limits,
         torques=estimation.torques,
         noise_torque=estimation.priors.noise or DEFAULT_NOISE_TORQUE,
         shakes_gently=is_new,
         link_uncertainty=estimation.priors.link,
+        motors=motor_limits,
     )
-    if request.aim.purpose == WEIGHT:
+    if config.aim.purpose == WEIGHT:
         problem = gentle_problem(problem)
     return startable(problem) if is_new else problem

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,48 +11,57 @@ import pytest
 from rigs import arms, witness
 from rigs.excitation_arms import TUBES, TUBES_AND_POST, options, robot
 from rigs.notes import NoteRecorder
+from robot_sysid.config import MotorOptions, PlanConfig, SelfTestConfig
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
-from robot_sysid.motion.plan import MotionRequest, make_plan
 from robot_sysid.motion.trajectories import save_trajectory
+from robot_sysid.pipeline.motions import design_motion, is_checked
 from robot_sysid.trajectory import TrajectoryOptions
 
 DURATION = 4.0
 EXACT_LINKS = EstimationOptions(priors=Priors(link=0.0))
 
 
-def make_request(trajectory=None, limits=None, excitation=None, **purpose):
-    """Return a MotionRequest; the dicts are keyword arguments of its option records."""
-    settings = {"duration": DURATION, "sample_rate": 200.0, **(trajectory or {})}
-    return MotionRequest(
-        TrajectoryOptions(**settings),
-        excitation or ExcitationOptions(kind="sines"),
-        LimitOptions(**(limits or {})),
-        EXACT_LINKS,
-        **purpose,
+def settings_of(
+    trajectory=None, limits=None, excitation=None, kind=SelfTestConfig, **others
+):
+    """Return the settings of a run; the dicts are keyword arguments of its option records."""
+    settings = {
+        "duration": DURATION,
+        "sample_rate": 200.0,
+        "seed": 1,
+        **(trajectory or {}),
+    }
+    if "file" in settings:
+        del settings["duration"]
+    return kind(
+        trajectory=TrajectoryOptions(**settings),
+        excitation=excitation or ExcitationOptions(kind="sines"),
+        limits=LimitOptions(**(limits or {})),
+        **{"estimation": EXACT_LINKS, **others},
     )
 
 
-def plan_motion(xml, seed=1, listener=None, **request):
-    """Return the plan of an arm with the seed; further arguments are those of make_request."""
-    speed = request.get("limits", {}).get("max_velocity", 2.0)
+def plan_motion(xml, listener=None, **settings):
+    """Return the plan of an arm; further arguments are those of settings_of."""
+    speed = settings.get("limits", {}).get("max_velocity", 2.0)
     arm = arms.robot_of(xml, max_velocity=speed)
-    return make_plan(make_request(**request), arm, seed, listener or NoteRecorder())
+    return design_motion(settings_of(**settings), arm, listener or NoteRecorder())
 
 
 CHECKED = {
-    "played": {"played": True},
+    "played": {"motors": MotorOptions(True, ("DM4310",))},
     "designed": {"excitation": options(kind="optimal")},
-    "plan only": {"plan_only": True},
-    "saved": {"trajectory": {"save": "plan.json"}},
+    "plan only": {"kind": PlanConfig},
+    "saved": {"trajectory": {"save": Path("plan.json")}},
     "limited": {"limits": {"clearance": 0.02}},
 }
 
 
 def test_motions_that_are_played_saved_or_limited_are_checked():
-    assert all(make_request(**case).is_checked for case in CHECKED.values())
-    assert not make_request(limits={"max_velocity": 0.3}).is_checked
+    assert all(is_checked(settings_of(**case)) for case in CHECKED.values())
+    assert not is_checked(settings_of(limits={"max_velocity": 0.3}))
     motion_plan = plan_motion(arms.THREE, **CHECKED["designed"])
     assert motion_plan.failure is None
     unchecked = plan_motion(arms.THREE)
@@ -73,16 +82,15 @@ def test_a_planned_motion_reserves_torque_for_errors_of_the_links(
 ):
     """Weighing uses half of the limits, and goes slowly."""
     limit, fastest = (3.5, 0.6) if purpose == "weight" else (7.0, 2.0)
-    request = make_request(
+    settings = settings_of(
         None,
         {"max_torque": 7.0, "payload_reserve": load},
         options(kind=excitation),
-        plan_only=True,
+        PlanConfig,
+        aim=AimOptions(purpose=purpose),
+        estimation=EstimationOptions(priors=Priors(link=10.0)),
     )
-    aim = AimOptions(purpose=purpose)
-    uncertain = EstimationOptions(priors=Priors(link=10.0))
-    request = replace(request, aim=aim, estimation=uncertain)
-    checked = make_plan(request, robot(arms.THREE), 1, NoteRecorder())
+    checked = design_motion(settings, robot(arms.THREE), NoteRecorder())
     assert checked.failure is None
     problem = checked.problem
     motion = checked.plan.evaluate(np.linspace(0.0, checked.plan.duration, 100))
@@ -147,7 +155,7 @@ def test_random_sinusoids_are_scaled_until_every_limit_holds(case):
     """Without the limit, the motion would exceed it."""
     limits = LIMITS[case]
     arm = robot(TUBES)
-    motion_plan = plan_motion(TUBES, 1, limits=limits)
+    motion_plan = plan_motion(TUBES, limits=limits)
     assert motion_plan.failure is None
     assert max(excess_over(limits, arm, motion_plan.plan).values()) <= 1e-9
     assert min(excess_over(limits, arm, unlimited_plan()).values()) > 0.0
