@@ -17,7 +17,7 @@ from rigs.places import ROOT
 
 BUDGETS = {
     "robot_sysid/api": 3859,
-    "robot_sysid/commands": 9798,
+    "robot_sysid/commands": 9799,
     "robot_sysid/damiao": 30118,
     "robot_sysid/diagnosis": 16641,
     "robot_sysid/dynamics": 3230,
@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 7201,
     "robot_sysid/records": 9089,
     "robot_sysid/report": 4974,
-    "robot_sysid/results": 10667,
+    "robot_sysid/results": 10678,
     "robot_sysid/servo": 4879,
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10697,
-    "tests": 228083,
+    "tests": 227837,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -10,6 +10,7 @@ from typing import Any
 from robot_sysid.commands import PROGRAM
 from robot_sysid.errors import ColumnsError, InputError, SysidError
 from robot_sysid.pipeline.next_steps import SAME_LOG, step_after
+from robot_sysid.records.option_fields import leaves
 
 
 def remedies(
@@ -31,8 +32,9 @@ def remedies(
         yield shlex.join([PROGRAM, *words])
     if error.command_lines:
         return
-    logs = [*values.get("measurements", ()), *values.get("empty", ())]
-    log = Path(values.get("log") or [*logs, ""][0])
+    # A file may name one log as a text, not as a list.
+    logs = tuple(map(values.get, ("log", "measurements", "empty")))
+    log = next((Path(path) for path in leaves(logs) if path), None)
     typed = [PROGRAM, *name.split(), *arguments]
     # The corrected columns file has all lines of the one in use.
     if isinstance(error, ColumnsError) and "--columns" in typed:
@@ -40,7 +42,7 @@ def remedies(
         del typed[at : at + 2]
     for option in error.options:
         # A payload of known mass has all that the weighing needs, but for the first scales.
-        if error.command == "payload" and log.name and "known_mass" not in values:
+        if error.command == "payload" and log and "known_mass" not in values:
             # The recording with the weight has the form of the log, and lies beside it.
             weight = log.with_name(f"weight{log.suffix}")
             state = "torque scales unknown"

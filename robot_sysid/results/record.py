@@ -83,6 +83,11 @@ class Verdict(Enum):
     OK = "all requested parameters are identified from the data"
 
     @property
+    def value(self) -> str:
+        """What it means, or what to do, with options named for the reader."""
+        return with_option_names(self._value_)
+
+    @property
     def level(self) -> Level:
         """Whether it forbids the use of a result, limits it, or only informs."""
         if self is Verdict.TORQUES_ONLY:
@@ -103,8 +108,7 @@ class Verdict(Enum):
 
     def remark(self, reason: str = "") -> Remark:
         """Return the remark by which this verdict follows from a reason, one phrase."""
-        meaning = with_option_names(self.value)
-        return Remark(self.level, self.name, *filter(None, (reason, meaning)))
+        return Remark(self.level, self.name, *filter(None, (reason, self.value)))
 
 
 DATA = "data"
