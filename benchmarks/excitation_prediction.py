@@ -110,9 +110,9 @@ def simulate_log(robot, values, motion):
     gear = links.torque(thetas)
     torque = (1.0 + of("scale")) * gear
     torque += np.sign(motion.qd) * of("load") * np.abs(gear)
-    for term, column in TERMS.items():
-        if np.any(of(term)):
-            torque += of(term) * column(motion.qd, motion.qdd, motion.q)
+    for name, term in TERMS.items():
+        if np.any(of(name)):
+            torque += of(name) * term.column(motion)
     late = motion.time - values.get(DELAY, 0.0)
     delayed = [np.interp(late, motion.time, column) for column in torque.T]
     return np.column_stack(delayed), motion.q + of("zero")

@@ -6,14 +6,13 @@ import numpy as np
 
 from rigs.measured_logs import CUTOFF
 from robot_sysid import spatial
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.estimate.choose import solved
-from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.options import DEFAULT_FRICTION, EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.records import DataOrigin
 
-BASIC = DEFAULT_MEASURED
+BASIC = DEFAULT_FRICTION
 """The friction terms that are estimated of every joint."""
 NO_PRIORS = Priors(link=0.0, scale=0.0, zero=0.0, gravity=0.0, delay=0.0, friction=0.0)
 """Priors with which torque noise is the only source of error."""

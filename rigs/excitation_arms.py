@@ -8,8 +8,13 @@ import numpy as np
 
 from rigs import arms
 from rigs.arms import X, Y, Z, world
+from robot_sysid.estimate.options import (
+    DEFAULT_FRICTION,
+    DEFAULT_TERMINAL,
+    friction_terms,
+)
 from robot_sysid.motion import ExcitationOptions, LimitOptions
-from robot_sysid.motion.information import JOINT_TERMS, PriorKnowledge
+from robot_sysid.motion.information import PriorKnowledge
 from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
 from robot_sysid.motion.search import Design
 from robot_sysid.trajectory import TrajectoryOptions
@@ -56,10 +61,12 @@ def make_problem(xml, torques="chain", noise_torque=DEFAULT_NOISE_TORQUE, **limi
 
 def known_arm(problem):
     """Priors of an arm of which only the last link, friction and rotors are unknown."""
-    deviations = np.zeros((len(JOINT_TERMS), len(problem.rows)))
+    count = len(problem.rows)
     # From one torque alone rotor inertias are not estimated: they look like the link's.
-    deviations[: 4 if len(problem.rows) > 1 else 3] = np.inf
-    return PriorKnowledge(np.zeros((0, 0)), deviations)
+    default = DEFAULT_FRICTION if count > 1 else DEFAULT_TERMINAL
+    deviations = dict.fromkeys(friction_terms(default), np.full(count, np.inf))
+    known = np.zeros((10 * len(problem.links[1:]), 0))
+    return PriorKnowledge(known, deviations)
 
 
 @cache

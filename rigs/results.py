@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.estimate.result import beyond_model
 from robot_sysid.records import (
     ITSELF,
@@ -23,7 +24,7 @@ from robot_sysid.records import (
     SubtreeBody,
     Validation,
 )
-from robot_sysid.records.messages import Level, Remark, says, term_unit
+from robot_sysid.records.messages import Level, Remark, says
 from robot_sysid.results.quantities import body_quantities, file_quantities
 from robot_sysid.results.record import (
     BOUND,
@@ -147,9 +148,7 @@ def joint_rows(result: Estimate, joint: str) -> list[Quantity]:
         term, _, owner = name.partition("[")
         if owner == f"{joint}]":
             model = MODEL_FRICTION[joint].get(term)
-            rows.append(
-                Quantity(term, joint, term_unit(term, False), model, value, error)
-            )
+            rows.append(Quantity(term, joint, TERMS[term].unit, model, value, error))
     return rows
 
 
@@ -243,7 +242,7 @@ def model_file(**changes) -> ModelFile:
     """A written model that predicts torques to 0.25 % instead of 27 %."""
     file = ModelFile(
         thetas=np.array([1.5 * THETA, 0.9 * THETA]),
-        joints={"j5": {"coulomb": 0.45, "viscous": 0.25}},
+        joints={"j5": {"frictionloss": 0.45, "damping": 0.25}},
         gravity=np.array([0.0, 0.1, -9.8]),
         validation_before=validation_of(1.5, "fifths of arm.csv", 0.27),
         validation_after=validation_of(0.02, "fifths of arm.csv", 0.0025),

@@ -14,7 +14,6 @@ import numpy as np
 
 from rigs.synthetic_data import autocorrelated
 from robot_sysid import spatial
-from robot_sysid.dynamics.friction import FADING_SPEEDS
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     LinkDynamics,
@@ -124,7 +123,7 @@ class WrongArm:
             "zero": self.zeros,
             "load": self.loss,
             "sqrt": self.root,
-            **dict.fromkeys(FADING_SPEEDS, 0.0),
+            **dict.fromkeys(("fading_fast", "fading", "fading_slow"), 0.0),
         }
         for name, value in values.items():
             of_joints = np.broadcast_to(value, len(self.thetas))

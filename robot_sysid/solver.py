@@ -50,11 +50,11 @@ class LastLinkTerms(ArmTerms):
         torques: str = "chain",
         friction: Sequence[str] = TERMINAL_FRICTION,
     ) -> None:
-        super().__init__(robot, torques, friction=friction)
+        super().__init__(robot, torques)
         terms = {LAST_LINK: self.terms[LAST_LINK]}
         known = {}
         for name in friction:
-            terms[name] = self.terms[name].only([f"{name}[{robot.terminal_joint}]"])
+            terms[name] = self.terms[name].only([-1])
             known[name] = np.append(vars(robot.friction)[name][:-1], 0.0)
         self.terms = terms
         self.prior = np.array([self.model[name] for name in self.names])

@@ -16,12 +16,13 @@ from robot_sysid.config import (
     SelfTestConfig,
     with_scale_prior,
 )
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_terms
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import (
+    DEFAULT_FRICTION,
     DEFAULT_TERMINAL,
     EstimationOptions,
     Priors,
+    friction_terms,
     read_priors,
 )
 from robot_sysid.records.option_fields import write_torque_scale
@@ -148,7 +149,7 @@ def test_any_duration_and_rate_with_two_samples_or_more_and_not_too_many_is_acce
 
 def test_friction_has_the_usual_terms_unless_it_is_said():
     for terms, options in (
-        (DEFAULT_MEASURED, {}),
+        (DEFAULT_FRICTION, {}),
         ("none", {"no_friction": True}),
         ("coulomb-load", {"friction_model": "coulomb-load"}),
         (DEFAULT_TERMINAL, {"torques": "terminal"}),

@@ -16,10 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from validate_regressor import with_link
 
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED, friction_terms
 from robot_sysid.estimate.fit import Fit, Problem
 from robot_sysid.estimate.identifiability import square_root, visible_space
-from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.options import (
+    DEFAULT_FRICTION,
+    EstimationOptions,
+    Priors,
+    friction_terms,
+)
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.rows import Recording, Sums
 from robot_sysid.estimate.terms import LAST_LINK, ArmTerms
@@ -114,7 +118,7 @@ class NoiseStudy:
         self.signals = self.record()
         self.recording = Recording("log", self.signals)
         self.arm = ArmTerms(self.robot)
-        keys = (LAST_LINK, *friction_terms(DEFAULT_MEASURED))
+        keys = (LAST_LINK, *friction_terms(DEFAULT_FRICTION))
         self.shown = self.arm.of([self.arm.terms[key] for key in keys])
         self.names = self.shown.names
         self.truth = self._true_values()

@@ -21,6 +21,7 @@ from robot_sysid.api.keywords import (
 )
 from robot_sysid.api.results import PlanResult, Result, one_thread
 from robot_sysid.config import IdentifyConfig, PayloadConfig, PlanConfig, SelfTestConfig
+from robot_sysid.dynamics.friction import COULOMB, ROTOR, VISCOUS
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics, link_names
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
@@ -314,15 +315,12 @@ def joint_torque_regressor(
     names: list[str] = []
     for k in link_indices:
         names += link_names(robot, k)
-    joint_terms = (
-        ("armature", acceleration, robot.armature),
-        ("viscous", velocity, robot.friction.viscous),
-        ("coulomb", np.sign(velocity), robot.friction.coulomb),
-    )
-    for term, factor, coefficients in joint_terms:
+    direction = np.sign(velocity)
+    for term in (ROTOR, VISCOUS, COULOMB):
+        factor = term.torque(direction, velocity, acceleration, 0.0 * velocity)
         columns.append(np.eye(n) * factor[:, None])
-        theta.append(coefficients)
-        names += [f"{term}[{joint}]" for joint in robot.joint_names]
+        theta.append(term.stated(robot))
+        names += map(term.key_of, robot.joint_names)
     Y = np.concatenate(columns, axis=-1)
     tau = ArmDynamics(robot).torque(*motion) + robot.friction.torque(velocity)
     if np.ndim(q) == 1:

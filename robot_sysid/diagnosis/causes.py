@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer
 from robot_sysid.estimate.rows import Rows
-from robot_sysid.estimate.terms import ArmTerms, Point, Term
+from robot_sysid.estimate.terms import SCALES, ArmTerms, Point, Term
 from robot_sysid.records import Array
 from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
+from robot_sysid.records.parameters import SCALE, ZERO, Parameter
 from robot_sysid.spatial import PARAMETER_NAMES, parameter_scale
 from robot_sysid.wording import option_name
 
@@ -182,7 +182,9 @@ def beside(fitted: Fit) -> list[Term]:
         HUM: hum,
         NEIGHBOURS: neighbours,
     }
-    return [Term("", names, make) for names, make in columns.items()]
+    return [
+        Term("", tuple(map(Parameter, names)), make) for names, make in columns.items()
+    ]
 
 
 def strongest_rate(time: Array, residual: Array) -> float:
@@ -248,7 +250,7 @@ def of_arm(fitted: Fit) -> Iterator[Explanation]:
     """
     arm = fitted.arm
     if "load" in arm.terms:
-        loads = names_of("load", arm.joints)
+        loads = arm.terms["load"].names
         yield Explanation(
             "friction",
             Effect(loads, np.full((len(loads), 1), 0.15)),
@@ -330,7 +332,7 @@ def of_joints(fitted: Fit) -> Iterator[Explanation]:
         is_slide = name in arm.robot.slides
         yield Explanation(
             "torque-scale",
-            effect(names_of("scale", [name]), 0.4, joint),
+            effect([SCALE.key_of(name)], 0.4, joint),
             f"torque of joint {name} reads {{value}} too {{much|little}} for the model's links, or "
             "the links that it carries are {heavier|lighter} than in the model",
             f"weigh a known mass ({option_name('known_mass')} of payload), and pass the file that "
@@ -340,7 +342,7 @@ def of_joints(fitted: Fit) -> Iterator[Explanation]:
         )
         yield Explanation(
             "zero",
-            effect(names_of("zero", [name]), 0.1),
+            effect([ZERO.key_of(name)], 0.1),
             f"the position of joint {name} reads {{value}} too {{much|little}}",
             "correct the joint's zero",
             position_unit(is_slide),
@@ -389,6 +391,7 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
     for log in dict.fromkeys(fitted.sums.logs):
         own = np.flatnonzero(fitted.sums.is_of(log))
         along[own] = (np.arange(len(own)) + 0.5) / len(own) - 0.5
+    scales = fitted.arm.terms[SCALES].names
     owners: dict[str, int | None] = {f"joint {n}": k for k, n in enumerate(joints)}
     for owner, joint in {**owners, "all joints": None}.items():
         yield Explanation(
@@ -400,7 +403,7 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
             # Torques change in proportion to delays that are no longer.
             sizes=(-0.15, 0.15),
         )
-        names = names_of("scale", joints if joint is None else [joints[joint]])
+        names = scales if joint is None else scales[joint : joint + 1]
         yield Explanation(
             "torque-scale",
             Effect(names, np.full((len(names), 1), 0.3), joint, along),
@@ -418,7 +421,7 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
         factor=TIME,
     )
     if "coulomb" in fitted.arm.terms:
-        dry = names_of("coulomb", joints)
+        dry = fitted.arm.terms["coulomb"].names
         sizes = np.abs([fitted.by_name[name] for name in dry])
         least = 0.01 * typical_torque(fitted)
         yield Explanation(
@@ -437,7 +440,8 @@ def changes_of_load(fitted: Fit) -> Iterator[Explanation]:
     blocks = np.arange(len(logs))
     spread = parameter_scale(0.05 * robot.mass, 0.1 * robot.length)
     # Torque scales multiply the load, too.
-    scales = [name for name in fitted.names if name.startswith("scale[")]
+    every = fitted.arm.terms[SCALES].names
+    scales = [name for name in every if name in fitted.names]
     error = float(np.max(fitted.errors[fitted.at(scales)], initial=0.0))
     for first in blocks[1:].tolist():
         if logs[first] == logs[first - 1]:

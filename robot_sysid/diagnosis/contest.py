@@ -39,7 +39,7 @@ from robot_sysid.diagnosis.relabelling import (
     own_scales,
     typical_ratio,
 )
-from robot_sysid.dynamics.friction import names_of
+from robot_sysid.dynamics.friction import COULOMB, OFFSET, VISCOUS
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer, Offers
@@ -57,6 +57,7 @@ from robot_sysid.estimate.trust import UNEXPLAINED
 from robot_sysid.records import Array
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, percent, torque_unit, with_error
+from robot_sysid.records.parameters import Parameter
 from robot_sysid.spatial import PARAMETER_NAMES
 from robot_sysid.wording import option_name
 
@@ -448,7 +449,7 @@ class Contest:
             is_own = rows.recording.name == log
             return last.columns(rows, point) * (after * is_own)[:, None, None]
 
-        arm = fitted.arm.beside([Term("", names, columns)])
+        arm = fitted.arm.beside([Term("", tuple(map(Parameter, names)), columns)])
         sums = arm.sums(fitted.recordings, fitted.point)
         terms = [t for t in fitted.equations.terms if t.cause != CAUSE]
         wider = rebuilt(replace(fitted, arm=arm, sums=sums), terms, self._effects)
@@ -472,7 +473,8 @@ def rebuilt(fitted: Fit, terms: Sequence[Term], effects: Sequence[Effect]) -> Fi
         names = tuple(f"cause {len(sums.names)} {k}" for k in range(size))
         at = sums.at(effect.names)
         sums = sums.with_columns(names, at, effect.factor, effect.joint, effect.shares)
-        terms.append(Term(CAUSE, names, in_sums_alone, independent(np.ones(size))))
+        prior = independent(np.ones(size))
+        terms.append(Term(CAUSE, tuple(map(Parameter, names)), in_sums_alone, prior))
     return replace(fitted, sums=sums).refit(terms)
 
 
@@ -634,7 +636,7 @@ def missing(fitted: Fit, joint: int) -> str:
         if n in found
     ]
     unit = torque_unit(name in fitted.arm.robot.slides)
-    coulomb = f"coulomb[{name}]"
+    coulomb = COULOMB.key_of(name)
     if coulomb in found:
         parts.append(f"friction of {found[coulomb]:.2g} {unit}")
     return f"{name} has {', '.join(parts)}"
@@ -643,7 +645,7 @@ def missing(fitted: Fit, joint: int) -> str:
 def regression(fitted: Fit, joint: int) -> dict[str, float]:
     """Return what a joint's torque has of the model's weight, its inertia, friction and offset."""
     sums = fitted.sums
-    own = (f"{term}[{sums.joints[joint]}]" for term in ("coulomb", "viscous", "offset"))
+    own = (term.key_of(sums.joints[joint]) for term in (COULOMB, VISCOUS, OFFSET))
     columns = sums.columns[joint].tolist()
     wanted = [n for n in (WEIGHT, INERTIAL, *own) if n in sums.names]
     shown = [n for n in wanted if sums.names.index(n) in columns]
@@ -671,7 +673,7 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
     dry = np.zeros(len(joints))
     error = dry + np.inf
     values, inverse = fitted.unbounded
-    for joint, name in enumerate(names_of("coulomb", joints)):
+    for joint, name in enumerate(map(COULOMB.key_of, joints)):
         if name in fitted.names:
             at = fitted.names.index(name)
             dry[joint] = values[at]

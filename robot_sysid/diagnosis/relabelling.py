@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.diagnosis.causes import beside
-from robot_sysid.dynamics.friction import names_of
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     gravity_vector,
@@ -34,7 +33,7 @@ from robot_sysid.estimate.fit import Equations, Fit, Problem, equations_of, solv
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.rows import Recording
-from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, ArmTerms
+from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, SCALES, ArmTerms
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, INTERVAL
@@ -604,7 +603,7 @@ def own_scales(fitted: Fit, divided: Array) -> Iterator[Correction]:
         terms = arm_question(arm, question, torque)
         problem = Problem(arm, fitted.recordings, arm.start(), divided_sums, question)
         after = problem.fit(terms, noise=0.05 * torque, possible=False)
-        at = after.at(names_of("scale", arm.joints))
+        at = after.at(arm.terms[SCALES].names)
         change = np.clip(1.0 + after.free[at], 0.2, 5.0)
         scale = scale * change
     relative = np.sqrt(np.diag(after.inverse)[at]) / change

@@ -39,21 +39,16 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records.parameters import TILTS, keys_of, of_body
 from robot_sysid.regressor import wrench_regressor
-from robot_sysid.spatial import (
-    N_INERTIAL,
-    PARAMETER_NAMES,
-    cross,
-    skew,
-    symmetric_from_six,
-)
+from robot_sysid.spatial import N_INERTIAL, cross, skew, symmetric_from_six
 
 MUJOCO_VERSION: str = mujoco.__version__
 """Release of MuJoCo that computes the torques."""
 ARRAY_SIZE = 1_000_000
 """Largest size of an array of intermediate results [numbers], beyond which a motion is split: it
 bounds the memory for arms with many joints, and changes no result."""
-TILT_NAMES = ("tilt_1", "tilt_2")
+TILT_NAMES = keys_of(TILTS)
 """Names of the two angles by which a base is tilted."""
 
 
@@ -404,7 +399,7 @@ def link_names(robot: RobotModel, link: int) -> tuple[str, ...]:
 
     ``link`` is the link's index in ``robot.links``.
     """
-    return tuple(f"{name}({robot.links[link].body_name})" for name in PARAMETER_NAMES)
+    return keys_of(of_body(robot.links[link].body_name))
 
 
 def other_links(robot: RobotModel) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import FADING_SPEEDS, Coupling, names_of
+from robot_sysid.dynamics.friction import Coupling
 from robot_sysid.estimate.contacts import without_contacts
 from robot_sysid.estimate.fit import ROUNDS, Fit, Problem, correlation_times, solve
 from robot_sysid.estimate.links import (
@@ -23,13 +23,7 @@ from robot_sysid.estimate.links import (
     stated_kinds,
 )
 from robot_sysid.estimate.offers import Effect, Offers
-from robot_sysid.estimate.questions import (
-    LEAST_DRY,
-    PER_CENT,
-    Question,
-    arm_question,
-    friction_columns,
-)
+from robot_sysid.estimate.questions import LEAST_DRY, PER_CENT, Question, arm_question
 from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent
 from robot_sysid.model.chain import shared_motors
@@ -62,7 +56,6 @@ def solved(
     """
     options = question.options
     stated, offered = motors_of(robot, options.torques)
-    friction = friction_columns(options)
     # Torque scales multiply a payload: it takes one round more. Each round has a pass for residuals
     # and one for sums, which begin with a pass.
     n_steps = 1 + 2 * (3 if question.loaded else 2)
@@ -73,6 +66,7 @@ def solved(
 
     def arm_of(motors: Sequence[Coupling]) -> ArmTerms:
         """Return all terms of the arm with some motors."""
+        friction = options.friction
         return ArmTerms(robot, options.torques, motors, friction, question.loaded)
 
     def answer(noise: Array | None = None, possible: bool = False) -> Fit:
@@ -84,6 +78,7 @@ def solved(
         )
 
     advance(0)
+    question = replace(question, is_first=True)
     arm = arm_of(stated)
     arm = arm.beside(map(arm.motor, offered))
     point = arm.start()
@@ -95,7 +90,7 @@ def solved(
     sums = current.sums
     for step in range(1, n_steps, 2):
         advance(step)
-        question = replace(question, dry=dry_friction(current))
+        question = replace(question, dry=dry_friction(current), is_first=False)
         noise = current.noise
         correlation = correlation_times(current.residuals)
         if step == 1:
@@ -145,15 +140,16 @@ def without_turns(fitted: Fit) -> list[Recording]:
 
 
 def dry_friction(fitted: Fit) -> tuple[float, ...]:
-    """Return the dry friction (J,) of a fit [N m]: root of the sum of squares of its terms.
+    """Return the dry friction (J,) of a fit [N m]: root of the sum of squares of its dry torques.
 
     Without those that fade with speed it would be nothing where they take all of Coulomb friction,
     and the next round would allow for none of them.
     """
     squares = np.zeros(len(fitted.arm.joints))
-    for term in ("coulomb", "sigmoid", *FADING_SPEEDS):
-        names = names_of(term, fitted.arm.joints)
-        squares += np.square([fitted.by_name.get(name, 0.0) for name in names])
+    for name in fitted.arm.friction:
+        term = fitted.arm.terms[name]
+        if term.parameters[0].is_dry_torque:
+            squares += np.square([fitted.by_name[each] for each in term.names])
     return tuple(np.sqrt(squares).tolist())
 
 
@@ -198,12 +194,11 @@ def _motor_term(fitted: Fit, motor: Coupling) -> Term:
     torques = np.sum(sums.squared_torque, axis=0)
     sizes = []
     term = arm.terms[motor.name]
-    for name in term.names:
-        kind = name.partition("[")[0]
-        index = sums.names.index(name)
+    for parameter in term.parameters:
+        index = sums.names.index(parameter.key)
         size = 1e-9
         for joint in np.flatnonzero(motor.ratios):
-            own = f"{kind}[{arm.robot.joint_names[joint]}]"
+            own = parameter.key_of(arm.robot.joint_names[joint])
             size = max(size, abs(fitted.by_name.get(own, 0.0)))
             square = squares[joint, index]
             if square > 0.0:
@@ -247,7 +242,7 @@ def links_information(
         if term.cause == LINKS and term.prior is not None:
             normal = fitted.normal_without(left_out)
             values, inverse = solve(normal, equations.reference)
-            posterior = np.linalg.inv(inverse[span, span])
+            posterior = np.linalg.inv(inverse[span[:, None], span])
             rows = term.prior.rows[:, :-1]
             curvature = posterior - rows.T @ rows
             gradient = posterior @ values[span] - rows.T @ term.prior.rows[:, -1]
@@ -302,10 +297,12 @@ def coupling(robot: RobotModel, ratios: Array, tendon: int | None = None) -> Cou
         return motor
     model = robot.mj_model
     # Tendons have rotor inertia since MuJoCo 3.2.7.
-    rotors = getattr(model, "tendon_armature", np.zeros(model.ntendon))
-    damping = np.ravel(model.tendon_damping[tendon])[0]
-    values = np.array([model.tendon_frictionloss[tendon], damping, rotors[tendon]])
-    return replace(motor, model=values, tendon=tendon)
+    zeros = np.zeros(model.ntendon)
+    values = [
+        np.ravel(getattr(model, f"tendon_{term.attribute}", zeros)[tendon])[0]
+        for term in Coupling.terms
+    ]
+    return replace(motor, model=np.array(values), tendon=tendon)
 
 
 def motors_of(

@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid import spatial
-from robot_sysid.dynamics.friction import split_name
 from robot_sysid.estimate.bodies import Possible, consistent_least_squares
 from robot_sysid.estimate.questions import Question, arm_question, scale_spread
 from robot_sysid.estimate.rows import Recording, Sums, indices_of
@@ -59,13 +58,12 @@ class Equations:
     Attributes:
         index: (k,) of the estimated parameters in ``sums.names``.
         names: (k,) their names.
-        spans: each term with that of its parameters among the estimated ones.
+        spans: each term with the indices of its parameters among the estimated ones.
         lower, upper: (k,) bounds.
         reference: (k,) values that stay where nothing shows them.
         prior: (k + 1, k + 1) products of the priors' equations.
-        joints: per joint (own, at, rest): which of its columns (c,) are estimated or the torque,
-            their indices among all of these (c,), and what all its columns (k,) are multiplied by
-            in the torque that is left to explain.
+        selection: (p + 1, k + 1) takes all columns and the torque to the estimated ones and the
+            torque that is left to explain.
         bodies: (L, 10) indices of the parameters of each body that has to be possible.
         least: (k,) bodies that these have to contain; zero for none.
     """
@@ -82,60 +80,32 @@ class Equations:
         self.least = np.zeros(size)
         self.lower = np.full(size, -np.inf)
         self.upper = np.full(size, np.inf)
-        self.spans: list[tuple[Term, slice]] = []
         self.bodies = np.zeros((0, N_INERTIAL), dtype=np.int64)
-        left = np.append(-held, 1.0)
-        left[self.index] = 0.0
-        place = np.full(len(left), -1)
-        place[[*self.index, -1]] = np.arange(size + 1)
-        self.joints = []
-        for columns in sums.columns:
-            own = np.flatnonzero(place[columns] >= 0)
-            self.joints.append((own, place[columns[own]], left[columns]))
-        start = 0
-        for term in terms:
-            span = slice(start, start + len(term.names))
-            indices = np.arange(span.start, span.stop)
-            start = span.stop
-            self.spans.append((term, span))
-            self.lower[span] = term.lower
-            self.upper[span] = term.upper
+        self.selection = np.zeros((len(held) + 1, size + 1))
+        self.selection[:, -1] = np.append(-held, 1.0)
+        self.selection[self.index] = np.eye(size, size + 1)
+        ends = np.cumsum([len(term.names) for term in terms], dtype=np.int64)
+        self.spans = list(zip(terms, np.split(np.arange(size), ends[:-1])))
+        for term, span in self.spans:
+            if term.is_bounded:
+                self.lower[span] = [each.lower for each in term.parameters]
+                self.upper[span] = [each.upper for each in term.parameters]
             self.reference[span] = term.reference
             self.least[span] = term.least
             if term.prior is not None:
-                at = np.append(indices, size)
+                at = np.append(span, size)
                 self.prior[at[:, None], at] += term.prior.rows.T @ term.prior.rows
                 self.reference[span] = term.prior.mean
             if term.bodies:
-                self.bodies = np.vstack((self.bodies, indices.reshape(-1, N_INERTIAL)))
-
-    @cached_property
-    def totals(self) -> list[Array]:
-        """Products per joint of the rows of all blocks."""
-        return self.products(None)
-
-    def products(self, blocks: Sequence[int] | None) -> list[Array]:
-        """Return the products of each joint's rows by its own parameters, of all blocks or some.
-
-        The torque of the parameters that are held is subtracted.
-        """
-        products = []
-        grams = self.sums.of_blocks(blocks)
-        for gram, (own, _, rest) in zip(grams, self.joints):
-            torque = gram @ rest
-            product = gram[own[:, None], own]
-            product[-1] = product[:, -1] = torque[own]
-            product[-1, -1] = rest @ torque
-            products.append(product)
-        return products
+                self.bodies = np.vstack((self.bodies, span.reshape(-1, N_INERTIAL)))
 
     def data(self, weights: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the products (k + 1, k + 1) of weighted rows, of all blocks or some."""
-        products = self.totals if blocks is None else self.products(blocks)
-        data = np.zeros_like(self.prior)
-        for weight, product, (_, at, _) in zip(weights, products, self.joints):
-            data[at[:, None], at] += weight**2 * product
-        return data
+        total = np.zeros((len(self.selection), len(self.selection)))
+        grams = self.sums.of_blocks(blocks)
+        for weight, columns, gram in zip(weights, self.sums.columns, grams):
+            total[columns[:, None], columns] += weight**2 * gram
+        return self.selection.T @ total @ self.selection
 
     def normal(self, weights: Array) -> Array:
         """Return the products (k + 1, k + 1) of priors and of weighted rows."""
@@ -149,12 +119,10 @@ class Equations:
 
     def spread(self, covariance: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the squared errors (J,) to expect from those of an estimate (k, k) [N^2 m^2]."""
-        products = self.totals if blocks is None else self.products(blocks)
-        spread = []
-        for product, (_, at, _) in zip(products, self.joints):
-            errors = covariance[at[:-1, None], at[:-1]]
-            spread.append(np.vdot(product[:-1, :-1], errors))
-        return np.array(spread)
+        own = self.selection[:, :-1]
+        errors = own @ covariance @ own.T
+        pairs = zip(self.sums.columns, self.sums.of_blocks(blocks))
+        return np.array([np.vdot(gram, errors[at[:, None], at]) for at, gram in pairs])
 
     def are_possible(self, values: Array) -> bool:
         """Tell whether all bodies are possible at values (k,)."""
@@ -428,15 +396,13 @@ class Fit(Problem):
         if SCALES not in (term.cause for term in self.equations.terms):
             return effects.T @ effects
         for term, span in self.equations.spans:
-            # The loss of a gear is a share, and has no unit.
-            is_in_unit = not term.names[0].startswith("load[")
             if term.cause == PAYLOAD:
                 shared = np.linalg.norm(deviations) / len(joints)
                 effects[-1, span] = shared * self.free[span]
-            elif term.cause in (FRICTION, FURTHER_FRICTION) and is_in_unit:
-                rows = [joints.index(split_name(name)[1]) for name in term.names]
-                own = np.arange(span.start, span.stop)
-                effects[rows, own] = deviations[rows] * self.values[span]
+            # The loss of a gear is a share, and has no unit.
+            elif term.cause in (FRICTION, FURTHER_FRICTION) and term.parameters[0].unit:
+                rows = [joints.index(parameter.of) for parameter in term.parameters]
+                effects[rows, span] = deviations[rows] * self.values[span]
         return effects.T @ effects
 
     @cached_property
@@ -444,6 +410,11 @@ class Fit(Problem):
         """Standard errors (k,), infinite where nothing shows a parameter."""
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return np.where(self.is_hidden, np.inf, errors)
+
+    def error_of(self, name: str) -> float:
+        """Return the standard error of a named parameter, infinite if it is not estimated."""
+        is_estimated = name in self.names
+        return float(self.errors[self.names.index(name)]) if is_estimated else np.inf
 
     def budget(self, combinations: Array) -> dict[str, Array]:
         """Return cause to the standard errors (m,) that it alone makes in combinations (m, k)."""
@@ -648,8 +619,7 @@ class Fit(Problem):
         if self.question.loaded:
             payload = self.free[self.at(PAYLOAD_NAMES)]
             thetas = links
-        friction = {name: values[name] for name in values if "[" in name}
-        return Point(thetas, links, payload, self.point.gravity, friction)
+        return Point(thetas, links, payload, self.point.gravity, values)
 
     @cached_property
     def residuals(self) -> Array:
@@ -680,7 +650,7 @@ def equations_of(
     for term in terms:
         if term.prior is None and not term.bodies:
             own = squares[sums.at(term.names)]
-            term = term.only([name for name, square in zip(term.names, own) if square])
+            term = term.only(np.flatnonzero(own).tolist())
         if term.names:
             shown.append(term)
     values = {**arm.model, **held}

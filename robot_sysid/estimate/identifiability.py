@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid import spatial
-from robot_sysid.dynamics.friction import split_name
+from robot_sysid.dynamics.friction import COULOMB, VISCOUS
 from robot_sysid.records import Array, FitQuality
 from robot_sysid.records.data import rms_of_joints
 
@@ -138,8 +138,7 @@ def fit_quality(
         noise: joint to standard deviation of its torque noise [N m].
     """
     space = visible_space(matrix)
-    friction = [f"{term}[{joints[-1]}]" for term in ("coulomb", "viscous")]
-    interest = np.isin(names, friction)
+    interest = np.isin(names, [each.key_of(joints[-1]) for each in (COULOMB, VISCOUS)])
     interest[: spatial.N_INERTIAL] = True
     visible = np.where(space.zero, 0.0, matrix)
     # Rank of the nuisances alone, counted by the same cut as that of all columns.
@@ -164,11 +163,9 @@ def fit_quality(
 # Phrases for single parameters, by the name before "[joint]".
 _SINGLE = {
     "m": "mass",
-    "hx": "first moment along x",
-    "hy": "first moment along y",
-    "hz": "first moment along z",
-    "coulomb": "Coulomb friction",
-    "viscous": "viscous friction",
+    **{f"h{axis}": f"first moment along {axis}" for axis in "xyz"},
+    **{name: f"inertia {name}" for name in spatial.PARAMETER_NAMES[4:]},
+    **{term.name: term.label for term in (COULOMB, VISCOUS)},
 }
 
 
@@ -191,7 +188,6 @@ def _is_hidden(null: Array) -> NDArray[np.bool_]:
 
 def _phrase(name: str) -> str:
     """Return the phrase for one parameter: "viscous friction of j1" for "viscous[j1]"."""
-    term, joint = split_name(name)
-    phrase = f"inertia {term}" if term in spatial.PARAMETER_NAMES else term
-    phrase = _SINGLE.get(term, phrase)
+    term, _, joint = name.rstrip("]").partition("[")
+    phrase = _SINGLE.get(term, term)
     return f"{phrase} of {joint}" if joint else phrase

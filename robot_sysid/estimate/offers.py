@@ -18,6 +18,7 @@ Shapes: J joints, B blocks, k parameters of the fit, m further columns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -85,7 +86,7 @@ class Offer:
     @cached_property
     def _after(self) -> tuple[Array, Array]:
         """What the columns change in squared residuals (J,), and their leverage (J,)."""
-        return self._offers.after(self, False)
+        return self._offers.after(self, self._offers.sums.totals)
 
     @cached_property
     def squares(self) -> Array:
@@ -96,7 +97,7 @@ class Offer:
     @cached_property
     def successive(self) -> Array:
         """Sums of products of successive residuals (J,), with the columns [N^2 m^2]."""
-        change, _ = self._offers.after(self, True)
+        change, _ = self._offers.after(self, self._offers.sums.lagged_totals)
         return self._offers.successive + change
 
     @property
@@ -133,29 +134,21 @@ class Offers:
     def offer(self, effect: Effect) -> Offer:
         """Return what the fit says of an effect, with the weights as they are."""
         index = self.fitted.equations.index
-        selection = self._selection(effect)
-        size, count = selection.shape
-        rows = np.zeros((count, size))
+        size = len(self._full)
+        count = len(effect.names)
+        cross = np.zeros((size, count))
         own = np.zeros((count, count))
         for joint, columns in enumerate(self.sums.columns):
-            if effect.joint not in (None, joint):
-                continue
-            shares, products = self._shared(effect, joint, False)
-            # Products of the effect's own columns, few of all, with all others.
-            shown = np.flatnonzero(np.any(selection[columns], axis=1))
-            products = products[:, shown]
-            further = selection[columns[shown]]
-            weighted = self.weights[joint] ** 2 * further.T
-            rows[:, columns] += weighted @ np.tensordot(shares, products, 1)
-            squares = np.tensordot(shares**2, products[:, :, shown], 1)
-            own += weighted @ squares @ further
+            products, squares = self._products(effect, joint, self.sums.totals)
+            cross[columns] += self.weights[joint] ** 2 * products
+            own += self.weights[joint] ** 2 * squares
         # How all parameters move per unit of the further ones.
         moves = np.zeros((size, count))
-        moves[index] = -self.inverse @ rows[:, index].T
+        moves[index] = -self.inverse @ cross[index]
         factor = effect.factor
-        inner = factor.T @ (own + rows @ moves) @ factor + np.eye(factor.shape[1])
+        inner = factor.T @ (own + cross.T @ moves) @ factor + np.eye(factor.shape[1])
         covariance = factor @ np.linalg.inv(inner) @ factor.T
-        gradient = -rows @ self._full
+        gradient = -self._full @ cross
         values = covariance @ gradient
         explained = float(gradient @ values)
         change = moves[index] @ values
@@ -173,43 +166,44 @@ class Offers:
             self,
         )
 
-    def _selection(self, effect: Effect) -> Array:
-        """Return the 0/1 matrix (p + 1, m) of the columns of an effect among all."""
-        count = len(effect.names)
-        selection = np.zeros((len(self._full), count))
-        selection[self.sums.at(effect.names), range(count)] = 1.0
-        return selection
+    def _products(
+        self, effect: Effect, joint: int, totals: Sequence[Array]
+    ) -> tuple[Array, Array]:
+        """Return the products (k, m) of a joint's k columns with an effect's, and the latter's.
 
-    def _shared(self, effect: Effect, joint: int, lagged: bool) -> tuple[Array, Array]:
-        """Return an effect's shares (b,) at a joint, and products (b, k, k) of the joint's rows.
-
-        Where the effect has a share per block, b is the number of blocks, else one: the share is
-        then 1, or 0 where the effect does not act at the joint. Products are those of rows, or of
-        successive rows if ``lagged``.
+        ``totals`` are the sums' own, of rows or of successive rows.
         """
         sums = self.sums
-        acts = effect.joint in (None, joint)
-        if acts and effect.shares is not None:
-            return effect.shares, sums.products[joint][int(lagged)]
-        totals = sums.lagged_totals if lagged else sums.totals
-        return np.array([float(acts)]), totals[joint][None]
+        columns = sums.columns[joint]
+        selection = np.equal.outer(columns, sums.at(effect.names)).astype(float)
+        if effect.joint not in (None, joint):
+            selection[:] = 0.0
+        shares = np.ones(1) if effect.shares is None else effect.shares
+        blocks = totals[joint][None]
+        if effect.shares is not None:
+            blocks = sums.products[joint][int(totals is sums.lagged_totals)]
+        # The effect has few of all columns.
+        own = np.flatnonzero(np.any(selection, axis=1))
+        further = selection[own]
+        blocks = blocks[:, :, own]
+        squares = np.tensordot(shares**2, blocks[:, own], 1)
+        cross = np.tensordot(shares, blocks, 1) @ further
+        return cross, further.T @ squares @ further
 
-    def after(self, offer: Offer, lagged: bool) -> tuple[Array, Array]:
+    def after(self, offer: Offer, totals: Sequence[Array]) -> tuple[Array, Array]:
         """Return what an offer changes in each joint's sums of squares (J,), and determines (J,).
 
-        Sums are those of products of successive rows if ``lagged``.
+        ``totals`` are the sums' own, of rows or of successive rows.
         """
         values = offer.values
-        selection = self._selection(offer.effect)
         change = np.zeros(len(self.weights))
         explained = np.zeros(len(self.weights))
         for joint, columns in enumerate(self.sums.columns):
-            shares, products = self._shared(offer.effect, joint, lagged)
-            further = shares[:, None, None] * selection[columns]
-            shown = offer.moves[columns] + further
-            moved = products @ shown
-            slope = self._full[columns] @ np.sum(moved, axis=0)
-            bend = np.sum(np.swapaxes(shown, 1, 2) @ moved, axis=0)
+            cross, squares = self._products(offer.effect, joint, totals)
+            moves = offer.moves[columns]
+            moved = totals[joint] @ moves + cross
+            slope = self._full[columns] @ moved
+            bend = moves.T @ moved + cross.T @ moves + squares
             change[joint] = 2.0 * slope @ values + values @ bend @ values
             explained[joint] = np.vdot(offer.covariance, bend)
         return change, explained

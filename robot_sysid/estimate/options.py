@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,8 +24,10 @@ TORQUE_CHOICES = ("chain", "terminal")
 """Values of the option ``torques``: equations of all joints that carry the terminal link, or of
 the last joint only."""
 DEFAULT_TERMINAL = "coulomb-viscous-offset"
-"""Default friction model with ``torques="terminal"``; it has no rotor inertia, which one joint's
-torque does not tell from the inertia of the link."""
+"""Friction model of one joint's torque where no option names another; it has no rotor inertia,
+which this torque does not tell from the inertia of the link."""
+DEFAULT_FRICTION = f"{DEFAULT_TERMINAL}-armature"
+"""Friction model of the torques of all joints where no option names another."""
 
 # Names of the parts of a model file that may stay as they are (``Question.unchanged_parts``).
 # Friction of joints and motors.
@@ -139,10 +142,10 @@ class EstimationOptions(OptionRecord):
     )
     friction_model: str | None = option(
         None,
-        "friction terms of every joint, such as coulomb-viscous-offset",
+        f"friction terms of every joint, such as {DEFAULT_TERMINAL}",
         "TERMS",
-        default_text="coulomb-viscous-offset-armature, and what priors allow for; of the last "
-        f"joint's torque alone {DEFAULT_TERMINAL}",
+        default_text=f"{DEFAULT_FRICTION}, and what priors allow for; of the last joint's torque "
+        f"alone {DEFAULT_TERMINAL}",
     )
     priors: Priors = option(
         Priors(),
@@ -182,14 +185,14 @@ class EstimationOptions(OptionRecord):
                         f"{name} and {option_name('no_friction')} exclude each other"
                     )
         if self.friction_model is not None:
-            _terms(str(self.friction_model))
+            friction_terms(str(self.friction_model))
 
     @property
     def friction(self) -> tuple[str, ...]:
         """Friction terms of every joint; none with the option ``no_friction``."""
         if self.no_friction:
             return ()
-        return _terms(self.friction_model or self._default_friction)
+        return friction_terms(self.friction_model or self._default_friction)
 
     @property
     def kept(self) -> tuple[str, ...]:
@@ -200,8 +203,7 @@ class EstimationOptions(OptionRecord):
     @property
     def _default_friction(self) -> str:
         """Friction model where no option names one."""
-        measured = f"{DEFAULT_TERMINAL}-armature"
-        return DEFAULT_TERMINAL if self.torques == "terminal" else measured
+        return DEFAULT_TERMINAL if self.torques == "terminal" else DEFAULT_FRICTION
 
     @property
     def left_out_terms(self) -> tuple[str, ...]:
@@ -211,12 +213,33 @@ class EstimationOptions(OptionRecord):
         """
         terms = self.friction
         given = {*terms, "coulomb"} if "sigmoid" in terms else {*terms}
-        default = _terms(self._default_friction)
+        default = friction_terms(self._default_friction)
         return tuple(term for term in default if term not in given)
 
 
-def _terms(friction_model: str) -> tuple[str, ...]:
-    """Return the terms of a friction model; options do not wait for numpy."""
-    from robot_sysid.dynamics.friction import friction_terms
+def friction_terms(name: str) -> tuple[str, ...]:
+    """Return the terms of a friction model: "none", or names joined by "-" or "+".
 
-    return friction_terms(friction_model)
+    A leading "+" adds terms to the default, so "+sqrt" is "coulomb-viscous-offset-armature-sqrt".
+
+    Raises:
+        InputError: a term is unknown, or named twice.
+    """
+    # Options do not wait for numpy.
+    from robot_sysid.dynamics.friction import TERMS
+
+    terms = () if name == "none" else tuple(re.split(r"[-+]", name.lstrip("+")))
+    if name.startswith("+"):
+        default = DEFAULT_FRICTION.split("-")
+        terms = (*default, *(term for term in terms if term not in default))
+    for term in terms:
+        if term not in TERMS:
+            raise InputError(
+                f"unknown friction term {term!r} in {name!r}; join any of {', '.join(TERMS)} with "
+                f"'-', as in {DEFAULT_FRICTION}, or use none"
+            )
+    if len(set(terms)) != len(terms):
+        raise InputError(
+            f"friction terms {list(terms)} name a term twice; use each once"
+        )
+    return terms

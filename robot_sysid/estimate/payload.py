@@ -34,6 +34,7 @@ from robot_sysid.estimate.trust import (
 from robot_sysid.records import Array, DataOrigin, Flange
 from robot_sysid.records.levels import CLEAR
 from robot_sysid.records.messages import Detail, Level, Remark, says, with_error
+from robot_sysid.records.parameters import SCALE
 from robot_sysid.results.quantities import (
     body_quantities,
     is_inertia_known,
@@ -164,7 +165,7 @@ def _torque_scales(fitted: Fit, divided: Array) -> Iterator[Quantity]:
     ``divided``: (n,) torque scales by which the torques were divided already.
     """
     for joint, factor in zip(fitted.arm.joints, divided[fitted.arm.indices].tolist()):
-        value, error = quantity(fitted, f"scale[{joint}]")
+        value, error = quantity(fitted, SCALE.key_of(joint))
         scale = factor * (1.0 + value)
         yield Quantity("torque_scale", joint, "", 1.0, scale, factor * error)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import robot_sysid.records.usual_errors as usual_errors
-from robot_sysid.dynamics.friction import FADING_SPEEDS
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.estimate.links import AS_STATED, LinkScales, link_factor
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.terms import (
@@ -24,8 +24,6 @@ from robot_sysid.estimate.terms import (
     SCALE_DRIFT,
     SCALES,
     TILT,
-    UNKNOWN_FRICTION,
-    USUAL_FRICTION,
     ZEROS,
     ArmTerms,
     Prior,
@@ -58,8 +56,10 @@ class Question:
         drifts: whether to estimate a drift of friction from the first to the last recording.
         known_mass: mass of the payload [kg], from which torque scales are estimated; or None.
         link_scales: factors on the stated uncertainty of all links but the terminal one.
-        dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None before a
-            fit.
+        dry: (J,) dry friction [N m] that sizes the priors of unknown friction terms; None for the
+            model's.
+        is_first: whether it comes before any fit, which tells dry friction that fades with speed
+            from Coulomb friction.
     """
 
     options: EstimationOptions
@@ -68,16 +68,12 @@ class Question:
     known_mass: float | None = None
     link_scales: LinkScales = AS_STATED
     dry: tuple[float, ...] | None = None
+    is_first: bool = False
 
     @property
     def friction(self) -> tuple[str, ...]:
         """Friction terms of every joint that are estimated without a prior."""
         return self.options.friction
-
-
-def friction_columns(options: EstimationOptions) -> tuple[str, ...]:
-    """Return the names of the friction terms that need columns."""
-    return tuple(dict.fromkeys((*USUAL_FRICTION, *options.friction, *UNKNOWN_FRICTION)))
 
 
 def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]:
@@ -96,13 +92,9 @@ def arm_question(arm: ArmTerms, question: Question, torque: Array) -> list[Term]
     if question.loaded:
         terms.append(_payload(arm, question))
     for name in question.friction:
-        # A gear that lost half of its load would lock backwards.
-        upper = 0.3 if name == "load" else np.inf
-        term = replace(arm.terms[name], upper=upper)
         # The square-root term bends the curve of friction: only their sum has to oppose the motion.
-        if name == "viscous" and "sqrt" in question.friction:
-            term = replace(term, lower=-np.inf)
-        terms.append(term)
+        is_bent = name == "viscous" and "sqrt" in question.friction
+        terms.append(replace(arm.terms[name], is_bounded=not is_bent))
     terms += _unknown_friction(arm, question, torque)
     terms += [arm.terms[motor.name] for motor in arm.motors]
     scale = scale_spread(arm, options, question.loaded)
@@ -141,11 +133,9 @@ def _payload(arm: ArmTerms, question: Question) -> Term:
     term = arm.terms[PAYLOAD]
     if question.known_mass is None:
         return term
-    wide = np.full(N_INERTIAL, WIDE * question.known_mass)
-    wide[0] = 1e-6 * question.known_mass
-    mean = np.zeros(N_INERTIAL)
-    mean[0] = question.known_mass
-    return replace(term, prior=independent(wide, mean))
+    is_mass = np.eye(N_INERTIAL)[0]
+    deviations = question.known_mass * np.where(is_mass, 1e-6, WIDE)
+    return replace(term, prior=independent(deviations, question.known_mass * is_mass))
 
 
 def links_term(arm: ArmTerms, question: Question) -> Term:
@@ -178,16 +168,17 @@ def _unknown_friction(
     )
     if question.loaded:
         loss = np.full_like(dry, max(share, usual_errors.LOADED_LOSS))
-    sizes = {"load": loss, "sqrt": usual_errors.CURVATURE * share * dry}
-    if question.dry is not None:
-        sizes |= dict.fromkeys(FADING_SPEEDS, usual_errors.FADING * share * dry)
+    sizes = {"load": loss}
+    for name, term in TERMS.items():
+        if not (question.is_first and term.is_dry_torque):
+            sizes.setdefault(name, term.prior * share * dry)
     for name, deviations in sizes.items():
-        if name not in friction:
+        if TERMS[name].prior and name not in friction:
             yield replace(
                 arm.terms[name],
                 cause=FURTHER_FRICTION,
                 prior=independent(deviations),
-                lower=-np.inf,
+                is_bounded=False,
             )
 
 

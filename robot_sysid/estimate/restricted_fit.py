@@ -13,7 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import names_of
+import robot_sysid.records.usual_errors as usual_errors
+from robot_sysid.dynamics.friction import ROTOR, TERMS
 from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, turn_gravity
 from robot_sysid.estimate.fit import ROUNDS, Fit, LeftOut
 from robot_sysid.estimate.held_out import error_in, validation
@@ -30,6 +31,7 @@ from robot_sysid.estimate.terms import (
     LAST_LINK,
     LINKS,
     MOTORS,
+    PAYLOAD,
     PAYLOAD_NAMES,
     TILT,
     Prior,
@@ -38,7 +40,7 @@ from robot_sysid.estimate.terms import (
 )
 from robot_sysid.records import Array, InertialParameters, Validation
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
-from robot_sysid.records.usual_errors import GRAVITY_IN_FILE, OFFSET
+from robot_sysid.records.parameters import keys_of
 from robot_sysid.spatial import N_INERTIAL
 
 
@@ -56,9 +58,9 @@ def error_before(file: Fit) -> Validation:
 def error_without_rotors(file: Fit) -> Validation:
     """Return the error of a file without rotors and motors, which readers of a URDF leave out."""
     arm = file.arm
-    beyond = [*names_of("armature", arm.owners)]
+    beyond = [*map(ROTOR.key_of, arm.owners)]
     for motor in arm.motors:
-        beyond += motor.parameter_names
+        beyond += keys_of(motor.parameters)
     bare = {name: arm.model.get(name, 0.0) for name in beyond}
     return validation(file.fit([arm.terms["offset"]], {**file.by_name, **bare}))
 
@@ -89,7 +91,7 @@ def fit_file(estimate: Fit, carried: Array | None = None) -> Fit:
     free = estimate.fit([*terms, offset], held, possible=False)
     terms.append(_known_offsets(replace(free, left_out=LeftOut.EACH)))
     if TILT in arm.terms and FILE_GRAVITY not in unchanged:
-        prior = independent(np.full(2, np.radians(GRAVITY_IN_FILE)))
+        prior = independent(np.full(2, np.radians(usual_errors.GRAVITY_IN_FILE)))
         tilt = replace(arm.terms[TILT], prior=prior)
         # Gravity is turned only where the torques clearly show it, whatever bodies are possible.
         free = estimate.fit(terms, held, possible=False)
@@ -133,30 +135,28 @@ def _known_offsets(fitted: Fit) -> Term:
 
     In a small motion an offset and the weight of links make the same torque, so that noise alone
     would move weight into offsets. Sensors of an arm are alike: where none is ``SURE`` errors
-    from zero, all are held at zero; where one is, the others are known to ``OFFSET``.
+    from zero, all are held at zero; where one is, the others are known to ``usual_errors.OFFSET``.
     """
     term = fitted.arm.terms["offset"]
     torque = fitted.sums.rms_torque
-    errors = dict(zip(fitted.names, fitted.errors))
     is_clear = [
-        abs(fitted.by_name[name]) > SURE * errors.get(name, np.inf)
-        for name in term.names
+        abs(fitted.by_name[name]) > SURE * fitted.error_of(name) for name in term.names
     ]
-    known = OFFSET * torque * np.any(is_clear)
+    known = usual_errors.OFFSET * torque * np.any(is_clear)
     return replace(term, prior=independent(np.where(is_clear, WIDE * torque, known)))
 
 
 def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:
     """Return the terms that a file holds, but for rotors and gravity's tilt."""
     arm = estimate.arm
-    left_out = {"armature", TILT}
+    left_out = {"armature", TILT, PAYLOAD}
     if FILE_FRICTION in unchanged:
-        left_out |= {"coulomb", "viscous", *(motor.name for motor in arm.motors)}
+        left_out |= {*TERMS, *(motor.name for motor in arm.motors)}
     if FILE_LINKS in unchanged or estimate.question.options.priors.link <= 0.0:
         left_out.add(LINKS)
     terms = []
     for key, term in arm.terms.items():
-        if key in left_out or not term.in_file:
+        if key in left_out or not (term.bodies or term.parameters[0].attribute):
             continue
         if key == LINKS:
             term = links_term(arm, estimate.question)
@@ -164,7 +164,8 @@ def _terms(estimate: Fit, unchanged: Sequence[str]) -> list[Term]:
             hanging = [each.theta for each in arm.robot.bodies if not each.welded]
             term = replace(term, least=np.sum([np.zeros(N_INERTIAL), *hanging], axis=0))
         elif term.cause == MOTORS:
-            term = term.only(term.names[:2])
+            # Rotors are selected apart.
+            term = term.only([0, 1])
         terms.append(term)
     return terms
 
@@ -178,15 +179,14 @@ def _far_masses(estimate: Fit, fitted: Fit) -> dict[str, tuple[float, float]]:
     Returns:
         Name to (value to be held at, deviation of it) [kg].
     """
-    errors = dict(zip(estimate.names, estimate.errors.tolist()))
     far = {}
     for index in fitted.equations.bodies[:, 0].tolist():
         name = fitted.names[index]
-        if name not in errors:
+        if name not in estimate.names:
             continue
         mass = estimate.by_name[name]
-        is_shown = errors[name] < abs(mass)
-        error = errors[name] if is_shown else 1e-3 * abs(mass)
+        error = estimate.error_of(name)
+        error = error if error < abs(mass) else 1e-3 * abs(mass)
         distance = fitted.values[index] - mass
         if abs(distance) > INTERVAL * error:
             held = mass + np.copysign(0.95 * INTERVAL * error, distance)
@@ -199,14 +199,11 @@ def _with_known(term: Term, known: Mapping[str, tuple[float, float]]) -> Term:
 
     Bodies that have no prior get a wide one, as a prior is of all parameters of a term.
     """
-    names = [name for name in term.names if name in known]
-    if not names:
+    if known.keys().isdisjoint(term.names):
         return term
-    rows = np.zeros((len(names), len(term.names) + 1))
-    for row, name in zip(rows, names):
-        value, deviation = known[name]
-        row[term.names.index(name)] = 1.0 / deviation
-        row[-1] = value / deviation
+    pairs = [known.get(name, (0.0, np.inf)) for name in term.names]
+    values, deviations = np.transpose(pairs)
+    rows = np.column_stack((np.diag(1.0 / deviations), values / deviations))
     prior = term.prior
     if prior is None:
         wide = WIDE * InertialParameters(term.reference).scale
@@ -231,17 +228,16 @@ def select_rotors(estimate: Fit, unchanged: Sequence[str]) -> dict[str, float]:
     robot = arm.robot
     if FILE_ROTORS in unchanged or len(arm.joints) < robot.n_joints:
         return {}
-    errors = dict(zip(estimate.names, estimate.errors))
     rotors = {}
     for owner in arm.owners:
-        name = f"armature[{owner}]"
+        name = ROTOR.key_of(owner)
         of_model = arm.model.get(name, 0.0)
         value = estimate.by_name.get(name, of_model)
-        is_better = (value - of_model) ** 2 > 2.0 * errors.get(name, np.inf) ** 2
+        is_better = (value - of_model) ** 2 > 2.0 * estimate.error_of(name) ** 2
         rotors[name] = value if is_better else of_model
-    names = names_of("armature", robot.joint_names)
+    names = [*map(ROTOR.key_of, robot.joint_names)]
     for motor in arm.motors:
-        name = f"armature[{motor.name}]"
+        name = ROTOR.key_of(motor.name)
         if arm.model.get(name, 0.0) > 0.0:
             continue
         for index in np.flatnonzero(motor.ratios):

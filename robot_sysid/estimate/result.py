@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import split_name
+from robot_sysid.dynamics.friction import COULOMB, ROTOR, TERMS
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector
 from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
@@ -33,6 +33,7 @@ from robot_sysid.estimate.terms import (
     MOTORS,
     PAYLOAD,
     PAYLOAD_NAMES,
+    ZEROS,
     Term,
 )
 from robot_sysid.estimate.trust import (
@@ -55,16 +56,8 @@ from robot_sysid.records import (
 from robot_sysid.records.data import Traces
 from robot_sysid.records.file_access import MODEL_NAMES
 from robot_sysid.records.levels import INTERVAL, SURE
-from robot_sysid.records.messages import (
-    PARAMETER_UNITS,
-    Level,
-    percent,
-    position_unit,
-    says,
-    term_unit,
-    torque_unit,
-    with_error,
-)
+from robot_sysid.records.messages import Level, percent, says, with_error
+from robot_sysid.records.parameters import INERTIAL
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.results.quantities import (
     BEYOND,
@@ -183,7 +176,7 @@ def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
     theta = link.theta - link.prior.theta
     beyond = replace(link, name=BEYOND, theta=theta, prior=None)
     moment, error = beyond.moment_along(beyond.first_moment)
-    yield Quantity(MOMENT, BEYOND, PARAMETER_UNITS[1], None, moment, error)
+    yield Quantity(MOMENT, BEYOND, INERTIAL[1].unit, None, moment, error)
     yield from itertools.islice(body_quantities(beyond), 4)
 
 
@@ -256,13 +249,13 @@ def link_estimates(fitted: Fit) -> Iterator[BodyEstimate]:
 
 def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
     """Yield the parameters of terms, with the model's values where the arm has them."""
-    robot = fitted.arm.robot
-    cause_of = {name: term.cause for term in terms for name in term.names}
+    pairs = [(term, parameter) for term in terms for parameter in term.parameters]
     causes = fitted.budget(np.eye(len(fitted.names)))
     shares = fitted.share()
-    for name, index in zip(cause_of, fitted.at([*cause_of])):
-        kind, owner = split_name(name)
-        value, error = quantity(fitted, name)
+    for term, parameter in pairs:
+        key = parameter.key
+        index = fitted.names.index(key)
+        value, error = quantity(fitted, key)
         reason = max(causes, key=lambda cause: causes[cause][index])
         source = DATA if shares[index] >= PRIOR_SHARE else MODEL
         if math.isnan(error):
@@ -271,12 +264,12 @@ def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
         elif math.isinf(error):
             reason = NOT_SHOWN
         # A joint's friction beyond its terms, which errors allow for, is none of these terms.
-        is_further = cause_of[name] == FURTHER_FRICTION
+        further = "further_" if term.cause == FURTHER_FRICTION else ""
         yield Quantity(
-            name=f"further_{kind}" if is_further else kind,
-            of=owner or "arm",
-            unit=term_unit(kind, owner in robot.slides),
-            model=fitted.arm.model.get(name),
+            name=f"{further}{parameter.name}",
+            of=parameter.of or "arm",
+            unit=parameter.unit,
+            model=fitted.arm.model.get(key),
             value=value,
             error=error,
             source=source,
@@ -286,8 +279,8 @@ def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:
 
 def quantity(fitted: Fit, name: str) -> tuple[float, float]:
     """Return a named parameter and its standard error, NaN where it is held at a bound."""
-    error = float(fitted.errors[fitted.names.index(name)])
-    return fitted.by_name[name], math.nan if name in fitted.at_bound else error
+    error = math.nan if name in fitted.at_bound else fitted.error_of(name)
+    return fitted.by_name[name], error
 
 
 def joint_quantities(fitted: Fit) -> list[Quantity]:
@@ -335,8 +328,9 @@ def model_file(fitted: Fit, file: Fit) -> tuple[ModelFile, list[Quantity], list[
         if np.any(theta):
             rows += file_quantities(theta, link.theta, link.body_name)
     for row in _file_terms(fitted, file):
-        joints.setdefault(row.of, {})[row.name] = row.value
+        joints.setdefault(row.of, {})[TERMS[row.name].attribute] = row.value
         rows.append(row)
+    joints = {owner: dict(sorted(joints[owner].items())) for owner in joints}
     # Of joints without torque, the log says it.
     has_torque = np.any([each.has_torque for each in fitted.recordings], axis=0)
     powered = itertools.compress(robot.joint_names, has_torque)
@@ -383,22 +377,23 @@ def _file_terms(fitted: Fit, file: Fit) -> Iterator[Quantity]:
             yield replace(row, error=error, source=FILE, reason="")
     robot = fitted.arm.robot
     for owner in fitted.arm.owners:
-        name = f"armature[{owner}]"
+        rotor_parameter = ROTOR.at(owner, owner in robot.slides)
+        name = rotor_parameter.key
         model_rotor = fitted.arm.model.get(name, 0.0)
         rotor = file.by_name.get(name, model_rotor)
         if rotor != model_rotor:
             # Without an estimate of its own, the joint has the rotor of a motor that it shares.
             is_estimated = name in fitted.names
             error = quantity(fitted, name)[1] if is_estimated else math.nan
-            unit = term_unit("armature", owner in robot.slides)
-            yield Quantity("armature", owner, unit, model_rotor, rotor, error, FILE)
+            about = ROTOR.name, owner, rotor_parameter.unit
+            yield Quantity(*about, model_rotor, rotor, error, FILE)
 
 
 def _friction_notes(fitted: Fit, rows: Sequence[Quantity]) -> Iterator[str]:
     """Yield a sentence on dry friction in a file, of its rows, that is not the identified one."""
     phrases = []
     for row in rows:
-        name = f"coulomb[{row.of}]"
+        name = COULOMB.key_of(row.of)
         if row.name == "coulomb" and name in fitted.names:
             value, error = quantity(fitted, name)
             if abs(row.value - value) > INTERVAL * error:
@@ -416,14 +411,12 @@ def _offset_notes(fitted: Fit, after: Validation) -> Iterator[str]:
     """Yield a sentence on torque offsets that are larger than a fitted file's held-out error."""
     squares = 0.0
     phrases = []
-    for row, joint in enumerate(fitted.arm.joints):
-        name = f"offset[{joint}]"
-        if name in fitted.names:
-            offset, error = quantity(fitted, name)
+    for row, parameter in enumerate(fitted.arm.terms["offset"].parameters):
+        if parameter.key in fitted.names:
+            offset, error = quantity(fitted, parameter.key)
             if abs(offset) > SURE * error:
                 squares += offset**2 * np.sum(fitted.sums.counts[:, row])
-                unit = torque_unit(joint in fitted.arm.robot.slides)
-                phrases.append(f"{joint} {offset:.2g} {unit}")
+                phrases.append(f"{parameter.of} {offset:.2g} {parameter.unit}")
     squared = squares / np.sum(fitted.sums.squared_torque)
     share = after.relative_error or 0.0
     if squared > max(LITTLE, share) ** 2:
@@ -442,15 +435,15 @@ def result_notes(fitted: Fit, file: ModelFile | None) -> Iterator[str]:
     for motor in fitted.arm.motors:
         if motor.tendon is None:
             yield f"a motor turns with {motor.name}: the torques give clear evidence of it"
-    for name in fitted.names:
-        kind, joint = split_name(name)
-        zero, error = quantity(fitted, name)
+    for parameter in fitted.arm.terms[ZEROS].parameters:
+        if parameter.key not in fitted.names:
+            continue
+        zero, error = quantity(fitted, parameter.key)
         # A small one is not worth a note, even if it is significant.
-        if kind == "zero" and abs(zero) > max(SURE * error, 1e-3):
-            unit = position_unit(joint in fitted.arm.robot.slides)
+        if abs(zero) > max(SURE * error, 1e-3):
             yield (
-                f"the log reads {joint} {1e3 * zero:.1f} ± {1e3 * error:.1g} m{unit} too "
-                "large; the links are those of the true positions"
+                f"the log reads {parameter.of} {1e3 * zero:.1f} ± {1e3 * error:.1g} "
+                f"m{parameter.unit} too large; the links are those of the true positions"
             )
     if file is not None and file.gravity is not None:
         level = gravity_vector(fitted.arm.robot)
@@ -475,13 +468,12 @@ def traces_of(fitted: Fit) -> Traces:
     model = dict(arm.model)
     if fitted.question.loaded:
         model = {**values, **dict.fromkeys(PAYLOAD_NAMES, 0.0)}
-    model.update((name, values[name]) for name in values if name.startswith("offset["))
+    model.update((name, values[name]) for name in arm.terms["offset"].names)
     friction = {
         name: values[name]
         for term in fitted.equations.terms
-        if term.cause == FRICTION
+        if term.cause == FRICTION and term.key != "armature"
         for name in term.names
-        if split_name(name)[0] != "armature"
     }
     chunks = []
     for recording in fitted.recordings:

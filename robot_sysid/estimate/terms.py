@@ -20,6 +20,7 @@ parameters (``PARAMETER_NAMES``).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -28,16 +29,8 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.dynamics.friction import (
-    DRY_TERMS,
-    FADING_SPEEDS,
-    TERMS,
-    Coupling,
-    names_of,
-    split_name,
-)
+from robot_sysid.dynamics.friction import OFFSET, TERMS, Coupling
 from robot_sysid.dynamics.inverse_dynamics import (
-    TILT_NAMES,
     BeyondRigidBodies,
     gravity_vector,
     link_names,
@@ -54,8 +47,9 @@ from robot_sysid.estimate.rows import (
     Sums,
     block_numbers,
 )
-from robot_sysid.records import Array, RobotModel
-from robot_sysid.spatial import N_INERTIAL, PARAMETER_NAMES
+from robot_sysid.records import Array, RobotModel, parameters
+from robot_sysid.records.parameters import INERTIAL, Parameter, keys_of, of_body
+from robot_sysid.spatial import N_INERTIAL
 
 # Causes, as they are called in results.
 LINKS = "the other links' parameters"
@@ -70,19 +64,15 @@ DELAY = "delay"
 DRIFT = "drift of friction"
 SCALE_DRIFT = "drift of torque scale"
 MOTORS = "couplings"
-PAYLOAD_NAMES = tuple(f"{name}(payload)" for name in PARAMETER_NAMES)
+PAYLOAD_NAMES = keys_of(of_body("payload"))
 """Names of the ten inertial parameters of the payload."""
-USUAL_FRICTION = ("coulomb", "viscous", "offset", "armature")
-"""Friction terms of every joint that are estimated where no option names others."""
-UNKNOWN_FRICTION = ("sqrt", *FADING_SPEEDS, "load")
-"""Friction terms that the usual ones lack: a prior allows for them."""
-ALL_FRICTION = (*USUAL_FRICTION, *UNKNOWN_FRICTION)
-"""Friction terms that have columns where no option names others."""
-# Friction that drifts from the first recording to the last.
-_DRIFTING = (*DRY_TERMS, "viscous", "load")
-# Terms whose torque is smooth, so that its time derivative identifies a delay. Dry friction does
-# not: a reversal that is a little early or late looks like a delay.
-_SMOOTH = ("viscous", "armature")
+USUAL_FRICTION = tuple(
+    name
+    for name, term in TERMS.items()
+    if term.prior or term.attribute or term is OFFSET
+)
+"""Friction terms that have columns whatever the friction model is: those that a file holds, offsets
+of sensors, and those that a prior allows for."""
 
 
 @dataclass(frozen=True)
@@ -155,11 +145,10 @@ class Term:
 
     Attributes:
         cause: in words, as results have it.
-        names: (k,) of its parameters.
+        parameters: its k parameters.
         columns: their columns around a point.
         prior: what is known of them; None where nothing is.
-        lower, upper: bounds of all of them, infinite where there is none.
-        in_file: whether a model file can hold the parameters.
+        is_bounded: whether the bounds of its parameters hold.
         bodies: whether each ten parameters have to be a possible body.
         reference: (k,) values that parameters keep which nothing shows; the model's, or (1,) zero.
         least: (k,) bodies beside which each of the term's bodies has to be possible, such as
@@ -167,29 +156,34 @@ class Term:
     """
 
     cause: str
-    names: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     columns: Columns
     prior: Prior | None = None
-    lower: float = -np.inf
-    upper: float = np.inf
-    in_file: bool = False
+    is_bounded: bool = True
     bodies: bool = False
     reference: Array = field(default_factory=partial(np.zeros, 1))
     least: Array = field(default_factory=partial(np.zeros, 1))
 
-    def only(self, names: Sequence[str]) -> Term:
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names (k,) of the parameters."""
+        return keys_of(self.parameters)
+
+    @property
+    def key(self) -> str:
+        """Its key among the terms of an arm: its cause, or the name of a friction term or motor."""
+        first = self.parameters[0]
+        keys = {MOTORS: first.of, FRICTION: first.name, FURTHER_FRICTION: first.name}
+        return keys.get(self.cause, self.cause or first.name)
+
+    def only(self, at: Sequence[int]) -> Term:
         """Return a term of joints or motors, which has no prior, with some of its parameters."""
-        at = [self.names.index(name) for name in names]
         return replace(
             self,
-            names=tuple(names),
-            columns=partial(self._columns_at, at),
+            parameters=tuple(self.parameters[k] for k in at),
+            columns=lambda rows, point: self.columns(rows, point)[:, :, at],
             reference=self.reference[at],
         )
-
-    def _columns_at(self, at: Sequence[int], rows: Rows, point: Point) -> Array:
-        """Return the columns (m, J, k) of the parameters with indices ``at`` (k,)."""
-        return self.columns(rows, point)[:, :, at]
 
 
 class ArmTerms:
@@ -199,7 +193,7 @@ class ArmTerms:
         robot: the arm with its model.
         torques: "chain" for the equations of all joints, "terminal" for the last one's only.
         motors: motors that turn several joints.
-        friction: names of the friction terms that have columns.
+        friction: names of friction terms that have columns beside those of ``USUAL_FRICTION``.
         loaded: whether some recordings carry a payload.
 
     Attributes:
@@ -215,22 +209,27 @@ class ArmTerms:
         robot: RobotModel,
         torques: str = "chain",
         motors: Sequence[Coupling] = (),
-        friction: Sequence[str] = ALL_FRICTION,
+        friction: Sequence[str] = (),
         loaded: bool = False,
     ) -> None:
         self.robot = robot
         self.motors = tuple(motors)
-        self.friction = tuple(friction)
+        self.friction = tuple(dict.fromkeys((*USUAL_FRICTION, *friction)))
         n = robot.n_joints
         self.indices = np.arange(0 if torques == "chain" else n - 1, n)
         self.joints = tuple(robot.joint_names[j] for j in self.indices)
         self.others = other_links(robot) if torques == "chain" else ()
         self.links = {link: link_names(robot, link) for link in self.others}
-        self.links[n - 1] = PARAMETER_NAMES
+        self.links[n - 1] = keys_of(INERTIAL)
         self.has_gravity = bool(np.any(gravity_vector(robot)))
         self._beyond = BeyondRigidBodies(robot)
-        self.model = self._model_values()
-        self.terms = {term_key(term): term for term in self._terms(loaded)}
+        self.terms = {term.key: term for term in self._terms(loaded)}
+        self.model: dict[str, float] = {}
+        for link, names in self.links.items():
+            self.model.update(zip(names, robot.links[link].theta.tolist()))
+        for term in self.terms.values():
+            if term.parameters[0].attribute:
+                self.model.update(zip(term.names, term.reference.tolist()))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -242,21 +241,13 @@ class ArmTerms:
         """Names of what has friction and rotors: joints, and motors that turn several."""
         return *self.robot.joint_names, *(motor.name for motor in self.motors)
 
-    def _model_values(self) -> dict[str, float]:
-        """Return the model's value of each parameter that the model has."""
+    def _of_joints(
+        self, entry: Parameter, indices: Iterable[int] | None = None
+    ) -> tuple[Parameter, ...]:
+        """Return a parameter of joints of the chain, by default of those with equations."""
         robot = self.robot
-        values: dict[str, float] = {}
-        for link, names in self.links.items():
-            values.update(zip(names, robot.links[link].theta.tolist()))
-        for term, numbers in (
-            ("coulomb", robot.friction.coulomb),
-            ("viscous", robot.friction.viscous),
-            ("armature", robot.armature),
-        ):
-            values.update(zip(names_of(term, robot.joint_names), numbers.tolist()))
-        for motor in self.motors:
-            values.update(zip(motor.parameter_names, motor.model.tolist()))
-        return values
+        chosen = self.indices if indices is None else indices
+        return tuple(entry.at(robot.joint_names[j], robot.is_slide[j]) for j in chosen)
 
     def start(self) -> Point:
         """Return the point at the model's own values."""
@@ -268,64 +259,45 @@ class ArmTerms:
         """Yield all terms, those of bodies first."""
         robot = self.robot
         last = robot.links[-1].reference
-        yield Term(
-            LAST_LINK,
-            PARAMETER_NAMES,
-            partial(self._links, [robot.n_joints - 1]),
-            bodies=True,
-            in_file=True,
-            reference=last,
-        )
+        body = partial(Term, bodies=True)
+        ends = [robot.n_joints - 1]
+        yield body(LAST_LINK, INERTIAL, partial(self._links, ends), reference=last)
         if self.others:
-            names = [name for link in self.others for name in self.links[link]]
-            yield Term(
+            links = [of_body(robot.links[k].body_name) for k in self.others]
+            yield body(
                 LINKS,
-                tuple(names),
+                tuple(itertools.chain(*links)),
                 partial(self._links, list(self.others)),
-                bodies=True,
-                in_file=True,
                 reference=reference_links(robot, self.others),
             )
         if loaded:
-            yield Term(
-                PAYLOAD, PAYLOAD_NAMES, self._payload, bodies=True, reference=last
-            )
+            yield body(PAYLOAD, of_body("payload"), self._payload, reference=last)
         for name in self.friction:
-            own_names = names_of(name, self.joints)
-            yield Term(
-                FRICTION,
-                own_names,
-                partial(self._friction, name),
-                lower=-np.inf if name in ("offset", "sqrt") else 0.0,
-                in_file=name in ("coulomb", "viscous", "armature"),
-                reference=np.array([self.model.get(each, 0.0) for each in own_names]),
-            )
+            own = self._of_joints(TERMS[name])
+            columns = partial(self._friction, name)
+            reference = TERMS[name].stated(robot)[self.indices]
+            yield Term(FRICTION, own, columns, reference=reference)
         yield from map(self.motor, self.motors)
-        yield Term(SCALES, names_of("scale", self.joints), self._scales)
-        yield Term(ZEROS, names_of("zero", robot.joint_names), self._zeros)
+        yield Term(SCALES, self._of_joints(parameters.SCALE), self._scales)
+        zeros = self._of_joints(parameters.ZERO, range(robot.n_joints))
+        yield Term(ZEROS, zeros, self._zeros)
         if loaded:
-            yield Term(DRIFT, names_of("drift", self.joints), self._drift)
-            scales = names_of("scale_drift", self.joints)
-            yield Term(SCALE_DRIFT, scales, self._scale_drift)
+            yield Term(DRIFT, self._of_joints(parameters.DRIFT), self._drift)
+            drifts = self._of_joints(parameters.SCALE_DRIFT)
+            yield Term(SCALE_DRIFT, drifts, self._scale_drift)
         if self.has_gravity:
-            yield Term(TILT, TILT_NAMES, self._tilt, in_file=True)
-        yield Term(DELAY, ("delay",), self._delay)
+            yield Term(TILT, parameters.TILTS, self._tilt)
+        yield Term(DELAY, (parameters.DELAY,), self._delay)
 
     def motor(self, motor: Coupling) -> Term:
         """Return the term of a motor that turns several joints."""
-        return Term(
-            MOTORS,
-            motor.parameter_names,
-            partial(self._motor, motor),
-            lower=0.0,
-            in_file=True,
-            reference=motor.model,
-        )
+        columns = partial(self._motor, motor)
+        return Term(MOTORS, motor.parameters, columns, reference=motor.model)
 
     def of(self, terms: Iterable[Term]) -> ArmTerms:
         """Return the arm with other terms."""
         other = copy(self)
-        other.terms = {term_key(term): term for term in terms}
+        other.terms = {term.key: term for term in terms}
         return other
 
     def beside(self, terms: Iterable[Term]) -> ArmTerms:
@@ -443,17 +415,18 @@ class ArmTerms:
         return columns[:, :, None] * np.eye(len(self.joints))
 
     def friction_column(self, name: str, rows: Rows, point: Point) -> Array:
-        """Return the column (m, J) of a friction term at each joint."""
+        """Return the column (m, J) of a friction term at each joint.
+
+        Directions of motion are low-passed like the torque; so are dry columns as a whole.
+        """
+        term = TERMS[name]
         if name == "load":
-            coulomb = self.friction_column("coulomb", rows, point)
-            at_gear = replace(point, thetas=point.links)
-            return coulomb * np.abs(self.links_torque(rows, at_gear))
-        if name in DRY_TERMS:
-            column = rows.low_passed(name, lambda m: TERMS[name](m.qd, m.qdd, m.q))
-        else:
-            motion = rows.motion
-            column = TERMS[name](motion.qd, motion.qdd, motion.q)
-        return column[:, self.indices]
+            sign = self.friction_column("coulomb", rows, point)
+            load = self.links_torque(rows, replace(point, thetas=point.links))
+            return term.torque(sign, sign, sign, load)
+        if term.is_dry:
+            return rows.low_passed(name, term.column)[:, self.indices]
+        return term.column(rows.motion)[:, self.indices]
 
     def _friction(self, name: str, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of a friction term."""
@@ -503,31 +476,26 @@ class ArmTerms:
 
     def _delay(self, rows: Rows, point: Point) -> Array:
         """Return the column (m, J, 1) of a torque that lags, -d tau / dt [N m/s]."""
-        # A derivative needs the rows beside those of the chunk.
+        # A derivative needs the rows beside those of the chunk. Of dry friction, a reversal that is
+        # a little early or late looks like a delay.
         of_log = Rows(rows.recording, slice(None))
         torque = self.links_torque(of_log, point)
-        torque = torque + self._friction_torque(_SMOOTH, of_log, point)
+        torque = torque + self._friction_torque(("viscous", "armature"), of_log, point)
         late = -np.gradient(torque, of_log.motion.time, axis=0)
         return late[rows.span][:, :, None]
 
     def _drift(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of friction's drift from recording to recording."""
-        friction = self._friction_torque(_DRIFTING, rows, point)
+        drifting = [name for name in self.friction if TERMS[name].is_friction]
+        friction = self._friction_torque(drifting, rows, point)
         return self._per_joint(rows.recording.order * friction)
 
     def _friction_torque(self, terms: Sequence[str], rows: Rows, point: Point) -> Array:
         """Return the torque (m, J) of the point's friction by some terms [N m]."""
         friction = np.zeros((len(rows.motion.q), len(self.joints)))
-        for term in terms:
-            names = names_of(term, self.joints)
-            sizes = np.array([point.friction.get(name, 0.0) for name in names])
+        for name in terms:
+            keys = map(TERMS[name].key_of, self.joints)
+            sizes = np.array([point.friction.get(key, 0.0) for key in keys])
             if np.any(sizes):
-                friction += self.friction_column(term, rows, point) * sizes
+                friction += self.friction_column(name, rows, point) * sizes
         return friction
-
-
-def term_key(term: Term) -> str:
-    """Return the key of a term among all: its cause, or the name of a friction term or motor."""
-    kind, owner = split_name(term.names[0])
-    keys = {FRICTION: kind, FURTHER_FRICTION: kind, MOTORS: owner}
-    return keys.get(term.cause, term.cause or term.names[0])

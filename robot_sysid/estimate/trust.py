@@ -17,7 +17,6 @@ from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.held_out import is_clearly_lower, validation
 from robot_sysid.estimate.questions import NEGLIGIBLE
-from robot_sysid.estimate.terms import term_key
 from robot_sysid.model.bodies import link_reach
 from robot_sysid.records import InertialParameters, RobotModel, Validation
 from robot_sysid.records.levels import INTERVAL, SURE
@@ -96,7 +95,7 @@ def missed_friction(fitted: Fit) -> str:
     missed = options.left_out_terms
     if not missed:
         return ""
-    terms = {term_key(term): term for term in fitted.equations.terms}
+    terms = {term.key: term for term in fitted.equations.terms}
     terms |= {name: fitted.arm.terms[name] for name in missed}
     complete = fitted.refit([*terms.values()], possible=True)
     joints = []

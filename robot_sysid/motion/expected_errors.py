@@ -12,22 +12,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_sysid.dynamics.friction import split_name
 from robot_sysid.estimate.choose import motors_of
 from robot_sysid.estimate.fit import Fit, Problem
 from robot_sysid.estimate.identifiability import describe
 from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.options import EstimationOptions
-from robot_sysid.estimate.questions import (
-    LEAST_DRY,
-    Question,
-    arm_question,
-    friction_columns,
-)
+from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.rows import Piece, Recording, low_pass_recordings
-from robot_sysid.estimate.terms import LINKS, PAYLOAD_NAMES, ArmTerms
+from robot_sysid.estimate.terms import (
+    FRICTION,
+    FURTHER_FRICTION,
+    LINKS,
+    PAYLOAD_NAMES,
+    SCALES,
+    ArmTerms,
+)
 from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, AimOptions
-from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
+from robot_sysid.motion.information import Criterion, PriorKnowledge
 from robot_sysid.motion.prediction import Prediction
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array, MotionPlan
@@ -51,22 +52,9 @@ def _arm_terms(
     problem: ExcitationProblem, options: EstimationOptions, loaded: bool = False
 ) -> ArmTerms:
     """Return all terms of an arm; its motors are those that the model states."""
-    motors, _ = motors_of(problem.robot, options.torques)
-    friction = friction_columns(options)
-    return ArmTerms(problem.robot, options.torques, motors, friction, loaded)
-
-
-def _question(
-    arm: ArmTerms, options: EstimationOptions, torque: Array, loaded: bool = False
-) -> Question:
-    """Return the question of an identification before there is a recording.
-
-    ``torque`` (J,) is the root mean square of each joint's torque [N m].
-    """
-    dry = np.maximum(arm.robot.friction.coulomb[arm.indices], LEAST_DRY * torque)
-    return Question(
-        options, loaded, drifts=loaded, link_scales=EXPECTED, dry=tuple(dry.tolist())
-    )
+    robot = problem.robot
+    motors, _ = motors_of(robot, options.torques)
+    return ArmTerms(robot, options.torques, motors, options.friction, loaded)
 
 
 def prior_knowledge(
@@ -80,13 +68,13 @@ def prior_knowledge(
         target: "link", "arm" or "payload", see ``PriorKnowledge``.
     """
     robot = problem.robot
-    deviations = np.zeros((len(JOINT_TERMS), len(problem.rows)))
-    link_factor = np.zeros((0, 0))
+    deviations: dict[str, Array] = {}
+    link_factor = np.zeros((N_INERTIAL * len(problem.links[1:]), 0))
     if target == "payload":
         # In the difference of two recordings only the drift of friction between them remains.
-        joints = list(problem.rows)
-        deviations[0] = FRICTION_DRIFT * robot.friction.coulomb[joints]
-        deviations[1] = FRICTION_DRIFT * robot.friction.viscous[joints]
+        for name in ("coulomb", "viscous"):
+            friction = vars(robot.friction)[name]
+            deviations[name] = FRICTION_DRIFT * friction[list(problem.rows)]
         return PriorKnowledge(link_factor, deviations, target)
     arm = _arm_terms(problem, options)
     # Dry friction is guessed from the mean torque (n,) of each joint at rest in random poses.
@@ -94,16 +82,17 @@ def prior_knowledge(
     limits = problem.limits
     poses = rng.uniform(limits.lower, limits.upper, (100, robot.n_joints))
     torque = np.sqrt(np.mean(problem.torque_at(poses) ** 2, axis=0))[arm.indices]
-    question = _question(arm, options, torque)
+    question = Question(options, link_scales=EXPECTED)
     for term in arm_question(arm, question, torque):
         if term.cause == LINKS and term.prior is not None:
             link_factor = term.prior.factor
-        kind, owner = split_name(term.names[0])
-        if kind in JOINT_TERMS and owner in arm.joints:
-            row = JOINT_TERMS.index(kind)
-            deviations[row] = np.inf
+        first = term.parameters[0]
+        # What slow motion alone tells from Coulomb friction is left to the predicted errors.
+        is_told = term.cause == FURTHER_FRICTION and not first.is_dry_torque
+        if is_told or term.cause in (FRICTION, SCALES):
+            deviations[first.name] = np.full(len(term.names), np.inf)
             if term.prior is not None:
-                deviations[row] = np.sqrt(term.prior.variances)
+                deviations[first.name] = np.sqrt(term.prior.variances)
     return PriorKnowledge(link_factor, deviations, target)
 
 
@@ -157,12 +146,11 @@ def predict(
         for cause, errors in centre_errors.items()
     }
 
-    errors_by_name = dict(zip(fitted.names, fitted.errors))
     link_errors = {}
     for link in robot.links if aim.target == "arm" else ():
         name = f"m({link.body_name})"
-        if name in errors_by_name:
-            link_errors[link.body_name] = float(errors_by_name[name] / link.theta[0])
+        if name in fitted.names:
+            link_errors[link.body_name] = fitted.error_of(name) / float(link.theta[0])
     return Prediction(
         recordings=recordings,
         subject=subject,
@@ -220,7 +208,7 @@ def expected_fit(
     noise = problem.sigma / np.sqrt(samples_per_row)
     if loaded:
         noise = np.hypot(noise, UNMODELLED_TORQUE * torque)
-    question = _question(arm, options, torque, loaded)
+    question = Question(options, loaded, drifts=loaded, link_scales=EXPECTED)
     rows = Problem(arm, recordings, point, sums, question)
     return rows.expected(values, noise)
 

@@ -1,7 +1,7 @@
 """What a motion will tell, as the number that a search minimises, with its gradient.
 
 Joint j delivers equations tau_j = Y_j theta + Z_j x_j, theta the parameters of all links and x_j
-the unknowns of this joint alone (``JOINT_TERMS``), with the priors of the one fit
+the unknowns of this joint alone, friction and torque scale, with the priors of the one fit
 (``expected_errors.prior_knowledge``). In units in which each prior has variance one, the inverse
 covariance of all unknowns is H = A^T A + P, A the equations over their noise and P a one for each
 unknown with a prior. The value is that of C = H^-1 for the parameters of the target:
@@ -18,17 +18,15 @@ not of this number: for two arms they are less than a twentieth of any variance.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.motion.problem import ExcitationProblem
 from robot_sysid.records import Array
-
-JOINT_TERMS = ("coulomb", "viscous", "offset", "armature", "scale", "load", "sqrt")
-"""Unknowns of one joint's equations alone: friction terms, rotor inertia, torque scale."""
-_N_TERMS = len(JOINT_TERMS)
+from robot_sysid.records.parameters import SCALE
 
 
 @dataclass(frozen=True)
@@ -37,15 +35,15 @@ class PriorKnowledge:
 
     Attributes:
         link_factor: (10 L, 10 L) F; the parameters of the L links with mass other than the terminal
-            one, from the base to the tool, have the prior covariance F F^T. (0, 0) where they are
-            taken as known.
-        joint_deviations: (7, rows) prior standard deviations of ``JOINT_TERMS`` in each joint's
-            equations; infinite where nothing is known, zero where the term is no unknown.
+            one, from the base to the tool, have the prior covariance F F^T. (10 L, 0) where they
+            are taken as known.
+        joint_deviations: name of a friction term, or of the torque scale, to its prior standard
+            deviation (rows,) at each joint; infinite where nothing is known.
         target: what the motion is to identify: "link", "arm" for every link, or "payload".
     """
 
     link_factor: Array
-    joint_deviations: Array
+    joint_deviations: Mapping[str, Array]
     target: str = "link"
 
 
@@ -105,30 +103,30 @@ class Criterion:
             visible: (10, r) directions of the terminal link's parameters.
             sigma: (rows,) noise of each joint's torque [N m].
         """
+        from scipy.linalg import block_diag
+
         factor = knowledge.link_factor
-        deviations = knowledge.joint_deviations.T
+        self._terms = tuple(knowledge.joint_deviations)
+        deviations = np.column_stack([*knowledge.joint_deviations.values()])
         has_prior = np.isfinite(deviations)
-        unit = np.where(has_prior, deviations, 1.0)
         n_visible = visible.shape[1]
-        n_others = len(factor)
-        n_links = n_visible + n_others
-        size = n_links + unit.size
+        n_others = factor.shape[1]
         self.visible = visible
-        self._n_links = n_links
-        self._n_target = n_links if knowledge.target == "arm" else n_visible
+        self._n_links = n_visible + n_others
+        self._n_target = self._n_links if knowledge.target == "arm" else n_visible
         # (P,) prior information about each unknown.
         self._prior = np.concatenate(
             (np.zeros(n_visible), np.ones(n_others), has_prior.ravel())
         )
-        # (rows, 10 L + 7, P) columns of a joint's equations per unit of each unknown, over the
+        # (rows, 10 L + terms, P) columns of a joint's equations per unit of each unknown, over the
         # noise.
-        self._changes = np.zeros((len(unit), len(self._theta) + _N_TERMS, size))
-        self._changes[:, :10, :n_visible] = visible
-        self._changes[:, 10 : 10 + n_others, n_visible:n_links] = factor
-        for joint, units in enumerate(unit):
-            first = n_links + joint * _N_TERMS
-            self._changes[joint, -_N_TERMS:, first : first + _N_TERMS] = np.diag(units)
-        self._changes /= sigma[:, None, None]
+        changes = []
+        for is_own, units in zip(
+            np.eye(len(sigma)), np.where(has_prior, deviations, 1.0)
+        ):
+            own = np.kron(is_own, np.diag(units))
+            changes.append(block_diag(visible, factor, own))
+        self._changes = np.stack(changes) / sigma[:, None, None]
 
     def information(self, motion: Array) -> Array:
         """Return H (P, P), the inverse covariance of all unknowns: the terminal link's along
@@ -155,8 +153,8 @@ class Criterion:
         return value, gradient_of(total, motion)
 
     def _columns(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the columns (rows, 10 L + 7, N) of each joint's equations: those of the links'
-        parameters, then those of ``JOINT_TERMS``.
+        """Return the columns (rows, 10 L + terms, N) of each joint's equations: those of the links'
+        parameters, then those of the joint's own unknowns.
         """
         problem = self._problem
         columns = problem.dynamics.motion(q, qd, qdd).columns(problem.links)
@@ -165,9 +163,10 @@ class Criterion:
         qd = qd.T[self._joints]
         qdd = qdd.T[self._joints]
         sign = np.tanh(qd / self._smooth_speed[:, None])
-        root = sign * np.sqrt(np.abs(qd))
-        # In the order of ``JOINT_TERMS``.
-        terms = (sign, qd, np.ones_like(qd), qdd, load, sign * np.abs(load), root)
+        terms = [
+            load if name == SCALE.name else TERMS[name].torque(sign, qd, qdd, load)
+            for name in self._terms
+        ]
         return np.concatenate((links, np.stack(terms, axis=1)), axis=1)
 
     def _information(self, columns: Array) -> Array:

@@ -14,15 +14,15 @@ import numpy as np
 
 from robot_sysid.config import IdentifyConfig, with_scale_prior
 from robot_sysid.diagnosis.gate import judge, usable
-from robot_sysid.dynamics.friction import names_of
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.terms import PAYLOAD_NAMES
+from robot_sysid.estimate.terms import DRIFT, PAYLOAD_NAMES
 from robot_sysid.logs.reader import open_log, refuse_repeated_logs
 from robot_sysid.pipeline.stages import load_arm
 from robot_sysid.records.file_access import RUN_NAME, read_toml
-from robot_sysid.records.messages import PARAMETER_UNITS, Progress, with_error
+from robot_sysid.records.messages import Progress, with_error
+from robot_sysid.records.parameters import INERTIAL
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.report.runs import Run
 from robot_sysid.results.record import Quantity
@@ -91,13 +91,11 @@ def changes(fitted: Fit) -> Iterator[Quantity]:
     # All four at once, as a normal number (Fisher's approximation of chi-square).
     distance = np.sqrt(2.0 * values @ inverse @ values) - np.sqrt(2.0 * len(at) - 1.0)
     body = fitted.arm.robot.body_name
-    for name, unit, value, error in zip(
-        ("m", "hx", "hy", "hz"), PARAMETER_UNITS, values, errors
-    ):
+    for entry, value, error in zip(INERTIAL, values, errors):
         reason = DIFFERS if min(distance, abs(value) / error) > sure else ""
-        yield Quantity(name, body, unit, None, value, error, reason=reason)
+        yield Quantity(entry.name, body, entry.unit, None, value, error, reason=reason)
     joints = fitted.arm.joints
-    at = fitted.at(names_of("drift", joints))
+    at = fitted.at(fitted.arm.terms[DRIFT].names)
     # Friction is 1 - d in the first run and 1 + d in the second: the logarithm of their ratio.
     logarithms = 2.0 * np.arctanh(np.clip(fitted.free[at], -0.9, 0.9))
     errors = 2.0 * fitted.errors[at]

@@ -24,7 +24,6 @@ from robot_sysid.config import (
     SelfTestConfig,
     with_scale_prior,
 )
-from robot_sysid.dynamics.friction import split_name
 from robot_sysid.errors import InputError, ignore_repeated_ctrl_c
 from robot_sysid.export import Written, save, writable_folder
 from robot_sysid.parser import load_robot_model
@@ -35,7 +34,7 @@ from robot_sysid.records import ITSELF, DataOrigin, MotionPlan, RobotModel
 from robot_sysid.records.data import FitQuality
 from robot_sysid.records.file_access import atomic_files
 from robot_sysid.records.levels import INTERVAL
-from robot_sysid.records.messages import Detail, NextStep, Progress, says, term_unit
+from robot_sysid.records.messages import Detail, NextStep, Progress, says
 from robot_sysid.records.option_fields import given_values, write_torque_scale
 from robot_sysid.results.quantities import (
     BEYOND,
@@ -282,13 +281,13 @@ def run_self_test(
     values, errors, quality = identify_parameters(sums, arm.prior, possible=True)
     body = BodyEstimate(values[:10], robot.body_name, prior=robot.prior)
     rows = [*body_quantities(body)]
-    for name, model, identified in zip(arm.names, arm.prior, values):
-        term, joint = split_name(name)
-        if joint:
-            unit = term_unit(term, joint in robot.slides)
+    parameters = [each for term in arm.terms.values() for each in term.parameters]
+    for parameter, model, identified in zip(parameters, arm.prior, values):
+        if parameter.of:
             value = float(without_rounding(identified, 1.0))
             # Without noise, the error is one of rounding: none is stated.
-            rows.append(Quantity(term, joint, unit, float(model), value, None))
+            about = parameter.name, parameter.of, parameter.unit
+            rows.append(Quantity(*about, float(model), value, None))
     verdict = self_test_verdict(body.mass, errors[0], quality)
     return Result(
         robot=robot,

@@ -4,34 +4,10 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
-
-PARAMETER_UNITS = ("kg", *["kg·m"] * 3, *["kg·m²"] * 6)
-"""Units of the ten inertial parameters [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz]."""
-# Friction term, speed parameter of one, or joint zero to its unit in a hinge and in a slide.
-_TERM_UNITS: Mapping[str, tuple[str, str]] = {
-    **dict.fromkeys(
-        (
-            "coulomb",
-            "offset",
-            "stribeck",
-            "sigmoid",
-            "fading_fast",
-            "fading",
-            "fading_slow",
-        ),
-        ("N·m", "N"),
-    ),
-    "viscous": ("N·m·s/rad", "N·s/m"),
-    "armature": ("kg·m²", "kg"),
-    "sqrt": ("N·m·√(s/rad)", "N·√(s/m)"),
-    "zero": ("rad", "m"),
-    **dict.fromkeys(("tilt_1", "tilt_2"), ("rad", "rad")),
-    "delay": ("s", "s"),
-}
 
 
 def number_text(value: float, error: float | None = None) -> str:
@@ -96,11 +72,6 @@ def torque_unit(is_slide: bool) -> str:
 def position_unit(is_slide: bool) -> str:
     """Return the unit of a joint's position: m of a slide, rad of a hinge."""
     return "m" if is_slide else "rad"
-
-
-def term_unit(term: str, is_slide: bool) -> str:
-    """Return the unit of a friction term's coefficient, or "" where the term has none."""
-    return _TERM_UNITS[term][is_slide] if term in _TERM_UNITS else ""
 
 
 def aligned_lines(

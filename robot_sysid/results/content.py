@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from robot_sysid.dynamics.friction import ROTOR, TERMS
 from robot_sysid.records.file_access import strict_json
 from robot_sysid.records.messages import says
 from robot_sysid.results.record import Result
@@ -21,19 +22,6 @@ from robot_sysid.spatial import PARAMETER_NAMES
 
 SCHEMA_VERSION = 5
 """Version of the format of params.json; readers refuse other versions."""
-FORMULAS = {
-    "coulomb": "sign(qd)",
-    "viscous": "qd",
-    "offset": "1",
-    "sqrt": "sign(qd) * sqrt(abs(qd))",
-    "fading_fast": "sign(qd) * exp(-abs(qd) / 0.04)",
-    "fading": "sign(qd) * exp(-abs(qd) / 0.13)",
-    "fading_slow": "sign(qd) * exp(-abs(qd) / 0.4)",
-    "stribeck": "sign(qd) * exp(-(qd / 0.1)**2)",
-    "load": "sign(qd) * abs(load)",
-    "sigmoid": "tanh(qd / 0.05)",
-}
-"""Friction term to its torque per unit of its coefficient."""
 Content = Mapping[str, Any]
 """Key to value of params.json, or column to value of one of its rows."""
 
@@ -87,7 +75,9 @@ def content_of(
         "next_step": None,
         "remarks": [*result.remarks, *says(notes)],
         "quantities": result.quantities,
-        "friction_formulas": FORMULAS,
+        "friction_formulas": {
+            name: term.formula for name, term in TERMS.items() if term is not ROTOR
+        },
         "file": file
         and {
             "name": result.model_name,

@@ -96,8 +96,8 @@ def _self_test_lines(content: Content) -> list[str]:
             # Adding zero turns the -0.00 that rounding leaves into 0.00.
             rounded = round(value, 2) + 0.0
             number = f"{value:.1g}" if value and not rounded else f"{rounded:.2f}"
-            name = term.capitalize()
-            lines.append(f"  {name} friction: {number} {rows[term]['unit']}")
+            name = label(rows[term]).capitalize()
+            lines.append(f"  {name}: {number} {rows[term]['unit']}")
     return [*lines, *_quality_lines(content)]
 
 

@@ -15,23 +15,24 @@ import numpy as np
 from robot_sysid import spatial
 from robot_sysid.records import Array, InertialParameters
 from robot_sysid.records.levels import SURE
-from robot_sysid.records.messages import PARAMETER_UNITS
+from robot_sysid.records.parameters import INERTIAL, Parameter
 from robot_sysid.results.record import DATA, FILE, MODEL, BodyEstimate, Quantity
-from robot_sysid.spatial import PARAMETER_NAMES
 
-CENTRAL = (
-    "mass",
-    "com_x",
-    "com_y",
-    "com_z",
-    *(f"{name}_about_com" for name in PARAMETER_NAMES[4:]),
+_CENTRAL = (
+    Parameter("mass", "mass", ("kg",)),
+    *(Parameter(f"com_{axis}", f"centre of mass {axis}", ("m",)) for axis in "xyz"),
+    *(
+        replace(each, name=f"{each.name}_about_com", label=f"{each.label} about CoM")
+        for each in INERTIAL[4:]
+    ),
 )
+CENTRAL = tuple(each.name for each in _CENTRAL)
 """Names of a body's mass [kg], centre of mass [m] and inertia about the centre of mass [kg m^2], in
 the axes of the body's frame."""
 # How often each of xx, xy, xz, yy, yz, zz stands in a symmetric matrix.
 _MULTIPLICITY = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0])
-BODY_NAMES = (*CENTRAL, *PARAMETER_NAMES[1:])
-"""Names of a body's rows: mass, centre of mass, inertia about it; then what torques are linear in,
+BODY = (*_CENTRAL, *INERTIAL[1:])
+"""What a body's rows are: mass, centre of mass, inertia about it; then what torques are linear in,
 first moments and inertia about the origin of the body's frame."""
 PRIOR_SHARE = 0.5
 """Share of a value that comes from the data below which the model's prior dominates."""
@@ -41,7 +42,6 @@ MOMENT = "mass_times_distance"
 """Name of the row on the mass of what is there, times the distance of its centre of mass."""
 NOT_SHOWN = "these torques do not show it"
 """Reason of a number that the recordings do not determine."""
-_UNITS = ("kg", *"mmm", *PARAMETER_UNITS[4:], *PARAMETER_UNITS[1:])
 # Index of the inertial parameter whose share and causes a row has.
 _INDICES = (*range(10), *range(1, 10))
 
@@ -130,7 +130,7 @@ def without_rounding(values: Array, scale: Array | float) -> Array:
 
 
 def _numbers(body: InertialParameters) -> list[float]:
-    """Return the numbers of a body in the order of ``BODY_NAMES``, without rounding errors."""
+    """Return the numbers of a body in the order of ``BODY``, without rounding errors."""
     scale = body.scale
     theta = without_rounding(body.theta, scale)
     scale[1:4] = spatial.characteristic_length(body.theta)
@@ -145,23 +145,22 @@ def body_quantities(body: BodyEstimate) -> Iterator[Quantity]:
     A centre of mass comes from the data as far as both the mass and its first moment do. A body
     whose covariance is zero has no errors.
     """
-    before: list[float | None] = [None] * len(BODY_NAMES)
+    before: list[float | None] = [None] * len(BODY)
     if body.prior is not None:
         before = [*_numbers(body.prior)]
     errors = [*load_errors(body).tolist(), *body.errors[1:].tolist()]
-    rows = zip(BODY_NAMES, _UNITS, before, _numbers(body), errors, _INDICES)
-    for name, unit, model, value, error, index in rows:
+    rows = zip(BODY, before, _numbers(body), errors, _INDICES)
+    for entry, model, value, error, index in rows:
         share = body.data_share[index]
-        if name.startswith("com"):
+        if entry.unit == "m":
             share = min(share, body.data_share[0])
         reason = body.largest_cause(index)
         if np.isinf(error):
             reason = NOT_SHOWN
         is_from_data = body.prior is None or share >= PRIOR_SHARE
         source = DATA if is_from_data and np.isfinite(error) else MODEL
-        yield Quantity(
-            name, body.name, unit, model, value, error or None, source, reason
-        )
+        about = entry.name, body.name, entry.unit
+        yield Quantity(*about, model, value, error or None, source, reason)
 
 
 def file_quantities(theta: Array, prior: Array, of: str) -> Iterator[Quantity]:

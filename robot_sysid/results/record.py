@@ -207,8 +207,8 @@ class ModelFile:
 
     Attributes:
         thetas: (n, 10) parameters of the links, as in ``RobotModel.links``; zero without mass.
-        joints: joint, or motor that turns several, to its terms in the file: "coulomb", "viscous",
-            "armature".
+        joints: joint, or motor that turns several, to its numbers by their names in MJCF:
+            "frictionloss", "damping", "armature".
         gravity: (3,) in the model's world frame [m/s^2]; None where the file keeps its own.
         validation_before: held-out error of the original model, each joint's sensor offset removed.
         validation_after: held-out error of the written model.

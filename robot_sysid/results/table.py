@@ -7,39 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+from robot_sysid.dynamics.friction import TERMS, Coupling
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import aligned_lines, number_text, percent, with_error
-from robot_sysid.results.content import FORMULAS, Content
-from robot_sysid.results.quantities import BEYOND, BODY_NAMES, CENTRAL
+from robot_sysid.records.parameters import DELAY, SCALE, TILTS, ZERO
+from robot_sysid.results.content import Content
+from robot_sysid.results.quantities import BEYOND, BODY, CENTRAL
 from robot_sysid.results.record import BOUND, DATA, FILE, MODEL, PAYLOAD
 
-_AXES = ("xx", "xy", "xz", "yy", "yz", "zz")
-# Name of a quantity to its label in a table; further terms are "friction TERM".
-_LABELS = dict(
-    zip(
-        BODY_NAMES,
-        (
-            "mass",
-            *map("centre of mass {}".format, "xyz"),
-            *map("inertia {} about CoM".format, _AXES),
-            *map("CoM moment {}".format, "xyz"),
-            *map("inertia {}".format, _AXES),
-        ),
-    ),
-    coulomb="Coulomb friction",
-    viscous="viscous friction",
-    armature="rotor inertia",
-    frictionloss="dry friction",
-    torque_scale="torque scale",
-    offset="torque offset",
-    stribeck="Stribeck friction",
-    scale="error of the torque scale",
-    zero="encoder zero",
-    delay="delay of the torque",
-    tilt_1="tilt of the base, first axis",
-    tilt_2="tilt of the base, second axis",
-)
-ORIGIN = (BODY_NAMES[0], *BODY_NAMES[10:])
+# Name of a quantity to its label in a table.
+_LABELS = {
+    each.name: each.label or f"friction {each.name}"
+    for each in (*BODY, *TERMS.values(), SCALE, ZERO, DELAY, *TILTS)
+}
+_LABELS["frictionloss"] = "dry friction"
+ORIGIN = (BODY[0].name, *(each.name for each in BODY[10:]))
 """Names of mass, first moments and inertia about the origin of the body's frame."""
 HEADINGS = ("", "model", "identified", "±", "in the file", "unit", "change")
 """Headings of a table, in the order of ``cells``."""
@@ -60,8 +42,7 @@ KNOWN = 0.2
 def label(row: Content) -> str:
     """Return what a row is, in words."""
     name = row["name"]
-    words = name.replace("_", " ")
-    return _LABELS.get(name, f"friction {name}" if name in FORMULAS else words)
+    return _LABELS.get(name, name.replace("_", " "))
 
 
 def rows_of(content: Content, of: str) -> list[Content]:
@@ -93,8 +74,7 @@ def body_rows(content: Content, of: str) -> list[Content]:
 
 def friction_rows(content: Content, owner: str) -> list[Content]:
     """Return the identified friction and rotor inertia of a joint, or of a motor of several."""
-    terms = (*FORMULAS, "armature")
-    return [row for row in rows_of(content, owner) if row["name"] in terms]
+    return [row for row in rows_of(content, owner) if row["name"] in TERMS]
 
 
 def is_shown(row: Content) -> bool:
@@ -216,7 +196,7 @@ def largest_changes(content: Content) -> Iterator[str]:
     """Yield a line on the masses, friction and rotors that changed most beside their errors."""
     changes = []
     for row in content["quantities"]:
-        names = ("mass", "coulomb", "viscous", "armature")
+        names = (CENTRAL[0], *(term.name for term in Coupling.terms))
         is_wanted = row["name"] in names and row["source"] == DATA and row["error"]
         if is_wanted and row["model"] is not None:
             size = abs(row["value"] - row["model"]) / row["error"]

@@ -10,7 +10,7 @@ a body: mass, first moments, and the inertia about its frame's origin.
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,13 +40,6 @@ from robot_sysid.records import Array, RobotModel, SubtreeBody
 from robot_sysid.records.messages import with_error
 from robot_sysid.results import verification
 from robot_sysid.results.record import ModelFile, ModelTarget, Payload, Result
-
-# Friction term to the attribute of a joint or tendon that holds it.
-_MJCF_ATTRIBUTES = {
-    "armature": "armature",
-    "viscous": "damping",
-    "coulomb": "frictionloss",
-}
 
 
 def write_model(
@@ -83,7 +76,7 @@ def write_model(
     terms = {} if file is None else file.joints
     elements = []
     for name in robot.joint_names:
-        numbers = _numbers(terms.get(name, {}))
+        numbers = dict(terms.get(name, {}))
         # MuJoCo does not read a URDF's transmissions, in which others find rotors.
         if robot.kind == "urdf" and "armature" in numbers:
             rotor = {"armature": numbers.pop("armature")}
@@ -167,17 +160,12 @@ def write_joints(
     _write(robot, ModelChange((), target.rmse, elements), target, robot.thetas)
 
 
-def _numbers(terms: Mapping[str, float]) -> dict[str, float]:
-    """Return the values of friction terms that a file holds by their names in MJCF."""
-    return {name: terms[t] for t, name in _MJCF_ATTRIBUTES.items() if t in terms}
-
-
 def _tendon_changes(robot: RobotModel, file: ModelFile) -> Iterator[ElementChange]:
     """Yield the motors that turn several joints as fixed tendons of the model, or new ones."""
     for motor in file.motors:
-        numbers = _numbers(file.joints.get(motor.name, {}))
         ratios = zip(robot.joint_names, motor.ratios.tolist())
         coefficients = {joint: ratio for joint, ratio in ratios if ratio != 0.0}
+        numbers = file.joints.get(motor.name, {})
         yield ElementChange("tendon", motor.tendon, numbers, coefficients)
 
 

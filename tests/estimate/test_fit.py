@@ -241,7 +241,7 @@ def test_what_is_put_in_is_found_with_its_value_and_nothing_else_is(key, seed):
     names = [name for term in arm.terms.values() for name in term.names]
     point = replace(arm.start(), friction=dict(zip(names, truth.values(names))))
     size = np.full(len(arm.terms[key].names), PUT_IN[key])
-    term = replace(arm.terms[key], prior=independent(size), lower=-np.inf)
+    term = replace(arm.terms[key], prior=independent(size), is_bounded=False)
     sizes = size * np.random.default_rng(seed).choice([-1.0, 1.0], len(size))
     if key == "joint0+joint1":
         # Joints would lose friction that is subtracted, and cross their bounds.

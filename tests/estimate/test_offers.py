@@ -20,6 +20,7 @@ from robot_sysid.estimate.terms import (
     Term,
     independent,
 )
+from robot_sysid.records.parameters import Parameter
 
 ROBOT = four_joint_arm()
 
@@ -46,7 +47,9 @@ def test_an_offer_is_the_estimate_with_the_columns_in_the_sums(
     names = tuple(sums.names[k] for k in at)
     offer = Offers(payload_fit, weights).offer(Effect(names, factor, joint, shares))
     wide = sums.with_columns(("a", "b"), at, factor, joint, shares)
-    term = Term("", ("a", "b"), None, prior=independent(np.ones(2)))
+    term = Term(
+        "", (Parameter("a"), Parameter("b")), None, prior=independent(np.ones(2))
+    )
     held = np.append(equations.held, np.zeros(2))
     wider = Equations(wide, [*equations.terms, term], held)
     values, inverse = solve(wider.normal(weights), wider.reference)

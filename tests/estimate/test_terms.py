@@ -105,7 +105,9 @@ def torque_of(arm, motion, values, gravity, loaded=True):
         other = 0.0
         own = 0.0
         for term in set(arm.friction) & set(TERMS):
-            column = TERMS[term](motion.qd[:, j], motion.qdd[:, j], rigid[:, j])
+            qd = motion.qd[:, j]
+            load = rigid[:, j]
+            column = TERMS[term].torque(np.sign(qd), qd, motion.qdd[:, j], load)
             torque_of_term = value_of[f"{term}[{joint}]"] * column
             if term in ("offset", "armature"):
                 other = other + torque_of_term
@@ -116,7 +118,7 @@ def torque_of(arm, motion, values, gravity, loaded=True):
         torque[:, row] += (1.0 + value_of[f"drift[{joint}]"] * PLACE) * own
     for motor in arm.motors:
         speed = motion.qd @ motor.ratios
-        sizes = [value_of[f"{term}[{motor.name}]"] for term in motor.terms[:3]]
+        sizes = [value_of[parameter.key] for parameter in motor.parameters]
         rates = (np.sign(speed), speed, motion.qdd @ motor.ratios)
         torque += np.outer(np.dot(sizes, rates), motor.ratios[arm.indices])
     return torque

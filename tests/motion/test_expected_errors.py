@@ -11,10 +11,9 @@ from numpy.random import default_rng
 
 from rigs import arms
 from rigs.excitation_arms import link_covariance, make_problem, robot
-from robot_sysid.dynamics.friction import DEFAULT_MEASURED
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import solved
-from robot_sysid.estimate.options import EstimationOptions, Priors
+from robot_sysid.estimate.options import DEFAULT_FRICTION, EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.estimate.terms import LINKS, SCALES
@@ -53,7 +52,7 @@ def identify_recording(options, seed):
     exact = join_measurements(simulate_inverse(robot(ARM), motion_chunks(PLAN, RATE)))
     noise = SIGMA * default_rng([seed, 1]).normal(size=exact.tau.shape)
     recording = replace(exact, tau=exact.tau + noise, qd=None, qdd=None)
-    measured_options = replace(options, friction_model=DEFAULT_MEASURED)
+    measured_options = replace(options, friction_model=DEFAULT_FRICTION)
     recordings, _ = low_pass_recordings(robot(ARM), [Piece("log", recording)])
     return solved(robot(ARM), recordings, Question(measured_options))
 

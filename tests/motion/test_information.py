@@ -12,9 +12,10 @@ from rigs.arms import random_motion
 from rigs.excitation_arms import known_arm, link_covariance, make_problem, slope
 from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
-from robot_sysid.motion.information import JOINT_TERMS, Criterion, PriorKnowledge
+from robot_sysid.motion.information import Criterion, PriorKnowledge
 
-DEVIATIONS = np.array([np.inf, np.inf, np.inf, np.inf, 0.02, 0.03, 0.1])
+DEVIATIONS = dict.fromkeys(("coulomb", "viscous", "offset", "armature"), np.inf)
+DEVIATIONS |= {"scale": 0.02, "load": 0.03, "sqrt": 0.1}
 TARGETS = ("link", "arm", "payload")
 
 
@@ -23,8 +24,9 @@ def knowledge_of(problem, target):
     others = 10 * (len(problem.links) - 1)
     factor = 0.1 * np.eye(others) + 0.01 * default_rng(0).normal(size=(others, others))
     if target == "payload":
-        factor = np.zeros((0, 0))
-    deviations = np.tile(DEVIATIONS[:, None], len(problem.rows))
+        factor = np.zeros((others, 0))
+    count = len(problem.rows)
+    deviations = {term: np.full(count, size) for term, size in DEVIATIONS.items()}
     return PriorKnowledge(factor, deviations, target)
 
 
@@ -33,22 +35,26 @@ def dense_covariance(problem, knowledge, motion):
     links = LinkDynamics(problem.robot).motion(*motion).columns(problem.links)
     theta = np.ravel([problem.robot.links[k].theta for k in problem.links])
     factor = knowledge.link_factor
-    size = 10 + len(factor)
+    size = 10 + factor.shape[1]
     equations = []
     for joint, deviation in enumerate(problem.sigma):
         qd, qdd = (signal[:, joint] for signal in motion[1:])
         load = links[:, joint] @ theta
-        own = [load if n == "scale" else TERMS[n](qd, qdd, load) for n in JOINT_TERMS]
+        own = [
+            load if name == "scale" else TERMS[name].torque(np.sign(qd), qd, qdd, load)
+            for name in DEVIATIONS
+        ]
         row = np.zeros((len(qd), size + 7 * len(problem.sigma)))
         row[:, :size] = links[:, joint, :size]
         row[:, size + 7 * joint : size + 7 * joint + 7] = np.transpose(own)
         equations.append(row / deviation)
     rows = np.vstack(equations)
     precision = rows.T @ rows
-    if len(factor):
+    if factor.size:
         precision[10:size, 10:size] += np.linalg.inv(factor @ factor.T)
     own = range(size, len(precision))
-    precision[own, own] += knowledge.joint_deviations.T.ravel() ** -2.0
+    deviations = np.column_stack([*knowledge.joint_deviations.values()])
+    precision[own, own] += deviations.ravel() ** -2.0
     return np.linalg.inv(precision), size
 
 

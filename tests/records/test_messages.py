@@ -11,9 +11,9 @@ from robot_sysid.records.messages import (
     number_text,
     percent,
     position_unit,
-    term_unit,
     torque_unit,
 )
+from robot_sysid.records.parameters import ZERO
 
 NUMBERS = st.floats(1e-12, 1e6) | st.floats(-1e6, -1e-12)
 
@@ -65,9 +65,9 @@ def test_without_an_error_four_digits_count(value):
 
 @pytest.mark.parametrize("is_slide", [False, True])
 def test_every_friction_term_has_a_unit_but_the_loss_per_load(is_slide):
-    units = torque_unit(is_slide), position_unit(is_slide)
-    for term in TERMS:
-        unit = term_unit(term, is_slide)
-        assert (unit == "") == (term == "load")
+    for name, term in TERMS.items():
+        unit = term.at("j", is_slide).unit
+        assert (unit == "") == (name == "load")
         assert is_slide or not unit.startswith("N·s")
-    assert (term_unit("coulomb", is_slide), term_unit("zero", is_slide)) == units
+    assert TERMS["coulomb"].at("j", is_slide).unit == torque_unit(is_slide)
+    assert ZERO.at("j", is_slide).unit == position_unit(is_slide)

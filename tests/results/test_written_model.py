@@ -48,7 +48,7 @@ LINKS = {"l1": urdf.inertial(), "l2": f"\n{HEAVY}", "tool": LIGHT, "flange": ""}
 URDF = urdf.robot(urdf.serial(LINKS, fixed=("tool", "flange")))
 JOINTS = {"xml": "j2", "urdf": "l1_l2"}
 SUFFIXES = pytest.mark.parametrize("suffix", list(JOINTS))
-TERMS = {"armature": "armature", "viscous": "damping", "coulomb": "frictionloss"}
+FIELDS = ("armature", "damping", "frictionloss")
 TURNED = np.array([1.1, -0.7, -9.6])
 
 
@@ -191,7 +191,7 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
     if with_file:  # what it says of the terminal link counts, not what the payload does
         thetas[0] += random_theta(rng, 0.3)
         thetas[-1] = link = link + random_theta(rng, 0.1)
-        friction = {"coulomb": 0.25}
+        friction = {"frictionloss": 0.25}
         joints = dict.fromkeys(robot.joint_names, friction)
         file = file_of(robot, thetas, joints, TURNED)
     result = result_of(robot, file=file, payload=payload)
@@ -247,7 +247,7 @@ def new_joints(robot, rng):
     joints = {}
     for joint in robot.joint_names:
         values = rng.uniform(0.1, 2.0, 3)
-        joints[joint] = dict(zip(TERMS, values))
+        joints[joint] = dict(zip(FIELDS, values))
     return joints
 
 
@@ -264,8 +264,8 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
     for theta, link in zip(thetas, reloaded.links):
         if np.any(theta):
             assert_same_theta(link.theta, theta)
-    for term, field in TERMS.items():
-        expected = [joints[joint][term] for joint in robot.joint_names]
+    for field in FIELDS:
+        expected = [joints[joint][field] for joint in robot.joint_names]
         assert_array_equal(
             getattr(reloaded.mj_model, f"dof_{field}")[robot.dof_index], expected
         )
@@ -292,7 +292,7 @@ def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, f
     for index, name in enumerate(robot.joint_names):
         values = {
             "armature": factor * robot.armature[index],
-            "viscous": factor * robot.friction.viscous[index],
+            "damping": factor * robot.friction.viscous[index],
         }
         joints[name] = values
     written = write_and_compile(
@@ -315,7 +315,7 @@ def test_nonlinear_damping_of_the_model_stays(tmp_path):
     joints = new_joints(robot, np.random.default_rng(7))
     result = result_of(robot, file=file_of(robot, joints=joints))
     reloaded = load_robot_model(write_and_compile(robot, result).path)
-    expected = [joints[joint]["viscous"] for joint in robot.joint_names]
+    expected = [joints[joint]["damping"] for joint in robot.joint_names]
     assert_array_equal(reloaded.friction.viscous, expected)
     coefficients = reloaded.mj_model.dof_dampingpoly[reloaded.dof_index]
     assert_array_equal(coefficients, [(0.3, 0.2)] * robot.n_joints)
@@ -354,7 +354,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     terms = file.joints["joint1-2*joint2"]
     assert model.ntendon == max(robot.mj_model.ntendon, 1) + (source == SLACK)
     for term in terms:
-        assert getattr(model, f"tendon_{TERMS[term]}")[-1] == terms[term]
+        assert getattr(model, f"tendon_{term}")[-1] == terms[term]
     assert model.tendon_stiffness[-1] == 0.0
 
     # What the file takes is the torque of what was identified.
@@ -368,7 +368,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     for owner, ratios in zip(owners, transmission):
         values = dict(file.joints[owner])
         speed = motion.qd @ ratios
-        torque = values["coulomb"] * np.sign(speed) + values["viscous"] * speed
+        torque = values["frictionloss"] * np.sign(speed) + values["damping"] * speed
         torque += values.get("armature", 0.0) * (motion.qdd @ ratios)
         expected += np.outer(torque, ratios)
     assert_allclose(ArmDynamics(reloaded)(motion), expected, rtol=1e-9, atol=1e-9)
@@ -377,7 +377,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     file = with_motor(reloaded, np.random.default_rng(8))
     path = write_and_compile(reloaded, result_of(reloaded, file=file)).path
     (motor,) = motors_of(load_robot_model(path), "chain")[0]
-    assert_array_equal(motor.model[0], file.joints[motor.name]["coulomb"])
+    assert_array_equal(motor.model[0], file.joints[motor.name]["frictionloss"])
 
 
 def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
@@ -386,7 +386,7 @@ def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
         write_files(tmp_path, {"arm.urdf": urdf.robot(urdf.serial(links))})
     )
     motor = coupling(robot, np.array([1.0, 1.0]))
-    terms = {"coulomb": 0.5}
+    terms = {"frictionloss": 0.5}
     links_file = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
     rotor = {"armature": 0.1}
     file = replace(
@@ -419,7 +419,8 @@ def test_a_urdf_has_the_links_of_the_mjcf_and_its_rotors_in_transmissions(
     robot = load_robot_model(write_files(tmp_path, {"arm.urdf": text}))
     thetas = new_links(robot, np.random.default_rng(0))
     file = replace(
-        file_of(robot, thetas, {}), joints={"l1_l2": {"armature": 0.1, "coulomb": 0.2}}
+        file_of(robot, thetas, {}),
+        joints={"l1_l2": {"armature": 0.1, "frictionloss": 0.2}},
     )
     result = result_of(robot, file=file)
     written = []
