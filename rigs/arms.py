@@ -275,6 +275,18 @@ def random_rotation(rng):
     return Rotation.from_quat(np.roll(rng.normal(size=4), -1)).as_matrix()
 
 
+def random_theta(rng, mass=1.0, size=0.1, spread=1.0):
+    """theta of a random rigid body of this mass [kg] and size [m], anywhere near its origin.
+
+    A small ``spread`` flattens it.
+    """
+    factor = rng.normal(size=(4, 4))
+    pseudo = factor @ factor.T + 0.02 * np.eye(4)
+    scale = np.diag([spread * size, size, size, 1.0])
+    pseudo = scale @ pseudo @ scale
+    return spatial.theta_from_pseudo_inertia(mass / pseudo[3, 3] * pseudo)
+
+
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -313,14 +325,12 @@ def _random_joint(rng, axis_law, slide):
 
 
 def _random_inertial(rng):
-    # I = tr(S) 1 - S of a positive definite S is the inertia of a body that can exist.
-    factor = 0.1 * rng.normal(size=(3, 3))
-    second = factor @ factor.T + 1e-4 * np.eye(3)
-    inertia = np.trace(second) * np.eye(3) - second
+    theta = random_theta(rng, rng.uniform(0.1, 5.0))
+    mass, com, inertia = spatial.com_from_theta(theta)
     full = vector_text(spatial.fullinertia_from_symmetric(inertia))
-    pos = vector_text(0.1 * rng.normal(size=3))
-    mass = rng.uniform(0.1, 5.0)
-    return f'<inertial pos="{pos}" mass="{mass:.17g}" fullinertia="{full}"/>'
+    return (
+        f'<inertial pos="{vector_text(com)}" mass="{mass:.17g}" fullinertia="{full}"/>'
+    )
 
 
 @st.composite

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rigs.links import RememberingLink
 from robot_sysid.damiao import protocol
 
 _SPANS = {
@@ -95,25 +96,25 @@ def _with_moved_position(line, angle, position_limit):
     return _with_code(line, "position", moved)
 
 
-class FaultyLink:
+class FaultyLink(RememberingLink):
     """Passes frames on; damages an answer when asked to, and lets another master talk.
 
     Attributes:
         damage: what happens to the next answer of its joint; None once it has happened.
-        commands: (time [s], joint, position [rad]) of each command that was sent, in order.
-        disabled_at: when the first disable frame was sent [s].
     """
 
     def __init__(self, link, clock, joints):
-        self._link = link
-        self._clock = clock
+        super().__init__(link, clock)
         self._joints = joints
-        self._joint_of_id = {joint.can_id: index for index, joint in enumerate(joints)}
-        self.damage = None
         self._foreign = []
         self._foreign_is_seen = True
-        self.commands = []
-        self.disabled_at = None
+        self.damage = None
+
+    @property
+    def disabled_at(self):
+        """When the first disable frame was sent [s]; None before."""
+        disable = protocol.special_frame(protocol.DISABLE, 0).data
+        return next((frame.time for frame in self.sent if frame.data == disable), None)
 
     def send_foreign(self, frame, is_seen):
         """Let another master send a frame, which this computer's adapter sees or does not."""
@@ -121,27 +122,9 @@ class FaultyLink:
         self._foreign_is_seen = is_seen
         self._link.send(frame)
 
-    def send(self, frame):
-        self._remember(frame)
-        self._link.send(frame)
-
-    def _remember(self, frame):
-        joint_index = self._joint_of_id.get(frame.id)
-        if joint_index is None or len(frame.data) != 8:
-            return
-        now = self._clock.now()
-        if not protocol.is_special(frame.data):
-            limit = self._joints[joint_index].spec.limits[0]
-            code = int.from_bytes(frame.data[:2], "big")
-            self.commands.append(
-                (now, joint_index, code / 0xFFFF * 2.0 * limit - limit)
-            )
-        elif frame.data[7] == protocol.DISABLE and self.disabled_at is None:
-            self.disabled_at = now
-
     def receive(self, until):
         while True:
-            frame = self._link.receive(until)
+            frame = super().receive(until)
             if frame is None:
                 return None
             if frame.echo and (frame.id, frame.data) in self._foreign:
@@ -169,12 +152,17 @@ class FaultyLink:
         limit = self._joints[damage.joint].spec.limits[0]
         return frame_of_line(damage.apply(slcan_line(frame), limit), frame)
 
-    def command_path(self, n_joints):
+    def command_paths(self):
         """Return the times (N,) of a joint's commands and their positions (N,), for each joint."""
         paths = []
-        for joint_index in range(n_joints):
-            rows = [
-                (time, p) for time, index, p in self.commands if index == joint_index
-            ]
+        for joint in self._joints:
+            frames = [frame for frame in self.sent if frame.id == joint.can_id]
+            rows = []
+            for frame in frames:
+                if not protocol.is_special(frame.data):
+                    share = int.from_bytes(frame.data[:2], "big") / 0xFFFF
+                    rows.append(
+                        (frame.time, (2.0 * share - 1.0) * joint.spec.limits[0])
+                    )
             paths.append(np.array(rows).reshape(-1, 2).T)
         return paths

@@ -74,6 +74,9 @@ class FaultyMotor(SimulatedMotor):
         velocity_factor, torque_factor: factors on the velocity and the torque it reports.
         shift: angle added to the position it reports, as since a zero was set [rad].
         stored: registers in flash.
+        is_stale: it repeats its last answer, bit by bit.
+        answers_first: it answers before another motor with its id.
+        frozen_position: position that it reports, at no speed [rad]; NaN while it reports its own.
     """
 
     silent: bool = False
@@ -82,6 +85,10 @@ class FaultyMotor(SimulatedMotor):
     torque_factor: float = 1.0
     shift: float = 0.0
     stored: dict = field(default_factory=dict)
+    is_stale: bool = False
+    answers_first: bool = False
+    frozen_position: float = np.nan
+    last_answer: bytes = b""
 
     def handle(self, frame, time):
         answer = None if self.silent else super().handle(frame, time)
@@ -90,9 +97,16 @@ class FaultyMotor(SimulatedMotor):
         return answer._replace(fd=self.registers.get(BIT_RATE, 0.0) > 4.0)
 
     def _feedback(self):
+        if self.is_stale and self.last_answer:
+            return self.last_answer
+        position = self.position + self.shift
         velocity = self.velocity * self.velocity_factor
+        if not np.isnan(self.frozen_position):
+            position = self.frozen_position
+            velocity = 0.0
         torque = self.torque * self.torque_factor
-        return self._pack(self.position + self.shift, velocity, torque)
+        self.last_answer = self._pack(position, velocity, torque)
+        return self.last_answer
 
     def _special(self, code):
         if code == protocol.CLEAR_ERROR:
@@ -153,6 +167,13 @@ def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
     qd = 0.5 * amplitude * w * np.sin(phase)
     qdd = 0.5 * amplitude * w**2 * np.cos(phase)
     return time, q, qd, INERTIA * qdd + GRAVITY * np.sin(q)
+
+
+def lifted_swing(angle, **options):
+    """The swing of two joints about an angle [rad], with the torque of gravity there [N m]."""
+    time, q, qd, tau = swing(2, **options)
+    lifted = q + angle
+    return time, lifted, qd, tau + GRAVITY * (np.sin(lifted) - np.sin(q))
 
 
 def map_line(name, can_id, master_id, *mounted):

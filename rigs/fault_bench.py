@@ -19,9 +19,10 @@ import numpy as np
 
 from rigs.clocks import ScriptedClock
 from rigs.damaged_links import FaultyLink
-from rigs.damiao_rig import BIT_RATE, export
-from rigs.faulty_arm import FaultyArm, bench_motor
+from rigs.damiao_rig import BIT_RATE, export, motor
+from rigs.faulty_arm import FaultyArm
 from rigs.places import GUESS, TRUTH
+from rigs.wrong_arms import resting_torque
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.execution import run as play_plan
 from robot_sysid.damiao.joints import damiao_joints
@@ -104,12 +105,6 @@ def robot_of(belief):
     return load_robot_model(TRUTH if belief == "truth" else GUESS)
 
 
-def gravity_torque(robot, q):
-    """Return the torques (N, n) that hold an arm still at positions (N, n) [N m]."""
-    zero = np.zeros_like(q)
-    return np.asarray(ArmDynamics(robot)(Motion(np.zeros(len(q)), q, zero, zero)))
-
-
 @cache
 def loaded_poses(count=5):
     """Return poses (count, n) in which gravity loads the arm's shoulder [rad]."""
@@ -118,14 +113,15 @@ def loaded_poses(count=5):
     lower = np.maximum(robot.limits.lower, -1.8) + 0.6
     upper = np.minimum(robot.limits.upper, 1.8) - 0.6
     q = np.random.default_rng(7).uniform(lower, upper, (4000, robot.n_joints))
-    load = np.max(np.abs(gravity_torque(robot, q)), axis=1)
+    load = np.max(np.abs(resting_torque(robot, q, robot.thetas)), axis=1)
     return q[(load > least) & (load < greatest)][:count]
 
 
 def loaded_joint(setup):
     """Return the joint on which gravity pulls most in a set-up's pose."""
-    pose = loaded_poses()[setup.pose]
-    return int(np.argmax(np.abs(gravity_torque(robot_of("truth"), pose[None])[0])))
+    robot = robot_of("truth")
+    pose = loaded_poses()[setup.pose][None]
+    return int(np.argmax(np.abs(resting_torque(robot, pose, robot.thetas))))
 
 
 def multi_sine(pose, seed, duration, rate=FILE_RATE):
@@ -247,14 +243,14 @@ class BenchRun:
         self.plan = plan_of(setup)
         self.clock = ScriptedClock()
         joints = self.plan.trajectory.joints
-        self.motors = [bench_motor(joint, setup.watchdog) for joint in joints]
+        self.motors = [motor(joint, setup.watchdog) for joint in joints]
         first = self.plan.trajectory.q[0]
         toward_start = np.where(np.arange(len(first)) % 2, 0.1, -0.1)
         start = first if setup.stands else first + toward_start
         mechanism = ArmStepper(robot_of("truth"), start, PHYSICS_STEP)
         self.arm = FaultyArm(mechanism, self.motors)
-        for motor in self.motors:
-            motor.registers[BIT_RATE] = 9.0 if setup.timing.fd else 4.0
+        for played in self.motors:
+            played.registers[BIT_RATE] = 9.0 if setup.timing.fd else 4.0
         wire = SimulatedLink(self.clock, self.arm, setup.timing, echo=True)
         self.link = FaultyLink(wire, self.clock, joints)
         self.stop = StopRequest()
@@ -337,7 +333,7 @@ class BenchRun:
             q[since:],
             qd[since:],
             np.column_stack([times[since::20], energy]),
-            self.link.command_path(len(self.motors)),
+            self.link.command_paths(),
             self.phases,
             self.stop_at,
             self.link.disabled_at,

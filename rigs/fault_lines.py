@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,22 +19,19 @@ from rigs.motor_causes import (
     DamagedFrame,
     FailedMotor,
     FrozenEncoder,
-    GrippedMass,
-    JammedJoint,
-    LostMotor,
-    MotorSetting,
-    MovedZero,
-    Push,
     SaggingSupply,
     SecondMaster,
     SecondMotor,
-    SlippingGear,
-    WeakMotor,
-    joint_of,
+    grip_mass,
+    lost_motor,
+    push,
+    setting,
 )
 from robot_sysid.damiao.protocol import DISABLED
 
 FAULT_BOUND = 0.15
+JAMMED = 1e5
+"""Damping of a joint that is jammed [N m s/rad]."""
 SHOULDER = 1
 WRIST = 5
 
@@ -55,8 +53,8 @@ class Line:
 
     @property
     def case(self):
-        options = {"phase": "playing", "after": 1.5, "joint": joint_of(self.cause)}
-        return Case(self.name, SetUp(), self.cause, **{**options, **self.options})
+        joint = getattr(self.cause, "joint", None)
+        return Case(self.name, SetUp(), self.cause, joint=joint, **self.options)
 
 
 AT_START = {"phase": "", "after": 0.0}
@@ -67,11 +65,15 @@ UNSEEN = "another program commands it"
 MOVED = "its zero has moved"
 DIFFERS = "are commanded: it is weak, its supply sags"
 UNANSWERED = "did not answer in time"
+shoulder = partial(setting, SHOULDER)
+wrist = partial(setting, WRIST)
 LINES = (
-    Line("motor makes half its torque", WeakMotor(SHOULDER, 0.5), "suddenly needs"),
-    Line("motor makes 0.6 of its torque, at kp 500", WeakMotor(SHOULDER, 0.6), ""),
-    Line("motor makes half and says so", WeakMotor(SHOULDER, 0.5, True), DIFFERS),
-    Line("motor lost", LostMotor(SHOULDER), UNANSWERED, quantity=OTHERS),
+    Line("motor makes half its torque", shoulder(torque_share=0.5), "suddenly needs"),
+    Line("motor makes 0.6 of its torque, at kp 500", shoulder(torque_share=0.6), ""),
+    Line(
+        "motor makes half and says so", shoulder(torque_share=0.5, share_is_reported=True), DIFFERS
+    ),
+    Line("motor lost", lost_motor(SHOULDER), UNANSWERED, quantity=OTHERS),
     Line("motor reports a fault", FailedMotor(SHOULDER), "reports status A", quantity=OTHERS),
     Line("second motor of the same id, wrist", SecondMotor(WRIST, 0.7), SECOND),
     Line("second motor of the same id, shoulder", SecondMotor(SHOULDER, 0.7), SECOND),
@@ -83,26 +85,29 @@ LINES = (
     Line("encoder frozen, shoulder", FrozenEncoder(SHOULDER), "its encoder is frozen"),
     Line("encoder frozen, wrist", FrozenEncoder(WRIST), "its encoder is frozen"),
     Line("reported position frozen", FrozenEncoder(SHOULDER, False), "its answers are stale"),
-    Line("gear slips 0.3 rad/s", SlippingGear(SHOULDER), "its gear slips", bound=0.4),
+    Line("gear slips 0.3 rad/s", shoulder(slip_rate=0.3), "its gear slips", bound=0.4),
     Line(
-        "gear slips, velocity is the joint's", SlippingGear(SHOULDER, is_felt=False),
+        "gear slips, velocity is the joint's", shoulder(slip_rate=0.3, slip_is_felt=False),
         "its gear or its encoder slips", bound=0.3,
     ),
-    Line("gear of an unloaded wrist slips", SlippingGear(WRIST), "its gear slips", bound=0.9),
-    Line("stale answers", MotorSetting(SHOULDER, "is_stale", True), "its answers are stale"),
+    Line("gear of an unloaded wrist slips", wrist(slip_rate=0.3), "its gear slips", bound=0.9),
+    Line("stale answers", shoulder(is_stale=True), "its answers are stale"),
     Line(
-        "velocity reversed", MotorSetting(SHOULDER, "velocity_factor", -1.0),
+        "velocity reversed", shoulder(velocity_factor=-1.0),
         "off its speed",
     ),
-    Line("torque reversed", MotorSetting(SHOULDER, "torque_factor", -1.0), DIFFERS),
+    Line("torque reversed", shoulder(torque_factor=-1.0), DIFFERS),
     Line("supply sags", SaggingSupply(SHOULDER), "reports status 9", quantity=OTHERS),
-    Line("3 kg gripped", GrippedMass(), "suddenly needs"),
-    Line("push of 60 N", Push(), "suddenly needs"),
-    Line("joint jammed, shoulder", JammedJoint(SHOULDER), "motor 2 (joint joint1) stands still"),
-    Line("joint jammed, wrist", JammedJoint(WRIST), "or it is blocked"),
-    Line("answers lost", MotorSetting(SHOULDER, "lost_replies", True), UNANSWERED),
-    Line("zero 0.3 rad off", MovedZero(SHOULDER, 0.3), MOVED, 0.35, options=AT_START),
-    Line("zero -0.3 rad off", MovedZero(SHOULDER, -0.3), MOVED, 0.35, options=AT_START),
+    Line("3 kg gripped", grip_mass, "suddenly needs"),
+    Line("push of 60 N", push, "suddenly needs"),
+    Line(
+        "joint jammed, shoulder", shoulder(jam_damping=JAMMED),
+        "motor 2 (joint joint1) stands still",
+    ),
+    Line("joint jammed, wrist", wrist(jam_damping=JAMMED), "or it is blocked"),
+    Line("answers lost", shoulder(lost_replies=True), UNANSWERED),
+    Line("zero 0.3 rad off", shoulder(encoder_error=0.3), MOVED, 0.35, options=AT_START),
+    Line("zero -0.3 rad off", shoulder(encoder_error=-0.3), MOVED, 0.35, options=AT_START),
 )  # fmt: skip
 
 DAMAGES = [
@@ -165,9 +170,9 @@ def hold_cases():
         setup = SetUp("truth", kp=kp, pose=pose, stands=True, duration=2.5)
         joint = loaded_joint(setup)
         for name, cause in (
-            ("weak motor, half", WeakMotor(joint, 0.5)),
-            ("weak motor, 0.6", WeakMotor(joint, 0.6)),
-            ("motor lost", LostMotor(joint)),
+            ("weak motor, half", setting(joint, torque_share=0.5)),
+            ("weak motor, 0.6", setting(joint, torque_share=0.6)),
+            ("motor lost", lost_motor(joint)),
         ):
             cases.append(Case(name, setup, cause, after=1.0, joint=joint))
     return cases

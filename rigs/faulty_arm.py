@@ -7,50 +7,11 @@ the joints': motors are mounted straight here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
-from rigs.damiao_rig import FaultyMotor
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
-
-JAM_DAMPING = 1e5
-"""Damping of a joint that is jammed [N m s/rad]."""
-
-
-@dataclass
-class BenchMotor(FaultyMotor):
-    """A motor whose answers may also be stale, or frozen where its encoder was.
-
-    Attributes:
-        is_stale: it repeats its last answer, bit by bit.
-        answers_first: it answers before another motor with its id.
-        frozen_position: position that it reports, at no speed [rad]; NaN while it reports its own.
-    """
-
-    is_stale: bool = False
-    answers_first: bool = False
-    frozen_position: float = np.nan
-    last_answer: bytes = b""
-
-    def _feedback(self):
-        if self.is_stale and self.last_answer:
-            return self.last_answer
-        position = self.position
-        velocity = self.velocity
-        if not np.isnan(self.frozen_position):
-            position = self.frozen_position
-            velocity = 0.0
-        measured = velocity * self.velocity_factor, self.torque * self.torque_factor
-        self.last_answer = self._pack(position, *measured)
-        return self.last_answer
-
-
-def bench_motor(joint, watchdog=0.1):
-    """Return a joint's motor in which nothing is wrong yet, with a watchdog of a time [s]."""
-    return BenchMotor(**vars(simulated_motor(joint, watchdog)))
+from robot_sysid.damiao.simulated import SimulatedArm
 
 
 class FaultyArm(SimulatedArm):

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from robot_sysid import spatial
 from robot_sysid.errors import ModelError
 from robot_sysid.mjcf.documents import ModelDocument, read_document
 from robot_sysid.model.compilation import compile_model
@@ -73,15 +71,3 @@ def assert_model_refused(message: str, path: Path, mesh_dir: Path | None = None)
     text = str(caught.value)
     assert "\n" not in text
     return text
-
-
-def random_theta(
-    rng: np.random.Generator, mass: float = 1.0, size: float = 0.1
-) -> np.ndarray:
-    """theta of a random rigid body of this mass [kg] and size [m], anywhere near its origin."""
-    factor = rng.normal(size=(4, 4))
-    pseudo = factor @ factor.T + 0.02 * np.eye(4)
-    scale = np.diag([size, size, size, 1.0])
-    return spatial.theta_from_pseudo_inertia(
-        mass * scale @ pseudo @ scale / pseudo[3, 3]
-    )

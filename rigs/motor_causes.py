@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigs.damaged_links import Damage
-from rigs.faulty_arm import JAM_DAMPING, bench_motor
+from rigs.damiao_rig import motor
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.protocol import ENABLED
 
@@ -25,34 +25,38 @@ class DamagedFrame:
 
     damage: Damage
 
+    @property
+    def joint(self):
+        """The joint whose frame it is."""
+        return self.damage.joint
+
     def __call__(self, run):
         run.link.damage = self.damage
 
 
 @dataclass(frozen=True)
-class WeakMotor:
-    """A motor delivers a share of the torque that it makes by its own account, or reports it."""
+class Setting:
+    """Values of a joint change: attributes of its motor, or what the arm has for each joint."""
 
     joint: int
-    share: float
-    is_reported: bool = False
+    values: dict[str, float]
 
     def __call__(self, run):
-        run.arm.torque_share[self.joint] = self.share
-        run.arm.share_is_reported[self.joint] = self.is_reported
+        for name, value in self.values.items():
+            if hasattr(run.motors[self.joint], name):
+                setattr(run.motors[self.joint], name, value)
+            else:
+                getattr(run.arm, name)[self.joint] = value
 
 
-@dataclass(frozen=True)
-class LostMotor:
-    """A motor loses its supply: it is silent, and its windings are open."""
+def setting(joint, **values):
+    """Return the cause that gives a joint these values."""
+    return Setting(joint, values)
 
-    joint: int
 
-    def __call__(self, run):
-        motor = run.motors[self.joint]
-        motor.silent = True
-        motor.brake = 0.0
-        run.arm.torque_share[self.joint] = 0.0
+def lost_motor(joint):
+    """Return the cause of a motor without supply: it is silent, and its windings are open."""
+    return setting(joint, silent=True, brake=0.0, torque_share=0.0)
 
 
 @dataclass(frozen=True)
@@ -64,17 +68,6 @@ class FailedMotor:
 
     def __call__(self, run):
         run.motors[self.joint].fail(self.status)
-
-
-@dataclass(frozen=True)
-class MovedZero:
-    """A motor's zero is elsewhere than the joint map says, by an angle [rad]."""
-
-    joint: int
-    angle: float
-
-    def __call__(self, run):
-        run.arm.encoder_error[self.joint] = self.angle
 
 
 @dataclass(frozen=True)
@@ -90,7 +83,7 @@ class SecondMotor:
     is_first: bool = True
 
     def __call__(self, run):
-        twin = bench_motor(run.motors[self.joint].joint)
+        twin = motor(run.motors[self.joint].joint)
         twin.status = self.status
         twin.position = run.motors[self.joint].position + self.angle
         # Its watchdog has heard something just now.
@@ -136,31 +129,6 @@ class FrozenEncoder:
 
 
 @dataclass(frozen=True)
-class SlippingGear:
-    """Encoder and joint drift apart [rad/s]; the speed reported is the encoder's or the joint's."""
-
-    joint: int
-    rate: float = 0.3
-    is_felt: bool = True
-
-    def __call__(self, run):
-        run.arm.slip_rate[self.joint] = self.rate
-        run.arm.slip_is_felt[self.joint] = self.is_felt
-
-
-@dataclass(frozen=True)
-class MotorSetting:
-    """Something about a motor's answers changes: an attribute of ``BenchMotor`` gets a value."""
-
-    joint: int
-    attribute: str
-    value: float
-
-    def __call__(self, run):
-        setattr(run.motors[self.joint], self.attribute, self.value)
-
-
-@dataclass(frozen=True)
 class SaggingSupply:
     """The supply of all motors sags to 40 % within a second; after two, one reports it."""
 
@@ -171,40 +139,12 @@ class SaggingSupply:
         run.at(2.0, lambda: run.motors[self.joint].fail(UNDER_VOLTAGE))
 
 
-@dataclass(frozen=True)
-class GrippedMass:
-    """The terminal link takes up a mass [kg]."""
-
-    mass: float = 3.0
-
-    def __call__(self, run):
-        run.arm.grip(self.mass)
+def grip_mass(run):
+    """The terminal link takes up 3 kg."""
+    run.arm.grip(3.0)
 
 
-@dataclass(frozen=True)
-class Push:
-    """Somebody pushes the terminal link sideways, with a force [N] for a time [s]."""
-
-    force: float = 60.0
-    duration: float = 0.3
-
-    def __call__(self, run):
-        run.arm.push = self.force * np.array([0.0, 0.6, -0.8])
-        run.at(self.duration, lambda: setattr(run.arm, "push", None))
-
-
-@dataclass(frozen=True)
-class JammedJoint:
-    """Something holds a joint."""
-
-    joint: int
-
-    def __call__(self, run):
-        run.arm.jam_damping[self.joint] = JAM_DAMPING
-
-
-def joint_of(cause):
-    """Return the joint at fault of a cause, or None."""
-    if isinstance(cause, DamagedFrame):
-        return cause.damage.joint
-    return getattr(cause, "joint", None)
+def push(run):
+    """Somebody pushes the terminal link sideways, with 60 N for 0.3 s."""
+    run.arm.push = np.array([0.0, 36.0, -48.0])
+    run.at(0.3, lambda: setattr(run.arm, "push", None))

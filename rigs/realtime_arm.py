@@ -20,6 +20,7 @@ from typing import Any
 
 import pytest
 
+from rigs.links import RememberingLink
 from robot_sysid.damiao.adapters import BusLink, read_in_pieces
 from robot_sysid.damiao.bus import Link, SystemClock, undisturbed_processor
 from robot_sysid.damiao.player import StopRequest
@@ -193,31 +194,18 @@ def main() -> None:
     clock = SystemClock()
     terminal, device = slcan_terminal()
     stop = StopRequest()
-    link = RecordingLink(terminal, clock)
-    with contextlib.closing(link), stop.on_signals():
+    bus = BusLink(terminal, clock)
+    link = RememberingLink(bus, clock)
+    with contextlib.closing(bus), stop.on_signals():
         print(f"--channel {device}", flush=True)
         report = serve(arm, link, clock, lambda: not stop.reason)
     if options.frames is not None:
-        lines = [f"{frame.id} {frame.data.hex()}" for frame in link.received]
+        received = [frame for frame, was_sent in link.frames if not was_sent]
+        lines = [f"{frame.id} {frame.data.hex()}" for frame in received]
         options.frames.write_text("\n".join(lines))
     if report.left_out > 0.0:
         print(f"this computer was too slow by {report.left_out:.1f} s in all")
     print(f"kept commands waiting for up to {1e3 * report.longest_delay:.0f} ms")
-
-
-class RecordingLink(BusLink):
-    """A link that keeps what it receives."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.received: list[Any] = []
-
-    def receive(self, until: float) -> Any:
-        """Return the next frame, or None."""
-        frame = super().receive(until)
-        if frame is not None:
-            self.received.append(frame)
-        return frame
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rigs.arms import random_theta
 from robot_sysid import spatial
 from robot_sysid.estimate.rows import Sums
 
@@ -47,15 +48,6 @@ def joint_rows(rng, count, axis=Z, offset=ORIGIN):
     speed = rng.normal(size=count)
     inertial = np.einsum("i,nik->nk", screw, wrench_rows(omega, alpha, acceleration))
     return np.column_stack((inertial, np.sign(speed), speed))
-
-
-def random_body(rng, spread=1.0):
-    """theta of a random rigid body: J = L L^T; small ``spread`` brings it near the boundary."""
-    factor = np.tril(rng.normal(size=(4, 4))) * np.array([[0.1], [0.1], [0.1], [1.0]])
-    factor[:, 0] *= spread
-    return spatial.theta_from_pseudo_inertia(
-        factor @ factor.T + 1e-6 * np.eye(4) * spread
-    )
 
 
 def arm_equations(rng, joints=3, count=60):
@@ -106,7 +98,7 @@ def noisy_samples(seed, noises=(0.1, 0.1, 0.1), count=200):
     """(Samples of a three-joint arm, names, truth, generator), noise [N m] per joint."""
     rng = np.random.default_rng(seed)
     equations, names = arm_equations(rng, joints=3, count=count)
-    truth = np.concatenate((random_body(rng), rng.uniform(0.1, 1.0, 6)))
+    truth = np.concatenate((random_theta(rng), rng.uniform(0.1, 1.0, 6)))
     torques = []
     for (rows, columns), noise in zip(equations, noises):
         torques.append(rows @ truth[columns] + noise * rng.normal(size=len(rows)))

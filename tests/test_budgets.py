@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 4799,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10694,
-    "tests": 227942,
+    "tests": 227116,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

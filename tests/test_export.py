@@ -17,8 +17,9 @@ from pytest import approx
 
 from rigs import results as made
 from rigs import urdf
+from rigs.arms import random_theta
 from rigs.command_line import files_in
-from rigs.model_files import ARM, random_theta, write_files
+from rigs.model_files import ARM, write_files
 from rigs.notes import NoteRecorder
 from rigs.schemas import schema
 from robot_sysid import export as module

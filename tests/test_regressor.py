@@ -8,7 +8,7 @@ from hypothesis import given
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_less
 
-from rigs.arms import SEEDS, random_rotation, vector_text
+from rigs.arms import SEEDS, random_rotation, random_theta, vector_text
 from robot_sysid import spatial
 from robot_sysid.model.bodies import body_theta
 from robot_sysid.regressor import derive_regressor, wrench_regressor
@@ -49,21 +49,11 @@ def free_body(theta):
     )
 
 
-def round_body(seed):
-    """Return random parameters (10,) that MuJoCo's compiler accepts."""
-    rng = default_rng(seed)
-    factor = rng.normal(size=(3, 3))
-    second = factor @ factor.T + 0.01 * np.eye(3)
-    return spatial.theta_from_com(
-        rng.uniform(0.1, 5.0), rng.normal(size=3), np.trace(second) * np.eye(3) - second
-    )
-
-
 @given(SEEDS)
 def test_the_wrench_of_a_free_body_equals_mujoco(seed):
     """A free joint takes the force in the world's axes and the moment in the body's."""
     rng = default_rng(seed)
-    model = free_body(round_body(seed))
+    model = free_body(random_theta(rng, rng.uniform(0.1, 5.0), 1.0))
     rotation = random_rotation(rng)
     # Some releases round the axes they find for a fullinertia to six digits.
     theta = body_theta(model, 1)

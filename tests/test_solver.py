@@ -10,13 +10,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.synthetic_data import (
-    arm_equations,
-    noisy_samples,
-    random_body,
-    sums_of,
-    terminal_sums,
-)
+from rigs.arms import random_theta
+from rigs.synthetic_data import arm_equations, noisy_samples, sums_of, terminal_sums
 from robot_sysid import spatial
 from robot_sysid.solver import identify_parameters
 
@@ -26,7 +21,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 def noisy_arm(seed, noise=0.1):
     rng = np.random.default_rng(seed)
     equations, names = arm_equations(rng)
-    truth = np.concatenate((random_body(rng), rng.uniform(0.1, 1.0, 6)))
+    truth = np.concatenate((random_theta(rng), rng.uniform(0.1, 1.0, 6)))
     return sums_of(equations, names, truth, noise, rng), truth, rng
 
 
@@ -41,8 +36,8 @@ def test_noise_free_data_is_recovered(seed):
 @given(SEEDS)
 def test_where_the_data_shows_nothing_the_prior_stays_exactly(seed):
     rng = np.random.default_rng(seed)
-    truth = np.append(random_body(rng), [0.4, 0.1])
-    prior = np.append(random_body(rng), [0.0, 0.0])
+    truth = np.append(random_theta(rng), [0.4, 0.1])
+    prior = np.append(random_theta(rng), [0.0, 0.0])
     values = identify_parameters(terminal_sums(rng, truth), prior).values
     assert values[0] == prior[0]
     assert values[3] == prior[3]
@@ -102,9 +97,9 @@ def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(
 ):
     """A thin body under heavy noise, seen whole or by its own joint alone: law 9."""
     rng = np.random.default_rng(seed)
-    body = random_body(rng, 0.1)
+    body = random_theta(rng, spread=0.1)
     truth = np.append(body, rng.uniform(0.1, 1.0, 2 if terminal else 6))
-    prior = np.append(random_body(rng), np.zeros(len(truth) - 10))
+    prior = np.append(random_theta(rng), np.zeros(len(truth) - 10))
     if terminal:
         sums = terminal_sums(rng, truth, noise=noise)
     else:
@@ -120,7 +115,7 @@ def test_a_body_that_has_to_be_possible_is_and_a_possible_one_stays(
 
 
 def test_data_at_rest_gives_the_prior_or_its_nearest_possible_body():
-    body = random_body(np.random.default_rng(0))
+    body = random_theta(np.random.default_rng(0))
     sums = sums_of([(np.zeros((20, 10)), np.arange(10))], "abcdefghij", np.zeros(10))
     estimate = identify_parameters(sums, body, possible=True)
     assert_array_equal(estimate.values, body)

@@ -12,8 +12,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from rigs.arms import random_rotation
-from rigs.synthetic_data import random_body
+from rigs.arms import random_rotation, random_theta
 from robot_sysid import spatial
 
 assert_close = partial(assert_allclose, rtol=0.0)
@@ -77,7 +76,7 @@ def test_moving_the_frame_moves_the_points(seed):
 
 @given(SEEDS, SPREADS)
 def test_origin_to_com_and_back_is_the_identity(seed, spread):
-    theta = random_body(default_rng(seed), spread)
+    theta = random_theta(default_rng(seed), spread=spread)
     back = spatial.theta_from_com(*spatial.com_from_theta(theta))
     assert_close(scale_theta(back), scale_theta(theta), atol=1e-13)
 
@@ -85,7 +84,7 @@ def test_origin_to_com_and_back_is_the_identity(seed, spread):
 @given(SEEDS, st.booleans())
 def test_consistency_does_not_depend_on_the_frame(seed, possible):
     rng = default_rng(seed)
-    theta = random_body(rng)
+    theta = random_theta(rng)
     if not possible:
         theta = theta + inconsistent_change(rng, theta)
     moved = spatial.transform_theta(theta, *random_frame(rng))

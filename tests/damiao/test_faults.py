@@ -9,7 +9,6 @@ import pytest
 
 from rigs.fault_bench import Case, SetUp, loaded_joint, outcomes_of
 from rigs.fault_lines import LINES, SHOULDER
-from rigs.motor_causes import joint_of
 from rigs.places import ROOT
 
 
@@ -28,7 +27,7 @@ def test_a_fault_moves_no_joint_far_from_its_path(line, outcomes):
     outcome = outcomes[line.name]
     assert getattr(outcome, line.quantity) < line.bound, outcome.line()
     assert line.words in outcome.words, outcome.line()
-    joint = joint_of(line.cause)
+    joint = line.case.joint
     if line.words and joint is not None:
         assert f"motor {joint + 1} " in outcome.words, outcome.line()
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.damiao_rig import GRAVITY, Rig, map_line, swing, trajectory_file
+from rigs.damiao_rig import Rig, lifted_swing, map_line, swing, trajectory_file
 from rigs.places import EXAMPLE
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
@@ -29,9 +29,10 @@ def rig(folder, **options):
     )
 
 
-def lift_motion():
-    time, q, qd, tau = swing(2, duration=0.8)
-    return time, q + STANDING, qd, tau + GRAVITY * (np.sin(q + STANDING) - np.sin(q))
+def standing_rig(folder):
+    """A rig of an arm that gravity pulls down, and that is lowered at the end."""
+    motion = lifted_swing(STANDING, duration=0.8)
+    return rig(folder, motion=motion, start=[STANDING] * 2, park="rest")
 
 
 # --- mounting -------------------------------------------------------------------------------------
@@ -103,7 +104,7 @@ def fastest_after(run, phase):
 
 @pytest.mark.slow
 def test_an_arm_is_lowered_until_nothing_pulls(tmp_path):
-    run = rig(tmp_path, motion=lift_motion(), start=[STANDING] * 2, park="rest")
+    run = standing_rig(tmp_path)
     speeds = fastest_after(run, "lowering")
     run.run(settle=1.0)
     run.assert_played()
@@ -113,7 +114,7 @@ def test_an_arm_is_lowered_until_nothing_pulls(tmp_path):
 
 @pytest.mark.slow
 def test_an_arm_that_is_stopped_is_lowered_too(tmp_path):
-    run = rig(tmp_path, motion=lift_motion(), start=[STANDING] * 2, park="rest")
+    run = standing_rig(tmp_path)
     run.during("playing", 0.3, lambda r: r.stop("stopped by SIGTERM"))
     run.run(settle=0.0)
     assert str(run.error) == "stopped by SIGTERM"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rigs.damiao_rig import BIT_RATE, GRAVITY, Rig, fault, motor, swing
+from rigs.damiao_rig import BIT_RATE, Rig, fault, lifted_swing, motor, swing
 from rigs.places import ROOT
 from robot_sysid.damiao import recorder
 from robot_sysid.damiao.bus import LinkError
@@ -247,36 +247,24 @@ def feed_near_peak(q, qd, tau):
     tau[:, 0] = 26.9
 
 
-def lift_motion(q, qd, tau):
-    """Shift the motion by 0.8 rad, with the torque of gravity there."""
-    tau += GRAVITY * (np.sin(q + 0.8) - np.sin(q))
-    q += 0.8
-
-
 @pytest.mark.parametrize(
-    ("change", "options", "message"),
+    ("motion", "options", "message"),
     [
-        (feed_near_peak, {}, "motor 1 is"),
+        (changed_swing(feed_near_peak), {}, "motor 1 is"),
         (
-            lift_motion,
+            lifted_swing(0.8, duration=1.0),
             {"faults": [fault("torque_factor", 1, 5 / 3)], "start": [0.8, 0.8]},
             "motor 2 reports 1.6",
         ),
     ],
 )
 def test_what_cannot_be_known_before_is_stopped_before_it_plays(
-    tmp_path, change, options, message
+    tmp_path, motion, options, message
 ):
-    run = Rig(tmp_path, motion=changed_swing(change), **options).run()
+    run = Rig(tmp_path, motion=motion, **options).run()
     assert message in str(run.error) and run.states() == [DISABLED] * 2
     assert not any(sentence.startswith("playing") for sentence in run.phases)
     assert np.max(np.abs(run.arm.mechanism.qd)) < 1.0
-
-
-def shift_pose(q, qd, tau):
-    """The whole motion where gravity pulls with 6 of 8 N m."""
-    tau += 8.0 * np.sin(q + 0.8) - GRAVITY * np.sin(q)
-    q += 0.8
 
 
 def negate_torque(q, qd, tau):
@@ -323,7 +311,8 @@ def test_a_torque_that_does_not_carry_the_arm_is_named_before_it_runs_away(
     rig, change, mount, message, monkeypatch
 ):
     monkeypatch.setattr("rigs.damiao_rig.GRAVITY", 8.0)
-    motion = changed_swing(lambda *signals: (shift_pose(*signals), change(*signals)))
+    motion = lifted_swing(0.8, duration=1.0)
+    change(*motion[1:])
     run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, **USUAL)
     if mount:
         mount(run)
@@ -576,7 +565,7 @@ def test_an_arm_that_is_stopped_while_its_gains_rise_is_carried(
 ):
     """What has been fed forward by then is only a part of what carries it."""
     monkeypatch.setattr("rigs.damiao_rig.GRAVITY", 8.0)
-    motion = changed_swing(shift_pose)
+    motion = lifted_swing(0.8, duration=1.0)
     run = rig(motion=motion, start=[0.8, 0.8], ramp_time=0.3, rest_time=0.3, **USUAL)
     farthest = watch_distance(
         run, lambda: all(motor.status == ENABLED for motor in run.motors)

@@ -8,16 +8,11 @@ import numpy as np
 import pytest
 
 from rigs.places import MODELS
-from rigs.wrong_arms import truth_of
+from rigs.wrong_arms import ARMS, truth_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Level
 from tests.diagnosis.conftest import findings_of
 from tests.diagnosis.test_gate import swings
-
-ARMS = {
-    "ur5e": MODELS / "universal_robots_ur5e/ur5e.xml",
-    "panda": MODELS / "franka_panda/panda_nohand.xml",
-}
 
 pytestmark = [
     pytest.mark.slow,
@@ -25,10 +20,10 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module", params=ARMS)
+@pytest.fixture(scope="module", params=["ur5e", "panda"])
 def truth(request):
     """Return a right log of a public arm, whose links are off by 10 %."""
-    return truth_of(load_robot_model(ARMS[request.param]), 5, wrong_links=0.1)
+    return truth_of(load_robot_model(MODELS / ARMS[request.param]), 5, wrong_links=0.1)
 
 
 def with_torque(truth, tau):

@@ -14,8 +14,14 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs import arms
-from rigs.arms import SEEDS, random_chain, random_motion, rigid_bodies, robot_of
-from rigs.model_files import random_theta
+from rigs.arms import (
+    SEEDS,
+    random_chain,
+    random_motion,
+    random_theta,
+    rigid_bodies,
+    robot_of,
+)
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     BeyondRigidBodies,

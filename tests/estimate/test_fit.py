@@ -30,7 +30,7 @@ from rigs.payload_logs import (
     four_joint_xml,
     wide_motion,
 )
-from rigs.synthetic_data import autocorrelated, random_body
+from rigs.synthetic_data import autocorrelated
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     LinkDynamics,
@@ -80,7 +80,7 @@ def payload_error(fitted, payload=PAYLOAD):
 def test_another_last_link_is_recovered_whatever_is_uncertain(seed):
     """Priors act by the square of the noise, and exact data leaves the least noise."""
     arm = TrueArm(ROBOT, seed, model_error=0.0)
-    arm.thetas[-1] = random_body(np.random.default_rng(seed))
+    arm.thetas[-1] = arms.random_theta(np.random.default_rng(seed))
     recording = arm.recording(wide_motion(seed), False)
     for options, tolerance in ((EstimationOptions(), 1e-6), (EXACT, 1e-8)):
         fitted = fit_recordings(ROBOT, [recording], options)

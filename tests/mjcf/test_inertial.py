@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.arms import random_rotation
-from rigs.model_files import ARM, document_of, random_theta, write_files
+from rigs.arms import random_rotation, random_theta
+from rigs.model_files import ARM, document_of, write_files
 from rigs.releases import IS_PRINCIPAL, since
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError

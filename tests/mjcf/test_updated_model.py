@@ -13,14 +13,8 @@ import numpy as np
 import pytest
 
 from rigs import arms, urdf
-from rigs.model_files import (
-    ARM,
-    INERTIAL,
-    TETRAHEDRON,
-    document_of,
-    random_theta,
-    write_files,
-)
+from rigs.arms import random_theta
+from rigs.model_files import ARM, INERTIAL, TETRAHEDRON, document_of, write_files
 from rigs.places import SHARED
 from rigs.releases import IS_PRINCIPAL, since
 from robot_sysid.errors import ExportError

@@ -13,13 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rigs import urdf
-from rigs.model_files import (
-    INERTIAL,
-    TETRAHEDRON,
-    assert_model_refused,
-    random_theta,
-    write_files,
-)
+from rigs.arms import random_theta
+from rigs.model_files import INERTIAL, TETRAHEDRON, assert_model_refused, write_files
 from robot_sysid import spatial
 from robot_sysid.mjcf.inertial import mjcf_inertial, urdf_inertial_about_com
 from robot_sysid.model.bodies import body_theta, inertia_about_com

@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 
 from rigs import arms
-from rigs.model_files import ARM, random_theta, write_files
+from rigs.arms import random_theta
+from rigs.model_files import ARM, write_files
 from rigs.releases import IS_PRINCIPAL
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError

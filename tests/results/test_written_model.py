@@ -22,7 +22,8 @@ from pytest import approx
 
 from rigs import arms, urdf
 from rigs import results as made
-from rigs.model_files import ARM, random_theta, write_files
+from rigs.arms import random_theta
+from rigs.model_files import ARM, write_files
 from rigs.releases import since
 from robot_sysid import records, spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics
