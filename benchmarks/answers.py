@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from robot_sysid.cli import main
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 
 SHAPES = ("geoms", "meshes", "materials", "textures", "lights", "cameras", "keys")
 """Elements of a model without which it compiles in no time, and has the same dynamics."""
@@ -54,7 +54,7 @@ def bare_model_text(path: Path) -> str:
     return model_text(path)
 
 
-def write_log(path: Path, joint_names: Sequence[str], log: Measurement) -> None:
+def write_log(path: Path, joint_names: Sequence[str], log: Recording) -> None:
     """Write a log as CSV, its columns named after joints."""
     titles = ["time"]
     columns = [log.time[:, None]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from rigs.core_fits import ORIGIN
 from robot_sysid.estimate.choose import solved
@@ -10,19 +11,19 @@ from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.result import link_result
-from robot_sysid.estimate.rows import Piece, low_pass_recordings
-from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records import Recording, RobotModel
 from robot_sysid.results.record import Result
+from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.signals.resampling import split_at_gaps
 
 
 def result_of_logs(
-    robot: RobotModel, logs: Iterable[Measurement], options: EstimationOptions
+    robot: RobotModel, logs: Iterable[Recording], options: EstimationOptions
 ) -> Result:
     """Return the result of measurements of the arm alone, cut where they have gaps."""
     pieces = []
     for number, log in enumerate(logs):
-        pieces += [Piece(f"log{number}", piece) for piece in split_at_gaps(log)]
+        pieces += [replace(piece, name=f"log{number}") for piece in split_at_gaps(log)]
     recordings, _ = low_pass_recordings(robot, pieces, options.cutoff)
     fitted = solved(robot, recordings, Question(options))
     return link_result(fitted, fit_file(fitted), (), ORIGIN)

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.model.compilation import captured_warnings
-from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
+from robot_sysid.records import Array, Motion, MotionPlan, Recording, RobotModel
 from robot_sysid.simulation.plant import forward_model, set_chain_state
 from robot_sysid.trajectory import sample_times
 
@@ -219,7 +219,7 @@ class ClosedLoop:
         start = self._plan.evaluate(np.zeros(1))
         self._arm.reset(start.q[0], start.qd[0])
 
-    def run(self) -> Iterator[Measurement]:
+    def run(self) -> Iterator[Recording]:
         """Yield exact measurements of the whole motion, accelerations included.
 
         The accelerations are MuJoCo's at the sample's state under the reported torque. Each call
@@ -240,7 +240,7 @@ class ClosedLoop:
                 measurement = self._chunk(time, motion, feed_forward)
             yield measurement
 
-    def _chunk(self, time: Array, motion: Motion, feed_forward: Array) -> Measurement:
+    def _chunk(self, time: Array, motion: Motion, feed_forward: Array) -> Recording:
         samples = np.empty((5, len(time), self._plant.n_joints))
         for k in range(len(motion.time)):
             tau = self._command(motion, k, feed_forward[k])
@@ -254,7 +254,7 @@ class ClosedLoop:
             self._held = tau
         q, qd, qdd, measured, dry = samples
         self.ramp_use.add(qd, dry)
-        return Measurement(time, q, qd, measured, qdd)
+        return Recording(time, q, qd, measured, qdd)
 
     def _command(self, motion: Motion, k: int, feed_forward: Array) -> Array:
         """Return the torque (n,) to hold from tick k on."""

@@ -64,7 +64,7 @@ from benchmarks.real_arms import USUAL_ARMS
 from rigs.params import motors, rows
 from rigs.wrong_arms import ARMS, DEVIATIONS
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 
 RIGHT_DURATIONS = (6.0, 8.0, 15.0, 60.0)
 """Durations of right logs [s]."""
@@ -98,7 +98,7 @@ class Finding:
         correction = entry.get("correction")
         return cls(entry["about"], entry["level"], entry["text"], options, correction)
 
-    def corrected(self, log: Measurement) -> Measurement:
+    def corrected(self, log: Recording) -> Recording:
         """Return a log with its columns put right, as the finding says."""
         if self.correction is None:
             return log
@@ -110,7 +110,7 @@ class Finding:
                 if values is not None:
                     order, factors = zip(*self.correction[quantity])
                     columns[name] = values[:, list(order)] * factors
-        return Measurement(log.time, columns["q"], columns["qd"], columns["tau"])
+        return Recording(log.time, columns["q"], columns["qd"], columns["tau"])
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class Judge:
             text = text if scene.edit is None else model_text(scene.path, scene.edit)
             self.model.write_text(text)
 
-    def write_logs(self, logs: Sequence[Measurement]) -> list[Path]:
+    def write_logs(self, logs: Sequence[Recording]) -> list[Path]:
         """Write logs and return their files."""
         paths = [self.folder / f"log{k}.csv" for k in range(len(logs))]
         for path, log in zip(paths, logs):

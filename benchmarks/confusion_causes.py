@@ -26,8 +26,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
 )
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Measurement
-from robot_sysid.signals.resampling import slice_samples
+from robot_sysid.records import Array, Recording
 
 RIGHT = "right"
 """The cause that changes nothing."""
@@ -59,10 +58,10 @@ class Scene(Truth):
     edit: Edit | None = None
     other_path: Path | None = None
     culprit: str = ""
-    pieces: tuple[Measurement, ...] = ()
+    pieces: tuple[Recording, ...] = ()
 
     @property
-    def logs(self) -> tuple[Measurement, ...]:
+    def logs(self) -> tuple[Recording, ...]:
         """Return the logs that are identified together."""
         return self.pieces or (self.log,)
 
@@ -362,22 +361,22 @@ def half_slow_velocities(scene: Scene) -> Scene:
     return with_velocities(scene, factors)
 
 
-def six_logs(fault: Callable[[Measurement, int], Measurement], scene: Scene) -> Scene:
+def six_logs(fault: Callable[[Recording, int], Recording], scene: Scene) -> Scene:
     """Return six logs of one arm, each with a fault of another joint."""
     rows = np.linspace(0, len(scene.log), 7).astype(int)
     pieces = []
     for joint, (start, end) in enumerate(zip(rows, rows[1:])):
-        pieces.append(fault(slice_samples(scene.log, start, end), joint))
+        pieces.append(fault(scene.log[start:end], joint))
     return replace(scene, pieces=tuple(pieces))
 
 
-def larger_torque(log: Measurement, joint: int) -> Measurement:
+def larger_torque(log: Recording, joint: int) -> Recording:
     """Return a log with the torque of one joint times 1.4."""
     factors = np.where(np.arange(log.tau.shape[1]) == joint, 1.4, 1.0)
     return replace(log, tau=factors * log.tau)
 
 
-def moved_zero(log: Measurement, joint: int) -> Measurement:
+def moved_zero(log: Recording, joint: int) -> Recording:
     """Return a log with the zero of one joint off by 0.15 rad."""
     return replace(log, q=log.q + 0.15 * (np.arange(log.q.shape[1]) == joint))
 
@@ -498,7 +497,7 @@ class Cause:
     duration: float | None = None
 
 
-def spoil_log(fault: Callable[[Truth], Measurement], scene: Scene) -> Scene:
+def spoil_log(fault: Callable[[Truth], Recording], scene: Scene) -> Scene:
     """Return the scene with its log spoiled by a function of ``benchmarks.wrong_logs``."""
     return replace(scene, log=fault(scene))
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,7 +37,6 @@ from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.links import own_errors
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.estimate.terms import DELAY, LINKS
 from robot_sysid.motion import AimOptions, ExcitationOptions, LimitOptions
 from robot_sysid.motion.expected_errors import (
@@ -47,8 +47,9 @@ from robot_sysid.motion.expected_errors import (
 from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.records.messages import Progress
+from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.trajectory import TrajectoryOptions, sample_count
 
 ARMS = (
@@ -138,8 +139,8 @@ def identification_errors(predicted, motion, rng, exact):
         values.update(zip(term.names, drawn))
     tau, q = simulate_log(robot, values, motion)
     tau = tau + SIGMA * rng.normal(size=tau.shape)
-    recording = Measurement(motion.time, q, None, tau, None)
-    recordings, _ = low_pass_recordings(robot, [Piece("log", recording)])
+    recording = Recording(motion.time, q, None, tau, None)
+    recordings, _ = low_pass_recordings(robot, [replace(recording, name="log")])
     fitted = solved(robot, recordings, Question(OPTIONS))
     theta = robot.prior.theta
     return fitted.values[:10] - theta, fitted.free[:10] - theta, fitted.errors[:10]

@@ -30,7 +30,7 @@ from robot_sysid.motion.problem import build_problem
 from robot_sysid.motion.search import Design, design_excitation
 from robot_sysid.motion.trajectories import at_speed
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import TrajectoryOptions
 
@@ -83,13 +83,13 @@ class Truth:
         smooth = self.armature * motion.qdd + self.viscous * motion.qd + self.offset
         return carried + smooth + sign * level
 
-    def log(self, plan, rng: np.random.Generator) -> Measurement:
+    def log(self, plan, rng: np.random.Generator) -> Recording:
         """Return what sensors report along a plan."""
         clock = np.arange(0.0, plan.duration, 1.0 / RATE)
         motion = plan.evaluate(clock)
         tau = self.torque(motion) + NOISE * rng.normal(size=motion.q.shape)
         q = np.round(motion.q / STEP) * STEP
-        return Measurement(clock, q, None, tau)
+        return Recording(clock, q, None, tau)
 
 
 def draw_wrong_link(theta, rng):

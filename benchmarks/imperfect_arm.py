@@ -13,7 +13,7 @@ import numpy as np
 from rigs.synthetic_data import autocorrelated
 from rigs.wrong_arms import WrongArm
 from robot_sysid import spatial
-from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
+from robot_sysid.records import Array, MotionPlan, Recording, RobotModel
 
 RATE = 200.0
 STRONG = 1.0
@@ -60,7 +60,7 @@ class ImperfectArm(WrongArm):
 
     def record(
         self, plan: MotionPlan, rng: np.random.Generator, payload: Array | float = 0.0
-    ) -> Measurement:
+    ) -> Recording:
         """Return what its sensors say along a plan with a payload (10,) on the terminal body."""
         motion = plan.evaluate(np.arange(0.0, plan.duration, 1.0 / RATE))
         slow = autocorrelated(rng.standard_normal(motion.q.shape), self.memory)

@@ -36,7 +36,7 @@ def body(mass):
 
 def divide_by_scale(recording, scale):
     """Return a recording with its torques divided by scales (n,)."""
-    samples = replace(recording.samples, tau=recording.samples.tau / scale)
+    samples = replace(recording, tau=recording.tau / scale)
     return replace(recording, samples=samples)
 
 

@@ -29,9 +29,9 @@ from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.payload import payload_result, written_payload
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import fit_file
-from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.parser import load_robot_model
+from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 PAYLOAD = spatial.theta_from_com(
@@ -76,7 +76,7 @@ def recordings(
     for k, loaded in enumerate(ORDER):
         carried = payload if second is None or k != 2 else second
         samples = arm.record(plans[k % len(plans)], rng, loaded * carried)
-        records.append(Piece(f"log{k}", samples, loaded))
+        records.append(replace(samples, name=f"log{k}", is_loaded=loaded))
     return records
 
 
@@ -105,7 +105,7 @@ def single_difference(robot, raw):
     options = EstimationOptions(priors=Priors(**dict.fromkeys(exact, 0.0)))
     masses = []
     for is_loaded in (False, True):
-        logs = [piece.samples for piece in raw if piece.is_loaded is is_loaded]
+        logs = [piece for piece in raw if piece.is_loaded is is_loaded]
         masses.append(result_of_logs(robot, logs, options).body.mass)
     return masses[1] - masses[0]
 

@@ -26,15 +26,15 @@ import numpy as np
 
 from benchmarks import against_mujoco_sysid as rollouts
 from benchmarks.speed_table import rewrite
+from rigs.log_files import arm_of
 from rigs.places import DATA, ROOT
 from robot_sysid import spatial
 from robot_sysid.api.calls import identify, payload
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.model.chain import joint_friction
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.records import Measurement
-from robot_sysid.signals.process import process
-from robot_sysid.signals.resampling import resample_uniformly
+from robot_sysid.records import Recording
+from robot_sysid.signals.process import low_pass_recordings
 
 PAGE = ROOT / "docs" / "evidence.md"
 BEGIN = "<!-- evidence: python -m benchmarks.real_logs -->"
@@ -141,8 +141,8 @@ def samples(stretch) -> dict:
 def signals(stretch, joints, cutoff: float):
     """Return a stretch of a log, low-passed at a cut-off [Hz]."""
     log = samples(stretch)
-    measured = Measurement(log["time"], log["q"], None, log["tau"])
-    return process(resample_uniformly(measured), joints, cutoff)
+    measured = Recording(log["time"], log["q"], None, log["tau"])
+    return low_pass_recordings(arm_of(joints), [measured], cutoff)[0][0]
 
 
 def as_mjcf(urdf: str) -> str:
@@ -209,7 +209,7 @@ def file_error(model, robot, test) -> float:
 
 def relative(test, torque) -> float:
     """Return norm(measured - predicted) / norm(measured) of torques (K, n), all joints stacked."""
-    measured = np.where(test.usable(), test.low_pass.decimate(test.tau), np.nan)
+    measured = np.where(test.used, test.low_pass.decimate(test.tau), np.nan)
     off = measured - torque
     off -= np.nanmean(off, axis=0)
     return float(np.sqrt(np.nansum(off**2) / np.nansum(measured**2)))
@@ -270,7 +270,7 @@ class LeastSquares:
 
     def rows(self, signals, is_loaded: bool):
         """Return the matrix and torques of the samples that may be used."""
-        use = signals.usable()
+        use = signals.used
         return self.columns(signals, is_loaded)[use], signals.low_pass.decimate(
             signals.tau
         )[use]

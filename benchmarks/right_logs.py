@@ -25,7 +25,7 @@ from benchmarks.answers import bare_model_text, run_command, write_log
 from benchmarks.real_arms import SENSOR_ARMS
 from rigs.wrong_arms import ARMS, RATE, draw_arm
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Measurement, Motion, MotionPlan
+from robot_sysid.records import Array, Motion, MotionPlan, Recording
 
 MORE_ARMS = {
     "wxai": "trossen/wxai/wxai_follower.xml",
@@ -155,7 +155,7 @@ def findings_of(
     log = arm.log
     if motion == "30_hz":
         step = round(RATE / 30.0)
-        log = Measurement(log.time[::step], log.q[::step], None, log.tau[::step])
+        log = Recording(log.time[::step], log.q[::step], None, log.tau[::step])
     model = folder / f"model_{arm_name}.xml"
     if not model.exists():
         model.write_text(bare_model_text(path))

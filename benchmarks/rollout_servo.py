@@ -25,7 +25,6 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Progress
 from robot_sysid.servo import HELD_OUT_SHARE, UNITS, run_servo
 from robot_sysid.servo.windows import WINDOW, ServoProblem, rms
-from robot_sysid.signals.resampling import slice_samples
 from robot_sysid.simulation.playback import ServoRollouts, servos_in_model
 
 ARMS = {
@@ -51,9 +50,8 @@ def main(*names: str) -> None:
             outcome = run_servo(robot, options, Path(folder) / "out", None, Progress())
             spent = time.monotonic() - begun
             piece = open_log(robot, log, replace(options, commanded=True))
-            (samples,) = piece.pieces
-            first = round((1.0 - HELD_OUT_SHARE) * len(samples))
-            held = slice_samples(samples, first, len(samples))
+            first = round((1.0 - HELD_OUT_SHARE) * len(piece))
+            held = piece[first:]
         report(name, arm, robot, outcome, held, spent)
 
 

@@ -41,7 +41,7 @@ from rigs.wrong_arms import (
 from robot_sysid import spatial
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.comparison import compare_runs
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.messages import Progress
 from robot_sysid.records.usual_errors import FRICTION_CHANGE
 from robot_sysid.report.runs import load_run
@@ -85,7 +85,7 @@ def draw_change(robot: RobotModel, kind: str, rng: np.random.Generator) -> Chang
 
 def draw_pair(
     robot: RobotModel, has_sensors: bool, change: Change, rng: np.random.Generator
-) -> Iterator[Measurement]:
+) -> Iterator[Recording]:
     """Yield the two logs of one arm."""
     n = robot.n_joints
     tilt = np.radians(0.3) * rng.standard_normal(2)

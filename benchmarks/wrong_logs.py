@@ -10,8 +10,7 @@ import numpy as np
 from rigs.places import MODELS
 from rigs.wrong_arms import Truth, truth_of
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement
-from robot_sysid.signals.resampling import slice_samples
+from robot_sysid.records import Recording
 
 _OTHER_ARMS = {
     6: ("universal_robots_ur5e/ur5e.xml", "trossen/wxai/wxai_follower.xml"),
@@ -25,12 +24,12 @@ _OTHER_ARMS = {
 """Model files of public arms by their number of joints."""
 
 
-def _torque(truth: Truth, tau: np.ndarray) -> Measurement:
+def _torque(truth: Truth, tau: np.ndarray) -> Recording:
     """Return the log with other torques (N, n)."""
     return replace(truth.log, tau=tau)
 
 
-def _position(truth: Truth, change: Callable[[np.ndarray], np.ndarray]) -> Measurement:
+def _position(truth: Truth, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
     """Return the log with positions and, where it has them, velocities changed."""
     qd = truth.log.qd
     return replace(
@@ -140,7 +139,7 @@ def dropped_samples(truth):
     """Return the log without a tenth of its samples; time is row number over rate."""
     rows = np.flatnonzero(truth.rng.random(len(truth.log)) > 0.1)
     log = truth.log
-    return Measurement(log.time[: len(rows)], log.q[rows], None, log.tau[rows])
+    return Recording(log.time[: len(rows)], log.q[rows], None, log.tau[rows])
 
 
 def saturated_sensor(truth):
@@ -174,7 +173,7 @@ def collision(truth):
 def late_torque(truth):
     """Return the log with torques 20 ms and more behind the positions."""
     shift = int(truth.rng.integers(5, 15))
-    late = slice_samples(truth.log, shift, len(truth.log))
+    late = truth.log[shift:]
     return replace(late, tau=truth.log.tau[:-shift])
 
 
@@ -202,7 +201,7 @@ def late_joint(truth):
     joint = carrying_joint(truth)
     tau = truth.log.tau.copy()
     tau[shift:, joint] = truth.log.tau[:-shift, joint]
-    return slice_samples(_torque(truth, tau), shift, len(tau))
+    return _torque(truth, tau)[shift:]
 
 
 def hum(truth):
@@ -263,7 +262,7 @@ _FAULTS = (
     drifting_clock,
     other_arm,
 )
-FAULTS: dict[str, Callable[[Truth], Measurement]] = {
+FAULTS: dict[str, Callable[[Truth], Recording]] = {
     fault.__name__: fault for fault in _FAULTS
 }
 """Name of a fault to the function that returns a log with it."""

@@ -16,7 +16,7 @@ from robot_sysid.estimate.rows import Rows
 from robot_sysid.mjcf.inertial import sum_theta
 from robot_sysid.model.bodies import subtree_bodies
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement, Motion
+from robot_sysid.records import Motion, Recording
 from robot_sysid.solver import LastLinkTerms, exact_recording
 
 X = "1 0 0"
@@ -263,7 +263,7 @@ def rows_and_rest(robot, motion):
     """Rows (N, n, 10) of the terminal link and the torque (N, n) of the rest of the arm."""
     arm = LastLinkTerms(robot, friction=())
     q, qd, qdd = motion
-    still = Measurement(np.arange(len(q)), q, qd, np.zeros_like(q), qdd)
+    still = Recording(np.arange(len(q)), q, qd, np.zeros_like(q), qdd)
     rows = Rows(exact_recording(still), slice(None))
     equations, _ = arm.equations(rows, arm.start())
     # The right-hand side of a torque of zero is the torque that is known; friction is added to it.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rigs.measured_logs import CUTOFF
@@ -9,8 +11,8 @@ from robot_sysid import spatial
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.options import DEFAULT_FRICTION, EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.records import DataOrigin
+from robot_sysid.signals.process import low_pass_recordings
 
 BASIC = DEFAULT_FRICTION
 """The friction terms that are estimated of every joint."""
@@ -29,7 +31,7 @@ def fit_recordings(robot, recordings, options=None, beside=None, **question):
 
 def filter_logs(robot, *logs, cutoff=CUTOFF):
     """Return the low-passed recordings of measurements."""
-    pieces = [Piece(f"log{number}", log) for number, log in enumerate(logs)]
+    pieces = [replace(log, name=f"log{number}") for number, log in enumerate(logs)]
     return low_pass_recordings(robot, pieces, cutoff)[0]
 
 

@@ -21,7 +21,7 @@ from rigs.recorded import START_NS, STATE, joint_state, typestore, write_bag
 from rigs.wrong_arms import truth_of
 from robot_sysid.logs.ros_messages import KORTEX, LBR
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records import Recording, RobotModel
 
 
 @cache
@@ -31,7 +31,7 @@ def model_of(path: str) -> RobotModel:
 
 
 @cache
-def motion_of(path: str, rate: float = 250.0, load: float = 0.0) -> Measurement:
+def motion_of(path: str, rate: float = 250.0, load: float = 0.0) -> Recording:
     """Return 12 s of a motion of a public model whose links are a little off, with sensor noise.
 
     ``load`` is the mass of a weight on the terminal link [kg]; the motion is the same with it.
@@ -39,13 +39,13 @@ def motion_of(path: str, rate: float = 250.0, load: float = 0.0) -> Measurement:
     return truth_of(model_of(path), 3, rate=rate, load=load).log
 
 
-def every(data: Measurement, step: int) -> Measurement:
+def every(data: Recording, step: int) -> Recording:
     """Return every ``step``-th sample."""
     columns = (data.time, data.q, data.qd, data.tau)
-    return Measurement(*(array[::step] for array in columns))
+    return Recording(*(array[::step] for array in columns))
 
 
-def states(types: Any, data: Measurement, names: Sequence[str], order: Any = None):
+def states(types: Any, data: Recording, names: Sequence[str], order: Any = None):
     """Yield JointState messages of an arm's joints, in the order of these indices."""
     order = list(range(len(names)) if order is None else order)
     listed = [names[k] for k in order]
@@ -53,13 +53,13 @@ def states(types: Any, data: Measurement, names: Sequence[str], order: Any = Non
         yield time, joint_state(types, time, listed, q[order], qd[order], tau[order])
 
 
-def with_extra_joints(data: Measurement, count: int, position: float) -> Measurement:
+def with_extra_joints(data: Recording, count: int, position: float) -> Recording:
     """Return a motion with further joints that stand still, whose velocity and effort are zero."""
     zero = np.zeros((len(data), count))
     q = np.column_stack((data.q, zero + position))
     qd = np.column_stack((data.qd, zero))
     tau = np.column_stack((data.tau, zero))
-    return Measurement(data.time, q, qd, tau)
+    return Recording(data.time, q, qd, tau)
 
 
 def _numbered(name: str, count: int = 7) -> list[str]:
@@ -107,7 +107,7 @@ UR_CONSTANTS = np.array([11.5, 11.5, 10.8, 7.9, 7.9, 7.9])
 UR5E = "universal_robots_ur5e/ur5e.xml"
 
 
-def in_amperes(data: Measurement) -> Measurement:
+def in_amperes(data: Recording) -> Recording:
     """Return a UR's motion with motor currents in the place of torques."""
     return replace(data, tau=data.tau / UR_CONSTANTS)
 
@@ -176,7 +176,7 @@ def lbr(folder: Path, storage: str, topic_names: Sequence[str]) -> Path:
     return write_bag(folder / "lbr", topics, store, storage)
 
 
-def lbr_states(types: Any, data: Measurement):
+def lbr_states(types: Any, data: Recording):
     """Yield LBRState messages, whose time is that of the controller."""
     zeros = np.zeros(7)
     for time, q, tau in zip(data.time, data.q, data.tau):
@@ -212,7 +212,7 @@ def kortex(folder: Path, topic_names: Sequence[str]) -> Path:
     return write_bag(folder / "kortex", topics, store, "ROS1")
 
 
-def kortex_feedback(types: Any, data: Measurement):
+def kortex_feedback(types: Any, data: Recording):
     """Yield BaseCyclic_Feedback messages, in degrees, N m and amperes."""
     actuator = types["kortex_driver/msg/ActuatorFeedback"]
     for time, q, qd, tau in zip(data.time, np.degrees(data.q), data.qd, data.tau):

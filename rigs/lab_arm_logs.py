@@ -22,7 +22,7 @@ from rigs.places import MODELS
 from rigs.recorded import STATE, joint_state, typestore, write_bag, write_data_set
 from rigs.wrong_arms import truth_of
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement, RobotModel
+from robot_sysid.records import Recording, RobotModel
 
 SIX_JOINTS = arms.serial_arm(
     arms.SEVEN_AXES[:6], joint='range="-2.5 2.5" frictionloss=".2" damping=".1"'
@@ -43,7 +43,7 @@ def six_joint_model(folder: Path) -> Path:
 
 
 @cache
-def six_joint_motion(rate: float) -> Measurement:
+def six_joint_motion(rate: float) -> Recording:
     """Return 12 s of a motion of the arm of six joints."""
     return truth_of(arms.robot_of(SIX_JOINTS), 3, rate=rate).log
 
@@ -55,7 +55,7 @@ def openarm() -> RobotModel:
 
 
 @cache
-def openarm_motion() -> Measurement:
+def openarm_motion() -> Recording:
     """Return 12 s of a motion of OpenArm's left arm."""
     return truth_of(openarm(), 3, rate=100.0).log
 
@@ -148,7 +148,7 @@ class LabArmLog:
 
     name: str
     robot: Callable[[Path], RobotModel]
-    motion: Callable[[], Measurement]
+    motion: Callable[[], Recording]
     write: Callable[[Path], Path]
     accuracy: float = 1e-6
 

@@ -14,23 +14,23 @@ import pytest
 from rigs import arms
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import MeasurementLog, open_log
-from robot_sysid.records import Limits, Measurement, RobotModel
+from robot_sysid.logs.reader import open_log
+from robot_sysid.records import Limits, Recording, RobotModel
 
 JOINTS = ("base", "elbow", "wrist")
 TITLES = ("time", "q1", "q2", "q3", "tau1", "tau2", "tau3")
 
 
-def motion(n: int = 400, rate: float = 200.0) -> Measurement:
+def motion(n: int = 400, rate: float = 200.0) -> Recording:
     """Three joints swinging within 1 rad, with exact velocity."""
     time = np.arange(n) / rate
     omega = 2.0 * np.pi * np.array([0.5, 0.7, 1.1])
     phase = np.outer(time, omega) + [0.3, 0.9, 0.1]
     tau = np.sin(3.0 * phase) + [1.0, 2.0, 3.0]
-    return Measurement(time, 0.9 * np.sin(phase), 0.9 * omega * np.cos(phase), tau)
+    return Recording(time, 0.9 * np.sin(phase), 0.9 * omega * np.cos(phase), tau)
 
 
-def table(data: Measurement) -> np.ndarray:
+def table(data: Recording) -> np.ndarray:
     """Columns time, positions, torques."""
     return np.column_stack((data.time, data.q, data.tau))
 
@@ -85,7 +85,7 @@ def read_measurements(
     limits: Limits | None = None,
     is_slide: Sequence[bool] = (),
     **options: Any,
-) -> MeasurementLog:
+) -> Recording:
     """Read a log with options such as columns or units."""
     return open_log(arm_of(joint_names, limits, is_slide), path, LogOptions(**options))
 
@@ -103,23 +103,23 @@ def assert_refused(
 
 def read_table(
     folder: Path, rows: Any, titles: Sequence[str] = TITLES, **options: Any
-) -> MeasurementLog:
+) -> Recording:
     """Write rows as a log of JOINTS and read it with options."""
     return read_measurements(write(folder / "log.csv", rows, titles), JOINTS, **options)
 
 
-def notes_of(log: MeasurementLog) -> str:
+def notes_of(log: Recording) -> str:
     """The notes beyond the layout and the columns."""
     return " | ".join(note for note in log.notes if not note.startswith("log "))
 
 
 def assert_samples(
-    expected: Measurement,
-    samples: Measurement,
+    expected: Recording,
+    samples: Recording,
     names: Sequence[str] = ("time", "q", "qd", "tau", "qdd", "joint_time"),
     atol: float = 0.0,
 ) -> None:
-    """Compare the arrays of two measurements; one that is None must be None in both."""
+    """Compare the arrays of two recordings; one that is None must be None in both."""
     for name in names:
         array = getattr(expected, name)
         if array is None:

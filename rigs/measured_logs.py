@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rigs import arms
-from robot_sysid.signals.resampling import join_measurements
+from robot_sysid.records import join_recordings
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import plant_measurements
 from robot_sysid.trajectory import generate_excitation_trajectory
@@ -44,7 +44,7 @@ def log_of(plant, plan=None, seed=1, rate=RATE, **sensors):
     """Return the simulated sensor readings of an arm along a trajectory."""
     options = SimulatedArmOptions(**sensors)
     rng = np.random.default_rng(seed)
-    return join_measurements(
+    return join_recordings(
         plant_measurements(plant, plan or plan_of(plant), options, rate, rng)
     )
 

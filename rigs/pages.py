@@ -18,9 +18,8 @@ from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline.motions import design_motion
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording, join_recordings
 from robot_sysid.records.messages import Progress
-from robot_sysid.signals.resampling import join_measurements
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import TrajectoryOptions
@@ -112,7 +111,7 @@ def add_recordings(folder: Path) -> None:
     )
     q = np.transpose(values[: len(AXES)])
     tau = np.transpose(values[len(AXES) :])
-    data = Measurement(time, q, np.zeros_like(q), tau)
+    data = Recording(time, q, np.zeros_like(q), tau)
     store = recorded.typestore()
     messages = recorded.shuffled_states(store.types, data, titles)
     topics = [("/joint_states", recorded.STATE, messages)]
@@ -146,7 +145,7 @@ def record(
     sensors = SimulatedArmOptions(noise_torque=0.05, encoder_resolution=1e-5)
     truth = load_plant(robot, folder / plant)
     rng = np.random.default_rng([seed, 1])
-    samples = join_measurements(plant_measurements(truth, plan, sensors, 200.0, rng))
+    samples = join_recordings(plant_measurements(truth, plan, sensors, 200.0, rng))
     write_measurement_csv(folder / log, robot.joint_names, [samples])
 
 

@@ -13,11 +13,10 @@ import numpy as np
 from rigs import arms
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, link_names
-from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.records import Motion
 from robot_sysid.signals.filters import LowPass
-from robot_sysid.signals.process import ProcessedSignals
+from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import PARAMETER_NAMES
 
 RATE = 50.0
@@ -136,12 +135,8 @@ def perturb_body(theta, share, rng):
 
 def exact_recording(motion, tau, is_loaded, place=0.0, name="log"):
     """Return a recording whose velocities and accelerations are exact and whose rows all count."""
-    deadband = np.zeros(motion.q.shape[1])
-    bridged = np.zeros(len(motion.time), dtype=bool)
-    turning = np.zeros(motion.q.shape, dtype=bool)
-    series = motion.time, motion.q, motion.qd, motion.qdd, tau
-    signals = ProcessedSignals(*series, bridged, turning, deadband, UNFILTERED)
-    return Recording(name, signals, is_loaded, place)
+    fields = {"name": name, "is_loaded": is_loaded, "order": place}
+    return FilteredRecording.exact(motion, tau, UNFILTERED, **fields)
 
 
 def add_noise(recording, sigma, seed):
@@ -152,5 +147,4 @@ def add_noise(recording, sigma, seed):
 
 def add_torque(recording, torque):
     """Return a recording with additional torque (N, n)."""
-    signals = recording.signals
-    return replace(recording, signals=replace(signals, tau=signals.tau + torque))
+    return replace(recording, tau=recording.tau + torque)

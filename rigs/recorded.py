@@ -13,7 +13,7 @@ import pytest
 
 from rigs.log_files import JOINTS, write
 from robot_sysid.logs.ros_messages import DEFINITIONS, DYNAMIC, FRANKA, KORTEX, STATE
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 
 START_NS = 1_700_000_000 * 10**9
 """Time at which recordings begin [ns since 1970]."""
@@ -64,7 +64,7 @@ def joint_state(types, time, names, q, qd, tau):
     return types[STATE](header(types, time), list(names), *lists)
 
 
-def shuffled_states(types, data: Measurement, names=JOINTS):
+def shuffled_states(types, data: Recording, names=JOINTS):
     """The arm's messages, in an order that changes, with a gripper's between them."""
     rng = np.random.default_rng(1)
     for time, q, qd, tau in zip(data.time, data.q, data.qd, data.tau):
@@ -108,19 +108,19 @@ def _written(path: Path, writer, topics, store, serialize) -> Path:
     return path
 
 
-def rosbag(folder: Path, data: Measurement, storage: str = "SQLITE3") -> Path:
+def rosbag(folder: Path, data: Recording, storage: str = "SQLITE3") -> Path:
     store = typestore(storage)
     topics = [("/joint_states", STATE, shuffled_states(store.types, data))]
     return write_bag(folder / "bag", topics, store, storage)
 
 
-def single_mcap(folder: Path, data: Measurement) -> Path:
+def single_mcap(folder: Path, data: Recording) -> Path:
     """The .mcap file alone, without its folder's metadata."""
     (file,) = rosbag(folder, data, "MCAP").glob("*.mcap")
     return file.rename(folder / "alone.mcap")
 
 
-def dynamic_states(types, data: Measurement, names, orders):
+def dynamic_states(types, data: Recording, names, orders):
     """Yield (time, DynamicJointState), with an order of ``INTERFACES`` for each joint."""
     value = types["control_msgs/msg/InterfaceValue"]
     rows = np.stack((data.q, data.qd, data.tau), axis=2)
@@ -131,14 +131,14 @@ def dynamic_states(types, data: Measurement, names, orders):
         yield time, types[DYNAMIC](header(types, time), list(names), values)
 
 
-def dynamic_joint_state(folder: Path, data: Measurement) -> Path:
+def dynamic_joint_state(folder: Path, data: Recording) -> Path:
     """DynamicJointState with the interfaces in another order for every joint."""
     store = typestore()
     messages = dynamic_states(store.types, data, JOINTS, ORDERS)
     return write_bag(folder / "bag", [("/states", DYNAMIC, messages)], store)
 
 
-def franka_state(folder: Path, data: Measurement) -> Path:
+def franka_state(folder: Path, data: Recording) -> Path:
     """FrankaRobotState in an MCAP, with its definition in the file."""
     store = typestore()
     types = store.types
@@ -203,10 +203,10 @@ def write_data_set(
     return root
 
 
-def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Path]:
+def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Recording], Path]:
     """A data set in degrees; several episodes repeat the motion, which has 200 Hz."""
 
-    def write(folder: Path, data: Measurement) -> Path:
+    def write(folder: Path, data: Recording) -> Path:
         ends = ("pos", "vel", "torque")
         names = [f"{joint}.{end}" for joint in JOINTS for end in ends]
         values = (np.degrees(data.q), np.degrees(data.qd), data.tau)
@@ -219,14 +219,14 @@ def lerobot(version: str, episodes: int = 1) -> Callable[[Path, Measurement], Pa
     return write
 
 
-def npz(folder: Path, data: Measurement) -> Path:
+def npz(folder: Path, data: Recording) -> Path:
     path = folder / "log.npz"
     columns = {"time": data.time, "q": data.q, "qd": data.qd, "tau": data.tau}
     np.savez(path, **columns, note="text is no column")
     return path
 
 
-def arrow(data: Measurement):
+def arrow(data: Recording):
     """A table of Arrow: time in dates, positions as lists, a column per torque, and text."""
     import pyarrow as pa
 
@@ -242,14 +242,14 @@ def arrow(data: Measurement):
     return pa.table(columns)
 
 
-def parquet(folder: Path, data: Measurement) -> Path:
+def parquet(folder: Path, data: Recording) -> Path:
     import pyarrow.parquet as pq
 
     pq.write_table(arrow(data), folder / "log.parquet", row_group_size=7)
     return folder / "log.parquet"
 
 
-def libfranka(folder: Path, data: Measurement) -> Path:
+def libfranka(folder: Path, data: Recording) -> Path:
     """The columns of logToCSV."""
     groups = "state.q state.q_d state.dq state.dq_d state.tau_J "
     groups += "state.tau_ext_hat_filtered cmd.tau_J_d"
@@ -261,7 +261,7 @@ def libfranka(folder: Path, data: Measurement) -> Path:
 
 
 def rtde(
-    folder: Path, data: Measurement, torque: str = "actual_current_as_torque"
+    folder: Path, data: Recording, torque: str = "actual_current_as_torque"
 ) -> Path:
     """What record.py of the RTDE client writes: blanks between cells, a column per element."""
     groups = ("actual_q", "actual_qd", torque, "target_moment")
@@ -271,7 +271,7 @@ def rtde(
     return write(folder / "rtde.csv", rows, titles, " ")
 
 
-def plotjuggler(folder: Path, data: Measurement) -> Path:
+def plotjuggler(folder: Path, data: Recording) -> Path:
     """One column per series; rows of another topic leave the arm's cells empty."""
     words = ("position", "velocity", "effort")
     titles = ["__time", "/battery/voltage"]
@@ -283,7 +283,7 @@ def plotjuggler(folder: Path, data: Measurement) -> Path:
     return write(folder / "plot.csv", rows, titles)
 
 
-FORMS: dict[str, Callable[[Path, Measurement], Path]] = {
+FORMS: dict[str, Callable[[Path, Recording], Path]] = {
     "ROS 2 db3": rosbag,
     "ROS 2 single mcap": single_mcap,
     "ROS 1 bag": partial(rosbag, storage="ROS1"),

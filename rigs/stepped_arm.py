@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 TORQUE_NOISE = 0.05
@@ -38,4 +38,4 @@ def stepped_log(model, robot, seed, seconds):
         data.qfrc_applied[:] = tau[k]
         mujoco.mj_step(model, data)
     tau += TORQUE_NOISE * rng.normal(size=tau.shape)
-    return Measurement(motion.time, np.round(q / ENCODER) * ENCODER, None, tau)
+    return Recording(motion.time, np.round(q / ENCODER) * ENCODER, None, tau)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_sysid.records import Measurement
-from robot_sysid.signals.process import process
-from robot_sysid.signals.resampling import resample_uniformly
+from rigs.log_files import arm_of
+from robot_sysid.records import Recording
+from robot_sysid.signals.process import low_pass_recordings
 
 FREQUENCIES = np.array([0.13, 0.29, 0.43, 0.59])
 
@@ -26,11 +26,11 @@ class Swing:
         angle = time[:, None, None] * omega + self.phase + order * np.pi / 2.0
         return np.sum(self.amplitude * omega**order * np.sin(angle), axis=1)
 
-    def measurement(self, time: np.ndarray, resolution: float = 0.0) -> Measurement:
+    def measurement(self, time: np.ndarray, resolution: float = 0.0) -> Recording:
         """A log whose torque is 2 q + 3 qd + 0.5 qdd."""
         q = self.q(time)
         positions = np.round(q / resolution) * resolution if resolution else q
-        return Measurement(time, positions, None, self.tau(time))
+        return Recording(time, positions, None, self.tau(time))
 
     def tau(self, time: np.ndarray) -> np.ndarray:
         """Torque at any time (N, 3)."""
@@ -42,6 +42,7 @@ def seconds(duration: float, rate: float) -> np.ndarray:
     return np.arange(round(duration * rate) + 1) / rate
 
 
-def processed(log, joint_names=("joint0", "joint1", "joint2"), *args, **options):
-    """Return the processed signals of a log."""
-    return process(resample_uniformly(log), joint_names, *args, **options)
+def filtered(log, *more, cutoff=None, joint_names=None, is_slide=()):
+    """Return a log behind its low-pass; ``more`` are further stretches of it."""
+    robot = arm_of(joint_names or "abc"[: log.q.shape[1]], is_slide=is_slide)
+    return low_pass_recordings(robot, [log, *more], cutoff)[0][0]

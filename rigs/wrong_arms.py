@@ -21,7 +21,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     other_links,
     turn_gravity,
 )
-from robot_sysid.records import Array, Measurement, Motion, MotionPlan, RobotModel
+from robot_sysid.records import Array, Motion, MotionPlan, Recording, RobotModel
 from robot_sysid.trajectory import generate_excitation_trajectory
 
 ARMS = {
@@ -113,7 +113,7 @@ class WrongArm:
         tau = self.scales * rigid + friction + self.offset
         tau = delay(motion.time, tau, self.lag) + noise
         q = np.round((motion.q + self.zeros) / self.step) * self.step
-        return Measurement(motion.time, q, None, tau)
+        return Recording(motion.time, q, None, tau)
 
     def sensors(self):
         """Return what is true of sensors, base and friction, by the names of an estimate."""
@@ -155,7 +155,7 @@ class Truth:
     arm: WrongArm
     plan: MotionPlan
     motion: Motion
-    log: Measurement
+    log: Recording
     rigid: Array
     friction: Array
     rng: np.random.Generator

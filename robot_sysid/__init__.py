@@ -43,8 +43,6 @@ _NAMES = {
         "SysidError",
     ),
     "estimate.options": ("Priors",),
-    "logs.column_map": ("ColumnMap",),
-    "logs.reader": ("MeasurementLog",),
     "parser": ("load_robot_model",),
     "pipeline.motions": ("CheckedPlan",),
     "records.arm": (
@@ -55,10 +53,11 @@ _NAMES = {
         "SubtreeBody",
     ),
     "records.data": (
+        "ColumnMap",
         "DataOrigin",
         "FitQuality",
-        "Measurement",
         "Motion",
+        "Recording",
         "Traces",
         "Validation",
     ),

@@ -26,8 +26,6 @@ from robot_sysid.errors import ModelError as ModelError
 from robot_sysid.errors import SimulationError as SimulationError
 from robot_sysid.errors import SysidError as SysidError
 from robot_sysid.estimate.options import Priors as Priors
-from robot_sysid.logs.column_map import ColumnMap as ColumnMap
-from robot_sysid.logs.reader import MeasurementLog as MeasurementLog
 from robot_sysid.parser import load_robot_model as load_robot_model
 from robot_sysid.pipeline.motions import CheckedPlan as CheckedPlan
 from robot_sysid.records.arm import ArmLink as ArmLink
@@ -35,10 +33,11 @@ from robot_sysid.records.arm import InertialParameters as InertialParameters
 from robot_sysid.records.arm import JointFriction as JointFriction
 from robot_sysid.records.arm import RobotModel as RobotModel
 from robot_sysid.records.arm import SubtreeBody as SubtreeBody
+from robot_sysid.records.data import ColumnMap as ColumnMap
 from robot_sysid.records.data import DataOrigin as DataOrigin
 from robot_sysid.records.data import FitQuality as FitQuality
-from robot_sysid.records.data import Measurement as Measurement
 from robot_sysid.records.data import Motion as Motion
+from robot_sysid.records.data import Recording as Recording
 from robot_sysid.records.data import Traces as Traces
 from robot_sysid.records.data import Validation as Validation
 from robot_sysid.records.limits import Limits as Limits

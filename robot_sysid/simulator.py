@@ -8,12 +8,12 @@ import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SimulationError
-from robot_sysid.records import Measurement, Motion, RobotModel
+from robot_sysid.records import Motion, Recording, RobotModel
 
 
 def simulate_inverse(
     robot: RobotModel, motions: Iterable[Motion]
-) -> Iterator[Measurement]:
+) -> Iterator[Recording]:
     """Yield each chunk of a joint motion with the torques that an arm needs to follow it exactly.
 
     tau = inverse dynamics by MuJoCo + coulomb sign(qd) + viscous qd, with the model's own
@@ -33,4 +33,4 @@ def simulate_inverse(
                 f"{motion.time[sample]:.3f} s: the likely cause is a link with an impossible mass "
                 "or inertia; check the model's <inertial> elements"
             )
-        yield Measurement(motion.time, motion.q, motion.qd, tau, motion.qdd)
+        yield Recording(motion.time, motion.q, motion.qd, tau, motion.qdd)

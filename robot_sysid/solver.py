@@ -17,11 +17,11 @@ import numpy as np
 from robot_sysid import spatial
 from robot_sysid.estimate.bodies import consistent_least_squares
 from robot_sysid.estimate.identifiability import fit_quality, visible_space
-from robot_sysid.estimate.rows import Recording, Rows, Sums
+from robot_sysid.estimate.rows import Rows, Sums
 from robot_sysid.estimate.terms import LAST_LINK, ArmTerms
-from robot_sysid.records import Array, FitQuality, Measurement, RobotModel
+from robot_sysid.records import Array, FitQuality, Recording, RobotModel
 from robot_sysid.signals.filters import LowPass
-from robot_sysid.signals.process import ProcessedSignals
+from robot_sysid.signals.process import FilteredRecording
 
 TERMINAL_FRICTION = ("coulomb", "viscous")
 """Friction terms of the terminal joint that are estimated from a simulation."""
@@ -71,38 +71,26 @@ class LastLinkTerms(ArmTerms):
         torque += self._known_friction.torque(motion.qd)
         return torque[:, self.indices]
 
-    def exact_sums(self, measurements: Iterable[Measurement]) -> Sums:
+    def exact_sums(self, recordings: Iterable[Recording]) -> Sums:
         """Return the sums of exact samples, all in one block, with triangles.
 
-        The measurements, chunks with velocities and accelerations, are read one at a time, so that
+        The recordings, chunks with velocities and accelerations, are read one at a time, so that
         the memory does not grow with their number.
         """
         pairs = (
-            (exact_recording(measurement), np.zeros(len(measurement), dtype=np.int64))
-            for measurement in measurements
+            (exact_recording(recording), np.zeros(len(recording), dtype=np.int64))
+            for recording in recordings
         )
         return self.add_up(pairs, [""], self._point, with_triangles=True)
 
 
-def exact_recording(measurement: Measurement) -> Recording:
-    """Return samples without noise as a recording, all of its rows used and none low-passed."""
-    assert measurement.qd is not None and measurement.qdd is not None
-    never = np.zeros(measurement.q.shape, dtype=bool)
-    signals = ProcessedSignals(
-        measurement.time,
-        measurement.q,
-        measurement.qd,
-        measurement.qdd,
-        measurement.tau,
-        never[:, 0],
-        never,
-        np.zeros(1),
-        LowPass(np.inf, np.inf, np.ones(1), 1),
-    )
-    recording = Recording("", signals)
+def exact_recording(recording: Recording) -> FilteredRecording:
+    """Return samples without noise, of which all rows are used and none is low-passed."""
+    unfiltered = LowPass(np.inf, np.inf, np.ones(1), 1)
+    exact = FilteredRecording.exact(recording, recording.tau, unfiltered)
     # A torque of zero is one, not a missing sensor.
-    recording.__dict__["used"] = ~never
-    return recording
+    exact.__dict__["used"] = np.ones(recording.q.shape, dtype=bool)
+    return exact
 
 
 class Solution(NamedTuple):

@@ -36,7 +36,7 @@ def test_positions_and_torques_of_each_joint_are_those_of_the_arm(tmp_path, log)
     """Whatever the driver's order, names, units, turns and further topics are."""
     pytest.importorskip("rosbags")
     expected = motion_of(log.model, rate=log.rate)
-    samples = open_log(model_of(log.model), log.write(tmp_path), LogOptions()).samples
+    samples = open_log(model_of(log.model), log.write(tmp_path), LogOptions())
     assert len(samples) == len(expected)
     turns = (samples.q - expected.q) / (2.0 * np.pi)
     # Kinova's own message has single precision.

@@ -26,7 +26,7 @@ def test_positions_and_torques_of_each_joint_are_those_of_the_arm(tmp_path, log)
         pytest.skip("the public models are not here")
     robot = log.robot(tmp_path)
     expected = log.motion()
-    samples = open_log(robot, log.write(tmp_path), LogOptions()).samples
+    samples = open_log(robot, log.write(tmp_path), LogOptions())
     assert len(samples) == 2 * (len(expected) // 2)
     count = len(samples)
     np.testing.assert_allclose(samples.q, expected.q[:count], rtol=0, atol=log.accuracy)
@@ -53,8 +53,8 @@ def test_a_servo_arms_data_set_names_the_command_that_needs_no_torque(
     robot = load_robot_model(SO101)
     log = open_log(robot, path, LogOptions(commanded=True))
     assert len(log.columns.position) == len(log.columns.torque) == 5
-    assert log.samples.command.shape == log.samples.q.shape == (900, 5)
-    assert np.max(np.abs(log.samples.q)) < np.pi
+    assert log.command.shape == log.q.shape == (900, 5)
+    assert np.max(np.abs(log.q)) < np.pi
 
 
 @pytest.mark.skipif(not OPENARM.exists(), reason="the public models are not here")

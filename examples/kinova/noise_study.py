@@ -25,12 +25,11 @@ from robot_sysid.estimate.options import (
     friction_terms,
 )
 from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.rows import Recording, Sums
+from robot_sysid.estimate.rows import Sums
 from robot_sysid.estimate.terms import LAST_LINK, ArmTerms
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import MotionPlan, RobotModel
-from robot_sysid.signals.process import ProcessedSignals, process
-from robot_sysid.signals.resampling import join_measurements, resample_uniformly
+from robot_sysid.records import MotionPlan, RobotModel, join_recordings
+from robot_sysid.signals.process import FilteredRecording, low_pass_recordings
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import plant_measurements
 from robot_sysid.simulator import simulate_inverse
@@ -115,26 +114,26 @@ class NoiseStudy:
             links=(*self.plant.links[:-1], guess),
         )
         self.plan = plan or random_plan(self.robot, seed)
-        self.signals = self.record()
-        self.recording = Recording("log", self.signals)
+        self.recording = self.record()
         self.arm = ArmTerms(self.robot)
         keys = (LAST_LINK, *friction_terms(DEFAULT_FRICTION))
         self.shown = self.arm.of([self.arm.terms[key] for key in keys])
         self.names = self.shown.names
         self.truth = self._true_values()
 
-    def record(self) -> ProcessedSignals:
+    def record(self) -> FilteredRecording:
         """Return what the true arm's sensors report of the motion."""
         sensors = SimulatedArmOptions(encoder_resolution=ENCODER_STEP)
         rng = np.random.default_rng(0)
         run = plant_measurements(self.plant, self.plan, sensors, SAMPLE_RATE, rng)
-        uniform = resample_uniformly(join_measurements(run))
-        return process(uniform, self.robot.joint_names)
+        log = replace(join_recordings(run), name="log")
+        (recording,), _ = low_pass_recordings(self.robot, [log])
+        return recording
 
     @property
     def cutoff(self) -> float:
         """Return the cut-off of the low-pass [Hz]."""
-        return self.signals.cutoff
+        return self.recording.cutoff
 
     def _true_values(self) -> Array:
         """Return the plant's values (p,) in the order of ``names``."""
@@ -150,19 +149,20 @@ class NoiseStudy:
     def bound(self, noise: Noise) -> Array:
         """Return the Cramer-Rao bound (p,) of the whole log: exact motion, white noise."""
         exact = simulate_inverse(self.plant, motion_chunks(self.plan, SAMPLE_RATE))
-        recording = exact_recording(join_measurements(exact))
+        recording = exact_recording(join_recordings(exact))
         sums = self.shown.sums([recording], self.shown.start())
         level = np.broadcast_to(
             np.asarray(noise.level, dtype=float), (self.robot.n_joints,)
         )
         return np.sqrt(np.diag(cramer_rao_bound(sums, level)))
 
-    def noisy(self, noise: Noise, rng: np.random.Generator) -> Recording:
+    def noisy(self, noise: Noise, rng: np.random.Generator) -> FilteredRecording:
         """Return the recording with one draw of noise in its torques."""
-        drawn = noise.draw(rng, len(self.signals), self.robot.n_joints)
-        return Recording("log", replace(self.signals, tau=self.signals.tau + drawn))
+        log = self.recording
+        drawn = noise.draw(rng, len(log.time), self.robot.n_joints)
+        return replace(log, tau=log.tau + drawn)
 
-    def identify(self, recording: Recording) -> tuple[Fit, Fit]:
+    def identify(self, recording: FilteredRecording) -> tuple[Fit, Fit]:
         """Return the estimate of the command line, and that before it had to be possible."""
         question = Question(EstimationOptions(priors=KNOWN))
         point = self.arm.start()

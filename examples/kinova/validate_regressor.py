@@ -21,7 +21,7 @@ from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.estimate.rows import Rows
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement, Motion, RobotModel
+from robot_sysid.records import Motion, Recording, RobotModel
 from robot_sysid.solver import LastLinkTerms, exact_recording
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def both_torques(
     """Return torques (N, n) without friction: MuJoCo's, and known part + Y theta."""
     arm = LastLinkTerms(robot, friction=())
     still = np.zeros_like(motion.q)
-    measured = Measurement(motion.time, motion.q, motion.qd, still, motion.qdd)
+    measured = Recording(motion.time, motion.q, motion.qd, still, motion.qdd)
     rows, _ = arm.equations(Rows(exact_recording(measured), slice(None)), arm.start())
     # Of a torque of zero, the right-hand side is minus the torque that is known, with friction.
     known = -rows[:, :, -1] - robot.friction.torque(motion.qd)

@@ -26,7 +26,7 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, LinkDynamics, lin
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.arrays import arrays_table
-from robot_sysid.logs.reader import MeasurementLog, open_log
+from robot_sysid.logs.reader import open_log
 from robot_sysid.logs.table import LogTable
 from robot_sysid.logs.titles import read_title
 from robot_sysid.model import ModelOptions
@@ -35,7 +35,7 @@ from robot_sysid.pipeline import stages
 from robot_sysid.pipeline.motions import design_motion
 from robot_sysid.pipeline.planning import predict_plan
 from robot_sysid.pipeline.stages import load_arm
-from robot_sysid.records import Array, Measurement, RobotModel, checked_array
+from robot_sysid.records import Array, Recording, RobotModel, checked_array
 from robot_sysid.records.messages import Progress, says
 from robot_sysid.records.option_fields import options_of_all, record_from
 
@@ -53,28 +53,26 @@ class Frame(Protocol):
     def __getitem__(self, name: Any, /) -> Any: ...
 
 
-Log = Union[
-    str, "os.PathLike[str]", Mapping[str, Any], Frame, Measurement, MeasurementLog
-]
+Log = Union[str, "os.PathLike[str]", Mapping[str, Any], Frame, Recording]
 """A path; arrays time (N,), q, tau and perhaps qd (N, n) by these or like names [s, rad, N m,
 rad/s]; a data frame with a column per joint and quantity; or a log that was read."""
 
 
-def _log_source(log: Log) -> Any:
+def _log_source(log: Any) -> Any:
     """Return a log as a path, table or open log, which ``logs.reader.open_log`` takes.
 
     InputError where it is none of the types of ``Log``.
     """
-    if isinstance(log, (MeasurementLog, LogTable)):
+    if isinstance(log, LogTable) or (isinstance(log, Recording) and log.columns):
         return log
-    if isinstance(log, (str, os.PathLike)):
-        return Path(log)
-    if isinstance(log, Measurement):
+    if isinstance(log, Recording):
         log = {name: getattr(log, name) for name in ("time", "q", "qd", "tau")}
+    elif isinstance(log, (str, os.PathLike)):
+        return Path(log)
     elif hasattr(log, "columns") and hasattr(log, "__getitem__"):
         log = {column: log[column] for column in log.columns}
     if not isinstance(log, Mapping):
-        valid = "a path, arrays by name, a data frame or a Measurement"
+        valid = "a path, arrays by name, a data frame or a Recording"
         raise InputError(f"a log is {valid}, not {type(log).__name__}")
     arrays = {}
     for name, values in log.items():
@@ -139,7 +137,7 @@ def _run_quietly(config: IdentifyConfig | PayloadConfig | SelfTestConfig) -> Res
 
 
 @with_keywords(options_of_all(LogOptions))
-def read_log(log: Log, model: Model | RobotModel, **options: Any) -> MeasurementLog:
+def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Recording:
     """Recognise, check and read a log of an arm.
 
     Args:
@@ -148,8 +146,7 @@ def read_log(log: Log, model: Model | RobotModel, **options: Any) -> Measurement
         options: what ``LogOptions`` takes, such as ``columns`` or ``units="deg,ms"``.
 
     Returns:
-        The log: ``samples`` with time (N,) [s], q, tau (N, n) [rad, N m], ``columns`` and
-        ``notes``.
+        The log: time (N,) [s], q, tau (N, n) [rad, N m], ``columns`` and ``notes``.
 
     Raises:
         InputError: it cannot be read, is ambiguous or cannot be what it seems to be.

@@ -38,7 +38,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     robot = load_robot_model(values["path"], **given_values(model_options))
     log = open_log(robot, path, log_options, console)
     console.stage(*map(str, log.notes))  # As plain text: details are printed here.
-    count = len(log.samples)
+    count = len(log)
     rate = (count - 1) / log.duration
     console.stage(f"{count} samples in {log.duration:.4g} s, {rate:.4g} Hz on average")
     options = with_scale_prior(EstimationOptions(), log_options, robot.joint_names)
@@ -46,7 +46,7 @@ def run(values: Mapping[str, Any], console: Console) -> int:
     console.stage(*(finding.line() for finding in findings))
     console.result(
         {
-            "log": str(log.path),
+            "log": log.name,
             "samples": count,
             "duration": log.duration,
             "sample_rate": rate,

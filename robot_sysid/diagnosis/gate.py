@@ -30,17 +30,17 @@ from robot_sysid.estimate.contacts import MOST_STRETCHES
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import Priors
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.rows import (
-    Piece,
-    Recording,
+from robot_sysid.records import Recording, RobotModel
+from robot_sysid.records.messages import Level, Progress, position_unit
+from robot_sysid.records.option_fields import SCALE as TORQUE_SCALE
+from robot_sysid.records.option_fields import joint_factors
+from robot_sysid.records.usual_errors import SCALE
+from robot_sysid.signals.process import (
+    FilteredRecording,
     low_pass_recordings,
     shared_notes,
 )
-from robot_sysid.logs.reader import MeasurementLog
-from robot_sysid.records import RobotModel
-from robot_sysid.records.messages import Level, Progress, position_unit
-from robot_sysid.records.usual_errors import SCALE
-from robot_sysid.signals.resampling import duration, sampling_period
+from robot_sysid.signals.resampling import duration, sampling_period, split_at_gaps
 from robot_sysid.wording import option_setting
 
 TRYING = "Trying explanations"
@@ -52,14 +52,14 @@ class Judged:
     """Logs that were judged together.
 
     Attributes:
-        logs: without what failed sensors spoil.
+        logs: that were read.
         findings: what is wrong with them, the most severe first.
         notes: on the low-pass.
         fit: of the question, with all that the data decides; None where a recording by itself is
             refused.
     """
 
-    logs: tuple[MeasurementLog, ...]
+    logs: tuple[Recording, ...]
     findings: tuple[Finding, ...]
     notes: tuple[str, ...]
     fit: Fit | None
@@ -67,7 +67,7 @@ class Judged:
 
 def judge(
     robot: RobotModel,
-    logs: Sequence[MeasurementLog],
+    logs: Sequence[Recording],
     question: Question,
     progress: Progress,
     is_loaded: Sequence[bool] = (),
@@ -87,33 +87,30 @@ def judge(
         InputError: a log is too short to be looked at.
     """
     found: list[Finding] = []
-    checked = []
+    pieces: list[Recording] = []
     shares = set()
     velocities: list[Finding] = []
-    for log in logs:
-        own, kept = check_recording(robot, log.pieces)
+    sides = is_loaded or [False] * len(logs)
+    places = order or [0.0] * len(logs)
+    for log, side, place in zip(logs, sides, places):
+        own, kept = check_recording(robot, split_at_gaps(log))
         found += own
         if any(piece.qd is not None for piece in kept):
             ratios = velocity_ratios(kept)
             shares.add(time_share(ratios))
             velocities += velocity_notes(ratios, robot.joint_names)
         # Recorded velocities are not used any more.
-        bare = tuple(replace(piece, qd=None) for piece in kept)
-        checked.append(replace(log, pieces=bare))
+        for piece in kept:
+            pieces.append(
+                replace(piece, qd=None, notes=(), is_loaded=side, order=place)
+            )
     if any(finding.level is Level.REFUSES for finding in found):
-        return Judged(tuple(checked), in_order(found), (), None)
-    sides = is_loaded or [False] * len(logs)
-    places = order or [0.0] * len(logs)
-    pieces = [
-        Piece(str(log.path), samples, loaded, place)
-        for log, loaded, place in zip(checked, sides, places)
-        for samples in log.pieces
-    ]
+        return Judged(tuple(logs), in_order(found), (), None)
     options = question.options
     recordings, notes = low_pass_recordings(robot, pieces, options.cutoff)
     too_little = [*enough_findings(pieces, recordings)]
     if too_little:
-        return Judged(tuple(checked), in_order([*found, *too_little]), notes, None)
+        return Judged(tuple(logs), in_order([*found, *too_little]), notes, None)
     fitted = solved(robot, recordings, question, progress, beside)
     usual = replace(
         options, friction_model=None, no_friction=False, priors=wide(options.priors)
@@ -124,7 +121,9 @@ def judge(
             robot, recordings, replace(question, options=usual), beside=beside
         )
     share = max(shares, key=abs, default=None)
-    evidence = Evidence(np.array(logs[0].torque_scale), share)
+    given = logs[0].options.get("torque_scale")
+    divided, _ = joint_factors(given, robot.joint_names, TORQUE_SCALE)
+    evidence = Evidence(divided, share)
     n_tried = 0
 
     def advance() -> None:
@@ -145,7 +144,7 @@ def judge(
     # What was asked of the log alone is not kept with its answer.
     terms = [term for term in fitted.arm.terms.values() if term.cause]
     answer = replace(fitted, arm=fitted.arm.of(terms))
-    return Judged(tuple(checked), in_order([*found, *wrong]), notes, answer)
+    return Judged(tuple(logs), in_order([*found, *wrong]), notes, answer)
 
 
 def wide(priors: Priors) -> Priors:
@@ -166,7 +165,7 @@ def contacts(fitted: Fit, is_else_wrong: bool) -> Iterator[Finding]:
     """
     texts = []
     for recording in fitted.recordings:
-        for start, stop, joints in recording.touched:
+        for start, stop, joints, _ in recording.touched:
             names = ", ".join(compress(fitted.arm.joints, joints))
             text = f"something touched the arm from {start:.2f} s to {stop:.2f} s ({names})"
             texts.append(text)
@@ -183,7 +182,7 @@ def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def slow_findings(
-    robot: RobotModel, recordings: Sequence[Recording]
+    robot: RobotModel, recordings: Sequence[FilteredRecording]
 ) -> Iterator[Finding]:
     """Yield a finding where no speed reaches ``SLOWEST``, too slow for friction."""
     speeds = np.concatenate([each.motion.qd for each in recordings])
@@ -196,26 +195,25 @@ def slow_findings(
 
 
 def enough_findings(
-    pieces: Sequence[Piece], recordings: Sequence[Recording]
+    pieces: Sequence[Recording], recordings: Sequence[FilteredRecording]
 ) -> Iterator[Finding]:
     """Yield findings where the sampling rate, or the number of independent samples, is too low.
 
     A low-pass of f [Hz], as of the recordings, leaves 2 f independent samples per second.
     """
-    signals = recordings[0].signals
-    samples = [piece.samples for piece in pieces]
-    span = duration(samples)
-    rows = 2.0 * signals.cutoff * span
+    cutoff = recordings[0].cutoff
+    span = duration(pieces)
+    rows = 2.0 * cutoff * span
     # For ten parameters and the joint's friction.
     least_rows = 40
-    rate = 1.0 / sampling_period(samples[0].time)
+    rate = 1.0 / sampling_period(pieces[0].time)
     # A slower motion cannot be differentiated.
     if rate < 10.0:
         text = f"{rate:.3g} samples per second are too few"
         yield Finding(Level.REFUSES, "too-little", text, "record at 100 or more")
     if rows < least_rows:
         text = (
-            f"{span:.3g} s behind a low-pass of {signals.cutoff:.3g} Hz hold about {rows:.0f} "
+            f"{span:.3g} s behind a low-pass of {cutoff:.3g} Hz hold about {rows:.0f} "
             f"independent samples per joint, and {least_rows} are needed"
         )
         yield Finding(Level.REFUSES, "too-little", text, "record longer")
@@ -238,7 +236,7 @@ def usable(
         InputError: a finding refuses the logs.
         SysidError: there is a doubt that is not accepted.
     """
-    notes = [*shared_notes({str(log.path): log.notes for log in judged.logs})]
+    notes = [*shared_notes({log.name: log.notes for log in judged.logs})]
     for finding in judged.findings:
         is_accepted = finding.level is Level.DOUBTS and finding.about in accepted
         if finding.level is Level.SAYS or is_accepted:
@@ -253,9 +251,7 @@ def usable(
 
 
 def require_acceptable(
-    logs: Sequence[MeasurementLog],
-    found: Sequence[Finding],
-    accepted: Collection[str] = (),
+    logs: Sequence[Recording], found: Sequence[Finding], accepted: Collection[str] = ()
 ) -> None:
     """Raise an error where a finding refuses logs or is a doubt that is not accepted.
 
@@ -273,7 +269,7 @@ def require_acceptable(
     # A remedy is none where something else is wrong as well.
     if len(refused) == 1:
         raise refuse_for(logs, refused[0])
-    names = ", ".join(str(log.path) for log in logs)
+    names = ", ".join(log.name for log in logs)
     if refused:
         raise InputError(f"{names}: {'; '.join(f.sentence for f in refused)}")
     doubts = [f for f in found if f.level is Level.DOUBTS and f.about not in accepted]

@@ -10,17 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import compress
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.estimate.contacts import MOST_SHARE, MOST_STRETCHES
-from robot_sysid.records import Array, Measurement
+from robot_sysid.records import Array, Recording
 from robot_sysid.records.messages import Level, count_text
-from robot_sysid.signals.frozen import equal_runs, frozen_positions, true_runs
-from robot_sysid.signals.resampling import slice_samples
+from robot_sysid.signals.frozen import Stretch, equal_runs, frozen_positions, true_runs
 
 MANY_VALUES = 100
 """Number of different values below which a channel has coarse steps, which repeat by chance."""
@@ -28,16 +26,7 @@ SLOWEST = 0.05
 """Speed that at least one joint of a moving arm reaches [rad/s]."""
 
 
-class Stretch(NamedTuple):
-    """A stretch of a log with a fault: its check, begin and end [s], which joints (n,) show it."""
-
-    check: str
-    start: float
-    stop: float
-    joints: NDArray[np.bool_]
-
-
-def failed_sensors(pieces: Sequence[Measurement]) -> Iterator[Stretch]:
+def failed_sensors(pieces: Sequence[Recording]) -> Iterator[Stretch]:
     """Yield the stretches in which a position or torque repeats its value while the arm moves."""
     for piece in pieces:
         joints = np.eye(piece.q.shape[1], dtype=bool)
@@ -46,10 +35,10 @@ def failed_sensors(pieces: Sequence[Measurement]) -> Iterator[Stretch]:
             runs += held_torques(piece, tau)
             for check, rows in runs:
                 start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
-                yield Stretch(check, start, stop, joint)
+                yield Stretch(start, stop, joint, check)
 
 
-def held_torques(piece: Measurement, tau: Array) -> Iterator[tuple[str, slice]]:
+def held_torques(piece: Recording, tau: Array) -> Iterator[tuple[str, slice]]:
     """Yield (check, rows) where a torque (N,) repeats its value while the arm moves."""
     if len(np.unique(tau)) < MANY_VALUES:
         return
@@ -63,9 +52,9 @@ def held_torques(piece: Measurement, tau: Array) -> Iterator[tuple[str, slice]]:
 
 def leave_out(
     joint_names: Sequence[str],
-    pieces: Sequence[Measurement],
+    pieces: Sequence[Recording],
     stretches: Sequence[Stretch],
-) -> tuple[list[Measurement], list[Finding]]:
+) -> tuple[list[Recording], list[Finding]]:
     """Return the pieces of a log with the rows of stretches marked as left out, and what to say.
 
     Positions there are replaced by a smooth motion: the low-pass of the rows beside them must meet
@@ -115,14 +104,13 @@ def too_much(check: str, texts: Sequence[str]) -> Finding:
     return Finding(Level.DOUBTS, check, text, "record again without it")
 
 
-def _mark(piece: Measurement, left_out: NDArray[np.bool_]) -> Measurement:
+def _mark(piece: Recording, left_out: NDArray[np.bool_]) -> Recording:
     """Return a piece with rows (N,) marked as left out, and without those of them at its ends."""
     from scipy.interpolate import CubicSpline
 
-    if piece.left_out is not None:
-        left_out = left_out | piece.left_out
+    left_out = left_out | piece.is_left_out
     kept = np.flatnonzero(~left_out)
     q = piece.q.copy()
     q[left_out] = CubicSpline(piece.time[kept], q[kept])(piece.time[left_out])
-    marked = replace(piece, q=q, left_out=left_out)
-    return slice_samples(marked, kept[0], kept[-1] + 1)
+    marked = replace(piece, q=q, hole=np.where(left_out, np.inf, 0.0))
+    return marked[kept[0] : kept[-1] + 1]

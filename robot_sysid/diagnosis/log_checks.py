@@ -16,7 +16,7 @@ import numpy as np
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.limited_in_time import MANY_VALUES, failed_sensors, leave_out
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.messages import Level, count_text, percent, torque_unit
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
@@ -26,7 +26,7 @@ from robot_sysid.signals.resampling import (
 )
 
 
-def clock_findings(pieces: Sequence[Measurement]) -> Iterator[Finding]:
+def clock_findings(pieces: Sequence[Recording]) -> Iterator[Finding]:
     """Yield findings on the clock: lost samples, repeated samples, and jumps of the time stamps.
 
     Nothing is found in pieces, or a log, of fewer than 100 steps.
@@ -77,7 +77,7 @@ OTHER = 0.5
 """Relative difference above which velocities are of another motion, or in another unit."""
 
 
-def velocity_ratios(pieces: Sequence[Measurement]) -> Array:
+def velocity_ratios(pieces: Sequence[Recording]) -> Array:
     """Return recorded velocities over the derivatives of positions, of each joint (n,).
 
     It is one of joints that hardly move, and where no velocities were recorded.
@@ -131,7 +131,7 @@ def velocity_notes(ratios: Array, joint_names: Sequence[str]) -> Iterator[Findin
         yield Finding(Level.SAYS, "clock", f"{text}, which are used in their place")
 
 
-def _steps(piece: Measurement) -> tuple[Array, Array]:
+def _steps(piece: Recording) -> tuple[Array, Array]:
     """Return (relative speed (S,), relative duration (S,)) of the S steps with motion above noise.
 
     The speed of a step, from one sample to the next, is relative to that of the two steps before
@@ -158,13 +158,10 @@ def _steps(piece: Measurement) -> tuple[Array, Array]:
 
 
 def saturation_findings(
-    robot: RobotModel, pieces: Sequence[Measurement]
+    robot: RobotModel, pieces: Sequence[Recording]
 ) -> Iterator[Finding]:
     """Yield findings on torque channels that saturate, where they are not left out."""
-    torques = [
-        piece.tau if piece.left_out is None else piece.tau[~piece.left_out]
-        for piece in pieces
-    ]
+    torques = [piece.tau[~piece.is_left_out] for piece in pieces]
     for name, values in zip(robot.joint_names, np.concatenate(torques).T):
         if len(np.unique(values)) < MANY_VALUES:
             continue
@@ -187,8 +184,8 @@ def saturation_findings(
 
 
 def check_recording(
-    robot: RobotModel, pieces: Sequence[Measurement]
-) -> tuple[list[Finding], list[Measurement]]:
+    robot: RobotModel, pieces: Sequence[Recording]
+) -> tuple[list[Finding], list[Recording]]:
     """Return what a recording shows by itself, and its pieces with what is to be used of them.
 
     Args:

@@ -12,30 +12,31 @@ from pathlib import Path
 
 from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.errors import ColumnsError, InputError
-from robot_sysid.logs.column_map import Column
-from robot_sysid.logs.reader import MeasurementLog
+from robot_sysid.records import Column, ColumnMap, Recording
 
 # Titles that no columns file takes for a number, a factor, a key or a comment.
 _PLAIN_TITLE = re.compile(r"(?!none$)[^\W\d]([^#,=?\n]*[^\s#,=?])?")
 
 
-def refuse_for(logs: Sequence[MeasurementLog], finding: Finding) -> InputError:
+def refuse_for(logs: Sequence[Recording], finding: Finding) -> InputError:
     """Return the error that refuses logs for a finding; ColumnsError where columns are wrong.
 
     Columns are those of the first log: logs of one run have one columns file.
     """
     log = logs[0]
-    names = ", ".join(str(each.path) for each in logs)
+    names = ", ".join(each.name for each in logs)
     text = f"{names}: {finding.sentence}"
     options = finding.options
-    if finding.about == "angle-unit" and log.columns.angle_declared:
+    columns = log.columns
+    assert columns is not None
+    if finding.about == "angle-unit" and columns.angle_declared:
         options = ()  # A unit in a title outranks the option.
     if finding.correction is not None and (finding.command or not options):
-        lines = _corrected_lines(log, finding.correction)
+        lines = _corrected_lines(log.joint_names, columns, finding.correction)
         if lines:
             reason = f"{names}: {finding.text}"
-            draft = _add_lines(log.options.columns, lines, reason)
-            name = _free_name(log.path, draft)
+            draft = _add_lines(log.options.get("columns"), lines, reason)
+            name = _free_name(Path(log.name), draft)
             error = ColumnsError(text, draft, name)
             error.options = tuple(
                 (*each, "--columns", name) for each in options or [()]
@@ -46,7 +47,7 @@ def refuse_for(logs: Sequence[MeasurementLog], finding: Finding) -> InputError:
 
 
 def _corrected_lines(
-    log: MeasurementLog, correction: ColumnCorrection
+    joint_names: Sequence[str], columns: ColumnMap, correction: ColumnCorrection
 ) -> dict[str, str]:
     """Return key to value of the lines of a columns file that put columns right.
 
@@ -54,11 +55,11 @@ def _corrected_lines(
     from their positions.
 
     Args:
-        log: the log as it was read.
+        joint_names: (n,) of the arm.
+        columns: of the log as it was read.
         correction: of its columns; velocities, where they are recorded, are corrected like
             positions.
     """
-    columns = log.columns
     if columns.commanded or columns.joint_time:
         return {}
     right = {"position": correction.position, "torque": correction.torque}
@@ -67,7 +68,7 @@ def _corrected_lines(
     lines = {}
     for quantity, sources in right.items():
         group = getattr(columns, quantity)
-        for joint, (name, (source, factor)) in enumerate(zip(log.joint_names, sources)):
+        for joint, (name, (source, factor)) in enumerate(zip(joint_names, sources)):
             # A joint without torque has no column.
             if group[source].factor and (source != joint or factor != 1.0):
                 value = _column_text(columns.titles, group[source], factor)

@@ -32,12 +32,13 @@ from robot_sysid.estimate.choose import common_factor, solved
 from robot_sysid.estimate.fit import Equations, Fit, Problem, equations_of, solve
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.rows import Recording
+from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, SCALES, ArmTerms
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, INTERVAL
 from robot_sysid.records.messages import Level, torque_unit, with_error
+from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name, with_option_names
 
 ODD = 1.3
@@ -96,20 +97,17 @@ class Relabelling:
             self.gravity if step.gravity is None else step.gravity,
         )
 
-    def apply(self, recording: Recording) -> Recording:
+    def apply(self, recording: FilteredRecording) -> FilteredRecording:
         """Return a recording read so, of which as many rows are used."""
-        signals = recording.signals
         position = self.position.T
-        dry = recording.low_passed("coulomb", lambda motion: np.sign(motion.qd))
+        every_row = Rows(recording, slice(None))
+        dry = every_row.low_passed("coulomb", lambda motion: np.sign(motion.qd))
         right = replace(
             recording,
-            signals=replace(
-                signals,
-                q=signals.q @ position + self.zeros,
-                qd=signals.qd @ position,
-                qdd=signals.qdd @ position,
-                tau=signals.tau @ self.torque.T,
-            ),
+            q=recording.q @ position + self.zeros,
+            qd=recording.qd @ position,
+            qdd=recording.qdd @ position,
+            tau=recording.tau @ self.torque.T,
             touched=(),
             # The direction of friction is that of the speed.
             _kept={"coulomb": dry @ np.sign(position)},
@@ -460,7 +458,7 @@ def of_columns(
 
 
 def mounted(
-    fitted: Fit, recordings: Sequence[Recording], gravity: Array
+    fitted: Fit, recordings: Sequence[FilteredRecording], gravity: Array
 ) -> tuple[Fit, list[Finding]]:
     """Return the fit of an arm whose base is mounted otherwise, and the finding, if it is.
 
@@ -528,7 +526,7 @@ def clear_factor(fitted: Fit, before: float = 1.0) -> tuple[float, float] | None
     """
     estimate, error = common_factor(fitted)
     # Coarse or seldom positions make all columns wrong by the share of their accelerations.
-    coarse = max(each.signals.acceleration_error for each in fitted.recordings)
+    coarse = max(each.acceleration_error for each in fitted.recordings)
     relative = float(np.hypot(error / estimate, coarse))
     size = abs(np.log(before * estimate))
     if size < max(np.log(ODD), INTERVAL * relative):

@@ -24,12 +24,12 @@ from robot_sysid.estimate.links import (
 )
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.questions import LEAST_DRY, PER_CENT, Question, arm_question
-from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import LINKS, ArmTerms, Term, independent
 from robot_sysid.model.chain import shared_motors
 from robot_sysid.records import Array, RobotModel
 from robot_sysid.records.levels import CLEAR, SURE
 from robot_sysid.records.messages import Progress
+from robot_sysid.signals.process import FilteredRecording
 
 # Shows nothing.
 _SILENT = Progress()
@@ -37,7 +37,7 @@ _SILENT = Progress()
 
 def solved(
     robot: RobotModel,
-    recordings: Sequence[Recording],
+    recordings: Sequence[FilteredRecording],
     question: Question,
     progress: Progress = _SILENT,
     beside: Callable[[Fit], Sequence[Term]] | None = None,
@@ -115,7 +115,7 @@ def solved(
     return current
 
 
-def without_turns(fitted: Fit) -> list[Recording]:
+def without_turns(fitted: Fit) -> list[FilteredRecording]:
     """Return recordings without the rows in which a joint stands as it turns round.
 
     These are recordings and joints whose residuals are clearly larger at turns than elsewhere. A

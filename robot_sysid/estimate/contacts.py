@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.estimate.fit import ROUNDS, Fit
-from robot_sysid.estimate.rows import Mask, Recording, Stretch
 from robot_sysid.records import Array
-from robot_sysid.signals.frozen import true_runs
+from robot_sysid.signals.frozen import Stretch, true_runs
+from robot_sysid.signals.process import FilteredRecording, Mask
 
 FAR = 20.0
 """Mean residual, in ordinary sizes of the joint's, of a stretch that is left out: right logs of
@@ -121,8 +121,7 @@ def mean_sizes(fitted: Fit, sizes: Array) -> Array:
     """
     means = []
     for recording, own in zip(fitted.recordings, fitted.split(sizes)):
-        signals = recording.signals
-        width = max(1, round(0.3 * signals.rate / signals.low_pass.step))
+        width = max(1, round(0.3 * recording.rate / recording.low_pass.step))
         window = np.ones(min(width, len(own))) / width
         used = recording.used[:, fitted.arm.indices].astype(float)
         totals, shares = (
@@ -133,7 +132,7 @@ def mean_sizes(fitted: Fit, sizes: Array) -> Array:
     return np.concatenate(means)
 
 
-def touched_rows(recording: Recording) -> Mask:
+def touched_rows(recording: FilteredRecording) -> Mask:
     """Return which rows (K,) of a recording lie in the stretches that were found in it."""
     time = recording.motion.time
     is_touched = np.zeros(len(time), dtype=bool)
@@ -142,11 +141,11 @@ def touched_rows(recording: Recording) -> Mask:
     return is_touched
 
 
-def _stretches(recording: Recording, means: Array) -> Iterator[Stretch]:
+def _stretches(recording: FilteredRecording, means: Array) -> Iterator[Stretch]:
     """Yield the stretches of a recording whose mean residuals (K, J) are far from ordinary."""
     time = recording.motion.time
     # Time that the low-pass mixes with what happens in a stretch.
-    margin = 0.5 / recording.signals.cutoff
+    margin = 0.5 / recording.cutoff
     # A stretch that is far from ordinary ends where residuals are four times the ordinary size.
     for rows in true_runs(np.max(means, axis=1) > 4.0):
         joints = np.max(means[rows], axis=0) > FAR

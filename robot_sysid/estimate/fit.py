@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from robot_sysid import spatial
 from robot_sysid.estimate.bodies import Possible, consistent_least_squares
 from robot_sysid.estimate.questions import Question, arm_question, scale_spread
-from robot_sysid.estimate.rows import Recording, Sums, indices_of
+from robot_sysid.estimate.rows import Sums, indices_of, row_chunks
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
@@ -39,6 +39,7 @@ from robot_sysid.estimate.terms import (
     Term,
 )
 from robot_sysid.records import Array
+from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import N_INERTIAL
 
 ROUNDS = 12
@@ -204,7 +205,7 @@ class Problem:
     """
 
     arm: ArmTerms
-    recordings: tuple[Recording, ...]
+    recordings: tuple[FilteredRecording, ...]
     point: Point
     sums: Sums
     question: Question
@@ -627,7 +628,7 @@ class Fit(Problem):
         arm = self.arm
         residuals = []
         for recording in self.recordings:
-            for rows in recording.chunks(36 * arm.robot.n_joints):
+            for rows in row_chunks(recording, 36 * arm.robot.n_joints):
                 predicted = arm.torque(rows, self.point, self.by_name)
                 residuals.append(arm.measured(rows) - predicted)
         return np.concatenate(residuals)

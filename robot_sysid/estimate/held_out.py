@@ -12,10 +12,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from robot_sysid.estimate.fit import Fit
-from robot_sysid.estimate.rows import Recording
 from robot_sysid.records import Array, Validation
 from robot_sysid.records.data import rms_of_joints
 from robot_sysid.records.levels import INTERVAL, SURE
+from robot_sysid.signals.process import FilteredRecording
 
 
 def validation(fitted: Fit) -> Validation:
@@ -46,7 +46,9 @@ def held_out_logs(fitted: Fit) -> Iterator[Validation]:
             yield test
 
 
-def predicted(fitted: Fit, recordings: Sequence[Recording], source: str) -> Validation:
+def predicted(
+    fitted: Fit, recordings: Sequence[FilteredRecording], source: str
+) -> Validation:
     """Return the error with which a fit predicts the torques of other recordings.
 
     Raises:

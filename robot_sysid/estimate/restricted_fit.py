@@ -26,7 +26,6 @@ from robot_sysid.estimate.options import (
     FILE_ROTORS,
 )
 from robot_sysid.estimate.questions import WIDE, links_term
-from robot_sysid.estimate.rows import Recording
 from robot_sysid.estimate.terms import (
     LAST_LINK,
     LINKS,
@@ -41,6 +40,7 @@ from robot_sysid.estimate.terms import (
 from robot_sysid.records import Array, InertialParameters, Validation
 from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.parameters import keys_of
+from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.spatial import N_INERTIAL
 
 
@@ -109,7 +109,7 @@ def fit_file(estimate: Fit, carried: Array | None = None) -> Fit:
 
 
 def errors_on(
-    fitted: Fit, recordings: Sequence[Recording], source: str
+    fitted: Fit, recordings: Sequence[FilteredRecording], source: str
 ) -> tuple[Validation, Validation]:
     """Return the errors of the given model and of the file on a log that was not fitted.
 

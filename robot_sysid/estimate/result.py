@@ -26,6 +26,7 @@ from robot_sysid.estimate.restricted_fit import (
     error_without_rotors,
     gravity_in,
 )
+from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
@@ -109,11 +110,11 @@ def link_result(
         file_tests: errors of the given model and of the model file on the same logs.
     """
     robot = fitted.arm.robot
-    signals = fitted.recordings[0].signals
-    samples = np.linspace(0, len(signals) - 1, CHECKPOINTS).astype(int)
+    first = fitted.recordings[0]
+    samples = np.linspace(0, len(first.time) - 1, CHECKPOINTS).astype(int)
     tests = (validation(fitted), *tests, *held_out_logs(fitted))
     acceleration_error = max(
-        recording.signals.acceleration_error for recording in fitted.recordings
+        recording.acceleration_error for recording in fitted.recordings
     )
     common = common_result(fitted, origin, LINK)
     *other_links, last_link = common.links.values()
@@ -160,7 +161,7 @@ def link_result(
         quantities=(*common.quantities, *beyond_model(last_link), *file_rows),
         file=replace(written, other_validations=tuple(file_tests)),
         validation=tests,
-        checkpoints=signals.motion(samples),
+        checkpoints=first.samples(samples),
         traces=partial(traces_of, file),
     )
 
@@ -198,7 +199,7 @@ def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
         links=links,
         standard_errors=dict(zip(fitted.names, fitted.errors.tolist())),
         friction_model="-".join(fitted.question.friction) or "none",
-        cutoff=fitted.recordings[0].signals.cutoff,
+        cutoff=fitted.recordings[0].cutoff,
         link_scales=asdict(fitted.question.link_scales),
     )
 
@@ -477,7 +478,7 @@ def traces_of(fitted: Fit) -> Traces:
     }
     chunks = []
     for recording in fitted.recordings:
-        for rows in recording.chunks(36 * arm.robot.n_joints):
+        for rows in row_chunks(recording, 36 * arm.robot.n_joints):
             signals = (
                 rows.motion.time,
                 rows.motion.qd[:, arm.indices],

@@ -7,25 +7,18 @@ few at a time, so that memory does not grow with a log: of a log only its signal
 
 from __future__ import annotations
 
-import itertools
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import ARRAY_SIZE, LinkDynamics, LinksMotion
-from robot_sysid.errors import prefix_input_errors
 from robot_sysid.estimate.identifiability import RELATIVE_CUT
-from robot_sysid.records import Array, Measurement, Motion, RobotModel
-from robot_sysid.signals.process import ProcessedSignals, check_losses, process
-from robot_sysid.signals.resampling import resample_uniformly
+from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.signals.process import FilteredRecording, Mask
 
-Mask = NDArray[np.bool_]
-"""Boolean mask, True where a row is used."""
 LEAST_NOISE = 1e-4
 """Least noise of a joint, as a share of the root mean square torque of all: the error of filtering.
 """
@@ -33,109 +26,18 @@ BLOCKS = 10
 """Number of blocks that held-out validation and the jackknife leave out in turn."""
 
 
-class Stretch(NamedTuple):
-    """A stretch of time in which something touched the arm: begin and end [s], joints (J,)."""
-
-    start: float
-    stop: float
-    joints: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Recording:
-    """One log, or a stretch of it without long holes, as K rows.
-
-    Attributes:
-        name: of the log, in messages.
-        signals: the low-passed signals of its motion.
-        is_loaded: whether the arm carries the payload.
-        order: position among all recordings in time, from -1 for the first to 1 for the last; 0
-            where the order is not known.
-        touched: stretches in which torque is left over that is ordinary at no other time.
-        every: of how many rows one counts.
-    """
-
-    name: str
-    signals: ProcessedSignals
-    is_loaded: bool = False
-    order: float = 0.0
-    touched: tuple[Stretch, ...] = ()
-    every: int = 1
-    _kept: dict[object, Any] = field(default_factory=dict, compare=False)
-
-    def __len__(self) -> int:
-        """Return the number K of rows."""
-        return len(self.motion.time)
-
-    @cached_property
-    def motion(self) -> Motion:
-        """Positions, speeds, accelerations (K, n) at the instants of rows."""
-        return motion_at(self.signals.decimated_motion(), slice(None, None, self.every))
-
-    @cached_property
-    def torque(self) -> Array:
-        """The measured torque (K, n), low-passed like the columns [N m]."""
-        return self.signals.low_pass.decimate(self.signals.tau)[:: self.every]
-
-    @property
-    def has_torque(self) -> Mask:
-        """Which joints (n,) have a torque: it is zero throughout where no sensor measured it."""
-        return np.any(self.signals.tau, axis=0)
-
-    @cached_property
-    def used(self) -> Mask:
-        """Which rows (K, n) may be used: of joints with torque, where friction has a direction."""
-        return self.signals.usable()[:: self.every] & self.has_torque
-
-    @cached_property
-    def at_turns(self) -> Mask:
-        """Which rows (K, n) lie where a joint may be standing because it turns round."""
-        return self.signals.at_turns()[:: self.every]
-
-    def only(self, rows: Mask) -> Recording:
-        """Return the recording in which some rows, (K,) or (K, n), are used at most."""
-        smaller = replace(self)
-        smaller.__dict__["used"] = (self.used.T & rows.T).T
-        return smaller
-
-    def low_passed(self, key: object, make: Callable[[Motion], Array]) -> Array:
-        """Return columns (K, ...) made from the motion at all samples, and low-passed.
-
-        What has the sign of a speed has to pass the filter that the torque has passed. Results are
-        kept by their ``key``: do not change them.
-        """
-        if key not in self._kept:
-            self._kept[key] = self.signals.filter_columns(make)[:: self.every]
-        return self._kept[key]
-
-    def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
-        """Return the torque (K, n) of links with parameters ``thetas`` (n, 10) [N m]."""
-        key = "links", gravity.tobytes(), thetas.tobytes()
-        if key not in self._kept:
-            chunks = self.chunks(36 * robot.n_joints)
-            torques = [rows.moves(robot, gravity).torque(thetas) for rows in chunks]
-            self._kept[key] = np.concatenate(torques)
-        return self._kept[key]
-
-    def chunks(self, width: int) -> Iterator[Rows]:
-        """Yield the rows in chunks, of which columns ``width`` numbers wide fit in memory."""
-        size = max(1, ARRAY_SIZE // max(width, 1))
-        for start in range(0, len(self), size):
-            yield Rows(self, slice(start, min(start + size, len(self))))
-
-
 @dataclass(frozen=True)
 class Rows:
     """Successive rows of a recording: columns of terms are made chunk by chunk, to bound memory."""
 
-    recording: Recording
+    recording: FilteredRecording
     span: slice
     _moves: dict[bytes, LinksMotion] = field(default_factory=dict, compare=False)
 
     @cached_property
     def motion(self) -> Motion:
         """The motion (m, n) at these rows."""
-        return motion_at(self.recording.motion, self.span)
+        return self.recording.motion[self.span]
 
     def moves(self, robot: RobotModel, gravity: Array) -> LinksMotion:
         """Return the motion of an arm's links at these rows, gravity (3,) in the world frame."""
@@ -158,13 +60,35 @@ class Rows:
         return self.recording.is_loaded
 
     def low_passed(self, key: object, make: Callable[[Motion], Array]) -> Array:
-        """Return ``Recording.low_passed`` at these rows."""
-        return self.recording.low_passed(key, make)[self.span]
+        """Return columns (m, ...) made from the motion at all samples, and low-passed.
+
+        They are kept with the recording by their ``key``: do not change them.
+        """
+        recording = self.recording
+        return recording.kept(key, lambda: recording.filter_columns(make))[self.span]
+
+    def links_torque(self, robot: RobotModel, gravity: Array, thetas: Array) -> Array:
+        """Return the torque (m, n) of links with parameters ``thetas`` (n, 10) [N m], kept like
+        columns.
+        """
+        chunks = row_chunks(self.recording, 36 * robot.n_joints)
+
+        def make() -> Array:
+            """Return the torque of all rows."""
+            torques = (rows.moves(robot, gravity).torque(thetas) for rows in chunks)
+            return np.concatenate([*torques])
+
+        key = "links", gravity.tobytes(), thetas.tobytes()
+        return self.recording.kept(key, make)[self.span]
 
 
-def motion_at(motion: Motion, rows: slice) -> Motion:
-    """Return some rows of a motion, without what a motion may have beside."""
-    return Motion(motion.time[rows], motion.q[rows], motion.qd[rows], motion.qdd[rows])
+def row_chunks(recording: FilteredRecording, width: int) -> Iterator[Rows]:
+    """Yield the rows of a recording in chunks, of which columns ``width`` numbers wide fit in
+    memory.
+    """
+    size = max(1, ARRAY_SIZE // max(width, 1))
+    for start in range(0, len(recording), size):
+        yield Rows(recording, slice(start, min(start + size, len(recording))))
 
 
 def indices_of(names: Sequence[str], all_names: Sequence[str]) -> NDArray[np.int64]:
@@ -329,7 +253,7 @@ class Sums:
 
 
 def block_numbers(
-    recordings: Sequence[Recording], in_blocks: bool = True
+    recordings: Sequence[FilteredRecording], in_blocks: bool = True
 ) -> tuple[list[NDArray[np.int64]], list[str]]:
     """Return per recording the block (K,) of each row, and the log of each block.
 
@@ -396,75 +320,3 @@ class JointSums:
         at = np.flatnonzero(is_noise)
         self.products[:, :, at] = 0.0
         self.products[..., at] = 0.0
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A stretch of a recording without long holes, as it was measured.
-
-    Attributes:
-        name: the recording's name in messages.
-        samples: measured positions and torques.
-        is_loaded: whether the arm carries the payload.
-        order: its position in the order of recording, from -1 for the first to 1 for the last; 0
-            where the order is not known.
-    """
-
-    name: str
-    samples: Measurement
-    is_loaded: bool = False
-    order: float = 0.0
-
-
-def low_pass_recordings(
-    robot: RobotModel, pieces: Sequence[Piece], cutoff: float | None = None
-) -> tuple[list[Recording], tuple[str, ...]]:
-    """Resample every recording to a uniform grid and low-pass it, all with the same cut-off.
-
-    Args:
-        robot: the arm with its model.
-        pieces: stretches of recordings, each of which becomes one recording.
-        cutoff: of the low-pass [Hz]; None for the lowest that any of them requires.
-
-    Returns:
-        (recordings, one per piece; notes on them, one sentence each).
-
-    Raises:
-        InputError: a recording is too short.
-    """
-    resampled = []
-    cutoffs = []
-    for piece in pieces:
-        with prefix_input_errors(piece.name):
-            uniform = resample_uniformly(piece.samples)
-            cutoffs.append(cutoff or uniform.choice.cutoff)
-        resampled.append(uniform)
-    recordings = []
-    processed: defaultdict[str, list[ProcessedSignals]] = defaultdict(list)
-    for piece, uniform, required in zip(pieces, resampled, cutoffs):
-        given = min(cutoffs) if required > min(cutoffs) else cutoff
-        with prefix_input_errors(piece.name):
-            signals = process(uniform, robot.joint_names, given, robot.slides)
-        processed[piece.name].append(signals)
-        recordings.append(Recording(piece.name, signals, piece.is_loaded, piece.order))
-    notes = {}
-    for name, of_log in processed.items():
-        with prefix_input_errors(name):
-            check_losses(of_log)
-        notes[name] = [note for signals in of_log for note in signals.notes]
-    return recordings, tuple(shared_notes(notes))
-
-
-def shared_notes(notes_by_name: Mapping[str, Collection[str]]) -> Iterator[str]:
-    """Yield each note once, with the names of its recordings where there are several recordings.
-
-    Args:
-        notes_by_name: name of a recording to its notes; a note may be a subclass of ``str``.
-    """
-    all_notes = dict.fromkeys(itertools.chain(*notes_by_name.values()))
-    for note in all_notes:
-        about = [name for name, notes in notes_by_name.items() if note in notes]
-        where = ", ".join(about)
-        if len(about) == len(notes_by_name):
-            where = "all recordings"
-        yield note if len(notes_by_name) == 1 else type(note)(f"{where}: {note}")

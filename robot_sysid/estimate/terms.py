@@ -39,16 +39,10 @@ from robot_sysid.dynamics.inverse_dynamics import (
 )
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.links import reference_links
-from robot_sysid.estimate.rows import (
-    JointSums,
-    Mask,
-    Recording,
-    Rows,
-    Sums,
-    block_numbers,
-)
+from robot_sysid.estimate.rows import JointSums, Rows, Sums, block_numbers, row_chunks
 from robot_sysid.records import Array, RobotModel, parameters
 from robot_sysid.records.parameters import INERTIAL, Parameter, keys_of, of_body
+from robot_sysid.signals.process import FilteredRecording, Mask
 from robot_sysid.spatial import N_INERTIAL
 
 # Causes, as they are called in results.
@@ -305,7 +299,10 @@ class ArmTerms:
         return self.of([*self.terms.values(), *terms])
 
     def sums(
-        self, recordings: Sequence[Recording], point: Point, in_blocks: bool = True
+        self,
+        recordings: Sequence[FilteredRecording],
+        point: Point,
+        in_blocks: bool = True,
     ) -> Sums:
         """Return the sums of all rows, linearised around a point.
 
@@ -316,7 +313,7 @@ class ArmTerms:
 
     def add_up(
         self,
-        recordings: Iterable[tuple[Recording, NDArray[np.int64]]],
+        recordings: Iterable[tuple[FilteredRecording, NDArray[np.int64]]],
         logs: Sequence[str],
         point: Point,
         with_triangles: bool = False,
@@ -339,7 +336,7 @@ class ArmTerms:
         joint_sums = [JointSums(len(logs), size) for _ in joints]
         triangles = np.zeros((len(joints), size, size)) if with_triangles else None
         for recording, blocks in recordings:
-            for chunk in recording.chunks(size * len(joints)):
+            for chunk in row_chunks(recording, size * len(joints)):
                 rows, used = self.equations(chunk, point)
                 for joint, sums in enumerate(joint_sums):
                     block = np.where(used[:, joint], blocks[chunk.span], -1)
@@ -448,8 +445,8 @@ class ArmTerms:
     def links_torque(self, rows: Rows, point: Point) -> Array:
         """Return the torque (m, J) of the point's links [N m]."""
         thetas = point.carried(rows.is_loaded)
-        torque = rows.recording.links_torque(self.robot, point.gravity, thetas)
-        return torque[rows.span][:, self.indices]
+        torque = rows.links_torque(self.robot, point.gravity, thetas)
+        return torque[:, self.indices]
 
     def _scales(self, rows: Rows, point: Point) -> Array:
         """Return the columns (m, J, J) of torque scales."""

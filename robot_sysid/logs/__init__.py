@@ -1,4 +1,4 @@
-"""Recordings of real arms, read into Measurement records; here the options of reading them.
+"""Recordings of real arms, read into ``Recording`` records; here the options of reading them.
 
 The options are apart from ``logs.reader``, so that a run without logs need not import that module.
 """

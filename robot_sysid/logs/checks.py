@@ -1,24 +1,25 @@
-"""Checks of a log's form, before anything is estimated from it.
+"""The usable rows of a log, and checks of its form before anything is estimated from it.
 
-A check takes the usable rows. It yields notes (the run goes on) or raises InputError (the numbers
+Rows with an empty or NaN cell, rows that are not numbers and rows that are no later than the row
+before are left out and counted, and a jump by a full turn is unwrapped.
+
+A check takes the usable rows: a recording in SI units (N samples, n chain joints), and ``lines``
+(N,), their numbers in the file. It yields notes (the run goes on) or raises InputError (the numbers
 cannot be those of this arm). Both name the first line and a remedy.
-
-The usable rows are ``LogRows``: ``samples`` in SI units (N rows, n chain joints), ``lines`` (N,)
-their numbers in the file. Of all rows of the file, ``n_read`` hold something of this arm;
-``anomalies`` says which were left out why.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import compress
 
 import numpy as np
 
 from robot_sysid.errors import InputError, prefix_input_errors
-from robot_sysid.logs.table import BACKWARDS, MISSING, REPEATED, UNREADABLE, LogRows
-from robot_sysid.records import RobotModel
-from robot_sysid.records.messages import count_text, position_unit
+from robot_sysid.logs.table import Lines, LogTable, read_cells
+from robot_sysid.records import Array, ColumnMap, Recording, RobotModel
+from robot_sysid.records.messages import Progress, count_text, position_unit
 from robot_sysid.signals.resampling import (
     GAP_STEPS,
     RECORDING_SEPARATION,
@@ -26,86 +27,159 @@ from robot_sysid.signals.resampling import (
 )
 from robot_sysid.wording import option_name, option_setting, with_option_names
 
-# The share of rows with an anomaly above which a log is refused, and the remedy. The shares are
-# choices: with more than 1 % of unreadable rows a file is no such table; with 5 % of rows missing,
-# most filter windows are still complete.
-_TOLERANCES = {
-    UNREADABLE: (
-        0.01,
-        "mend the recording, or name the right columns with {columns FILE}; time may be in "
-        "seconds, or such as 2024-05-01T12:00:00.005",
-    ),
-    MISSING: (
-        0.05,
-        "record all joints, and position and torque, in one row, or keep a broken column that is "
-        "not needed out ('velocity = none') with {columns FILE}",
-    ),
-    REPEATED: (
-        0.05,
-        "write the time with more digits, or 'rate = HZ' in {columns FILE} for evenly spaced rows",
-    ),
-    BACKWARDS: (0.0, "cut the log where a second recording begins"),
-}
+_TURN = 2.0 * np.pi
 # Options, one of which lets positions pass that look like degrees.
 _ANGLE_OPTIONS = (("--units", "deg"), ("--units", "rad"))
 
 
-def check_log(
-    name: str, rows: LogRows, robot: RobotModel, in_radians: bool
-) -> tuple[str, ...]:
-    """Run every check over a log's rows and return the notes, one sentence each.
+def read_recording(
+    table: LogTable, columns: ColumnMap, robot: RobotModel, progress: Progress
+) -> Recording:
+    """Return the usable rows of a log, with a note on whatever is odd about them.
 
     Args:
-        name: of the log, for the error.
-        rows: the usable rows in SI units.
+        table: the log.
+        columns: the column of each quantity.
         robot: the arm.
-        in_radians: whether the unit of angles was declared, so that it is not checked.
+        progress: receives the progress of reading.
 
     Raises:
         InputError: the first fault.
     """
-    notes: list[str] = []
-    with prefix_input_errors(name):
-        for anomaly in _TOLERANCES:
-            notes += require_few(anomaly, rows)
+    cells, complaint = read_cells(table, columns, progress)
+    with prefix_input_errors(str(table.path)):
+        lines, cells, notes = usable_rows(table, columns, cells, complaint)
         # With fewer, the other checks mean nothing.
-        if len(rows.lines) < 10:
-            usable_rows = count_text(len(rows.lines), "usable row")
-            raise InputError(f"the log has only {usable_rows}; record longer")
-        notes += clock_notes(rows)
-        if not in_radians:
-            require_radians(rows, robot)
-        require_no_jumps(rows, robot)
-        notes += rest_notes(rows, robot)
-        notes += torque_notes(rows, robot)
-        require_one_clock(rows)
-    return tuple(notes)
-
-
-def require_few(anomaly: str, rows: LogRows) -> Iterator[str]:
-    """Yield a note on the rows left out for an anomaly; refuse a log where they are too many.
-
-    ``anomaly`` is a key of ``_TOLERANCES``.
-    """
-    share, remedy = _TOLERANCES[anomaly]
-    lines, first = rows.anomalies[anomaly]
-    count = len(lines)
-    if not count:
-        return
-    first = first or rows.cite(lines[:1])
-    # One is always allowed: the last row is often cut off.
-    allowed = max(1, share * rows.n_read) if share else 0
-    if count > allowed:
-        raise InputError(
-            f"{count} of {rows.n_read} rows {anomaly}, more than {100.0 * share:g} % "
-            f"(first: {first}); {with_option_names(remedy)}"
+        if len(lines) < 10:
+            count = count_text(len(lines), "usable row")
+            raise InputError(f"the log has only {count}; record longer")
+        widths = [2, *map(len, columns.groups())]
+        _, q, tau, qd, stamps = np.split(cells, np.cumsum(widths)[:-1], axis=1)
+        for joint in np.flatnonzero(~robot.is_slide):
+            # Full turns by which the position jumps against the row before.
+            step = np.diff(q[:, joint])
+            turns = np.round(step / _TURN)
+            # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at
+            # 200 Hz.
+            turns[np.abs(step - turns * _TURN) > 0.5] = 0.0
+            q[1:, joint] -= _TURN * np.cumsum(turns)
+        recording = Recording(
+            time=cells[:, 1],
+            q=q,
+            qd=qd if columns.velocity else None,
+            # A servo's torque follows its position error, the measure of torque here [rad].
+            tau=tau - q if columns.commanded else tau,
+            joint_time=stamps if columns.joint_time else None,
+            command=tau if columns.commanded else None,
+            name=str(table.path),
+            joint_names=robot.joint_names,
+            columns=columns,
         )
-    yield f"left out rows that {anomaly}: {count} (first: {first})"
+        notes += clock_notes(table, recording, lines)
+        if not columns.angle_declared:
+            require_radians(recording, robot)
+        require_no_jumps(table, recording, lines)
+        notes += rest_notes(recording, robot)
+        notes += torque_notes(recording)
+        require_one_clock(recording)
+    return replace(recording, notes=tuple(notes))
 
 
-def clock_notes(rows: LogRows) -> Iterator[str]:
+def usable_rows(
+    table: LogTable, columns: ColumnMap, cells: Array, complaint: str
+) -> tuple[Lines, Array, list[str]]:
+    """Return the lines (N,) and cells of the rows that can be used, and notes on the others.
+
+    Args:
+        table: the log.
+        columns: the column of each quantity.
+        cells: of all rows, as ``read_cells`` returns them.
+        complaint: the fault of the first row that is not numbers; "" for none.
+
+    Raises:
+        InputError: too many rows cannot be used.
+    """
+    lines = cells[:, 0].astype(np.int64)
+    # Larger numbers are faults of a file: times [s], even of a clock of nanoseconds that is read as
+    # seconds, and positions and torques in SI units.
+    is_impossible = np.abs(cells[:, 1]) > 1e24
+    is_foreign = ~is_impossible
+    # Positions and torques; one column at a time, to bound memory.
+    for column in cells.T[2 : 2 + 2 * len(columns.position)]:
+        is_impossible |= np.abs(column) > 1e7
+        is_foreign &= np.isnan(column)
+    is_usable = np.isfinite(cells).all(axis=1) & ~is_impossible
+    missing = np.flatnonzero(~(is_usable | is_impossible | is_foreign))
+    empty = ""
+    if len(missing):
+        titles = [column.title for column in columns.columns()]
+        is_empty = ~np.isfinite(cells[missing[0], -len(titles) :])
+        listed = ", ".join(compress(titles, is_empty))
+        empty = f"{table.row_noun} {lines[missing[0]]}, columns {listed}"
+    # Rows after a step backwards that are not yet later than all before are not counted.
+    time = cells[is_usable, 1]
+    step = np.diff(time)
+    after = lines[is_usable][1:]
+    n_read = int(np.count_nonzero(~is_foreign))
+    notes: list[str] = []
+    # The share of rows above which a log is refused for an anomaly, and the remedy. The shares are
+    # choices: with more than 1 % of unreadable rows a file is no such table; with 5 % of rows
+    # missing, most filter windows are still complete.
+    for anomaly, odd, first, share, remedy in (
+        (
+            "are no rows of numbers",
+            lines[is_impossible],
+            complaint,
+            0.01,
+            "mend the recording, or name the right columns with {columns FILE}; time may be in "
+            "seconds, or such as 2024-05-01T12:00:00.005",
+        ),
+        (
+            "have empty or NaN cells",
+            lines[missing],
+            empty,
+            0.05,
+            "record all joints, and position and torque, in one row, or keep a broken column that "
+            "is not needed out ('velocity = none') with {columns FILE}",
+        ),
+        (
+            "repeat the time stamp before them",
+            after[step == 0.0],
+            "",
+            0.05,
+            "write the time with more digits, or 'rate = HZ' in {columns FILE} for evenly spaced "
+            "rows",
+        ),
+        (
+            "run backwards in time",
+            after[step < 0.0],
+            "",
+            0.0,
+            "cut the log where a second recording begins",
+        ),
+    ):
+        count = len(odd)
+        if not count:
+            continue
+        first = first or table.cite(odd[:1])
+        # One is always allowed: the last row is often cut off.
+        if count > (max(1, share * n_read) if share else 0):
+            raise InputError(
+                f"{count} of {n_read} rows {anomaly}, more than {100.0 * share:g} % "
+                f"(first: {first}); {with_option_names(remedy)}"
+            )
+        notes.append(f"left out rows that {anomaly}: {count} (first: {first})")
+    is_later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0.0
+    rows = np.flatnonzero(is_usable)[is_later]
+    if len(rows) < len(cells):
+        lines = lines[rows]
+        cells = cells[rows]
+    return lines, cells, notes
+
+
+def clock_notes(table: LogTable, recording: Recording, lines: Lines) -> Iterator[str]:
     """Yield notes on sampling period and gaps; refuse an implausible unit of time."""
-    period = sampling_period(rows.samples.time)
+    period = sampling_period(recording.time)
     # Rates of 1 to 1000 Hz are usual.
     if not 1e-5 <= period <= 0.5:
         raise InputError(
@@ -116,24 +190,24 @@ def clock_notes(rows: LogRows) -> Iterator[str]:
     # 100 samples per second do for a slow arm, 30 hardly ever (docs/logs.md).
     if period * 50.0 > 1.0:
         yield f"the log has only {1 / period:.3g} samples per second"
-    step = np.diff(rows.samples.time)
+    step = np.diff(recording.time)
     # Between recordings, such as the episodes of a data set, no sample is missing.
     step[np.isclose(step, RECORDING_SEPARATION, rtol=0.0, atol=1e-6)] = period
-    late = rows.lines[1:][step > GAP_STEPS * np.median(step)]
+    late = lines[1:][step > GAP_STEPS * np.median(step)]
     if len(late):
         yield (
-            f"samples are missing before {rows.cite(late)}; the longest gap is "
+            f"samples are missing before {table.cite(late)}; the longest gap is "
             f"{1e3 * np.max(step):.4g} ms where {1e3 * period:.4g} ms is usual"
         )
 
 
-def require_one_clock(rows: LogRows) -> None:
+def require_one_clock(recording: Recording) -> None:
     """Raise InputError where the joints' time stamps run backwards or are of another clock."""
     # (N, n) [s], or None where all joints have the row's time.
-    stamps = rows.samples.joint_time
+    stamps = recording.joint_time
     if stamps is None:
         return
-    difference = np.max(np.abs(stamps - rows.samples.time[:, None]))
+    difference = np.max(np.abs(stamps - recording.time[:, None]))
     # A few sampling periods of the slowest logs.
     if np.any(np.diff(stamps, axis=0) < 0.0) or difference > 0.1:
         raise InputError(
@@ -143,15 +217,15 @@ def require_one_clock(rows: LogRows) -> None:
         )
 
 
-def require_radians(rows: LogRows, robot: RobotModel) -> None:
+def require_radians(recording: Recording, robot: RobotModel) -> None:
     """Raise InputError for positions or speeds that no arm has in radians and seconds.
 
     The error names a probable unit.
     """
-    time = rows.samples.time
+    time = recording.time
     step = np.diff(time)
     for joint in np.flatnonzero(~robot.is_slide):
-        q = rows.samples.q[:, joint]
+        q = recording.q[:, joint]
         largest = np.max(np.abs(q))
         speed = np.abs(np.diff(q)) / step
         # Two turns either way are more than an arm's joints have. None reaches 30 rad/s; a log in
@@ -169,24 +243,24 @@ def require_radians(rows: LogRows, robot: RobotModel) -> None:
         )
 
 
-def require_no_jumps(rows: LogRows, robot: RobotModel) -> None:
+def require_no_jumps(table: LogTable, recording: Recording, lines: Lines) -> None:
     """Raise InputError for single positions that no joint can reach within one step."""
     # An encoder's noise does not reach half a radian; it adds to the speed of a joint.
-    threshold = np.maximum(0.5, 100.0 * np.diff(rows.samples.time))
-    for name, q in zip(robot.joint_names, rows.samples.q.T):
+    threshold = np.maximum(0.5, 100.0 * np.diff(recording.time))
+    for name, q in zip(recording.joint_names, recording.q.T):
         step = np.abs(np.diff(q))
         # What repeats its value for a while is left out (``diagnosis.limited_in_time``).
         is_jump = (step > threshold) & (np.roll(step, 1) > 0.0)
         if np.any(is_jump):
-            where = rows.cite(rows.lines[1:][is_jump])
+            where = table.cite(lines[1:][is_jump])
             raise InputError(
                 f"the position of joint {name} jumps at {where}; delete the bad rows"
             )
 
 
-def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
+def rest_notes(recording: Recording, robot: RobotModel) -> Iterator[str]:
     """Yield a note on joints that do not move; refuse an arm at rest."""
-    travel = np.ptp(rows.samples.q, axis=0)
+    travel = np.ptp(recording.q, axis=0)
     is_at_rest = travel < 0.01
     if np.all(is_at_rest):
         unit = position_unit(robot.is_slide[np.argmax(travel)])
@@ -199,23 +273,23 @@ def rest_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
         yield f"joints that do not move in this log: {', '.join(unmoved)}"
 
 
-def torque_notes(rows: LogRows, robot: RobotModel) -> Iterator[str]:
+def torque_notes(recording: Recording) -> Iterator[str]:
     """Yield a note on joints without torque; refuse torques that are constant over the log.
 
     Logs of commanded positions are not checked: these may be constant.
     """
-    if rows.samples.command is not None:
+    if recording.command is not None:
         return
-    tau = rows.samples.tau
+    tau = recording.tau
     is_constant = np.ptp(tau, axis=0) == 0.0
     is_zero = ~np.any(tau, axis=0) & ~np.all(is_constant)
-    unpowered = ", ".join(compress(robot.joint_names, is_zero))
+    unpowered = ", ".join(compress(recording.joint_names, is_zero))
     if unpowered:
         yield (
             "joints without torque in this log, whose equations are left out and whose friction "
             f"is the model's: {unpowered}"
         )
-    names = [*compress(robot.joint_names, is_constant & ~is_zero)]
+    names = [*compress(recording.joint_names, is_constant & ~is_zero)]
     if names:
         raise InputError(
             f"the torque of joint {' and '.join(names)} is the same in every row; record it, or "

@@ -29,11 +29,9 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 
 from robot_sysid.errors import InputError, error_text
-from robot_sysid.logs.joint_names import JointMatch
 from robot_sysid.logs.titles import (
     QUANTITIES,
     TIME_UNITS,
@@ -44,7 +42,7 @@ from robot_sysid.logs.titles import (
     match_joints,
     read_title,
 )
-from robot_sysid.records import RobotModel
+from robot_sysid.records import Column, ColumnMap, RobotModel
 from robot_sysid.records.messages import count_text
 from robot_sysid.wording import option_name
 
@@ -177,77 +175,6 @@ def _titles_by_joint(
     return dict(zip(joint_names, titles))
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of the file.
-
-    Attributes:
-        index: of the column, from 0.
-        title: as the file has it.
-        factor: by which the column's numbers are multiplied to be in SI units.
-        declared_factor: the part of this factor that the line of a columns file states.
-    """
-
-    index: int
-    title: str
-    factor: float
-    declared_factor: float = 1.0
-
-
-@dataclass(frozen=True)
-class ColumnMap:
-    """The column of each quantity of a log; tuples hold one per chain joint, base to terminal.
-
-    Attributes:
-        time: None for a log without time stamps.
-        rate: samples per second of a log without time stamps [Hz].
-        velocity: () where velocities are differentiated from positions.
-        joint_time: time stamps of each joint; () where the log has none.
-        titles: of all columns of the log, used or not.
-        angle_declared: whether the unit of angles was declared (option or title), not assumed.
-        commanded: whether ``torque`` holds commanded positions in place of torques.
-        joint_match: how the log's joints were matched with the model's; ``NO_MATCH`` where not by
-            all names.
-    """
-
-    time: Column | None
-    rate: float | None
-    position: tuple[Column, ...]
-    torque: tuple[Column, ...]
-    velocity: tuple[Column, ...]
-    joint_time: tuple[Column, ...]
-    titles: Sequence[str]
-    angle_declared: bool
-    commanded: bool
-    joint_match: JointMatch
-
-    def groups(self) -> tuple[tuple[Column, ...], ...]:
-        """Return the columns of position, torque, velocity and joint time; () for a missing one."""
-        return self.position, self.torque, self.velocity, self.joint_time
-
-    def columns(self) -> list[Column]:
-        """Return all columns: time, where there is one, then ``groups`` one after the other."""
-        time = [self.time] if self.time else []
-        return [*time, *chain(*self.groups())]
-
-    def describe(self) -> tuple[str, ...]:
-        """Return one sentence on the columns that are used, and one on the others."""
-        time = _quote([self.time]) if self.time else f"row number at {self.rate:g} Hz"
-        velocity = "differentiated from position"
-        if self.velocity:
-            velocity = f"from {_quote(self.velocity)}"
-        quantity = "command" if self.commanded else "torque"
-        used = (
-            f"log columns: time from {time}; position from {_quote(self.position)}; "
-            f"velocity {velocity}; {quantity} from {_quote(self.torque)}"
-        )
-        if self.joint_time:
-            used += f"; own time from {_quote(self.joint_time)}"
-        indices = {column.index for column in self.columns()}
-        unused = [t for index, t in enumerate(self.titles) if index not in indices]
-        return used, f"log columns not used: {', '.join(unused) or 'none'}"
-
-
 def recognise_columns(
     titles: Sequence[str],
     robot: RobotModel,
@@ -336,7 +263,7 @@ class _ColumnFinder:
             titles=self._texts,
             angle_declared=bool(self.choices.angle_unit) or has_unit,
             commanded=self.driven == "command",
-            joint_match=joint_match,
+            joint_note=joint_match.describe(),
         )
 
     def _find_joints(
@@ -468,15 +395,3 @@ class _ColumnFinder:
             fault = f"column {title.text!r} names a unit that contradicts the declared units"
             raise InputError(f"{fault}; declare what the column holds, or rename it")
         return Column(index, title.text, factor * (to_si or 1.0), factor)
-
-
-def _quote(columns: Sequence[Column]) -> str:
-    """Return titles in quotes, with their factors."""
-    texts = []
-    for column in columns:
-        if not column.factor:
-            texts.append("none")
-            continue
-        scale = "" if column.factor == 1.0 else f" x {column.factor:.6g}"
-        texts.append(f"'{column.title}'{scale}")
-    return ", ".join(texts)

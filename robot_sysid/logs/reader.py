@@ -1,4 +1,4 @@
-"""Logs of real arms as Measurement records.
+"""Logs of real arms as recordings.
 
 A log is a table with a row per sample: time, and position and torque of every chain joint;
 velocity and other columns where the file has them. ``table`` describes its form, ``titles`` and
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from operator import attrgetter
 from pathlib import Path
@@ -19,21 +19,20 @@ import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays
-from robot_sysid.logs.checks import check_log
+from robot_sysid.logs.checks import read_recording
 from robot_sysid.logs.column_map import (
     ColumnChoices,
-    ColumnMap,
     parse_units,
     read_columns_file,
     recognise_columns,
 )
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.table import LogSource, LogTable, as_input_errors, read_rows
+from robot_sysid.logs.table import LogSource, LogTable, as_input_errors
 from robot_sysid.logs.text import text_table
-from robot_sysid.records import Array, DataOrigin, Measurement, RobotModel
+from robot_sysid.records import ColumnMap, DataOrigin, Recording, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
-from robot_sysid.records.messages import Detail, Progress, count_text
+from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import (
     CONSTANTS,
     SCALE,
@@ -44,54 +43,13 @@ from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 from robot_sysid.wording import with_option_names
 
 
-@dataclass(frozen=True, repr=False)
-class MeasurementLog:
-    """A log that was read and checked.
-
-    Attributes:
-        path: of the file or folder, as the user gave it.
-        columns: the column of the file that each quantity was read from.
-        samples: all usable rows (N rows, n joints) in SI units.
-        pieces: the stretches between gaps that are long enough to be used.
-        notes: sentences for the user on columns, rows left out and corrections.
-        torque_scale: (n,) factors that torques were divided by, as the user gave them.
-        joint_names: (n,) of the arm that it was read for, base to terminal.
-        options: with which it was read.
-    """
-
-    path: Path
-    columns: ColumnMap
-    samples: Measurement
-    pieces: tuple[Measurement, ...]
-    notes: tuple[str, ...]
-    torque_scale: Array
-    joint_names: tuple[str, ...]
-    options: LogOptions
-
-    def __fspath__(self) -> str:
-        """The path, so that a log that was read may stand where its file is expected."""
-        return str(self.path)
-
-    __str__ = __fspath__
-
-    def __repr__(self) -> str:
-        joints = count_text(self.samples.q.shape[1], "joint")
-        size = f"{len(self.samples)} samples of {joints}"
-        return f"<MeasurementLog {self.path}: {size} in {self.duration:.4g} s>"
-
-    @property
-    def duration(self) -> float:
-        """Time from the first to the last sample [s]."""
-        return float(np.ptp(self.samples.time))
-
-
 def open_log(
     robot: RobotModel,
-    source: Path | LogTable | MeasurementLog,
+    source: Path | LogTable | Recording,
     options: LogOptions,
     progress: Progress | None = None,
-) -> MeasurementLog:
-    """Return a log of an arm, read and checked, or raise InputError.
+) -> Recording:
+    """Return the recording in a log of an arm, read and checked, or raise InputError.
 
     Args:
         robot: the arm, whose joints the columns are for.
@@ -99,7 +57,7 @@ def open_log(
         options: declared columns, units and torque scale.
         progress: receives the progress of reading.
     """
-    if isinstance(source, MeasurementLog):
+    if isinstance(source, Recording):
         _refuse_other_reading(source, robot, options)
         return source
     path = Path(source)
@@ -111,19 +69,16 @@ def open_log(
     factors = zip(columns.torque, (constants / scale).tolist())
     torque = [replace(column, factor=k * column.factor) for column, k in factors]
     columns = replace(columns, torque=tuple(torque))
-    rows = read_rows(table, columns, robot.is_slide, progress or Progress())
-    check_notes = check_log(str(path), rows, robot, columns.angle_declared)
-    pieces = split_at_gaps(rows.samples)
+    recording = read_recording(table, columns, robot, progress or Progress())
     details = map(Detail, (f"log layout: {table.layout}", *columns.describe()))
-    source_notes = filter(None, (*table.notes, columns.joint_match.describe()))
-    notes = (*details, *source_notes, *check_notes, *piece_notes(rows.samples, pieces))
-    return MeasurementLog(
-        path, columns, rows.samples, pieces, notes, scale, names, options
-    )
+    source_notes = filter(None, (*table.notes, columns.joint_note))
+    pieces = piece_notes(recording, split_at_gaps(recording))
+    notes = (*details, *source_notes, *recording.notes, *pieces)
+    return replace(recording, notes=notes, options=vars(options))
 
 
 def _refuse_other_reading(
-    log: MeasurementLog, robot: RobotModel, options: LogOptions
+    log: Recording, robot: RobotModel, options: LogOptions
 ) -> None:
     """Raise InputError where a log was read for another arm, or otherwise than options say.
 
@@ -137,19 +92,19 @@ def _refuse_other_reading(
     for name, option in options_of(options).items():
         value = getattr(options, name)
         is_stated = name in _FACTOR_OPTIONS or (name in _READING_OPTIONS and value)
-        if is_stated and value != getattr(log.options, name):
+        if is_stated and value != log.options[name]:
             raise InputError(
                 f"{log} was read without {option.name}, or with another one: give read_log and "
                 "this call the same"
             )
 
 
-def refuse_repeated_logs(logs: Sequence[MeasurementLog]) -> None:
+def refuse_repeated_logs(logs: Sequence[Recording]) -> None:
     """Raise InputError where two logs, to be fitted or to test the result, are one recording."""
     arrays_of = attrgetter("time", "q", "tau")
     for log, other in combinations(logs, 2):
         # Logs that were read hold no NaN.
-        if all(map(np.array_equal, arrays_of(log.samples), arrays_of(other.samples))):
+        if all(map(np.array_equal, arrays_of(log), arrays_of(other))):
             raise InputError(
                 f"{other} has the samples of {log}: noise that counts twice makes errors too "
                 "small, and no log tests itself; give each log once"
@@ -180,11 +135,11 @@ def _map_columns(
         raise InputError(fault, error.options, error.command) from None
 
 
-def origin_of(logs: Sequence[MeasurementLog]) -> DataOrigin:
+def origin_of(logs: Sequence[Recording]) -> DataOrigin:
     """Return files, duration and mean sampling rate of logs, as the origin of a result's data."""
     duration = sum(log.duration for log in logs)
-    rate = sum(len(log.samples) - 1 for log in logs) / duration
-    files = [str(log.path.absolute()) for log in logs]
+    rate = sum(len(log) - 1 for log in logs) / duration
+    files = [str(Path(log.name).absolute()) for log in logs]
     listed = ", ".join(map(str, logs))
     return DataOrigin(f"log {listed}", duration, rate, files=tuple(files))
 

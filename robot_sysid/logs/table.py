@@ -1,18 +1,15 @@
-"""A log as a table: titled columns that every form of file is turned into, and its usable rows.
+"""A log as a table: titled columns that every form of file is turned into.
 
-A form's reader returns a ``LogTable``, which yields its rows in blocks. ``read_rows`` cleans them:
-rows with an empty or NaN cell, rows that are not numbers and rows that are no later than the row
-before are left out, and a jump by a full turn is unwrapped. Each anomaly is counted, with its first
-line, for ``checks`` to judge.
+A form's reader returns a ``LogTable``, which yields its rows in blocks; ``checks`` makes a
+recording of them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +18,8 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError, SysidError, error_text
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.column_map import ColumnChoices, ColumnMap
-from robot_sysid.records import Array, Measurement
+from robot_sysid.logs.column_map import ColumnChoices
+from robot_sysid.records import Array, ColumnMap
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.messages import Progress
@@ -106,6 +103,11 @@ class LogTable:
 
     __str__ = __fspath__
 
+    def cite(self, lines: Lines) -> str:
+        """Return lines (K,) for a sentence: "line 7 and 3 more"."""
+        more = f" and {len(lines) - 1} more" if len(lines) > 1 else ""
+        return f"{self.row_noun} {lines[0]}{more}"
+
     def rows(self, columns: Sequence[int]) -> Iterator[Block]:
         """Yield all rows with these columns; what their reader raises is an InputError.
 
@@ -160,114 +162,7 @@ def as_input_errors(path: Path, form: str) -> Iterator[None]:
         ) from error
 
 
-# Anomalies, as messages say them behind "... rows". Numbers that cannot be true are none.
-UNREADABLE = "are no rows of numbers"
-MISSING = "have empty or NaN cells"
-REPEATED = "repeat the time stamp before them"
-BACKWARDS = "run backwards in time"
-_TURN = 2.0 * np.pi
-
-
-Anomaly = tuple[Lines, str]
-"""Lines with an anomaly, and what is wrong in the first one, where more than its number is known.
-"""
-
-
-@dataclass(frozen=True)
-class LogRows:
-    """The usable rows of a log.
-
-    Attributes:
-        lines: (N,) file lines.
-        samples: the rows as a measurement (N rows).
-        n_read: number of rows in the file that hold something of this arm.
-        anomalies: UNREADABLE, MISSING, REPEATED and BACKWARDS to the rows left out for them.
-        row_noun: what a row is called: "line", "message" or "row".
-    """
-
-    lines: Lines
-    samples: Measurement
-    n_read: int
-    anomalies: Mapping[str, Anomaly]
-    row_noun: str
-
-    def cite(self, lines: Lines) -> str:
-        """Return lines (K,) for a sentence: "line 7 and 3 more"."""
-        more = f" and {len(lines) - 1} more" if len(lines) > 1 else ""
-        return f"{self.row_noun} {lines[0]}{more}"
-
-
-def read_rows(
-    table: LogTable, columns: ColumnMap, is_slide: NDArray[np.bool_], progress: Progress
-) -> LogRows:
-    """Return the usable rows of a log.
-
-    Args:
-        table: the log.
-        columns: the column of each quantity.
-        is_slide: (n,) whether a joint is a slide, whose positions are not unwrapped.
-        progress: receives the progress of reading.
-    """
-    cells, complaint = _read_cells(table, columns, progress)
-    lines = cells[:, 0].astype(np.int64)
-    # Larger numbers are faults of a file: times [s], even of a clock of nanoseconds that is read as
-    # seconds, and positions and torques in SI units.
-    is_impossible = np.abs(cells[:, 1]) > 1e24
-    is_foreign = ~is_impossible
-    # Positions and torques; one column at a time, to bound memory.
-    for column in cells.T[2 : 2 + 2 * len(columns.position)]:
-        is_impossible |= np.abs(column) > 1e7
-        is_foreign &= np.isnan(column)
-    is_usable = np.isfinite(cells).all(axis=1) & ~is_impossible
-    missing = np.flatnonzero(~(is_usable | is_impossible | is_foreign))
-    first = ""
-    if len(missing):
-        titles = [column.title for column in columns.columns()]
-        is_empty = ~np.isfinite(cells[missing[0], -len(titles) :])
-        listed = ", ".join(compress(titles, is_empty))
-        first = f"{table.row_noun} {lines[missing[0]]}, columns {listed}"
-    # Rows after a step backwards that are not yet later than all before are not counted.
-    time = cells[is_usable, 1]
-    step = np.diff(time)
-    after = lines[is_usable][1:]
-    anomalies = {
-        UNREADABLE: (lines[is_impossible], complaint),
-        MISSING: (lines[missing], first),
-        BACKWARDS: (after[step < 0.0], ""),
-        REPEATED: (after[step == 0.0], ""),
-    }
-    is_later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0.0
-    rows = np.flatnonzero(is_usable)[is_later]
-    if len(rows) < len(cells):
-        lines = lines[rows]
-        cells = cells[rows]
-    widths = [2, *map(len, columns.groups())]
-    _, q, tau, qd, stamps = np.split(cells, np.cumsum(widths)[:-1], axis=1)
-    for joint in np.flatnonzero(~is_slide):
-        # Full turns by which the position jumps against the row before.
-        step = np.diff(q[:, joint])
-        turns = np.round(step / _TURN)
-        # A wrap differs from a full turn by the motion within one sample: here 100 rad/s at 200 Hz.
-        turns[np.abs(step - turns * _TURN) > 0.5] = 0.0
-        q[1:, joint] -= _TURN * np.cumsum(turns)
-    command = None
-    if columns.commanded:
-        # A servo's torque follows its position error, the measure of torque here [rad].
-        command = tau
-        tau = command - q
-    samples = Measurement(
-        time=cells[:, 1],
-        q=q,
-        qd=qd if columns.velocity else None,
-        tau=tau,
-        joint_time=stamps if columns.joint_time else None,
-        command=command,
-    )
-    n_read = int(np.count_nonzero(~is_foreign))
-    return LogRows(lines, samples, n_read, anomalies, table.row_noun)
-
-
-def _read_cells(
+def read_cells(
     table: LogTable, columns: ColumnMap, progress: Progress
 ) -> tuple[Array, str]:
     """Return the cells (R, 2 + C) of all rows of a log, and the fault of one that is not numbers.

@@ -23,7 +23,7 @@ import numpy as np
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import Block, LogSource, LogTable
-from robot_sysid.records import Array, Measurement
+from robot_sysid.records import Array, Recording
 from robot_sysid.records.file_access import atomic_file
 
 # Texts, in lower case, of cells that count as empty.
@@ -297,7 +297,7 @@ def _is_mostly_numbers(cells: Sequence[str]) -> bool:
     return 2 * count > len(cells)
 
 
-# Quantity, as titles end in it, to attribute of a measurement.
+# Quantity, as titles end in it, to attribute of a recording.
 _ATTRIBUTES = {
     "position": "q",
     "velocity": "qd",
@@ -308,7 +308,7 @@ _ATTRIBUTES = {
 
 
 def write_measurement_csv(
-    path: Path, joint_names: Sequence[str], chunks: Iterable[Measurement]
+    path: Path, joint_names: Sequence[str], chunks: Iterable[Recording]
 ) -> None:
     """Write samples as CSV that ``reader.open_log`` reads, with every digit.
 

@@ -18,7 +18,6 @@ from robot_sysid.estimate.identifiability import describe
 from robot_sysid.estimate.links import EXPECTED
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question, arm_question
-from robot_sysid.estimate.rows import Piece, Recording, low_pass_recordings
 from robot_sysid.estimate.terms import (
     FRICTION,
     FURTHER_FRICTION,
@@ -31,9 +30,9 @@ from robot_sysid.motion import LOADED, PAYLOAD_ORDER, RECORDED_FOR_PAYLOAD, AimO
 from robot_sysid.motion.information import Criterion, PriorKnowledge
 from robot_sysid.motion.prediction import Prediction
 from robot_sysid.motion.problem import ExcitationProblem
-from robot_sysid.records import Array, MotionPlan
+from robot_sysid.records import Array, MotionPlan, join_recordings
 from robot_sysid.records.usual_errors import FRICTION_DRIFT
-from robot_sysid.signals.resampling import join_measurements
+from robot_sysid.signals.process import FilteredRecording, low_pass_recordings
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.spatial import N_INERTIAL, PARAMETER_NAMES
 from robot_sysid.trajectory import sample_times
@@ -204,7 +203,7 @@ def expected_fit(
     torque = sums.rms_torque
     # Columns vary slowly along the rows, so that what counts is the density of the noise at low
     # frequencies, which the low-pass does not change: sigma^2 over the samples per row.
-    samples_per_row = sample_rate / rate * processed.signals.low_pass.step
+    samples_per_row = sample_rate / rate * processed.low_pass.step
     noise = problem.sigma / np.sqrt(samples_per_row)
     if loaded:
         noise = np.hypot(noise, UNMODELLED_TORQUE * torque)
@@ -218,7 +217,7 @@ def _processed_motion(
     plan: MotionPlan,
     rate: float,
     options: EstimationOptions,
-) -> Recording:
+) -> FilteredRecording:
     """Return a recording of a motion at a rate [Hz] without noise, processed like a log.
 
     Raises:
@@ -227,13 +226,12 @@ def _processed_motion(
     # Of a long motion the first samples: the errors are those of a recording of that part.
     times = sample_times(min(plan.duration, 200_000 / rate), rate)
     chunks = simulate_inverse(problem.robot, map(plan.evaluate, times))
-    samples = replace(join_measurements(chunks), qd=None, qdd=None)
-    pieces = [Piece("", samples)]
-    (processed,), _ = low_pass_recordings(problem.robot, pieces, options.cutoff)
+    samples = replace(join_recordings(chunks), qd=None, qdd=None)
+    (processed,), _ = low_pass_recordings(problem.robot, [samples], options.cutoff)
     return processed
 
 
-def _payload_recordings(processed: Recording) -> tuple[Recording, ...]:
+def _payload_recordings(processed: FilteredRecording) -> tuple[FilteredRecording, ...]:
     """Return the recordings of one motion without and with a payload, in ``PAYLOAD_ORDER``."""
     positions = np.linspace(-1.0, 1.0, len(PAYLOAD_ORDER)).tolist()
     return tuple(

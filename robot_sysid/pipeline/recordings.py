@@ -21,22 +21,24 @@ from robot_sysid.estimate.payload import payload_result, written_payload
 from robot_sysid.estimate.questions import Question
 from robot_sysid.estimate.restricted_fit import errors_on, fit_file
 from robot_sysid.estimate.result import link_result
-from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import (
-    MeasurementLog,
-    open_log,
-    origin_of,
-    refuse_repeated_logs,
-)
+from robot_sysid.logs.reader import open_log, origin_of, refuse_repeated_logs
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.bodies import find_flange
 from robot_sysid.motion import LOADED
-from robot_sysid.records import Array, DataOrigin, MotionPlan, RobotModel
+from robot_sysid.records import (
+    Array,
+    DataOrigin,
+    MotionPlan,
+    Recording,
+    RobotModel,
+    join_recordings,
+)
 from robot_sysid.records.messages import Detail, Progress
 from robot_sysid.records.option_fields import SCALE, joint_factors
 from robot_sysid.results.record import Result
-from robot_sysid.signals.resampling import join_measurements, piece_notes, split_at_gaps
+from robot_sysid.signals.process import low_pass_recordings
+from robot_sysid.signals.resampling import piece_notes, split_at_gaps
 from robot_sysid.simulation.plant import load_plant, plant_measurements
 from robot_sysid.trajectory import CHUNK, sample_count
 from robot_sysid.wording import option_name, option_setting
@@ -100,16 +102,14 @@ def identify_plant(
     simulation = plant_measurements(plant, plan, arm, rate, rng)
     n_chunks = math.ceil(sample_count(plan.duration, rate) / CHUNK)
     chunks = progress.track(simulation, "Collecting measurements", n_chunks)
-    run = join_measurements(chunks)
+    run = replace(join_recordings(chunks), name=str(arm.plant_model))
     if arm.save_measurements is not None:
         write_measurement_csv(arm.save_measurements, robot.joint_names, [run])
-    name = str(arm.plant_model)
-    origin = DataOrigin(f"simulated plant {name}", plan.duration, rate, seed)
-    stretches = split_at_gaps(run)
-    pieces = [Piece(name, samples) for samples in stretches]
+    origin = DataOrigin(f"simulated plant {run}", plan.duration, rate, seed)
+    pieces = split_at_gaps(run)
     options = config.estimation
     recordings, filter_notes = low_pass_recordings(robot, pieces, options.cutoff)
-    notes = (*plant.notes, *piece_notes(run, stretches), *filter_notes)
+    notes = (*plant.notes, *piece_notes(run, pieces), *filter_notes)
     progress.note(*notes)
     progress.stage("Solving for parameters...")
     fitted = solved(robot, recordings, Question(options), progress)
@@ -121,7 +121,7 @@ def _result(
     origin: DataOrigin,
     notes: Sequence[str],
     progress: Progress,
-    tests: Sequence[MeasurementLog] = (),
+    tests: Sequence[Recording] = (),
 ) -> Result:
     """Return the result of a fit: the model file, its errors, and what is drawn.
 
@@ -132,17 +132,16 @@ def _result(
         progress: receives stages.
         tests: logs that only test the result; they get the cut-off of the others.
     """
-    cutoff = fitted.recordings[0].signals.cutoff
+    cutoff = fitted.recordings[0].cutoff
     progress.stage(Detail("Fitting the model file..."))
     file = fit_file(fitted)
     errors = []
     of_file = []
     for log in tests:
-        name = str(log.path)
-        pieces = [Piece(name, samples) for samples in log.pieces]
+        pieces = split_at_gaps(log)
         others, _ = low_pass_recordings(fitted.arm.robot, pieces, cutoff)
-        errors.append(predicted(fitted, others, name))
-        of_file.append(errors_on(file, others, name))
+        errors.append(predicted(fitted, others, log.name))
+        of_file.append(errors_on(file, others, log.name))
     return link_result(fitted, file, errors, origin, notes, of_file)
 
 
@@ -151,7 +150,7 @@ def _read_logs(
     robot: RobotModel,
     options: LogOptions,
     progress: Progress,
-) -> list[MeasurementLog]:
+) -> list[Recording]:
     """Return all logs of a run, in their order.
 
     Args:
@@ -230,7 +229,7 @@ def identify_payload(
     )
 
 
-def order_positions(logs: Sequence[MeasurementLog], order: str | None) -> Array | None:
+def order_positions(logs: Sequence[Recording], order: str | None) -> Array | None:
     """Return each log's position (k,) in the order of recording, from -1 to 1.
 
     None where the order is not known: without ``order`` and a clock that all logs share.
@@ -244,7 +243,7 @@ def order_positions(logs: Sequence[MeasurementLog], order: str | None) -> Array 
         is_loaded = np.array([letter == LOADED for letter in order])
         positions = np.argsort(is_loaded, kind="stable").astype(float)
     else:
-        ends = np.array([log.samples.time[[0, -1]] for log in logs])
+        ends = np.array([log.time[[0, -1]] for log in logs])
         spans = ends[np.lexsort(ends.T[::-1])]
         # Logs that overlap in time do not share a clock.
         if np.any(spans[1:, 0] <= spans[:-1, 1]):

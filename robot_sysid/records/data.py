@@ -1,4 +1,4 @@
-"""Motion and measurements, and what follows from them.
+"""Motion and recordings, and what follows from them.
 
 ``FitQuality`` and ``Validation`` say how well a fit describes samples; ``Traces`` are what a report
 draws of them.
@@ -6,15 +6,17 @@ draws of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.records.arrays import Array, check_arrays
+from robot_sysid.records.messages import count_text
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,11 @@ class Motion:
     def __post_init__(self) -> None:
         _check_samples(self, "qd", "qdd")
 
+    def __getitem__(self, rows: Any) -> Motion:
+        return Motion(self.time[rows], self.q[rows], self.qd[rows], self.qdd[rows])
 
-def _check_samples(record: Motion | Measurement, *names: str) -> None:
+
+def _check_samples(record: Motion | Recording, *names: str) -> None:
     """Make the arrays of a record read-only and check their shapes.
 
     Args:
@@ -65,8 +70,97 @@ class MotionPlan(Protocol):
 
 
 @dataclass(frozen=True)
-class Measurement:
-    """Joint motion and torque samples, from a simulation or a log: all of them or one chunk.
+class Column:
+    """A column of a log's file.
+
+    Attributes:
+        index: of the column, from 0.
+        title: as the file has it.
+        factor: by which the column's numbers are multiplied to be in SI units.
+        declared_factor: the part of this factor that the line of a columns file states.
+    """
+
+    index: int
+    title: str
+    factor: float
+    declared_factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class ColumnMap:
+    """The column of each quantity of a log; tuples hold one per chain joint, base to terminal.
+
+    Attributes:
+        time: None for a log without time stamps.
+        rate: samples per second of a log without time stamps [Hz].
+        position: of each joint.
+        torque: of each joint; of a log of servos, its commanded position.
+        velocity: () where velocities are differentiated from positions.
+        joint_time: time stamps of each joint; () where the log has none.
+        titles: of all columns of the log, used or not.
+        angle_declared: whether the unit of angles was declared (option or title), not assumed.
+        commanded: whether ``torque`` holds commanded positions in place of torques.
+        joint_note: a sentence on which joints of the log are those of the model; "" where their
+            names are equal or columns were found otherwise.
+    """
+
+    time: Column | None
+    rate: float | None
+    position: tuple[Column, ...]
+    torque: tuple[Column, ...]
+    velocity: tuple[Column, ...]
+    joint_time: tuple[Column, ...]
+    titles: Sequence[str]
+    angle_declared: bool
+    commanded: bool
+    joint_note: str
+
+    def groups(self) -> tuple[tuple[Column, ...], ...]:
+        """Return the columns of position, torque, velocity and joint time; () for a missing one."""
+        return self.position, self.torque, self.velocity, self.joint_time
+
+    def columns(self) -> list[Column]:
+        """Return all columns: time, where there is one, then ``groups`` one after the other."""
+        time = [self.time] if self.time else []
+        return [*time, *chain(*self.groups())]
+
+    def describe(self) -> tuple[str, ...]:
+        """Return one sentence on the columns that are used, and one on the others."""
+        time = _quote([self.time]) if self.time else f"row number at {self.rate:g} Hz"
+        velocity = "differentiated from position"
+        if self.velocity:
+            velocity = f"from {_quote(self.velocity)}"
+        quantity = "command" if self.commanded else "torque"
+        used = (
+            f"log columns: time from {time}; position from {_quote(self.position)}; "
+            f"velocity {velocity}; {quantity} from {_quote(self.torque)}"
+        )
+        if self.joint_time:
+            used += f"; own time from {_quote(self.joint_time)}"
+        indices = {column.index for column in self.columns()}
+        unused = [t for index, t in enumerate(self.titles) if index not in indices]
+        return used, f"log columns not used: {', '.join(unused) or 'none'}"
+
+
+def _quote(columns: Sequence[Column]) -> str:
+    """Return titles in quotes, with their factors."""
+    texts = []
+    for column in columns:
+        if not column.factor:
+            texts.append("none")
+            continue
+        scale = "" if column.factor == 1.0 else f" x {column.factor:.6g}"
+        texts.append(f"'{column.title}'{scale}")
+    return ", ".join(texts)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording:
+    """What the sensors of an arm read, in N samples of n joints, from a log or a simulation.
+
+    It is one record from the reader to the low-pass: a whole log, a stretch of it, or a chunk of a
+    simulation. ``recording[a:b]`` is the recording of consecutive samples, of which the arrays are
+    views.
 
     Attributes:
         time: (N,) [s], increasing.
@@ -75,7 +169,16 @@ class Measurement:
         qd, qdd: (N, n) velocities, accelerations [rad/s, rad/s^2]; None where the log has none.
         joint_time: (N, n) when each joint was sampled [s]; None where ``time`` holds for all.
         command: (N, n) commanded positions [rad], of a log of servos; else None.
-        left_out: (N,) bool, samples that something is wrong with and no estimate uses; or None.
+        hole: (N,) length of the hole in the log that a sample bridges [s]: zero where it bridges
+            none, infinite where something is wrong with it and no estimate uses it; None for zeros.
+        name: path of the log as the user gave it, which messages have; "" of a simulation.
+        joint_names: (n,) of the arm that a log was read for, base to terminal.
+        columns: the column of the file that each quantity of a log was read from.
+        options: name to value of the options with which a log was read.
+        notes: sentences for the user on columns, rows left out and corrections.
+        is_loaded: whether the arm carries the payload.
+        order: position among all recordings in time, from -1 for the first to 1 for the last; 0
+            where the order is not known.
     """
 
     time: Array
@@ -85,13 +188,64 @@ class Measurement:
     qdd: Array | None = None
     joint_time: Array | None = None
     command: Array | None = None
-    left_out: NDArray[np.bool_] | None = None
+    hole: Array | None = None
+    name: str = ""
+    joint_names: tuple[str, ...] = ()
+    columns: ColumnMap | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    is_loaded: bool = False
+    order: float = 0.0
 
     def __post_init__(self) -> None:
         _check_samples(self, "qd", "tau", "qdd", "joint_time", "command")
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def __getitem__(self, rows: slice) -> Recording:
+        arrays = {name: values[rows] for name, values in self.arrays().items()}
+        return replace(self, **arrays)
+
+    def __fspath__(self) -> str:
+        """The path, so that a log that was read may stand where its file is expected."""
+        return self.name
+
+    __str__ = __fspath__
+
+    def __repr__(self) -> str:
+        size = f"{len(self)} samples of {count_text(self.q.shape[1], 'joint')}"
+        return f"<Recording {self.name}: {size} in {self.duration:.4g} s>"
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(np.ptp(self.time))
+
+    @property
+    def is_left_out(self) -> NDArray[np.bool_]:
+        """Which samples (N,) something is wrong with, so that no estimate uses them."""
+        return np.isinf(np.zeros(len(self)) if self.hole is None else self.hole)
+
+    def arrays(self) -> dict[str, Any]:
+        """Return name to samples of what was recorded."""
+        of_samples = {name: getattr(self, name) for name in _SAMPLED}
+        return {
+            name: values for name, values in of_samples.items() if values is not None
+        }
+
+
+# Fields of a recording with an element or row per sample.
+_SAMPLED = ("time", "q", "qd", "tau", "qdd", "joint_time", "command", "hole")
+
+
+def join_recordings(chunks: Iterable[Recording]) -> Recording:
+    """Return consecutive chunks as one recording; all have the same quantities."""
+    chunks = list(chunks)
+    arrays: dict[str, Any] = {}
+    for name in chunks[0].arrays():
+        arrays[name] = np.concatenate([getattr(chunk, name) for chunk in chunks])
+    return replace(chunks[0], **arrays)
 
 
 def rms_of_joints(

@@ -24,8 +24,8 @@ from robot_sysid.mjcf.updated_model import ElementChange
 from robot_sysid.records import (
     Array,
     DataOrigin,
-    Measurement,
     Motion,
+    Recording,
     RobotModel,
     file_access,
 )
@@ -42,7 +42,7 @@ from robot_sysid.servo.fit import (
     refine_played,
 )
 from robot_sysid.servo.windows import WINDOW, ServoProblem, check_commands, rms
-from robot_sysid.signals.resampling import slice_samples
+from robot_sysid.signals.resampling import split_at_gaps
 from robot_sysid.simulation.playback import (
     ServoRollouts,
     chain_actuators,
@@ -276,13 +276,13 @@ def identify_servos(
     refuse_repeated_logs(opened)
     check_commands(opened, robot.joint_names)
     fitted_logs = opened[: len(logs.measurements)]
-    fitted: list[Measurement] = [each for log in fitted_logs for each in log.pieces]
+    fitted: list[Recording] = [*chain(*map(split_at_gaps, fitted_logs))]
     tests = opened[len(fitted_logs) :]
-    held_out: list[Measurement] = [each for log in tests for each in log.pieces]
+    held_out: list[Recording] = [*chain(*map(split_at_gaps, tests))]
     if test_path is None:
         ends = [round((1.0 - HELD_OUT_SHARE) * len(piece)) for piece in fitted]
-        held_out = [slice_samples(p, end, len(p)) for p, end in zip(fitted, ends)]
-        fitted = [slice_samples(p, 0, end) for p, end in zip(fitted, ends)]
+        held_out = [piece[end:] for piece, end in zip(fitted, ends)]
+        fitted = [piece[:end] for piece, end in zip(fitted, ends)]
     progress.stage("Searching for servos, friction and rotor inertia...")
     rollouts = ServoRollouts(robot)
     problem = ServoProblem(rollouts, fitted)

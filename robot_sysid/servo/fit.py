@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.estimate.links import link_factor
-from robot_sysid.records import Array, Measurement, RobotModel
+from robot_sysid.records import Array, Recording, RobotModel
 from robot_sysid.records.usual_errors import EXPECTED_SCALES, LINK
 from robot_sysid.servo.windows import (
     MAX_DELAY,
@@ -56,7 +56,7 @@ DELAYS = np.arange(0.0, MAX_DELAY, GRID)
 _LEAST_ERRORS = (2.0 * LINK_ERROR, 2.0 * LINK_ERROR, 2.0, 2.0 * LINK_ERROR)
 
 
-def distances(pieces: Sequence[Measurement], delay: float) -> Array:
+def distances(pieces: Sequence[Recording], delay: float) -> Array:
     """Return the distance (M, n) from each position to its command of ``delay`` [s] before, behind
     the low-pass.
     """
@@ -75,7 +75,7 @@ def distances(pieces: Sequence[Measurement], delay: float) -> Array:
     return np.concatenate(distances)
 
 
-def goal_error(pieces: Sequence[Measurement]) -> float:
+def goal_error(pieces: Sequence[Recording]) -> float:
     """Return the error of the commands of some time before, where that time fits best [rad or m].
 
     It is the root mean square of all joints.
@@ -83,9 +83,7 @@ def goal_error(pieces: Sequence[Measurement]) -> float:
     return min(rms(distances(pieces, delay)) for delay in DELAYS)
 
 
-def loop_columns(
-    robot: RobotModel, pieces: Sequence[Measurement]
-) -> tuple[Array, Array]:
+def loop_columns(robot: RobotModel, pieces: Sequence[Recording]) -> tuple[Array, Array]:
     """Return the columns of the equations of an arm's servos, behind the low-pass.
 
     They are (M, n, 4) the links' torque, velocity, its sign, and acceleration; and (M, n, L) the
@@ -170,7 +168,7 @@ class ServoFit(ServoParameters):
         return self.errors < LARGEST_ERROR * self.numbers
 
 
-def fit_servos(robot: RobotModel, pieces: Sequence[Measurement]) -> ServoFit:
+def fit_servos(robot: RobotModel, pieces: Sequence[Recording]) -> ServoFit:
     """Return the servo numbers that solve the equations best, with one delay for all joints.
 
     The delay is found first. Links then show the gains of the joints that carry them, and the

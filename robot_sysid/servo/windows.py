@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.held_out import is_clearly_lower
-from robot_sysid.logs.reader import MeasurementLog
-from robot_sysid.records import Array, Measurement
+from robot_sysid.records import Array, Recording
 from robot_sysid.signals.resampling import sampling_period
 from robot_sysid.simulation.playback import (
     MAX_WINDOWS,
@@ -40,7 +39,7 @@ WINDOW = 1.0
 """Length of a window [s]."""
 
 
-def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -> None:
+def check_commands(logs: Sequence[Recording], joint_names: Sequence[str]) -> None:
     """Raise InputError where positions of a moving joint do not follow its commands.
 
     They follow with a delay, correlated, by about as much, from about the same zero. Commands that
@@ -49,15 +48,15 @@ def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -
     for log in logs:
         # Far enough beyond the largest delay to tell a wrong one, 20 ms apart, and every sample
         # nearby, where a copy shows; of equal ones the least counts.
-        period = sampling_period(log.samples.time)
-        reach = min(round(3.0 * MAX_DELAY / period), len(log.samples) // 4)
+        period = sampling_period(log.time)
+        reach = min(round(3.0 * MAX_DELAY / period), len(log) // 4)
         steps = np.arange(reach + 1)
         sizes = steps[(steps <= 10) | (steps % max(1, round(0.02 / period)) == 0)]
         lags = np.stack((sizes, -sizes), axis=1).ravel()
         # A joint whose positions range over less [rad or m] does not move.
-        for k in np.flatnonzero(np.ptp(log.samples.q, axis=0) >= 0.02).tolist():
-            q = log.samples.q[:, k]
-            command = commands(log.samples)[reach : len(q) - reach, k]
+        for k in np.flatnonzero(np.ptp(log.q, axis=0) >= 0.02).tolist():
+            q = log.q[:, k]
+            command = commands(log)[reach : len(q) - reach, k]
             late = sliding_window_view(q, len(command))[reach + lags]
             (size, *covariances), *others = np.cov(command, late)
             variances = np.diag(others, 1)
@@ -80,7 +79,7 @@ def check_commands(logs: Sequence[MeasurementLog], joint_names: Sequence[str]) -
             ):
                 copied = " and repeat the measured ones" if is_copy else ""
                 raise InputError(
-                    f"{log.path}: the positions of joint {joint_names[k]} do not follow its "
+                    f"{log}: the positions of joint {joint_names[k]} do not follow its "
                     f"commands as those of a servo: commands come {lag:.2g} s before them (not 0 "
                     f"to {MAX_DELAY:g} s){copied}, with a correlation of {correlation:.2f}, "
                     f"change {slope:.3g} times as much (degrees 57.3 times, steps of 4096 a turn "
@@ -112,7 +111,7 @@ class ServoProblem:
     Raises InputError where no piece is long enough for one window after its beginning.
     """
 
-    def __init__(self, rollouts: ServoRollouts, pieces: Sequence[Measurement]) -> None:
+    def __init__(self, rollouts: ServoRollouts, pieces: Sequence[Recording]) -> None:
         self.rollouts = rollouts
         count = int(WINDOW / longest_period(pieces))
         cut = []
@@ -160,13 +159,13 @@ class ServoProblem:
         return np.sqrt(np.mean(old, axis=0)), np.sqrt(np.mean(new, axis=0)), is_worse
 
 
-def commands(piece: Measurement) -> Array:
+def commands(piece: Recording) -> Array:
     """Return the commanded positions (N, n) of a piece of a log of servos [rad or m]."""
     assert piece.command is not None
     return piece.command
 
 
-def longest_period(pieces: Sequence[Measurement]) -> float:
+def longest_period(pieces: Sequence[Recording]) -> float:
     """Return the longest sampling period of pieces [s]."""
     return max(sampling_period(piece.time) for piece in pieces)
 
@@ -193,7 +192,7 @@ def low_pass(time: Array, values: Array, order: int = 0) -> Array:
     return gaussian_filter1d(values, width, 0, order, mode="nearest", truncate=7.0)
 
 
-def low_pass_motion(piece: Measurement) -> tuple[Array, Array, Array]:
+def low_pass_motion(piece: Recording) -> tuple[Array, Array, Array]:
     """Return low-passed positions, velocities, accelerations (N, n) of a piece of a log.
 
     Time stamps pass the same low-pass, so that uneven ones make no speed.

@@ -1,13 +1,23 @@
-"""Stretches in which a channel of a log repeats one value, as of a sensor that failed."""
+"""Stretches of a log in which a channel repeats one value, as of a sensor that failed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.records import Array
+
+
+class Stretch(NamedTuple):
+    """A stretch of time with a fault: begin and end [s], joints that show it, and its check."""
+
+    start: float
+    stop: float
+    joints: NDArray[np.bool_]
+    check: str = "contact"
 
 
 def true_runs(mask: NDArray[np.bool_]) -> Iterator[slice]:

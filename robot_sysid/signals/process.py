@@ -8,7 +8,7 @@
 4. regressor columns and torques pass the same low-pass and are decimated to its bandwidth. What
    depends on the sign of a speed is computed at the full rate (``filter_columns``);
 5. the ends are cut off. Rows over long holes in the log, or over moments at which a joint is too
-   slow for its friction to have a sign, are masked (``ProcessedSignals.usable``).
+   slow for its friction to have a sign, are masked (``FilteredRecording.is_moving``).
 
 A filtered row mixes all samples under the filter's window, near a reversal also some in which the
 direction of friction is not known. Rows with more than ``LARGEST_SLOW_SHARE`` of the filter's
@@ -18,43 +18,61 @@ instant leaves errors of 3.8 % in viscous friction, this one 0.9 %.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Motion
+from robot_sysid.errors import InputError, prefix_input_errors
+from robot_sysid.records import Array, Motion, Recording, RobotModel
 from robot_sysid.records.messages import Detail, percent, position_unit
+from robot_sysid.signals.cutoff import CutoffChoice, choose_cutoff
 from robot_sysid.signals.filters import REACH, LowPass, derivatives, design_low_pass
-from robot_sysid.signals.frozen import equal_runs
-from robot_sysid.signals.resampling import SHORTEST_PIECE, UniformSignals
+from robot_sysid.signals.frozen import Stretch, equal_runs
+from robot_sysid.signals.resampling import (
+    SHORTEST_PIECE,
+    resample_uniformly,
+    sampling_period,
+)
 
+Mask = NDArray[np.bool_]
+"""Boolean mask, True where a row is used, or a sample has what it is named for."""
 LARGEST_SLOW_SHARE = 0.07
 """Share of the filter's weight that samples inside the deadband, or in long holes of the log, may
 have in a row that is used."""
 
 
 @dataclass(frozen=True)
-class ProcessedSignals:
-    """Signals of n joints on a uniform grid of N samples: motion low-passed, torque still raw.
+class FilteredRecording:
+    """A recording, low-passed: K rows (instants) of equations, made from N samples of n joints.
+
+    The samples lie on a uniform grid. Their motion is low-passed, their torque still raw, so that
+    it passes the low-pass exactly as often as the columns of equations do.
 
     Attributes:
         time: (N,) [s].
         q: (N, n) positions [rad].
         qd: (N, n) velocities [rad/s].
         qdd: (N, n) accelerations [rad/s^2].
-        tau: (N, n) torques, uniform but not filtered, so that they pass the low-pass exactly as
-            often as the regressor columns do [N m].
+        tau: (N, n) torques, uniform but not filtered [N m].
         bridged: (N,) whether the motion of a sample was computed from samples over a long hole in
             the log.
         turning: (N, n) whether a joint may be standing because it turns round.
         deadband: (n,) speed below which the direction of a joint's friction is not sure [rad/s].
         low_pass: the filter for columns and torques.
+        name: of the log, in messages.
+        is_loaded: whether the arm carries the payload.
+        order: as of ``Recording``.
         notes: what a reader should know about the log.
         acceleration_error: expected error of the acceleration over its root mean square; 0 where
             the cut-off was given.
+        touched: stretches in which torque is left over that is ordinary at no other time.
+        every: of how many rows one counts.
     """
 
     time: Array
@@ -62,16 +80,38 @@ class ProcessedSignals:
     qd: Array
     qdd: Array
     tau: Array
-    bridged: NDArray[np.bool_]
-    turning: NDArray[np.bool_]
+    bridged: Mask
+    turning: Mask
     deadband: Array
     low_pass: LowPass
+    name: str = ""
+    is_loaded: bool = False
+    order: float = 0.0
     notes: tuple[str, ...] = ()
     acceleration_error: float = 0.0
+    touched: tuple[Stretch, ...] = ()
+    every: int = 1
+    _kept: dict[object, Any] = field(default_factory=dict, compare=False)
+
+    @classmethod
+    def exact(
+        cls, motion: Any, tau: Array, low_pass: LowPass, **fields: Any
+    ) -> FilteredRecording:
+        """Return samples without noise as a recording of which nothing is left out.
+
+        Args:
+            motion: positions, velocities and accelerations (N, n).
+            tau: (N, n) torques [N m].
+            low_pass: of torques and columns.
+            fields: further fields of the recording.
+        """
+        series = motion.time, motion.q, motion.qd, motion.qdd, tau
+        never = np.zeros(tau.shape, dtype=bool)
+        return cls(*series, never[:, 0], never, np.zeros(1), low_pass, **fields)
 
     def __len__(self) -> int:
-        """Return the number N of samples."""
-        return len(self.time)
+        """Return the number K of rows."""
+        return len(self.motion.time)
 
     @property
     def cutoff(self) -> float:
@@ -83,101 +123,128 @@ class ProcessedSignals:
         """Sample rate of the grid [Hz]."""
         return self.low_pass.rate
 
+    def samples(self, chosen: NDArray[np.int64] | slice) -> Motion:
+        """Return the motion (m, n) at m samples: their indices, or a slice of them, for views."""
+        return Motion(
+            self.time[chosen], self.q[chosen], self.qd[chosen], self.qdd[chosen]
+        )
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Positions, speeds, accelerations (K, n) at the instants of rows, low-passed once."""
+        lost = self.low_pass.half_width
+        return self.samples(
+            slice(lost, len(self.time) - lost, self.low_pass.step * self.every)
+        )
+
+    @cached_property
+    def torque(self) -> Array:
+        """The measured torque (K, n), low-passed like the columns [N m]."""
+        return self.low_pass.decimate(self.tau)[:: self.every]
+
+    @property
+    def has_torque(self) -> Mask:
+        """Which joints (n,) have a torque: it is zero throughout where no sensor measured it."""
+        return np.any(self.tau, axis=0)
+
+    @cached_property
+    def is_complete(self) -> Mask:
+        """Which rows (K,) have a filter's window with next to no weight of bridged samples."""
+        return self._is_light(self.bridged)
+
+    @cached_property
+    def is_moving(self) -> Mask:
+        """Which rows (K, n) are complete, with little weight of slow samples in their window."""
+        is_slow = np.abs(self.qd) < self.deadband
+        return self._is_light(is_slow) & self.is_complete[:, None]
+
+    @cached_property
+    def used(self) -> Mask:
+        """Which rows (K, n) may be used: of joints with torque, where friction has a direction."""
+        return self.is_moving & self.has_torque
+
+    @cached_property
+    def at_turns(self) -> Mask:
+        """Which rows (K, n) lie where a joint may be standing because it turns round."""
+        return ~self._is_light(self.turning)
+
+    def _is_light(self, is_marked: Mask) -> Mask:
+        """Return (K, ...) whether marked samples have next to no weight in each row's window."""
+        shares = self.low_pass.weight_shares(is_marked)[:: self.every]
+        return shares <= LARGEST_SLOW_SHARE
+
+    def only(self, rows: Mask) -> FilteredRecording:
+        """Return the recording in which some rows, (K,) or (K, n), are used at most."""
+        smaller = replace(self)
+        smaller.__dict__["used"] = (self.used.T & rows.T).T
+        return smaller
+
     def filter_columns(self, make: Callable[[Motion], Array]) -> Array:
         """Return columns (K, ...) that are made from the motion, low-passed and decimated.
 
-        ``make`` takes the motion at m samples and returns its columns (m, ...).
+        What has the sign of a speed has to pass the filter that the torque has passed. ``make``
+        takes the motion at m samples and returns its columns (m, ...).
         """
         low_pass = self.low_pass
         reach = len(low_pass.kernel)
         # Decimated rows that are computed at once: bounds memory, changes no result.
         count = 500
         blocks = []
-        for first in range(0, len(self) - reach + 1, count * low_pass.step):
+        for first in range(0, len(self.time) - reach + 1, count * low_pass.step):
             last = first + (count - 1) * low_pass.step + reach
-            blocks.append(low_pass.decimate(make(self.motion(slice(first, last)))))
-        return np.concatenate(blocks)
+            blocks.append(low_pass.decimate(make(self.samples(slice(first, last)))))
+        return np.concatenate(blocks)[:: self.every]
 
-    def motion(self, samples: NDArray[np.int64] | slice) -> Motion:
-        """Return the motion (m, n) at ``samples``: m indices of samples, or a slice of them, for
-        which the arrays are views.
-        """
-        return Motion(
-            self.time[samples], self.q[samples], self.qd[samples], self.qdd[samples]
-        )
-
-    def decimated_motion(self) -> Motion:
-        """Return the motion (K, n), low-passed once, at the instants of the decimated rows."""
-        lost = self.low_pass.half_width
-        return self.motion(slice(lost, len(self) - lost, self.low_pass.step))
-
-    def usable(self) -> NDArray[np.bool_]:
-        """Return (K, n) whether each decimated row of each joint may be used: the filter's window
-        holds little weight of slow samples, and the row is complete.
-        """
-        is_slow = np.abs(self.qd) < self.deadband
-        moving = self.low_pass.weight_shares(is_slow) <= LARGEST_SLOW_SHARE
-        return moving & self.is_complete()[:, None]
-
-    def at_turns(self) -> NDArray[np.bool_]:
-        """Return (K, n) whether a joint may be standing under a decimated row's window."""
-        return self.low_pass.weight_shares(self.turning) > LARGEST_SLOW_SHARE
-
-    def is_complete(self) -> NDArray[np.bool_]:
-        """Return (K,) whether the filter's window of each decimated row holds next to no weight of
-        bridged samples.
-        """
-        return self.low_pass.weight_shares(self.bridged) <= LARGEST_SLOW_SHARE
+    def kept(self, key: object, make: Callable[[], Array]) -> Array:
+        """Return what is made of the recording, and kept by a key: do not change it."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
 
 
-def process(
-    uniform: UniformSignals,
-    joint_names: Sequence[str],
-    cutoff: float | None = None,
-    slides: Collection[str] = (),
-) -> ProcessedSignals:
-    """Return the processed signals of a log: positions low-passed and differentiated.
+def low_pass_uniform(
+    uniform: Recording, choice: CutoffChoice, robot: RobotModel
+) -> FilteredRecording:
+    """Return a recording low-passed: positions are low-passed and differentiated.
 
     Args:
-        uniform: the log, as ``resample_uniformly`` returns it.
-        joint_names: for the notes.
-        cutoff: of the low-pass [Hz]; None chooses it from the data.
-        slides: names of the joints that are slides, for the notes.
+        uniform: on a uniform grid, as ``resample_uniformly`` returns it.
+        choice: of the cut-off.
+        robot: the arm, whose joints the notes name.
 
     Raises:
         InputError: the log is too short, or the cut-off does not fit its sample rate.
     """
-    choice = uniform.choice
-    if cutoff is not None:
-        choice = choice._replace(cutoff=cutoff, expected_error=0.0)
-    low_pass = design_low_pass(choice.cutoff, uniform.rate)
+    rate = 1.0 / sampling_period(uniform.time)
+    low_pass = design_low_pass(choice.cutoff, rate)
     # Positions with so little noise are differentiated as they are.
     kernel = np.ones(1) if choice.noise_share < 1e-3 else low_pass.kernel
     position_filter = replace(low_pass, step=1, kernel=kernel)
     # Samples that positions and their derivatives lose at each end; torques lose more.
     lost = position_filter.half_width + REACH
     shortest = 2 * (lost + low_pass.half_width) + 10 * low_pass.step
-    if len(uniform.q) < shortest:
+    if len(uniform) < shortest:
         raise InputError(
-            f"the log's {len(uniform.q) / uniform.rate:.3g} s are too short for a cut-off of "
-            f"{choice.cutoff:.3g} Hz, which needs {shortest / uniform.rate:.3g} s; record longer"
+            f"the log's {len(uniform) / rate:.3g} s are too short for a cut-off of "
+            f"{choice.cutoff:.3g} Hz, which needs {shortest / rate:.3g} s; record longer"
         )
-    inner = slice(lost, len(uniform.q) - lost)
+    inner = slice(lost, len(uniform) - lost)
     q = position_filter.decimate(uniform.q)
-    qd, qdd = derivatives(q, uniform.rate)
+    qd, qdd = derivatives(q, rate)
     # The longest hole that a spline bridges is one of four lost samples, and one period of the
     # cut-off: noise of the samples around it is at most three times the usual noise in a row over
     # them, and grows with the square of their number.
-    longest_hole = min(5.5 / uniform.rate, 1.0 / choice.cutoff)
-    hole_share = position_filter.weight_shares(uniform.gap > longest_hole)
+    longest_hole = min(5.5 / rate, 1.0 / choice.cutoff)
+    assert uniform.hole is not None
+    hole_share = position_filter.weight_shares(uniform.hole > longest_hole)
     # A blow reaches the rows within a quarter of a period of the cut-off.
-    reach = np.ones(2 * round(0.25 * uniform.rate / choice.cutoff) + 1)
+    reach = np.ones(2 * round(0.25 * rate / choice.cutoff) + 1)
     stops = abrupt_stops(uniform.time, uniform.q)
     stops = np.convolve(stops, reach, "same")[: len(stops)] > 0.0
     stop_share = position_filter.weight_shares(stops)
     # Below this share of its peak speed a joint has hardly left stiction.
     deadband = 0.005 * np.max(np.abs(qd), axis=0)
-    signals = ProcessedSignals(
+    filtered = FilteredRecording(
         time=uniform.time[inner],
         q=q[REACH:-REACH],
         qd=qd,
@@ -187,48 +254,47 @@ def process(
         turning=turning_samples(uniform.q[inner], q[REACH:-REACH], qd),
         deadband=np.maximum(deadband, 1e-3),  # encoder noise alone can look so fast
         low_pass=low_pass,
+        name=uniform.name,
+        is_loaded=uniform.is_loaded,
+        order=uniform.order,
         acceleration_error=choice.expected_error,
     )
     filter_note = Detail(f"low-pass with a cut-off of {choice.cutoff:.4g} Hz")
-    row_notes = _notes(signals, joint_names, slides, longest_hole)
-    return replace(signals, notes=(*uniform.notes, filter_note, *row_notes))
+    row_notes = _notes(filtered, robot, longest_hole)
+    return replace(filtered, notes=(*uniform.notes, filter_note, *row_notes))
 
 
 def _notes(
-    signals: ProcessedSignals,
-    joint_names: Sequence[str],
-    slides: Collection[str],
-    longest_hole: float,
+    filtered: FilteredRecording, robot: RobotModel, longest_hole: float
 ) -> Iterator[str]:
-    """Yield sentences for the user on the rows of processed signals; a ``Detail`` is printed on
-    demand only.
+    """Yield sentences for the user on the rows of a recording; a ``Detail`` is printed on demand
+    only.
 
     Args:
-        signals: the processed signals.
-        joint_names: names of the joints.
-        slides: names of those that are slides.
+        filtered: the recording.
+        robot: the arm.
         longest_hole: length of a hole in the log beyond which rows beside it are not used [s].
     """
-    is_complete = signals.is_complete()
-    missing = 1.0 - float(np.mean(is_complete))
+    missing = 1.0 - float(np.mean(filtered.is_complete))
     if missing > 0.0:
         note = (
             f"{percent(missing)} of the rows lie next to lost samples (gaps of more than "
             f"{1e3 * longest_hole:.3g} ms) or what is left out, and are not used"
         )
         yield note if missing > 0.05 else Detail(note)
-    usable = np.count_nonzero(signals.usable(), axis=0)
-    shares = usable / max(np.count_nonzero(is_complete), 1)
-    for name, share, deadband in zip(joint_names, shares, signals.deadband):
-        if share < 0.5:
-            unit = position_unit(name in slides)
+    usable = np.count_nonzero(filtered.is_moving, axis=0)
+    shares = usable / max(np.count_nonzero(filtered.is_complete), 1)
+    for joint, name in enumerate(robot.joint_names):
+        if shares[joint] < 0.5:
+            unit = position_unit(robot.is_slide[joint])
             yield (
-                f"only {percent(share)} of the rows of joint {name} are used: in the others it is "
-                f"slower than {deadband:.2g} {unit}/s, where the direction of friction is not sure"
+                f"only {percent(shares[joint])} of the rows of joint {name} are used: in the "
+                f"others it is slower than {filtered.deadband[joint]:.2g} {unit}/s, where the "
+                "direction of friction is not sure"
             )
 
 
-def turning_samples(readings: Array, q: Array, qd: Array) -> NDArray[np.bool_]:
+def turning_samples(readings: Array, q: Array, qd: Array) -> Mask:
     """Return at which samples (N, n) a joint may be standing while it turns round.
 
     A joint with dry friction does not turn round at once: it stands until its torque has changed by
@@ -263,7 +329,7 @@ def turning_samples(readings: Array, q: Array, qd: Array) -> NDArray[np.bool_]:
     return is_turning
 
 
-def abrupt_stops(time: Array, readings: Array) -> NDArray[np.bool_]:
+def abrupt_stops(time: Array, readings: Array) -> Mask:
     """Return at which samples (N,) a joint stops or starts at once, as at the end of its range.
 
     Its acceleration there is that of a blow, which no motor makes. From one sample to the next its
@@ -286,12 +352,12 @@ def abrupt_stops(time: Array, readings: Array) -> NDArray[np.bool_]:
     return is_stop
 
 
-def check_losses(recordings: Sequence[ProcessedSignals]) -> None:
+def check_losses(recordings: Sequence[FilteredRecording]) -> None:
     """Raise InputError where lost samples spoil most rows of a log's pieces, and the others last
     less than ``SHORTEST_PIECE``.
     """
-    is_complete = np.concatenate([signals.is_complete() for signals in recordings])
-    entire_time = sum(len(signals) / signals.rate for signals in recordings)
+    is_complete = np.concatenate([recording.is_complete for recording in recordings])
+    entire_time = sum(len(recording.time) / recording.rate for recording in recordings)
     used_time = float(np.mean(is_complete)) * entire_time
     if used_time < min(SHORTEST_PIECE, 0.5 * entire_time):
         raise InputError(
@@ -299,3 +365,59 @@ def check_losses(recordings: Sequence[ProcessedSignals]) -> None:
             "little for an estimate; record without losses, for example on the computer that "
             "controls the arm"
         )
+
+
+def low_pass_recordings(
+    robot: RobotModel, recordings: Sequence[Recording], cutoff: float | None = None
+) -> tuple[list[FilteredRecording], tuple[str, ...]]:
+    """Resample every recording to a uniform grid and low-pass it, all with the same cut-off.
+
+    Args:
+        robot: the arm with its model.
+        recordings: without long holes; those of one name are stretches of one log.
+        cutoff: of the low-pass [Hz]; None for the lowest that any of them requires.
+
+    Returns:
+        (filtered recordings, one for each; notes on them, one sentence each).
+
+    Raises:
+        InputError: a recording is too short.
+    """
+    resampled = []
+    choices = []
+    for recording in recordings:
+        with prefix_input_errors(recording.name):
+            uniform = resample_uniformly(recording)
+            choices.append(
+                choose_cutoff(uniform.q, 1.0 / sampling_period(uniform.time))
+            )
+        resampled.append(uniform)
+    lowest = min(choice.cutoff for choice in choices)
+    logs: defaultdict[str, list[FilteredRecording]] = defaultdict(list)
+    filtered = []
+    for uniform, choice in zip(resampled, choices):
+        if cutoff is not None or choice.cutoff > lowest:
+            choice = choice._replace(cutoff=cutoff or lowest, expected_error=0.0)
+        with prefix_input_errors(uniform.name):
+            filtered.append(low_pass_uniform(uniform, choice, robot))
+        logs[uniform.name].append(filtered[-1])
+    notes = {}
+    for name, of_log in logs.items():
+        with prefix_input_errors(name):
+            check_losses(of_log)
+        notes[name] = [note for stretch in of_log for note in stretch.notes]
+    return filtered, tuple(shared_notes(notes))
+
+
+def shared_notes(notes_by_name: Mapping[str, Collection[str]]) -> Iterator[str]:
+    """Yield each note once, with the names of its recordings where there are several recordings.
+
+    Args:
+        notes_by_name: name of a recording to its notes; a note may be a subclass of ``str``.
+    """
+    for note in dict.fromkeys(chain(*notes_by_name.values())):
+        about = [name for name, notes in notes_by_name.items() if note in notes]
+        where = ", ".join(about)
+        if len(about) == len(notes_by_name):
+            where = "all recordings"
+        yield note if len(notes_by_name) == 1 else type(note)(f"{where}: {note}")

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from robot_sysid.errors import InputError
-from robot_sysid.records import Array, Measurement
-from robot_sysid.signals.cutoff import FEWEST_SAMPLES, CutoffChoice, choose_cutoff
+from robot_sysid.records import Array, Recording
+from robot_sysid.signals.cutoff import FEWEST_SAMPLES
 
 GAP_STEPS = 1.75
 """Multiple of the median step of time beyond which a step counts as a hole with at least one lost
@@ -23,58 +21,41 @@ sample; a late sample comes up to 1.7 periods after an early one (tests/signals/
 """
 
 
-@dataclass(frozen=True)
-class UniformSignals:
-    """Positions and torques of N samples and n joints on a uniform grid.
-
-    Attributes:
-        time: (N,) [s].
-        rate: samples per second [Hz].
-        q: (N, n) positions [rad].
-        tau: (N, n) torques [N m].
-        gap: (N,) length of the hole in the log that a sample bridges [s]; zero where it bridges
-            none, infinite where it is left out.
-        notes: what a reader should know of the resampling.
-    """
-
-    time: Array
-    rate: float
-    q: Array
-    tau: Array
-    gap: Array
-    notes: tuple[str, ...]
-
-    @cached_property
-    def choice(self) -> CutoffChoice:
-        """The cut-off chosen for the log."""
-        return choose_cutoff(self.q, self.rate)
-
-
-def resample_uniformly(measurement: Measurement) -> UniformSignals:
-    """Return a log on a uniform grid, or raise InputError where it has too few samples.
+def resample_uniformly(recording: Recording) -> Recording:
+    """Return a recording on a uniform grid, or raise InputError where it has too few samples.
 
     The samples of a log with evenly spaced time stamps (up to their number of digits) are not
     changed. In any other log every joint is interpolated by cubic splines, at its own time stamps
     where it has them.
     """
-    time = measurement.time
+    time = recording.time
     if len(time) < FEWEST_SAMPLES:
         raise InputError(
             f"only {len(time)} samples; record longer: several seconds are needed"
         )
-    rate = 1.0 / sampling_period(time)
-    grid, q, tau = time, measurement.q, measurement.tau
-    gap = np.zeros(len(time))
-    notes: tuple[str, ...] = ()
-    if measurement.joint_time is not None or not is_even(time):
-        notes = (
-            f"resampled to a uniform {rate:.6g} Hz (uneven time stamps, cubic splines)",
+    notes = recording.notes
+    grid, q, tau = time, recording.q, recording.tau
+    hole = np.zeros(len(time))
+    if recording.joint_time is not None or not is_even(time):
+        rate = 1.0 / sampling_period(time)
+        text = (
+            f"resampled to a uniform {rate:.6g} Hz (uneven time stamps, cubic splines)"
         )
-        grid, q, tau = _interpolate(measurement, rate)
-        gap = _bridged_gap(time, grid, rate)
-    if measurement.left_out is not None:
-        gap[np.interp(grid, time, measurement.left_out) > 0.0] = np.inf
-    return UniformSignals(grid, rate, q, tau, gap, notes)
+        notes = (*notes, text)
+        grid, q, tau = _interpolate(recording, rate)
+        hole = _bridged_hole(time, grid, rate)
+    hole[np.interp(grid, time, recording.is_left_out) > 0.0] = np.inf
+    return Recording(
+        grid,
+        q,
+        None,
+        tau,
+        hole=hole,
+        name=recording.name,
+        notes=notes,
+        is_loaded=recording.is_loaded,
+        order=recording.order,
+    )
 
 
 def sampling_period(time: Array) -> float:
@@ -98,23 +79,23 @@ def is_even(time: Array) -> bool:
     return bool(np.max(np.abs(time - even)) <= tolerance)
 
 
-def _interpolate(measurement: Measurement, rate: float) -> tuple[Array, Array, Array]:
+def _interpolate(recording: Recording, rate: float) -> tuple[Array, Array, Array]:
     """Return the instants (K,) of a grid at a rate [Hz], and positions and torques (K, n) there, by
     cubic splines through each joint's samples.
     """
     from scipy.interpolate import CubicSpline
 
-    time = measurement.time
-    stamps = measurement.joint_time
+    time = recording.time
+    stamps = recording.joint_time
     if stamps is None:
-        stamps = np.broadcast_to(time[:, None], measurement.q.shape)
+        stamps = np.broadcast_to(time[:, None], recording.q.shape)
     start = max(time[0], stamps[0].max())
     end = min(time[-1], stamps[-1].min())
     # A last sample that rounding puts just beyond the end is still on the grid.
     count = math.floor((end - start) * rate + 1e-6) + 1
     grid = np.minimum(start + np.arange(count) / rate, end)
     signals = []
-    for its_time, *samples in zip(stamps.T, measurement.q.T, measurement.tau.T):
+    for its_time, *samples in zip(stamps.T, recording.q.T, recording.tau.T):
         is_new = np.diff(its_time, prepend=-np.inf) > 0.0
         kept = np.stack(samples)[:, is_new]
         signals.append(CubicSpline(its_time[is_new], kept, axis=1)(grid))
@@ -122,7 +103,7 @@ def _interpolate(measurement: Measurement, rate: float) -> tuple[Array, Array, A
     return grid, q, tau
 
 
-def _bridged_gap(time: Array, grid: Array, rate: float) -> Array:
+def _bridged_hole(time: Array, grid: Array, rate: float) -> Array:
     """Return (K,) the length of the hole between the time stamps (N,) of a log that each instant of
     a grid (K,) at a rate [Hz] lies in [s]; zero outside holes and next to a time stamp.
     """
@@ -130,8 +111,8 @@ def _bridged_gap(time: Array, grid: Array, rate: float) -> Array:
     # Next to a time stamp these are two steps of time, elsewhere one.
     ends = np.searchsorted(time, (grid - margin, grid + margin))
     steps = np.diff(time)[np.clip(ends, 1, len(time) - 1) - 1]
-    gap = np.min(steps, axis=0)
-    return np.where(gap > GAP_STEPS / rate, gap, 0.0)
+    hole = np.min(steps, axis=0)
+    return np.where(hole > GAP_STEPS / rate, hole, 0.0)
 
 
 RECORDING_SEPARATION = 10.0
@@ -140,7 +121,7 @@ SHORTEST_PIECE = 4.0
 """Length below which a piece is not worth filtering, as its ends are cut off (chosen) [s]."""
 
 
-def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
+def split_at_gaps(samples: Recording) -> tuple[Recording, ...]:
     """Return the pieces of a log between its gaps; those shorter than ``SHORTEST_PIECE`` are left
     out.
 
@@ -157,31 +138,29 @@ def split_at_gaps(samples: Measurement) -> tuple[Measurement, ...]:
     pieces = []
     edges = [0, *cuts.tolist(), len(samples)]
     for first, last in zip(edges, edges[1:]):
-        piece = slice_samples(samples, first, last)
-        if duration([piece]) >= SHORTEST_PIECE:
+        piece = samples[first:last]
+        if piece.duration >= SHORTEST_PIECE:
             pieces.append(piece)
-    if duration([samples]) > most_time:
+    if samples.duration > most_time:
         pieces = [*cut_pieces(pieces, 60.0)]
     return tuple(select_pieces(pieces, most_time)) or (samples,)
 
 
-def duration(pieces: Iterable[Measurement]) -> float:
+def duration(pieces: Iterable[Recording]) -> float:
     """Return the time from the first to the last sample of each piece, summed [s]."""
-    return float(sum(np.ptp(piece.time) for piece in pieces))
+    return sum(piece.duration for piece in pieces)
 
 
-def cut_pieces(pieces: Iterable[Measurement], longest: float) -> Iterator[Measurement]:
+def cut_pieces(pieces: Iterable[Recording], longest: float) -> Iterator[Recording]:
     """Yield pieces cut to parts of at most ``longest`` [s]."""
     for piece in pieces:
-        count = math.ceil(duration([piece]) / longest)
+        count = math.ceil(piece.duration / longest)
         edges = np.linspace(0, len(piece), count + 1).astype(int).tolist()
         for first, last in zip(edges, edges[1:]):
-            yield slice_samples(piece, first, last)
+            yield piece[first:last]
 
 
-def piece_notes(
-    samples: Measurement, pieces: tuple[Measurement, ...]
-) -> tuple[str, ...]:
+def piece_notes(samples: Recording, pieces: tuple[Recording, ...]) -> tuple[str, ...]:
     """Return a sentence on how a log was split into pieces; none where it was not."""
     used = sum(map(len, pieces))
     if len(pieces) == 1 and used == len(samples):
@@ -192,7 +171,7 @@ def piece_notes(
     )
 
 
-def select_pieces(pieces: list[Measurement], most_time: float) -> list[Measurement]:
+def select_pieces(pieces: list[Recording], most_time: float) -> list[Recording]:
     """Return as many pieces of a log as last ``most_time`` [s], evenly spread over those in which a
     joint moves, or over all where none does.
     """
@@ -205,22 +184,3 @@ def select_pieces(pieces: list[Measurement], most_time: float) -> list[Measureme
     count = int(len(moving) * min(1.0, most_time / duration(moving)))
     numbers = np.linspace(0, len(moving) - 1, max(1, count)).round().astype(int)
     return [moving[number] for number in numbers]
-
-
-def slice_samples(samples: Measurement, start: int, stop: int) -> Measurement:
-    """Return the consecutive samples from index ``start`` to before ``stop`` of a log, as views."""
-    arrays = {}
-    for name, values in vars(samples).items():
-        if values is not None:
-            arrays[name] = values[start:stop]
-    return replace(samples, **arrays)
-
-
-def join_measurements(chunks: Iterable[Measurement]) -> Measurement:
-    """Return consecutive chunks of a log as one measurement; all have the same columns."""
-    chunks = list(chunks)
-    arrays = {}
-    for name, values in vars(chunks[0]).items():
-        if values is not None:
-            arrays[name] = np.concatenate([getattr(chunk, name) for chunk in chunks])
-    return replace(chunks[0], **arrays)

@@ -40,7 +40,7 @@ import numpy as np
 from robot_sysid.dynamics.inverse_dynamics import analysis_copy, data_at_pose
 from robot_sysid.errors import InputError, SimulationError, prefix_input_errors
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Array, Measurement, MotionPlan, RobotModel
+from robot_sysid.records import Array, MotionPlan, Recording, RobotModel
 from robot_sysid.records.option_fields import joint_values
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulator import simulate_inverse
@@ -54,7 +54,7 @@ def plant_measurements(
     options: SimulatedArmOptions,
     sample_rate: float,
     rng: np.random.Generator,
-) -> Iterator[Measurement]:
+) -> Iterator[Recording]:
     """Yield, in chunks, what the sensors of a plant read that follows a trajectory exactly.
 
     Its dry friction is Coulomb's.

@@ -15,10 +15,9 @@ import robot_sysid as rs
 from rigs import arms, pages, params, results
 from robot_sysid.api import calls
 from robot_sysid.errors import InputError, SysidError
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.report.runs import load_run
 from robot_sysid.results.record import Verdict
-from robot_sysid.signals.resampling import slice_samples
 
 
 @pytest.fixture(scope="module")
@@ -107,12 +106,12 @@ def test_a_text_in_place_of_a_columns_file_is_named(workshop):
 @pytest.mark.slow
 def test_arrays_frames_and_logs_are_what_the_file_is(workshop, result):
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
-    s = log.samples
+    s = log
     arrays = {"time": s.time, "q": s.q, "qd": s.qd, "tau": s.tau}
     forms = (
         log,
         arrays,
-        Measurement(s.time, s.q, s.qd, s.tau),
+        Recording(s.time, s.q, s.qd, s.tau),
         frame_of(workshop / "log.csv"),
     )
     for form in forms:
@@ -137,7 +136,7 @@ def test_a_model_that_is_worse_than_the_given_one_on_another_log_is_refused(
 
     monkeypatch.setattr("robot_sysid.pipeline.recordings.errors_on", errors_on)
     log = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
-    other = slice_samples(log.samples, 0, 1200)
+    other = log[:1200]
     worse = rs.identify(
         workshop / "arm.xml", workshop / "log.csv", validation_measurements=other
     )
@@ -173,12 +172,12 @@ def test_a_log_that_was_read_is_not_read_otherwise(workshop, tmp_path):
 
 
 def test_masked_numbers_are_missing(workshop):
-    samples = rs.read_log(workshop / "log.csv", workshop / "arm.xml").samples
+    samples = rs.read_log(workshop / "log.csv", workshop / "arm.xml")
     tau = np.ma.masked_array(samples.tau.copy())
     tau[100:140] = np.ma.masked
     arrays = {"time": samples.time, "q": samples.q, "tau": tau}
     log = rs.read_log(arrays, workshop / "arm.xml")
-    assert len(log.samples) == len(samples) - 40
+    assert len(log) == len(samples) - 40
     assert any(re.match("left out rows .*: 40 ", note) for note in log.notes)
 
 

@@ -16,7 +16,7 @@ from rigs.payload_logs import TrueArm, wide_motion
 from rigs.wrong_arms import truth_of
 from robot_sysid.diagnosis import gate
 from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.records.option_fields import write_torque_scale
 from robot_sysid.spatial import theta_from_com
 
@@ -165,7 +165,7 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
         motion = wide_motion(seed, joints=4, duration=15.0, rate=250.0)
         torque = arm.torque(motion, is_loaded=name == "weight")
         torque += np.random.default_rng(seed).normal(0.0, 0.02, torque.shape)
-        log = Measurement(motion.time, motion.q, motion.qd, PER_NM * torque)
+        log = Recording(motion.time, motion.q, motion.qd, PER_NM * torque)
         write_measurement_csv(folder / f"{name}.csv", arm.robot.joint_names, [log])
     payload = "payload arm.xml --empty ampere.csv --loaded"
     runs = (

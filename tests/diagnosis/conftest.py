@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from rigs import arms
@@ -12,8 +11,6 @@ from rigs.wrong_arms import truth_of
 from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.logs import LogOptions
-from robot_sysid.logs.reader import MeasurementLog
 from robot_sysid.records.messages import Progress
 
 FOUR_AXES = (arms.Z, arms.Y, arms.Y, arms.X)
@@ -22,15 +19,11 @@ JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
 
 def read_log(robot, samples, name="log.csv", divided=1.0):
     """Return samples as a log that was read, its torques divided by a scale."""
-    return MeasurementLog(
-        path=Path(name),
-        columns=None,
-        samples=samples,
-        pieces=(samples,),
-        notes=(),
-        torque_scale=np.full(robot.n_joints, divided),
+    return replace(
+        samples,
+        name=name,
         joint_names=robot.joint_names,
-        options=LogOptions(),
+        options={"torque_scale": divided},
     )
 
 

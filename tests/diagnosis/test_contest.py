@@ -14,8 +14,8 @@ from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.records.messages import Level
+from robot_sysid.signals.process import low_pass_recordings
 from tests.diagnosis.conftest import findings_of
 
 QUESTION = Question(EstimationOptions())
@@ -24,7 +24,7 @@ QUESTION = Question(EstimationOptions())
 @pytest.fixture(scope="module")
 def right(truth):
     """Return the fit of a right log, with the columns of all causes."""
-    recordings, _ = low_pass_recordings(truth.robot, [Piece("log", truth.log)])
+    recordings, _ = low_pass_recordings(truth.robot, [replace(truth.log, name="log")])
     return solved(truth.robot, recordings, QUESTION, beside=beside)
 
 

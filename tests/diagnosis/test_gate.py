@@ -13,7 +13,7 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.records.messages import Level, Progress
 from tests.diagnosis.conftest import findings_of, read_log
 
@@ -48,9 +48,9 @@ def swings(robot, seed):
         q[own, joint] = size * (1.0 - np.cos(phase))
         qd[own, joint] = 0.8 * np.pi * size * np.sin(phase)
         qdd[own, joint] = (0.8 * np.pi) ** 2 * size * np.cos(phase)
-    tau = ArmDynamics(robot)(Measurement(time, q, qd, q, qdd))
+    tau = ArmDynamics(robot)(Recording(time, q, qd, q, qdd))
     noise = 0.02 * rng.normal(size=q.shape)
-    return Measurement(time, np.round(q, 4), None, tau + noise)
+    return Recording(time, np.round(q, 4), None, tau + noise)
 
 
 @pytest.mark.parametrize("seed", range(3))

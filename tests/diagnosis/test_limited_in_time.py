@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 import robot_sysid
 from rigs import arms
 from rigs.log_files import JOINTS, motion
-from robot_sysid.diagnosis.limited_in_time import Stretch, failed_sensors, leave_out
+from robot_sysid.diagnosis.limited_in_time import failed_sensors, leave_out
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.records.messages import Level
+from robot_sysid.signals.frozen import Stretch
 from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, judged
 
 BEGIN, END = 4.0, 5.2
@@ -128,7 +129,7 @@ def test_nothing_of_a_right_log_is_left_out(four_joints, truth):
 SPANS = st.lists(
     st.builds(
         lambda start, length: Stretch(
-            "held", start, start + length, np.array([0, 1, 0]) > 0
+            start, start + length, np.array([0, 1, 0]) > 0, "held"
         ),
         st.floats(-1.0, 11.0),
         st.floats(0.0, 0.6),
@@ -141,8 +142,7 @@ def used_times(pieces):
     """Return the times of the rows of pieces that are not left out [s]."""
     times = []
     for piece in pieces:
-        left_out = piece.left_out
-        times.append(piece.time if left_out is None else piece.time[~left_out])
+        times.append(piece.time[~piece.is_left_out])
     return np.concatenate(times)
 
 
@@ -159,7 +159,7 @@ def test_leaving_out_more_never_uses_more_rows(first, second):
         np.testing.assert_array_equal(used_times(pieces), SAMPLES.time[~left_out])
         for piece in pieces:
             changed = np.any(piece.q != SAMPLES.q[np.isin(SAMPLES.time, piece.time)])
-            assert not changed or np.any(piece.left_out)
+            assert not changed or np.any(piece.is_left_out)
 
 
 @given(st.permutations(range(3)), st.integers(0, 2), st.integers(300, 1500))
@@ -177,7 +177,7 @@ def test_what_is_left_out_does_not_depend_on_the_order_of_joints(order, joint, s
     failures = [*failed_sensors([turned])]
     (turned_piece,), turned_notes = leave_out(names, [turned], failures)
     assert {note.level for note in notes} == {Level.SAYS}
-    np.testing.assert_array_equal(piece.left_out, turned_piece.left_out)
+    np.testing.assert_array_equal(piece.is_left_out, turned_piece.is_left_out)
     np.testing.assert_array_equal(piece.q[:, order], turned_piece.q)
     assert [sorted(note.text) for note in notes] == [
         sorted(note.text) for note in turned_notes

@@ -29,9 +29,9 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics, with_gravity
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.logs import CHECKS
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.records.messages import Level
-from robot_sysid.signals.resampling import slice_samples
+from robot_sysid.signals.resampling import split_at_gaps
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 from tests.diagnosis.conftest import FOUR_AXES, JOINT, findings_of, judged
 
@@ -50,7 +50,7 @@ def test_a_correct_log_has_no_findings():
 @given(st.integers(0, 2**32), st.floats(0.04, 0.2))
 def test_lost_samples_behind_a_counted_time_are_refused(seed, share):
     received = np.flatnonzero(np.random.default_rng(seed).random(len(SAMPLES)) > share)
-    log = Measurement(
+    log = Recording(
         SAMPLES.time[: len(received)], SAMPLES.q[received], None, SAMPLES.tau[received]
     )
     (finding,) = clock_findings([log])
@@ -127,7 +127,7 @@ def test_a_sensor_at_its_end_is_found(joint, share):
 def test_the_largest_torque_of_a_short_log_does_not_saturate():
     tau = SAMPLES.tau.copy()
     tau[50] += 9.0
-    short = slice_samples(replace(SAMPLES, tau=tau), 0, 180)
+    short = replace(SAMPLES, tau=tau)[:180]
     assert list(saturation_findings(arm_of(JOINTS), [short])) == []
 
 
@@ -206,7 +206,7 @@ def test_dry_friction_at_rest_is_no_contact_and_a_short_arm_no_odd_one(axes):
     plan = generate_excitation_trajectory(robot, rng, 12.0)
     motion = next(motion_chunks(plan, 200.0))
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion.q.shape)
-    log = Measurement(
+    log = Recording(
         motion.time, np.round(motion.q, 5), None, ArmDynamics(robot)(motion) + noise
     )
     assert findings_of(robot, log) == ()
@@ -249,7 +249,7 @@ def test_correct_logs_of_public_arms_draw_no_alarm(
 )
 def test_logs_of_real_arms_draw_no_alarm(model, log):
     robot = load_robot_model(real_logs / model)
-    pieces = read_measurements(real_logs / log, robot.joint_names).pieces
+    pieces = split_at_gaps(read_measurements(real_logs / log, robot.joint_names))
     levels = {finding.level for finding in findings_of(robot, *pieces)}
     assert levels <= {Level.SAYS}
 
@@ -273,7 +273,7 @@ def test_refusals_and_doubts_that_nobody_accepts_stop(findings, accepted):
     refused = any(f.level is Level.REFUSES for f in findings)
     doubts = {f.about for f in findings if f.level is Level.DOUBTS} - accepted
     columns = SimpleNamespace(angle_declared=False)
-    log = [SimpleNamespace(path="log.csv", columns=columns)]
+    log = [SimpleNamespace(name="log.csv", columns=columns)]
     if not refused and not doubts:
         require_acceptable(log, findings, accepted)
         return

@@ -13,7 +13,6 @@ from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.log_refusal import refuse_for
 from robot_sysid.diagnosis.relabelling import steps
 from robot_sysid.errors import ColumnsError
-from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import read_columns_file, recognise_columns
 from robot_sysid.records.messages import Level
 
@@ -47,10 +46,10 @@ def refusal(titles, correction, folder, text="", payload=(), **attributes):
     path.write_text(text)
     columns = SimpleNamespace(**{**vars(columns_of(titles, path)), **attributes})
     log = SimpleNamespace(
-        path=Path("run.csv"),
+        name="run.csv",
         columns=columns,
         joint_names=NAMES,
-        options=LogOptions(columns=path if text else None),
+        options={"columns": path if text else None},
     )
     finding = Finding(
         Level.REFUSES, "order", "it is wrong", "", payload, "payload", correction
@@ -111,7 +110,7 @@ def test_a_weighing_takes_the_file_that_turns_signs_round(tmp_path, monkeypatch)
 @pytest.mark.parametrize("is_declared", [False, True])
 def test_an_option_is_suggested_that_no_title_contradicts(is_declared):
     log = SimpleNamespace(
-        path="run.csv", columns=SimpleNamespace(angle_declared=is_declared)
+        name="run.csv", columns=SimpleNamespace(angle_declared=is_declared)
     )
     option = ("--units", "deg")
     finding = Finding(Level.REFUSES, "angle-unit", "degrees", options=(option,))

@@ -15,7 +15,7 @@ from rigs import arms
 from rigs.arms import SEEDS, random_chain, rigid_bodies, robot_of
 from robot_sysid import spatial
 from robot_sysid.estimate.identifiability import VisibleSpace, visible_space
-from robot_sysid.records import JointFriction, Measurement
+from robot_sysid.records import JointFriction
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.solver import LastLinkTerms
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
@@ -154,8 +154,7 @@ def test_sums_of_chunks_are_those_of_one(seed, size):
     parts = [slice(k, k + size) for k in range(0, len(whole), size)]
     arm = LastLinkTerms(robot)
     one, several = (
-        arm.exact_sums(chunks)
-        for chunks in ([whole], [chunk_of(whole, part) for part in parts])
+        arm.exact_sums(chunks) for chunks in ([whole], [whole[part] for part in parts])
     )
     products = np.swapaxes(several.triangles, 1, 2) @ several.triangles
     for product, at, expected in zip(products, one.columns, one.totals):
@@ -163,9 +162,3 @@ def test_sums_of_chunks_are_those_of_one(seed, size):
         error = (product[np.ix_(at, at)] - expected) / np.outer(scale, scale)
         assert_array_less(np.abs(error), 1e-12)
     assert one.counts.tolist() == several.counts.tolist()
-
-
-def chunk_of(whole, part):
-    """Return a part of the samples of a measurement."""
-    fields = (whole.time, whole.q, whole.qd, whole.tau, whole.qdd)
-    return Measurement(*(values[part] for values in fields))

@@ -43,6 +43,7 @@ from robot_sysid.estimate.links import link_factor
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question, arm_question
+from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.estimate.terms import (
     DELAY,
     DRIFT,
@@ -142,7 +143,7 @@ def test_scaling_all_torques_scales_the_estimate(seed):
         sums = arm.sums([scaled], arm.start())
         problem = Problem(arm, (scaled,), arm.start(), sums, QUESTION)
         fitted = problem.fit(terms, possible=False)
-        (rows,) = scaled.chunks(1)
+        (rows,) = row_chunks(scaled, 1)
         torques.append(arm.torque(rows, fitted.point, fitted.by_name) / factor)
         assert fitted.noise[0] == pytest.approx(0.1 * factor, rel=0.2)
     size = 1e-6 * np.max(np.abs(torques[0]))
@@ -249,7 +250,7 @@ def test_what_is_put_in_is_found_with_its_value_and_nothing_else_is(key, seed):
     for factor in (0.0, 1.0):
         logs = []
         for recording in recordings:
-            (rows,) = recording.chunks(1)
+            (rows,) = row_chunks(recording, 1)
             torque = term.columns(rows, point) @ (factor * sizes)
             logs.append(add_torque(recording, torque))
         sums = arm.sums(logs, point)

@@ -15,7 +15,7 @@ from numpy.testing import assert_array_equal
 from rigs import arms
 from rigs.synthetic_data import arm_equations, sums_of, terminal_sums
 from robot_sysid.estimate.identifiability import fit_quality, visible_space
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.solver import LastLinkTerms
 
 
@@ -188,7 +188,7 @@ def random_states(robot, rng, joints, samples):
 
 def sums_of_states(robot, torques, q, qd, qdd):
     """Return the sums of the package's own equations for some states."""
-    measurement = Measurement(np.arange(len(q)) / 100.0, q, qd, np.zeros_like(q), qdd)
+    measurement = Recording(np.arange(len(q)) / 100.0, q, qd, np.zeros_like(q), qdd)
     return LastLinkTerms(robot, torques).exact_sums([measurement])
 
 

@@ -12,6 +12,7 @@ from rigs.core_fits import fit_recordings
 from rigs.payload_logs import TrueArm, add_torque, four_joint_arm
 from robot_sysid.estimate.fit import Equations, correlation_times, solve
 from robot_sysid.estimate.offers import Effect, Offers
+from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.estimate.terms import (
     SCALE_DRIFT,
     TILT,
@@ -76,7 +77,7 @@ def test_an_effect_that_is_weighed_is_that_of_a_fit_with_its_own_noise(cause):
     term = replace(term, prior=independent(np.full(len(term.names), 0.1)))
     logs = []
     for recording in truth.abba(1, sigma=0.02):
-        (rows,) = recording.chunks(1)
+        (rows,) = row_chunks(recording, 1)
         torque = 0.1 * np.sum(term.columns(rows, arm.start()), axis=-1)
         logs.append(add_torque(recording, torque))
     fitted = fit_recordings(ROBOT, logs, loaded=True)

@@ -15,6 +15,7 @@ from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.payload import contradiction, payload_result, written_payload
 from robot_sysid.estimate.restricted_fit import error_before, fit_file
+from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.records import Flange
 from robot_sysid.records.messages import with_error
 from robot_sysid.results.record import Verdict
@@ -81,7 +82,7 @@ def test_scales_that_change_when_the_payload_comes_on_are_within_the_error():
         replace(log, order=order)
         for log, order in zip(arm.abba(3, sigma=0.02), (-1.0, 1.0))
     )
-    (rows,) = loaded.chunks(1)
+    (rows,) = row_chunks(loaded, 1)
     loaded = add_torque(loaded, 0.003 * rows.recording.torque)
     fitted = fit_recordings(ROBOT, [empty, loaded], loaded=True)
     at = fitted.names.index("m(payload)")

@@ -95,17 +95,17 @@ def test_the_file_predicts_with_the_stated_error(plant, robot, recording):
     before = error_before(file).relative_error
     after = validation(file).relative_error
     assert all(map(spatial.is_consistent, file.thetas))
-    signals = recording[0].signals
+    signals = recording[0]
     error = torque_error(robot.mj_model, robot, signals)
     assert before == pytest.approx(error, rel=0.05)
     assert after < 0.02 * before
     model = compiled(robot, file)
     for log in (recording[0], other[0]):
-        error = torque_error(model, robot, log.signals)
+        error = torque_error(model, robot, log)
         assert error == pytest.approx(after, rel=0.25)
     stated = errors_on(file, other, "other")
     for each, mj_model in zip(stated, (robot.mj_model, model)):
-        error = torque_error(mj_model, robot, other[0].signals)
+        error = torque_error(mj_model, robot, other[0])
         assert each.relative_error == pytest.approx(error, rel=0.02)
     # It has only the terms that a file holds, and each joint's sensor offset.
     terms = {name.partition("[")[0] for name in file.names if "[" in name}
@@ -136,7 +136,7 @@ def test_a_tilted_gravity_is_estimated_unless_it_is_kept(plant, robot):
     assert angle_between(gravity_in(file), gravity_vector(tilted)) < 0.3
     other = record(tilted, robot, 2)
     model = compiled(robot, file)
-    error = torque_error(model, robot, other[0].signals)
+    error = torque_error(model, robot, other[0])
     _, stated = errors_on(file, other, "other")
     assert stated.relative_error == pytest.approx(error, rel=0.05)
     kept = file_of(robot, recordings, (GRAVITY,))
@@ -188,7 +188,7 @@ def test_rotors_of_a_urdfs_arm_are_in_the_mjcf_beside_it(robot, recording):
     assert joint_values(file, "armature") == pytest.approx([0.05] * 3, abs=0.01)
     bare = compiled(robot, file)
     bare.dof_armature[:] = 0.0
-    error = torque_error(bare, robot, recording[0].signals)
+    error = torque_error(bare, robot, recording[0])
     assert error_without_rotors(file).relative_error == pytest.approx(error, rel=0.05)
     assert error > 1.5 * validation(file).relative_error
     # Nothing is left out where rotors are to stay as they are.

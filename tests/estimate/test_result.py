@@ -18,10 +18,10 @@ from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.result import link_result, traces_of
-from robot_sysid.estimate.rows import Piece, low_pass_recordings
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.records.messages import Level
 from robot_sysid.results.record import LINK, Verdict
+from robot_sysid.signals.process import low_pass_recordings
 
 
 def fits_of(robot, log, **options):
@@ -49,13 +49,13 @@ def test_all_logs_pass_the_lowest_cutoff_that_one_requires(plant, robot, noisy):
     cutoffs = []
     for logs in ([noisy], [coarse], [noisy, coarse]):
         recordings = filter_logs(robot, *logs, cutoff=None)
-        cutoffs += [recording.signals.cutoff for recording in recordings]
+        cutoffs += [recording.cutoff for recording in recordings]
     fine_cutoff, coarse_cutoff, *common_cutoffs = cutoffs
     assert common_cutoffs == [coarse_cutoff] * 2 and coarse_cutoff < fine_cutoff
     is_kept = noisy.time % 0.3 > 0.12
     fields = (noisy.time, noisy.q, None, noisy.tau)
-    damaged = Measurement(*(f if f is None else f[is_kept] for f in fields))
-    pieces = [Piece("complete", noisy), Piece("damaged", damaged)]
+    damaged = Recording(*(f if f is None else f[is_kept] for f in fields))
+    pieces = [replace(noisy, name="complete"), replace(damaged, name="damaged")]
     with pytest.raises(InputError, match="damaged: only .* free of lost samples"):
         low_pass_recordings(robot, pieces)
 

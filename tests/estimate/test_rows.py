@@ -14,7 +14,7 @@ from rigs.arms import SEEDS
 from rigs.payload_logs import TrueArm, four_joint_arm, wide_motion
 from robot_sysid.errors import InputError
 from robot_sysid.estimate import rows as rows_module
-from robot_sysid.estimate.rows import block_numbers
+from robot_sysid.estimate.rows import block_numbers, row_chunks
 from robot_sysid.estimate.terms import ArmTerms
 
 ROBOT = four_joint_arm()
@@ -39,9 +39,8 @@ def logs_of(seed, counts=(30, 20), name="log"):
 def test_a_joint_without_torque_has_no_equations():
     arm = TrueArm(ROBOT, 0)
     recording = arm.recording(wide_motion([0], 4, 1.0), False)
-    signals = recording.signals
-    no_motor = signals.tau * [1.0, 0.0, 1.0, 1.0]
-    silent = replace(recording, signals=replace(signals, tau=no_motor))
+    no_motor = recording.tau * [1.0, 0.0, 1.0, 1.0]
+    silent = replace(recording, tau=no_motor)
     assert np.any(recording.used, axis=0).tolist() == [True] * 4
     assert np.any(silent.used, axis=0).tolist() == [True, False, True, True]
 
@@ -50,7 +49,7 @@ def dense_rows(recordings, joint):
     """Return the rows [A b] (K, p + 1) of a joint that are used."""
     found = []
     for recording in recordings:
-        (rows,) = recording.chunks(1)
+        (rows,) = row_chunks(recording, 1)
         columns = [term.columns(rows, POINT)[:, joint] for term in ARM.terms.values()]
         tau = recording.torque[:, joint] - ARM.known(rows)[:, joint]
         found.append(np.column_stack((*columns, tau))[recording.used[:, joint]])

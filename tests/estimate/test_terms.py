@@ -25,6 +25,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     turn_gravity,
 )
 from robot_sysid.estimate.choose import motors_of, neighbours
+from robot_sysid.estimate.rows import Rows
 from robot_sysid.estimate.terms import DELAY, PAYLOAD_NAMES, ArmTerms, Point
 from robot_sysid.spatial import PARAMETER_NAMES
 
@@ -129,9 +130,7 @@ def record(motion, tau, arm, loaded=True, low_pass=UNFILTERED):
     readings = np.zeros_like(motion.q)
     readings[:, arm.indices] = tau
     recording = exact_recording(motion, readings, loaded, PLACE)
-    signals = replace(recording.signals, low_pass=low_pass)
-    (rows,) = replace(recording, signals=signals).chunks(1)
-    return rows
+    return Rows(replace(recording, low_pass=low_pass), slice(None))
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from robot_sysid.errors import InputError
 from robot_sysid.logs import LogOptions, arrays
 from robot_sysid.logs.reader import open_table
 from robot_sysid.logs.table import ROWS
+from robot_sysid.signals.resampling import split_at_gaps
 
 DATA = motion()
 COLUMNS = {"t": DATA.time[:, None], "q": DATA.q, "qd": DATA.qd, "tau": DATA.tau}
@@ -112,7 +113,7 @@ def test_an_archive_of_something_else_is_refused(tmp_path):
 
 
 def assert_read(path):
-    (piece,) = read_measurements(path, JOINTS).pieces
+    piece = read_measurements(path, JOINTS)
     for name in ("time", "q", "qd", "tau"):
         np.testing.assert_array_equal(getattr(piece, name), getattr(DATA, name))
 
@@ -196,13 +197,14 @@ def test_every_episode_is_a_piece(tmp_path, version):
     long = motion(1000)
     path = recorded.lerobot(version, 3)(tmp_path, long)
     log = read_measurements(path, JOINTS)
-    assert [len(piece) for piece in log.pieces] == [1000] * 3
+    pieces = split_at_gaps(log)
+    assert [len(piece) for piece in pieces] == [1000] * 3
     notes = "\n".join(log.notes)
     assert "in 3 pieces" in notes
     assert "missing" not in notes
-    np.testing.assert_allclose(log.pieces[2].q, long.q, rtol=0, atol=1e-12)
-    assert len(read_measurements(path, JOINTS, episode=(1,)).pieces) == 1
-    assert len(read_measurements(path, JOINTS, episode=(1, 1)).pieces) == 1
+    np.testing.assert_allclose(pieces[2].q, long.q, rtol=0, atol=1e-12)
+    for once in ((1,), (1, 1)):
+        assert len(read_measurements(path, JOINTS, episode=once)) == 1000
     assert_refused("no episode 7; it has 3, the last of which is 2", path, episode=(7,))
 
 
@@ -243,10 +245,8 @@ def test_actions_are_commands(tmp_path):
     goal = {**shape, "names": [f"{joint}.pos" for joint in JOINTS]}
     describe_features(path, {**state, "action": goal})
     log = read_measurements(path, JOINTS, commanded=True)
-    np.testing.assert_allclose(log.samples.q, DATA.q, atol=1e-9)
-    np.testing.assert_allclose(
-        log.samples.command, np.roll(DATA.q, 3, axis=0), atol=1e-9
-    )
+    np.testing.assert_allclose(log.q, DATA.q, atol=1e-9)
+    np.testing.assert_allclose(log.command, np.roll(DATA.q, 3, axis=0), atol=1e-9)
 
 
 def test_alohas_two_arms_are_told_apart_by_name_and_time_is_its_rate(h5py, tmp_path):
@@ -259,12 +259,10 @@ def test_alohas_two_arms_are_told_apart_by_name_and_time_is_its_rate(h5py, tmp_p
         file["action"] = np.roll(file["observations/qpos"][()], 2, axis=0)
     names = ("right/waist", "right/shoulder", "right/elbow")
     log = read_measurements(path, names)
-    np.testing.assert_array_equal(log.samples.q, DATA.q)
-    np.testing.assert_array_equal(log.samples.tau, DATA.tau)
-    np.testing.assert_allclose(
-        log.samples.time, np.arange(len(DATA)) / 50.0, atol=1e-12
-    )
-    command = read_measurements(path, names, commanded=True).samples.command
+    np.testing.assert_array_equal(log.q, DATA.q)
+    np.testing.assert_array_equal(log.tau, DATA.tau)
+    np.testing.assert_allclose(log.time, np.arange(len(DATA)) / 50.0, atol=1e-12)
+    command = read_measurements(path, names, commanded=True).command
     np.testing.assert_array_equal(command, np.roll(DATA.q, 2, axis=0))
     left = [name.replace("right", "left") for name in names]
     assert_refused("torque of joint left/waist is zero|at rest", path, left)

@@ -130,7 +130,7 @@ def test_the_remedy_for_a_clock_is_one(tmp_path, name):
     columns = tmp_path / "columns.txt"
     columns.write_text("rate = 200")
     log = read_table(tmp_path, ERRORS[name][0](table(motion())), columns=columns)
-    np.testing.assert_allclose(log.samples.time, motion().time, atol=1e-12)
+    np.testing.assert_allclose(log.time, motion().time, atol=1e-12)
 
 
 # Each of these is a note, none an error.
@@ -176,9 +176,7 @@ def test_own_time_stamps_are_kept_unless_of_another_clock_or_backwards(tmp_path)
     titles = (*TITLES, *(f"{joint}_time" for joint in JOINTS))
     stamps = table(motion())[:, :1] + np.array([0.0, 1e-3, 2e-3])
     rows = np.column_stack((table(motion()), stamps))
-    np.testing.assert_array_equal(
-        read_table(tmp_path, rows, titles).samples.joint_time, stamps
-    )
+    np.testing.assert_array_equal(read_table(tmp_path, rows, titles).joint_time, stamps)
     rows[7, 8] -= 0.05
     with pytest.raises(InputError, match="run backwards"):
         read_table(tmp_path, rows, titles)

@@ -14,6 +14,7 @@ from rigs.log_files import arm_of
 from robot_sysid.damiao.trajectory import trajectory_columns
 from robot_sysid.errors import InputError
 from robot_sysid.logs import column_map
+from robot_sysid.records import ColumnMap
 
 JOINTS = ("joint0", "joint1", "joint2")
 UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
@@ -21,7 +22,7 @@ UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 
 def recognise(
     titles: str, joints=JOINTS, choices=None, first_row=(), is_slide=()
-) -> column_map.ColumnMap:
+) -> ColumnMap:
     choices = choices or column_map.ColumnChoices()
     robot = arm_of(joints, is_slide=is_slide)
     return column_map.recognise_columns(
@@ -29,7 +30,7 @@ def recognise(
     )
 
 
-def where(columns: column_map.ColumnMap) -> tuple[list[int], list[int]]:
+def where(columns: ColumnMap) -> tuple[list[int], list[int]]:
     """The indices of the columns of position and of torque."""
     index_of = attrgetter("index")
     return list(map(index_of, columns.position)), list(map(index_of, columns.torque))
@@ -135,7 +136,7 @@ def test_a_log_that_lists_its_joints_in_another_order_is_never_counted(
         [start + 3, start + 2, start + 1],
         [start + 7, start + 6, start + 5],
     )
-    text = columns.joint_match.describe()
+    text = columns.joint_note
     assert text.startswith("log joints: shoulder_pan_joint" if prefix else "")
     with pytest.raises(InputError, match="one position column for each joint"):
         recognise(",".join(titles), ("pan", "lift", "elbow"), first_row=row)

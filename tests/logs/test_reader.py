@@ -42,7 +42,7 @@ def test_a_log_without_titles_needs_a_columns_file_and_one_without_time_a_rate(
     columns = tmp_path / "columns.txt"
     columns.write_text("rate = 200\nposition = #2, #3, #4\ntorque = #5, #6, #7\n")
     log = read_measurements(path, JOINTS, columns=columns)
-    assert_samples(replace(data, qd=None), log.samples, atol=1e-15)
+    assert_samples(replace(data, qd=None), log, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -80,9 +80,8 @@ def test_torque_is_divided_by_scale_and_multiplied_with_constants(
         path, JOINTS, torque_scale=scale, torque_constants=constants
     )
     expected = motion(20).tau * constants / np.array(scale)
-    np.testing.assert_allclose(log.samples.tau, expected, rtol=1e-14)
-    np.testing.assert_array_equal(log.samples.q, motion(20).q)
-    np.testing.assert_array_equal(log.torque_scale, scale)
+    np.testing.assert_allclose(log.tau, expected, rtol=1e-14)
+    np.testing.assert_array_equal(log.q, motion(20).q)
     notes = " ".join(read_measurements(path, JOINTS, torque_scale=2.0).notes)
     assert "'tau1' x 0.5, 'tau2' x 0.5, 'tau3' x 0.5" in notes
 
@@ -92,7 +91,7 @@ def test_every_form_reads_the_same_without_options(tmp_path, form):
     for library in ("rosbags", "pyarrow", "h5py"):
         pytest.importorskip(library)
     log = read_measurements(recorded.FORMS[form](tmp_path, DATA), JOINTS)
-    assert_samples(DATA, log.samples, ("time", "q", "qd", "tau"), atol=1e-12)
+    assert_samples(DATA, log, ("time", "q", "qd", "tau"), atol=1e-12)
 
 
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path):
@@ -230,15 +229,13 @@ def test_motor_currents_are_taken_with_torque_constants_only(tmp_path):
     path = recorded.rtde(tmp_path, DATA, torque="actual_current")
     assert_refused("motor currents: give --torque-constants", path)
     log = read_measurements(path, JOINTS, torque_constants=(10.0, 20.0, 30.0))
-    np.testing.assert_allclose(
-        log.samples.tau, DATA.tau * [10.0, 20.0, 30.0], rtol=1e-14
-    )
+    np.testing.assert_allclose(log.tau, DATA.tau * [10.0, 20.0, 30.0], rtol=1e-14)
 
 
 def test_logs_with_the_same_samples_are_refused(tmp_path):
     log = read_measurements(write(tmp_path / "log.csv", table(DATA)), JOINTS)
     other = read_measurements(write(tmp_path / "other.csv", table(motion(50))), JOINTS)
-    copy = replace(log, path=tmp_path / "copy.csv")
+    copy = replace(log, name=str(tmp_path / "copy.csv"))
     reader.refuse_repeated_logs([other, log])
     with pytest.raises(InputError, match="copy.csv has the samples of .*log.csv: "):
         reader.refuse_repeated_logs([other, log, copy])

@@ -56,7 +56,7 @@ def test_what_is_not_in_one_message_or_not_in_order_is_refused(tmp_path):
 def test_a_pipe_beside_a_part_is_not_waited_for(tmp_path):
     folder = write_bag(tmp_path / "bag", rows_of(range(60)))
     part = next(folder.glob("*.db3"))
-    assert len(read_measurements(part, JOINTS).samples) == len(DATA)
+    assert len(read_measurements(part, JOINTS)) == len(DATA)
     os.mkfifo(folder / "other.db3")
     for path in (folder, part):
         assert_refused("give a bag whose parts are files", path)
@@ -84,7 +84,7 @@ def test_several_topics_need_a_choice_but_not_one_without_the_arm_or_effort(tmp_
     both = [("/left", recorded.STATE, measured), ("/right", recorded.STATE, mirrored)]
     path = recorded.write_bag(tmp_path / "both", both, store)
     assert_refused(r"/left .*/right .*--topic", path)
-    assert len(read_measurements(path, JOINTS, topic="/right").samples) == len(DATA)
+    assert len(read_measurements(path, JOINTS, topic="/right")) == len(DATA)
 
 
 def test_names_that_differ_in_a_prefix_are_the_models_unless_two_do(tmp_path):
@@ -101,7 +101,7 @@ def test_names_that_differ_in_a_prefix_are_the_models_unless_two_do(tmp_path):
         "left_base, left_elbow, left_wrist and right_base, right_elbow, right_wrist",
         path,
     )
-    np.testing.assert_array_equal(read_measurements(path, left).samples.q, DATA.q)
+    np.testing.assert_array_equal(read_measurements(path, left).q, DATA.q)
 
 
 def test_a_topic_whose_type_the_bag_does_not_define_is_left_out(tmp_path):
@@ -128,5 +128,5 @@ def test_a_topic_whose_type_the_bag_does_not_define_is_left_out(tmp_path):
         metadata = folder / "metadata.yaml"
         metadata.write_text(metadata.read_text().replace("version: 9", "version: 5"))
     log = read_measurements(path, JOINTS)
-    np.testing.assert_array_equal(log.samples.q, DATA.q)
+    np.testing.assert_array_equal(log.q, DATA.q)
     assert_refused("FrankaRobotState. without its definition: .*-s mcap", alone)

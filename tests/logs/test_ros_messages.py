@@ -7,12 +7,10 @@ import pytest
 
 from rigs.driver_logs import START_NS, kortex_feedback, lbr_states, typestore
 from robot_sysid.logs.ros_messages import KORTEX, LBR, READERS, read_stamp
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 
 ANGLES = np.array([0.1, -0.2, 3.0, -3.0, 0.0, 1.5, -1.5])
-DATA = Measurement(
-    np.array([0.5]), ANGLES[None], 0.1 * ANGLES[None], 2.0 * ANGLES[None]
-)
+DATA = Recording(np.array([0.5]), ANGLES[None], 0.1 * ANGLES[None], 2.0 * ANGLES[None])
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,8 @@ def test_rows_with_holes_or_rubbish_are_left_out_and_counted(tmp_path, rows_hit,
         rows[k][4] = cell
     log = read_table(tmp_path, rows)
     usable = np.setdiff1d(np.arange(len(data)), list(rows_hit))
-    np.testing.assert_array_equal(log.samples.time, data.time[usable])
-    np.testing.assert_array_equal(log.samples.tau, data.tau[usable])
+    np.testing.assert_array_equal(log.time, data.time[usable])
+    np.testing.assert_array_equal(log.tau, data.tau[usable])
     assert f": {len(rows_hit)} (first: line {min(rows_hit) + 2}" in notes_of(log)
 
 
@@ -36,7 +36,7 @@ def test_wrapped_positions_are_unwrapped(tmp_path, amplitude, offset):
     true = offset + amplitude * data.q[:, 0]
     rows[:, 1] = np.angle(np.exp(1j * true))
     log = read_table(tmp_path, rows, units="rad")
-    q = log.samples.q[:, 0]
+    q = log.q[:, 0]
     turns = np.round((true - q) / (2.0 * np.pi))[0]
     np.testing.assert_allclose(q + 2.0 * np.pi * turns, true, rtol=0.0, atol=1e-12)
 
@@ -51,5 +51,5 @@ def test_a_slide_has_no_full_turn_and_no_degrees(tmp_path):
     rows[:, 1] += 10.0
     with pytest.raises(InputError, match="look like degrees"):
         read_table(tmp_path, rows)
-    assert len(read_table(tmp_path, rows, units="rad").samples) == 400
-    assert len(read_table(tmp_path, rows, is_slide=slide).samples) == 400
+    assert len(read_table(tmp_path, rows, units="rad")) == 400
+    assert len(read_table(tmp_path, rows, is_slide=slide)) == 400

@@ -23,7 +23,7 @@ from rigs.log_files import (
 from robot_sysid.errors import InputError
 from robot_sysid.logs import text
 from robot_sysid.logs.text import write_measurement_csv
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 
 NAMES = st.lists(
     st.text("abcXYZ019_-. #/", min_size=1, max_size=8).map(str.strip).filter(bool),
@@ -60,11 +60,11 @@ def test_a_written_log_reads_back_to_the_last_bit(tmp_path, names, optional, cut
     chunks = []
     for start, end in zip(edges, edges[1:]):
         arrays = {n: v if v is None else v[start:end] for n, v in values.items()}
-        chunks.append(Measurement(**arrays))
+        chunks.append(Recording(**arrays))
     path = tmp_path / "log.csv"
     write_measurement_csv(path, names, chunks)
-    expected = Measurement(**{**values, "qdd": None})
-    assert_samples(expected, read_measurements(path, names).samples)
+    expected = Recording(**{**values, "qdd": None})
+    assert_samples(expected, read_measurements(path, names))
 
 
 @pytest.mark.parametrize("size", [1, 700, 40_000])
@@ -79,7 +79,7 @@ def test_the_size_of_the_chunks_changes_nothing(tmp_path, monkeypatch, size):
     assert "line 401" in notes and "empty" in notes
     monkeypatch.setattr(text, "CHUNK", size)
     log = read_measurements(path, JOINTS)
-    assert_samples(expected.samples, log.samples)
+    assert_samples(expected, log)
     assert expected.notes == log.notes
 
 
@@ -107,7 +107,7 @@ def test_every_layout_reads_the_same(tmp_path, style):
     path = write(tmp_path / "log.csv", table(data))
     content = STYLES[style](path.read_text())
     path.write_bytes(content if style == "utf16" else content.encode())
-    assert_samples(replace(data, qd=None), read_measurements(path, JOINTS).samples)
+    assert_samples(replace(data, qd=None), read_measurements(path, JOINTS))
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_dates_are_times_from_the_first(tmp_path, form):
         clock = f"23:15:{row[0]:012.9f}"
         row[0] = form.format(day="2024-05-01", clock=clock)
     log = read_table(tmp_path, rows)
-    assert_samples(replace(data, qd=None), log.samples, atol=1e-12)
+    assert_samples(replace(data, qd=None), log, atol=1e-12)
 
 
 @pytest.mark.parametrize(("separator", "mark"), [(";", ""), (",", '"')])
@@ -134,7 +134,7 @@ def test_a_decimal_comma_need_not_be_in_the_first_row_nor_unquoted(
     for row in table(data).tolist()[1:]:
         rows.append([f"{mark}{cell!r}{mark}".replace(".", ",") for cell in row])
     path = write(tmp_path / "log.csv", rows, separator=separator)
-    assert_samples(data, read_measurements(path, JOINTS).samples)
+    assert_samples(data, read_measurements(path, JOINTS))
 
 
 def test_text_columns_that_are_not_used_do_not_matter(tmp_path):
@@ -145,7 +145,7 @@ def test_text_columns_that_are_not_used_do_not_matter(tmp_path):
     for row in rows[1::2]:
         row.append('"ok, fine"')
     log = read_table(tmp_path, rows, (*TITLES, "status"))
-    assert_samples(replace(data, qd=None), log.samples)
+    assert_samples(replace(data, qd=None), log)
     assert any("not used: status" in note for note in log.notes)
 
 

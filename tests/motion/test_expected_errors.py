@@ -15,12 +15,12 @@ from robot_sysid.errors import InputError
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.options import DEFAULT_FRICTION, EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
-from robot_sysid.estimate.rows import Piece, low_pass_recordings
 from robot_sysid.estimate.terms import LINKS, SCALES
 from robot_sysid.motion import AimOptions
 from robot_sysid.motion.expected_errors import predict, prior_knowledge
 from robot_sysid.motion.information import Criterion
-from robot_sysid.signals.resampling import join_measurements
+from robot_sysid.records import join_recordings
+from robot_sysid.signals.process import low_pass_recordings
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import motion_chunks
 from tests.motion.test_prediction import best_plan
@@ -49,11 +49,11 @@ def predict_errors(options=USUAL, target="link"):
 @cache
 def identify_recording(options, seed):
     """Return the fit of one noisy recording of PLAN with measured friction."""
-    exact = join_measurements(simulate_inverse(robot(ARM), motion_chunks(PLAN, RATE)))
+    exact = join_recordings(simulate_inverse(robot(ARM), motion_chunks(PLAN, RATE)))
     noise = SIGMA * default_rng([seed, 1]).normal(size=exact.tau.shape)
     recording = replace(exact, tau=exact.tau + noise, qd=None, qdd=None)
     measured_options = replace(options, friction_model=DEFAULT_FRICTION)
-    recordings, _ = low_pass_recordings(robot(ARM), [Piece("log", recording)])
+    recordings, _ = low_pass_recordings(robot(ARM), [replace(recording, name="log")])
     return solved(robot(ARM), recordings, Question(measured_options))
 
 

@@ -18,7 +18,7 @@ from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import comparison
 from robot_sysid.pipeline.comparison import ALL_JOINTS, changes, compare_runs, sentences
 from robot_sysid.records.messages import Progress
-from robot_sysid.records.option_fields import write_torque_scale
+from robot_sysid.records.option_fields import SCALE, joint_factors, write_torque_scale
 
 ROBOT = four_joint_arm()
 BODY = spatial.theta_from_com(0.2, np.array([0.03, -0.02, 0.1]), 1e-4 * np.eye(3))
@@ -136,7 +136,10 @@ def test_logs_are_judged_against_the_runs_own_arm_with_its_options(
         assert arm.mass == pytest.approx(1.5 * robot.mass)
         assert question.options.priors.scale == pytest.approx((0.5, 0.5, 0.5))
         assert is_loaded == [False, True] and order == [-1.0, 1.0]
-        return [log.torque_scale for log in logs]
+        return [
+            joint_factors(log.options["torque_scale"], arm.joint_names, SCALE)[0]
+            for log in logs
+        ]
 
     def end(scales, accepted, progress):
         assert np.all(np.equal(scales, 2.0)) and accepted == {"zero"}

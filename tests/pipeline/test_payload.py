@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,14 +18,14 @@ from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.parser import load_robot_model
 from robot_sysid.pipeline import recordings, stages
 from robot_sysid.pipeline.recordings import is_drift_identifiable, order_positions
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.records.messages import Progress
 
 
-def recording(start: float) -> SimpleNamespace:
+def recording(start: float) -> Recording:
     """A log of 10 s that begins at a time on a clock that all recordings share [s]."""
     time = np.linspace(start, start + 10.0, 5)
-    return SimpleNamespace(samples=Measurement(time, *np.zeros((3, 5, 1))))
+    return Recording(time, *np.zeros((3, 5, 1)))
 
 
 EMPTY_FIRST = [recording(start) for start in (0.0, 60.0, 20.0, 40.0)]
@@ -88,7 +87,7 @@ def test_logs_are_judged_together_with_the_options_of_the_run(
     def check(arm, logs, question, progress, is_loaded, order):
         assert arm.mass == pytest.approx(1.5 * robot.mass)
         assert question.options == config.estimation and question.loaded
-        assert [log.path for log in logs] == [*paths]
+        assert [log.name for log in logs] == [*map(str, paths)]
         assert is_loaded == [False, True] and order == [-1.0, 1.0]
         raise Checked
 

@@ -7,7 +7,7 @@ import pytest
 
 from rigs.arms import robot_of
 from rigs.servo_logs import commanded, positions
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.servo.fit import LINK_ERROR, fit_servos, refine_played
 from robot_sysid.servo.windows import ServoProblem, rms
 from robot_sysid.simulation.playback import (
@@ -38,7 +38,7 @@ def log(robot, scale=1.0, truth=TRUTH, steps=20):
     time, command = commanded(20.0)
     command = scale * command
     q = positions(robot, time, command, truth, steps=steps)
-    return Measurement(time, q, None, command - q, command=command)
+    return Recording(time, q, None, command - q, command=command)
 
 
 LOG = log(arm())

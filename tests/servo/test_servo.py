@@ -18,7 +18,7 @@ from robot_sysid import servo
 from robot_sysid.errors import InputError
 from robot_sysid.logs import FittedLogOptions
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement, Motion
+from robot_sysid.records import Motion, Recording
 from robot_sysid.records.data import DataOrigin
 from robot_sysid.servo.fit import ServoFit
 from robot_sysid.servo.windows import ServoProblem, check_commands, low_pass_motion
@@ -219,7 +219,7 @@ def delay(values, samples):
 
 
 def log(q, command, time=TIME):
-    piece = Measurement(time, q, None, command - q, command=command)
+    piece = Recording(time, q, None, command - q, command=command)
     return SimpleNamespace(path="log.csv", samples=piece)
 
 
@@ -230,7 +230,7 @@ def test_commands_that_are_followed_are_accepted():
     """A joint that stands still is no fault."""
     followed = log(FOLLOWED, COMMAND)
     check_commands([followed], NAMES)
-    _, qd, _ = low_pass_motion(followed.samples)
+    _, qd, _ = low_pass_motion(followed)
     expected = np.gradient(FOLLOWED, 0.02, axis=0)
     assert qd[100] == pytest.approx(expected[100], abs=0.05)
     still = np.column_stack((FOLLOWED[:, 0], np.full(len(TIME), 0.3)))
@@ -291,6 +291,6 @@ def test_implausible_commands_are_refused(q, command, message_parts):
 
 def test_a_log_that_is_too_short_to_be_judged_is_refused(robots):
     q = COMMAND[:50]
-    piece = Measurement(TIME[:50], q, None, q, command=q)
+    piece = Recording(TIME[:50], q, None, q, command=q)
     with pytest.raises(InputError, match="no piece of 1 s"):
         ServoProblem(ServoRollouts(robots["xml"]), [piece])

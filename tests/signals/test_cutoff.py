@@ -9,8 +9,8 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from rigs.swing import FREQUENCIES, Swing, processed, seconds
-from robot_sysid.records import Measurement
+from rigs.swing import FREQUENCIES, Swing, filtered, seconds
+from robot_sysid.records import Recording
 from robot_sysid.signals.cutoff import choose_cutoff
 
 
@@ -26,7 +26,7 @@ def test_the_expected_error_is_that_of_the_acceleration(seed, rate, sigma):
     swing = Swing(seed)
     log = swing.measurement(seconds(20.0, rate))
     noise = sigma * default_rng(seed).normal(size=log.q.shape)
-    signals = processed(replace(log, q=log.q + noise))
+    signals = filtered(replace(log, q=log.q + noise))
     true = swing.q(signals.time, 2)
     error = np.linalg.norm(signals.qdd - true) / np.linalg.norm(true)
     assert_allclose(signals.acceleration_error, error, rtol=0.15)
@@ -75,7 +75,7 @@ def test_interpolated_steps_are_not_taken_for_motion(seed, scale, jitter):
     rate = 500.0
     time = even + jitter * default_rng(seed).uniform(-1.0, 1.0, len(even)) / rate
     log = Swing(seed).measurement(time)
-    signals = processed(replace(log, q=encoder_reading(log.q * scale, 1e-3)))
+    signals = filtered(replace(log, q=encoder_reading(log.q * scale, 1e-3)))
     assert "uneven time stamps" in signals.notes[0]
     assert signals.cutoff < HIGHEST
 
@@ -93,10 +93,10 @@ def test_stale_readings_with_their_own_time_stamps_are_no_steps():
     for j, joint_stamps in enumerate(stamps.T):
         positions = slow.q(joint_stamps) + 1e-3 * fast.q(joint_stamps)
         q[:, j] = positions[:, j]
-    log = Measurement(time, q, None, q + 1.0, joint_time=stamps)
+    log = Recording(time, q, None, q + 1.0, joint_time=stamps)
     # The fastest motion that can be told from the stale readings has 0.59 Hz.
-    assert 6.0 < processed(log).cutoff < HIGHEST
-    assert processed(replace(log, joint_time=None)).cutoff < 5.0
+    assert 6.0 < filtered(log).cutoff < HIGHEST
+    assert filtered(replace(log, joint_time=None)).cutoff < 5.0
 
 
 def test_positions_repeated_over_rows_keep_their_cutoff():

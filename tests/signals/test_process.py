@@ -10,13 +10,12 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.swing import Swing, processed, seconds
+from rigs.swing import Swing, filtered, seconds
 from robot_sysid.errors import InputError
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.signals.process import (
     LARGEST_SLOW_SHARE,
     abrupt_stops,
-    check_losses,
     turning_samples,
 )
 
@@ -33,7 +32,7 @@ def root_mean_square(values: np.ndarray) -> float:
 def test_motion_of_a_quantised_log_is_recovered(seed):
     """Acceleration within 1 % of its root mean square from a 1e-4 rad encoder."""
     swing = Swing(seed)
-    signals = processed(swing.measurement(seconds(12.0, 200.0), 1e-4))
+    signals = filtered(swing.measurement(seconds(12.0, 200.0), 1e-4))
     for order, limit in ((0, 3e-4), (1, 2e-3), (2, 1e-2)):
         true = swing.q(signals.time, order)
         got = (signals.q, signals.qd, signals.qdd)[order]
@@ -46,13 +45,13 @@ def test_positions_without_noise_are_differentiated_unfiltered(seed, rate):
     """To 1e-8, most of it in the time stamps."""
     swing = Swing(seed)
     cutoff = 0.2 * min(rate, 60.0)
-    signals = processed(swing.measurement(seconds(20.0, rate)), cutoff=cutoff)
+    signals = filtered(swing.measurement(seconds(20.0, rate)), cutoff=cutoff)
     true = swing.q(signals.time, 2)
     assert root_mean_square(signals.qdd - true) < 1e-8 * root_mean_square(true)
 
 
 def test_columns_do_not_depend_on_the_blocks_that_they_are_made_in():
-    signals = processed(Swing().measurement(seconds(90.0, 100.0)), cutoff=15.0)
+    signals = filtered(Swing().measurement(seconds(90.0, 100.0)), cutoff=15.0)
     columns = signals.filter_columns(lambda motion: np.sign(motion.qd) * motion.q)
     expected = signals.low_pass.decimate(np.sign(signals.qd) * signals.q)
     assert len(columns) > 1000
@@ -61,7 +60,7 @@ def test_columns_do_not_depend_on_the_blocks_that_they_are_made_in():
 
 def low_pass_with_deadband(log, deadband):
     """Return the signals of a log, low-passed at 8 Hz, with a deadband of all joints [rad/s]."""
-    signals = processed(log, cutoff=8.0)
+    signals = filtered(log, cutoff=8.0)
     return replace(signals, deadband=np.full_like(signals.deadband, deadband))
 
 
@@ -72,21 +71,23 @@ def test_exactly_the_rows_with_too_many_slow_samples_are_masked(deadband):
     weight = np.abs(signals.low_pass.kernel) / np.sum(np.abs(signals.low_pass.kernel))
     half = signals.low_pass.half_width
     slow = np.abs(signals.qd) < deadband
-    centres = np.arange(half, len(signals) - half, signals.low_pass.step)
+    centres = np.arange(half, len(signals.time) - half, signals.low_pass.step)
     share = np.array([weight @ slow[at - half : at + half + 1] for at in centres])
-    assert_array_equal(signals.usable(), share <= LARGEST_SLOW_SHARE)
-    assert np.any(~signals.usable() & ~slow[centres])
+    assert_array_equal(signals.used, share <= LARGEST_SLOW_SHARE)
+    assert np.any(~signals.used & ~slow[centres])
     rows = signals.low_pass.decimate(signals.tau)
-    assert_allclose(rows, Swing().tau(signals.decimated_motion().time), atol=1e-3)
+    assert_allclose(rows, Swing().tau(signals.motion.time), atol=1e-3)
 
 
 def test_a_joint_at_rest_is_masked_and_named():
     log = Swing().measurement(seconds(10.0, 200.0), 1e-4)
     positions = np.array(log.q)
     positions[:, 1] = 0.3
-    signals = processed(replace(log, q=positions), ("a", "b", "c"), 8.0, "b")
-    assert not np.any(signals.usable()[:, 1])
-    assert np.mean(signals.usable()[:, 0]) > 0.9
+    signals = filtered(
+        replace(log, q=positions), cutoff=8.0, is_slide=(False, True, False)
+    )
+    assert not np.any(signals.used[:, 1])
+    assert np.mean(signals.used[:, 0]) > 0.9
     (note,) = [n for n in signals.notes if "only 0 % of the rows of joint b" in n]
     assert "m/s, where the direction" in note and "rad" not in note
 
@@ -96,7 +97,7 @@ def with_losses(log, share, seed=0):
     rng = default_rng(seed)
     is_kept = rng.uniform(size=len(log)) >= share
     tau = log.tau + rng.normal(0.0, 0.02, log.tau.shape)
-    return Measurement(log.time[is_kept], log.q[is_kept], None, tau[is_kept])
+    return Recording(log.time[is_kept], log.q[is_kept], None, tau[is_kept])
 
 
 def row_errors(signals, swing):
@@ -106,7 +107,7 @@ def row_errors(signals, swing):
     time = signals.time
     qdd = signals.low_pass.decimate(signals.qdd - swing.q(time, 2))
     tau = signals.low_pass.decimate(signals.tau - swing.tau(time))
-    return qdd, tau, np.all(signals.usable(), axis=1)
+    return qdd, tau, np.all(signals.used, axis=1)
 
 
 def test_only_rows_beside_a_long_hole_are_masked():
@@ -118,7 +119,7 @@ def test_only_rows_beside_a_long_hole_are_masked():
     keep[1600:1660] = False
     signals = low_pass_with_deadband(swing.measurement(time[keep], 1e-5), 0.0)
     qdd, tau, is_used = row_errors(signals, swing)
-    masked = signals.decimated_motion().time[~is_used]
+    masked = signals.motion.time[~is_used]
     margin = 2.5 / signals.cutoff
     assert time[1600] - margin < masked.min() < time[1600]
     assert time[1660] < masked.max() < time[1660] + margin
@@ -134,7 +135,7 @@ def test_samples_lost_at_random_cost_little(rate, cutoff, share, fewest):
     log = swing.measurement(seconds(15.0, rate), 5e-5)
     noise = []
     for lost_share in (0.0, share):
-        signals = processed(with_losses(log, lost_share), cutoff=cutoff)
+        signals = filtered(with_losses(log, lost_share), cutoff=cutoff)
         signals = replace(signals, deadband=0.0 * signals.deadband)
         qdd, tau, is_used = row_errors(signals, swing)
         noise.append([root_mean_square(error[is_used]) for error in (qdd, tau)])
@@ -147,23 +148,22 @@ def test_a_log_with_too_many_losses_is_refused_with_the_cause():
     """A network that hands on nothing for 0.1 s, three times a second."""
     log = Swing().measurement(seconds(15.0, 125.0), 5e-5)
     is_kept = log.time % 0.3 > 0.1
-    damaged_log = Measurement(log.time[is_kept], log.q[is_kept], None, log.tau[is_kept])
-    damaged = processed(damaged_log, cutoff=11.0)
+    damaged_log = Recording(log.time[is_kept], log.q[is_kept], None, log.tau[is_kept])
     with pytest.raises(
         InputError, match=r"free of lost samples.*record without losses"
     ):
-        check_losses([damaged])
+        filtered(damaged_log, cutoff=11.0)
     # Another piece of the same log may be long enough.
-    check_losses([damaged, processed(log, cutoff=11.0)])
+    filtered(damaged_log, log, cutoff=11.0)
 
 
 def test_a_log_too_short_for_its_cutoff_is_refused():
     with pytest.raises(
         InputError, match=r"2 s are too short for a cut-off of 3 Hz, which needs"
     ):
-        processed(Swing().measurement(seconds(2.0, 200.0)), cutoff=3.0)
+        filtered(Swing().measurement(seconds(2.0, 200.0)), cutoff=3.0)
     with pytest.raises(InputError, match="record longer"):
-        processed(Swing().measurement(seconds(0.1, 200.0)))
+        filtered(Swing().measurement(seconds(0.1, 200.0)))
 
 
 RATE = 200.0
@@ -201,8 +201,8 @@ def test_only_rows_beside_an_abrupt_stop_are_masked(resolution):
     assert_close(time[abrupt_stops(time, q)], [4.0, 7.0], atol=1.5 / RATE)
     for joints, ends in (([0, 1], [4.0, 7.0]), ([0, 2], [])):
         own = q[:, joints]
-        signals = processed(Measurement(time, own, None, own), cutoff=8.0)
-        rows = signals.decimated_motion().time
+        signals = filtered(Recording(time, own, None, own), cutoff=8.0)
+        rows = signals.motion.time
         off = np.min(np.abs(np.subtract.outer(rows, ends)), axis=1, initial=np.inf)
-        is_lost = ~signals.is_complete()
+        is_lost = ~signals.is_complete
         assert np.all(off[is_lost] < 2.5 / 8.0) and np.all(is_lost[off < 0.5 / 8.0])

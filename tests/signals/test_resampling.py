@@ -14,12 +14,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from rigs.arms import SEEDS
 from rigs.swing import Swing, seconds
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 from robot_sysid.signals import resampling
 from robot_sysid.signals.resampling import (
     is_even,
     piece_notes,
     resample_uniformly,
+    sampling_period,
     split_at_gaps,
 )
 
@@ -35,7 +36,7 @@ def uneven_times(seed, jitter):
 
 def assert_equals_swing(uniform, swing):
     """Check resampled positions and torques against the exact ones on the grid."""
-    assert_close(np.diff(uniform.time), 1.0 / uniform.rate, atol=1e-12)
+    assert_close(np.diff(uniform.time), sampling_period(uniform.time), atol=1e-12)
     assert_close(uniform.q, swing.q(uniform.time), atol=1e-7)
     assert_close(uniform.tau, swing.tau(uniform.time), atol=1e-6)
 
@@ -44,8 +45,8 @@ def test_an_even_log_is_unchanged():
     log = Swing().measurement(5.0 + seconds(3.0, 200.0))
     uniform = resample_uniformly(log)
     assert_array_equal(uniform.q, log.q)
-    assert (uniform.time[0], uniform.notes, np.max(uniform.gap)) == (5.0, (), 0.0)
-    assert abs(uniform.rate - 200.0) < 1e-9
+    assert (uniform.time[0], uniform.notes, np.max(uniform.hole)) == (5.0, (), 0.0)
+    assert abs(1.0 / sampling_period(uniform.time) - 200.0) < 1e-9
 
 
 def test_time_stamps_rounded_to_milliseconds_are_still_even():
@@ -69,7 +70,7 @@ def test_joint_time_stamps_are_used_for_each_joint():
     for j, stamps in enumerate(joint_time.T):
         q[:, j] = swing.q(stamps)[:, j]
         tau[:, j] = swing.tau(stamps)[:, j]
-    uniform = resample_uniformly(Measurement(time, q, None, tau, joint_time=joint_time))
+    uniform = resample_uniformly(Recording(time, q, None, tau, joint_time=joint_time))
     assert_equals_swing(uniform, swing)
     assert "resampled" in uniform.notes[0]
 
@@ -87,7 +88,7 @@ def test_the_length_of_a_hole_is_marked_at_its_samples(seed, missing):
     keep[first : first + missing] = False
     uniform = resample_uniformly(Swing().measurement(even[keep]))
     expected = np.where(keep, 0.0, (missing + 1) / rate)
-    assert_close(uniform.gap, expected, atol=1e-9)
+    assert_close(uniform.hole, expected, atol=1e-9)
 
 
 @given(SEEDS)
@@ -96,7 +97,7 @@ def test_samples_that_come_early_and_late_leave_no_hole(seed):
     time = uneven_times(seed, 0.35)
     uniform = resample_uniformly(Swing().measurement(time))
     assert np.max(np.diff(time)) > 1.5 / 200.0
-    assert_array_equal(uniform.gap, 0.0)
+    assert_array_equal(uniform.hole, 0.0)
 
 
 @given(SEEDS, st.floats(999.0, 999.99))
@@ -109,10 +110,10 @@ def test_a_clock_that_is_a_little_slow_loses_no_rows(seed, rate):
     assert uniform.notes == ()
 
 
-def log(time: np.ndarray) -> Measurement:
+def log(time: np.ndarray) -> Recording:
     """Return a log of two joints at the times (N,) [s]."""
     q = np.column_stack((np.sin(time), np.cos(0.7 * time)))
-    return Measurement(time, q, None, 2.0 * q)
+    return Recording(time, q, None, 2.0 * q)
 
 
 @given(
@@ -142,11 +143,11 @@ def test_a_log_of_hours_keeps_the_minutes_that_move():
     time = np.arange(0.0, 7200.0, 0.1)
     moves = (time > 3000.0) & (time < 3600.0)
     q = np.where(moves, np.sin(time), 1e-4 * np.sin(time))[:, None]
-    pieces = split_at_gaps(Measurement(time, q, None, q))
+    pieces = split_at_gaps(Recording(time, q, None, q))
     assert 500.0 < sum(np.ptp(piece.time) for piece in pieces) < 800.0
     assert all(2900.0 < piece.time[0] < 3700.0 for piece in pieces)
     always = split_at_gaps(log(time))
     assert sum(np.ptp(piece.time) for piece in always) == pytest.approx(600.0, rel=0.1)
     assert always[0].time[0] == 0.0 and always[-1].time[-1] == time[-1]
-    still = split_at_gaps(Measurement(time, 0.0 * q, None, q))
+    still = split_at_gaps(Recording(time, 0.0 * q, None, q))
     assert [piece.time[0] for piece in still] == [piece.time[0] for piece in always]

@@ -13,8 +13,7 @@ from rigs.measured_logs import plan_of
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError, SimulationError
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Motion
-from robot_sysid.signals.resampling import join_measurements
+from robot_sysid.records import Motion, join_recordings
 from robot_sysid.simulation import SimulatedArmOptions
 from robot_sysid.simulation.plant import (
     ArmStepper,
@@ -48,7 +47,7 @@ def run(plant, plan, **sensors):
 
 def read(plant, plan, **sensors):
     """The measurements of one simulation, joined."""
-    return join_measurements(run(plant, plan, **sensors))
+    return join_recordings(run(plant, plan, **sensors))
 
 
 def test_noise_has_its_standard_deviation_in_every_joint(plant):

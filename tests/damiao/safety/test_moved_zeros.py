@@ -12,7 +12,7 @@ from robot_sysid.damiao.model_check import gravity_check
 from robot_sysid.damiao.safety.moved_zeros import MovedZeroCheck
 from robot_sysid.dynamics.inverse_dynamics import LinkDynamics
 from robot_sysid.parser import load_robot_model
-from robot_sysid.records import Measurement
+from robot_sysid.records import Recording
 
 ZERO_JOINTS = damiao_joints(["DM4340", "DM4340", "DM4310"], 3)
 PERIOD = 0.02
@@ -45,7 +45,7 @@ def play_motion(
     is_loaded = (time >= since)[:, None]
     tau = np.where(is_loaded, motion.torque(loaded), motion.torque(thetas))
     tau += 0.3 * np.tanh(qd / 0.02) + 0.05 * random.normal(size=tau.shape)
-    return Measurement(time, q, qd, tau)
+    return Recording(time, q, qd, tau)
 
 
 def finding(robot, run):
@@ -106,7 +106,7 @@ def test_a_short_run_says_nothing(arm):
 def test_an_arm_that_stands_says_nothing(arm):
     """Dry friction holds it, with any torque."""
     run = play_motion(arm, 0, shift=0.5)
-    stands = Measurement(
+    stands = Recording(
         run.time, run.q[:1] + 0.0 * run.q, 0.0 * run.qd, run.tau[:1] + 0.0 * run.q
     )
     assert finding(arm, stands) is None
