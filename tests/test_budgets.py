@@ -19,10 +19,10 @@ BUDGETS = {
     "robot_sysid/api": 3865,
     "robot_sysid/commands": 9794,
     "robot_sysid/damiao": 30118,
-    "robot_sysid/diagnosis": 16679,
+    "robot_sysid/diagnosis": 16678,
     "robot_sysid/dynamics": 3254,
     "robot_sysid/estimate": 29201,
-    "robot_sysid/logs": 14730,
+    "robot_sysid/logs": 14568,
     "robot_sysid/mjcf": 6842,
     "robot_sysid/model": 8481,
     "robot_sysid/motion": 14890,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5279,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10628,
-    "tests": 226783,
+    "tests": 226760,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

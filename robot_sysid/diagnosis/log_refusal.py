@@ -28,10 +28,9 @@ def refuse_for(logs: Sequence[Recording], finding: Finding) -> InputError:
     text = f"{names}: {finding.sentence}"
     options = finding.options
     columns = log.columns
-    assert columns is not None
-    if finding.about == "angle-unit" and columns.angle_declared:
+    if finding.about == "angle-unit" and columns and columns.angle_declared:
         options = ()  # A unit in a title outranks the option.
-    if finding.correction is not None and (finding.command or not options):
+    if finding.correction is not None and columns and (finding.command or not options):
         lines = _corrected_lines(log.joint_names, columns, finding.correction)
         if lines:
             reason = f"{names}: {finding.text}"

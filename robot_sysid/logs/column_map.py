@@ -38,7 +38,6 @@ from robot_sysid.logs.titles import (
     UNITS,
     Title,
     ambiguity_error,
-    joint_quantity,
     match_joints,
     read_title,
 )
@@ -239,7 +238,7 @@ class _ColumnFinder:
         # Those that are declared need not be recognised, and cannot be ambiguous.
         n_joints = self.robot.n_joints
         open_quantities = [q for q in quantities if len(self._declared(q)) < n_joints]
-        candidates, joint_match = match_joints(
+        candidates, joint_note = match_joints(
             self.titles, self.robot, first_row, open_quantities
         )
         found = {q: self._find_joints(q, candidates.get(q, ())) for q in quantities}
@@ -263,7 +262,7 @@ class _ColumnFinder:
             titles=self._texts,
             angle_declared=bool(self.choices.angle_unit) or has_unit,
             commanded=self.driven == "command",
-            joint_note=joint_match.describe(),
+            joint_note=joint_note,
         )
 
     def _find_joints(
@@ -318,7 +317,7 @@ class _ColumnFinder:
 
     def _missing_error(self, quantity: str) -> InputError:
         """Return the error for a quantity of which a joint has no column, with a hint."""
-        candidates = [t.text for t in self.titles if joint_quantity(t) == quantity]
+        candidates = [t.text for t in self.titles if t.joint_quantity == quantity]
         listed = ", ".join(candidates) or "none"
         fault = (
             f"the log needs one {quantity} column for each joint of the chain "

@@ -193,7 +193,7 @@ def _read_topic(
     arm_joints: list[str] = []
     with contextlib.suppress(InputError):
         recorded_joints = [joint for joint, _ in sent]
-        arm_joints += match_joint_names(recorded_joints, joint_names).model_names
+        arm_joints += match_joint_names(recorded_joints, joint_names)
     start = min(stamp for stamp, _ in messages)
     titles = ("time", *map(" ".join, sent))
     connections = _connections(bag, name)

@@ -24,7 +24,7 @@ from typing import Any
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.joint_names import (
-    JointMatch,
+    joint_note,
     match_joint_names,
     name_numbers,
     split_camel_case,
@@ -149,6 +149,18 @@ class Title:
         return None if {*self.tokens} - _VOCABULARY else self.quantity_beside_name
 
     @property
+    def joint_quantity(self) -> str | None:
+        """Which quantity of one joint it stands for, or None.
+
+        It is "joint_time" for a joint's own time stamp.
+        """
+        if self.quantity != "time":
+            return self.quantity
+        # A bare "t" beside a joint could as well be its torque or temperature.
+        is_stamp = {*self.tokens} & {"time", "stamp", "timestamp"}
+        return "joint_time" if is_stamp else None
+
+    @property
     def is_commanded(self) -> bool:
         """Whether a token marks it as a command or a reference, not a measurement."""
         return bool(_COMMANDED & {*self.tokens})
@@ -192,7 +204,7 @@ def read_title(text: str, joint_names: Sequence[str] = ()) -> Title:
         elif stripped.endswith(name) and prefix and not prefix[-1].isalnum():
             remainder = prefix
         title = replace(read_title(remainder), text=text, joint=name)
-        if joint_quantity(title) and not title.numbers:
+        if title.joint_quantity and not title.numbers:
             return title
     unit, unitless = _split_bracketed_unit(stripped.lstrip("%#"))
     numbers = []
@@ -243,8 +255,8 @@ def match_joints(
     robot: RobotModel,
     first_row: Sequence[str],
     quantities: Sequence[str],
-) -> tuple[Candidates, JointMatch]:
-    """Return the candidate columns of quantities, and how joint names were matched.
+) -> tuple[Candidates, str]:
+    """Return the candidate columns of quantities, and a note on how joint names were matched.
 
     A quantity of which a joint has no candidate is left out.
 
@@ -252,7 +264,7 @@ def match_joints(
         titles: of all columns, from left to right.
         robot: the arm.
         first_row: the cells of the first row as text, which may list joint names.
-        quantities: of ``joint_quantity``.
+        quantities: of ``Title.joint_quantity``.
 
     Raises:
         InputError: two columns could be one quantity, or the joints' names are those of two arms,
@@ -260,49 +272,65 @@ def match_joints(
     """
     joint_names = robot.joint_names
     listed_names = _listed_names(titles, first_row, robot.n_joints)
-    by_name = _columns_by_joint_name(titles, listed_names)
+    # Quantity to the name, or the number, of a joint to indices of columns.
+    by_name: dict[str, dict[str, list[int]]] = defaultdict(dict)
+    by_number: dict[str, dict[int, list[int]]] = defaultdict(dict)
+    for column, title in enumerate(titles):
+        name = title.joint
+        numbers = title.numbers
+        quantity = title.joint_quantity
+        if quantity and len(numbers) == 1:
+            name = listed_names.get(numbers[0], name)
+        named_quantity = quantity or title.quantity_beside_name
+        if named_quantity and name:
+            by_name[named_quantity].setdefault(name, []).append(column)
+        # A time without a number is the row's, not the single joint's own.
+        if robot.n_joints == 1 and quantity != "joint_time":
+            numbers = numbers or (0,)
+        if quantity and len(numbers) == 1:
+            by_number[quantity].setdefault(numbers[0], []).append(column)
     names = [*by_name["position"]] if "position" in quantities else []
-    joint_match = match_joint_names(names, joint_names)
-    log_names = joint_match.model_names or joint_names
+    matched = match_joint_names(names, joint_names)
     # Names decide for all joints of a quantity or for none.
     candidates = {}
     for quantity in quantities:
-        columns = [by_name[quantity].get(name, []) for name in log_names]
+        columns = [by_name[quantity].get(name, []) for name in matched or joint_names]
         if all(columns):
             candidates[quantity] = columns
+    note = joint_note(matched, names)
     if listed_names:
-        return candidates, joint_match
-    named_columns = {*chain(*chain(*candidates.values()))}
-    counted = _match_numbers(titles, joint_names, named_columns)
+        return candidates, note
+    named = {*chain(*chain(*candidates.values()))}
     for quantity in quantities:
-        if quantity in candidates and quantity in counted:
-            rivals = [candidates[quantity][0][0], counted[quantity][0][0]]
+        counted = {}
+        for number, indices in by_number[quantity].items():
+            if others := [column for column in indices if column not in named]:
+                counted[number] = others
+        order = _order_of_numbers([*counted], joint_names)
+        if order and quantity in candidates:
+            rivals = [candidates[quantity][0][0], counted[order[0]][0]]
             raise ambiguity_error(quantity, joint_names[0], titles, rivals)
-    return {**counted, **candidates}, joint_match
+        if order:
+            candidates[quantity] = [counted[number] for number in order]
+    return candidates, note
 
 
-def _no_columns() -> dict[str, dict[Any, list[int]]]:
-    """Return an empty table of quantity, and name or number of a joint, to indices of columns."""
-    return defaultdict(lambda: defaultdict(list))
+def _order_of_numbers(
+    numbers: Sequence[int], joint_names: Sequence[str]
+) -> Sequence[int]:
+    """Return which of the numbers in titles is each joint's, base to terminal; () for no answer.
 
-
-def _columns_by_joint_name(
-    titles: Sequence[Title], listed_names: Mapping[int, str]
-) -> Mapping[str, Mapping[str, list[int]]]:
-    """Return quantity to joint name to indices of columns.
-
-    ``listed_names``: number in a title to the name that the log lists for it.
+    They are those of the joints' names, or count from 0 or 1.
     """
-    columns = _no_columns()
-    for column, title in enumerate(titles):
-        quantity = joint_quantity(title)
-        name = title.joint
-        if quantity and len(title.numbers) == 1:
-            name = listed_names.get(title.numbers[0], name)
-        quantity = quantity or title.quantity_beside_name
-        if quantity and name:
-            columns[quantity][name].append(column)
-    return columns
+    order = sorted(numbers)
+    own_numbers = name_numbers(joint_names)
+    if order == sorted(own_numbers):
+        return own_numbers
+    # Where the model's names are numbered in another order, counting contradicts them.
+    is_ordered = own_numbers == sorted(own_numbers)
+    count = len(joint_names)
+    is_counted = order in ([*range(count)], [*range(1, count + 1)])
+    return order if is_ordered and is_counted else ()
 
 
 def _words_beside_quantity(unitless: str) -> str:
@@ -317,18 +345,6 @@ def _words_beside_quantity(unitless: str) -> str:
     return name if re.search(r"[^\W\d_]", name) else ""
 
 
-def joint_quantity(title: Title) -> str | None:
-    """Return which quantity of one joint a title stands for, or None.
-
-    It is "joint_time" for a joint's own time stamp.
-    """
-    if title.quantity != "time":
-        return title.quantity
-    # A bare "t" beside a joint could as well be its torque or temperature.
-    is_stamp = {*title.tokens} & {"time", "stamp", "timestamp"}
-    return "joint_time" if is_stamp else None
-
-
 def ambiguity_error(
     quantity: str, joint: str, titles: Sequence[Title], columns: Sequence[int]
 ) -> InputError:
@@ -339,40 +355,6 @@ def ambiguity_error(
     listed = " and ".join(repr(titles[column].text) for column in columns)
     of_joint = f" of joint {joint}" if joint else ""
     return InputError(f"{listed} could both be the {quantity}{of_joint}")
-
-
-def _match_numbers(
-    titles: Sequence[Title], joint_names: Sequence[str], excluded: set[int]
-) -> Candidates:
-    """Return the candidates among titles with one number; none for other quantities.
-
-    Args:
-        titles: of all columns, from left to right.
-        joint_names: (n,) of the arm; of a single joint, titles without a number count too.
-        excluded: indices of columns that are left out.
-    """
-    # Quantity to number in the title to indices of columns.
-    numbered = _no_columns()
-    for column, title in enumerate(titles):
-        quantity = None if column in excluded else joint_quantity(title)
-        numbers = title.numbers
-        # A time without a number is the row's, not the single joint's own.
-        if len(joint_names) == 1 and quantity != "joint_time":
-            numbers = numbers or (0,)
-        if quantity and len(numbers) == 1:
-            numbered[quantity][numbers[0]].append(column)
-    count = len(joint_names)
-    model_numbers = name_numbers(joint_names)
-    # Where the model's names are numbered in another order, counting contradicts them.
-    is_ordered = model_numbers == sorted(model_numbers)
-    candidates = {}
-    for quantity, columns in numbered.items():
-        order = sorted(columns)
-        if order == sorted(model_numbers):
-            candidates[quantity] = [columns[number] for number in model_numbers]
-        elif is_ordered and order in ([*range(count)], [*range(1, count + 1)]):
-            candidates[quantity] = [columns[number] for number in order]
-    return candidates
 
 
 def _listed_names(

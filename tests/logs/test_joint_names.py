@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robot_sysid.errors import InputError
-from robot_sysid.logs.joint_names import NO_MATCH, match_joint_names
+from robot_sysid.logs.joint_names import joint_note, match_joint_names
 
 
 def count(name: str, last: int = 7, first: int = 1) -> list[str]:
@@ -43,11 +43,10 @@ RIGHT = count("right_joint")
     ],
 )  # fmt: skip
 def test_names_match_whatever_stands_around_them_and_in_any_order(names, joints):
-    match = match_joint_names(names, joints)
-    assert list(match.model_names.values()) == list(joints)
-    matched = list(match.model_names)
-    assert sorted([*matched, *match.unused]) == sorted(names)
-    for name, joint in match.model_names.items():
+    matched = match_joint_names(names, joints)
+    assert list(matched.values()) == list(joints)
+    assert {*matched} <= {*names}
+    for name, joint in matched.items():
         assert name[-1] == joint[-1] or joint in name or name in joint or "link" in name
 
 
@@ -72,8 +71,7 @@ def test_joints_of_the_model_beyond_the_arm_may_be_in_the_log():
     """The link of joint5 is identified; or the model has fingers that count on."""
     five = count("joint", 5)
     for names in (JOINTS, count("panda_joint")):
-        match = match_joint_names(names, five)
-        assert match.unused == tuple(names[5:])
+        assert [*match_joint_names(names, five)] == names[:5]
 
 
 @pytest.mark.parametrize(
@@ -88,14 +86,14 @@ def test_joints_of_the_model_beyond_the_arm_may_be_in_the_log():
     ],
 )
 def test_nothing_is_made_of_names_that_are_no_set(names):
-    assert match_joint_names(names, JOINTS) == NO_MATCH
+    assert match_joint_names(names, JOINTS) == {}
 
 
 def test_what_was_matched_is_one_sentence_and_nothing_where_names_are_equal():
-    match = match_joint_names(count("panda_joint") + FINGERS, JOINTS)
-    assert match.describe() == (
+    names = count("panda_joint") + FINGERS
+    assert joint_note(match_joint_names(names, JOINTS), names) == (
         "log joints: panda_joint1, ..., panda_joint7 are joint1, ..., joint7; "
         "not used: panda_finger_joint1, panda_finger_joint2"
     )
     equal = match_joint_names(JOINTS + FINGERS, JOINTS)
-    assert equal.describe() == ""
+    assert joint_note(equal, JOINTS + FINGERS) == ""

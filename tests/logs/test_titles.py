@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigs.log_files import assert_refused, motion, read_measurements, write
-from robot_sysid.logs.titles import joint_quantity, read_title
+from robot_sysid.logs.titles import read_title
 
 JOINTS = ("joint0", "joint1", "joint2")
 JOINTS4 = ("joint1", "joint2", "joint3", "joint4")
@@ -34,7 +34,7 @@ COMMANDS = (
     ],
 )  # fmt: skip
 def test_a_title_stands_for_the_quantity_that_its_words_name(title, quantity):
-    assert joint_quantity(read_title(title, ("ref_joint", "joint1"))) == quantity
+    assert read_title(title, ("ref_joint", "joint1")).joint_quantity == quantity
 
 
 @pytest.mark.parametrize("title", COMMANDS)
