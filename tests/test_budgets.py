@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16678,
     "robot_sysid/dynamics": 3254,
     "robot_sysid/estimate": 29201,
-    "robot_sysid/logs": 14568,
+    "robot_sysid/logs": 14564,
     "robot_sysid/mjcf": 6842,
     "robot_sysid/model": 8481,
     "robot_sysid/motion": 14890,

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.logs.table import (
     ROWS,
     Block,
     Chunk,
-    LogSource,
     LogTable,
     as_input_errors,
     chunk_blocks,
@@ -85,22 +85,22 @@ def can_be_column(array: Any) -> bool:
     return is_numbers and len(array.shape or ()) in (1, 2) and array.size > 1
 
 
-def npz_table(source: LogSource) -> LogTable:
+def npz_table(path: Path, *_: Any) -> LogTable:
     """Return an .npz file as a table: time (N,), q, qd, tau (N, n), by these or similar names."""
     # Nothing in it is unpickled.
-    with source.path.open("rb") as stream, np.load(stream) as content:
-        return arrays_table(source.path, "NumPy .npz", dict(content))
+    with path.open("rb") as stream, np.load(stream) as content:
+        return arrays_table(path, "NumPy .npz", dict(content))
 
 
-def matlab_table(source: LogSource) -> LogTable:
+def matlab_table(path: Path, *_: Any) -> LogTable:
     """Return the arrays of a .mat file, also those in its structs, as a table."""
     from scipy.io import loadmat  # slow to import
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        content = loadmat(source.path, simplify_cells=True)
+        content = loadmat(path, simplify_cells=True)
     arrays = dict(_numeric_arrays("", content))
-    return arrays_table(source.path, "MATLAB .mat", arrays)
+    return arrays_table(path, "MATLAB .mat", arrays)
 
 
 def _numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
@@ -118,9 +118,8 @@ _NUMERIC_TYPE = re.compile(
 )
 
 
-def parquet_table(source: LogSource) -> LogTable:
+def parquet_table(path: Path, *_: Any) -> LogTable:
     """Return the columns of numbers of a Parquet file; a list in a cell is a column each."""
-    path = source.path
     metadata = import_optional("pyarrow.parquet", "parquet").read_metadata(path)
     schema = metadata.schema.to_arrow_schema()
     names = [f.name for f in schema if _NUMERIC_TYPE.fullmatch(str(f.type))]
@@ -187,12 +186,11 @@ _DEGREES_NOTE = (
 _DOWNLOAD = "download the data set whole"
 
 
-def lerobot_table(source: LogSource) -> LogTable:
+def lerobot_table(path: Path, _: Sequence[str], options: LogOptions) -> LogTable:
     """Return the selected episodes of a LeRobot data set, or all, one after the other.
 
     InputError where it holds no frames, or not the selected episodes.
     """
-    path = source.path
     info = _as_mapping(read_json(path / "meta" / "info.json", _DOWNLOAD))
     descriptions = _as_mapping(info.get("features"))
     titles = {}
@@ -210,7 +208,7 @@ def lerobot_table(source: LogSource) -> LogTable:
     episode_index = frames.pop("episode_index").astype(int)
     available = np.unique(episode_index).tolist()
     # An episode that is named twice counts once.
-    episodes = list(dict.fromkeys(source.options.episode)) or available
+    episodes = list(dict.fromkeys(options.episode)) or available
     missing = sorted({*episodes} - {*available})
     if missing or not available:
         raise InputError(
@@ -286,10 +284,10 @@ _ALOHA_JOINTS = (
 )
 
 
-def hdf5_table(source: LogSource) -> LogTable:
+def hdf5_table(path: Path, *_: Any) -> LogTable:
     """Return the joint states in an HDF5 file."""
     h5py = import_optional("h5py", "hdf5")
-    with h5py.File(source.path, "r") as file:
+    with h5py.File(path, "r") as file:
         datasets: dict[str, Any] = {}
         file.visititems(datasets.__setitem__)
         if _ALOHA_ARRAYS[0] in file:
@@ -301,8 +299,8 @@ def hdf5_table(source: LogSource) -> LogTable:
                 # What is not read serves the error of a file without columns.
                 arrays[name] = data[()] if can_be_column(data) else data
         if _ALOHA_ARRAYS[0] in arrays:
-            return _aloha_table(source.path, arrays)
-        return arrays_table(source.path, "HDF5", arrays)
+            return _aloha_table(path, arrays)
+        return arrays_table(path, "HDF5", arrays)
 
 
 def _aloha_table(path: Path, arrays: Mapping[str, Any]) -> LogTable:

@@ -28,7 +28,7 @@ from robot_sysid.logs.column_map import (
 )
 from robot_sysid.logs.joint_names import join_names
 from robot_sysid.logs.ros_bag import bag_table
-from robot_sysid.logs.table import LogSource, LogTable, as_input_errors
+from robot_sysid.logs.table import LogTable, as_input_errors
 from robot_sysid.logs.text import text_table
 from robot_sysid.records import ColumnMap, DataOrigin, Recording, RobotModel
 from robot_sysid.records.file_access import refuse_special_file
@@ -144,8 +144,8 @@ def origin_of(logs: Sequence[Recording]) -> DataOrigin:
     return DataOrigin(f"log {listed}", duration, rate, files=tuple(files))
 
 
-TableReader = Callable[[LogSource], LogTable]
-"""Reads a log of one form as a table."""
+TableReader = Callable[[Path, Sequence[str], LogOptions], LogTable]
+"""Reads a log of one form as a table: its path, the joints of the arm, and options."""
 _BAG = "a ROS bag", bag_table
 _HDF5 = "an HDF5 file", arrays.hdf5_table
 _TEXT = "a table of text", text_table
@@ -208,5 +208,5 @@ def open_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> L
         forms = [form for head, form in _FILES.items() if first_bytes.startswith(head)]
     form, reader = forms[0] if forms else _TEXT
     with as_input_errors(path, form):
-        table = reader(LogSource(path, first_bytes, joint_names, options))
+        table = reader(path, joint_names, options)
     return replace(table, form=form)

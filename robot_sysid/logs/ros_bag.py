@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from robot_sysid.errors import InputError
+from robot_sysid.logs import LogOptions
 from robot_sysid.logs.joint_names import (
     are_opposite_sides,
     match_joint_names,
@@ -37,14 +38,7 @@ from robot_sysid.logs.ros_messages import (
     Sample,
     read_stamp,
 )
-from robot_sysid.logs.table import (
-    ROWS,
-    Chunk,
-    LogSource,
-    LogTable,
-    chunk_blocks,
-    import_optional,
-)
+from robot_sysid.logs.table import ROWS, Chunk, LogTable, chunk_blocks, import_optional
 from robot_sysid.logs.titles import read_title
 from robot_sysid.records.file_access import refuse_special_file
 from robot_sysid.wording import option_name
@@ -135,13 +129,12 @@ def _is_of_another_arm(first: str, second: str) -> bool:
     return are_sides or not inner.startswith(outer)
 
 
-def bag_table(source: LogSource) -> LogTable:
+def bag_table(path: Path, joint_names: Sequence[str], options: LogOptions) -> LogTable:
     """Return the topic of a bag with the arm's joints: the one of --topic, or the one that fits.
 
     InputError where no topic or those of two arms fit, or where the only one lacks torques.
     """
-    path = source.path
-    topic_option = source.options.topic
+    topic_option = options.topic
     with _open_bag(path) as bag:
         # Names of topics with joints.
         names = set()
@@ -163,7 +156,7 @@ def bag_table(source: LogSource) -> LogTable:
             raise InputError(f"{fault}; {its_topics}")
         topics: list[Topic] = []
         for name in [topic_option] if topic_option else sorted(names):
-            topics += _read_topic(path, bag, name, source.joint_names)
+            topics += _read_topic(path, bag, name, joint_names)
         if not topics:
             raise InputError(f"{path} holds no joint states; {its_topics}")
         topic, note = choose_topic(path, topics)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid.errors import InputError, SysidError, error_text
-from robot_sysid.logs import LogOptions
 from robot_sysid.logs.column_map import ColumnChoices
 from robot_sysid.records import Array, ColumnMap
 from robot_sysid.records.file_access import refuse_special_file
@@ -116,23 +115,6 @@ class LogTable:
         """
         with as_input_errors(self.path, self.form):
             yield from self.blocks(columns)
-
-
-@dataclass(frozen=True)
-class LogSource:
-    """A file or folder that is to be read as a log.
-
-    Attributes:
-        path: of the file or folder.
-        first_bytes: of the file, at most 4096; empty for a folder.
-        joint_names: (n,) of the arm.
-        options: of reading logs.
-    """
-
-    path: Path
-    first_bytes: bytes
-    joint_names: Sequence[str]
-    options: LogOptions
 
 
 def import_optional(module: str, extra: str) -> Any:

@@ -17,12 +17,13 @@ from functools import lru_cache
 from io import TextIOWrapper
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from robot_sysid.errors import InputError
 from robot_sysid.logs.column_map import ColumnChoices
-from robot_sysid.logs.table import Block, LogSource, LogTable
+from robot_sysid.logs.table import Block, LogTable
 from robot_sysid.records import Array, Recording
 from robot_sysid.records.file_access import atomic_file
 
@@ -116,9 +117,10 @@ class Dialect:
         return row
 
 
-def text_table(source: LogSource) -> LogTable:
+def text_table(path: Path, *_: Any) -> LogTable:
     """Return a text file as a table."""
-    dialect = read_dialect(source.path, source.first_bytes)
+    with path.open("rb") as stream:
+        dialect = read_dialect(path, stream.read(4096))
     separator = _SEPARATORS[dialect.separator]
     layout = f"{len(dialect.titles)} columns separated by {separator}"
     choices = ColumnChoices()
@@ -126,13 +128,7 @@ def text_table(source: LogSource) -> LogTable:
         layout = f"libfranka's logToCSV, time in ms, {layout}"
         choices = ColumnChoices(time_unit="ms")
     return LogTable(
-        source.path,
-        layout,
-        dialect.titles,
-        dialect.blocks,
-        choices,
-        "line",
-        dialect.first_row,
+        path, layout, dialect.titles, dialect.blocks, choices, "line", dialect.first_row
     )
 
 
