@@ -1,8 +1,12 @@
-"""Recordings of a simulated arm as the makers' own drivers publish and write them.
+"""Recordings of simulated arms as the makers' own drivers and programs publish and write them.
 
 Each entry of ``DRIVER_LOGS`` writes a motion of a public model in the format of one driver: names
 and order of the joints, extra joints, rates, units, and the zeros that a driver writes where it
 measures nothing.
+
+SO-101's data sets follow huggingface/lerobot: src/lerobot/robots/so_follower (names, degrees, a
+gripper from 0 to 100) and src/lerobot/datasets (files of versions 2 and 3). Arms whose model is not
+public here are a serial arm with the joint names of the maker's model.
 """
 
 from __future__ import annotations
@@ -15,9 +19,16 @@ from typing import Any
 
 import numpy as np
 
-from rigs import recorded
+from rigs import arms, recorded
 from rigs.places import MODELS
-from rigs.recorded import START_NS, STATE, joint_state, typestore, write_bag
+from rigs.recorded import (
+    START_NS,
+    STATE,
+    joint_state,
+    typestore,
+    write_bag,
+    write_data_set,
+)
 from rigs.wrong_arms import truth_of
 from robot_sysid.logs.ros_messages import KORTEX, LBR
 from robot_sysid.parser import load_robot_model
@@ -37,12 +48,6 @@ def motion_of(path: str, rate: float = 250.0, load: float = 0.0) -> Recording:
     ``load`` is the mass of a weight on the terminal link [kg]; the motion is the same with it.
     """
     return truth_of(model_of(path), 3, rate=rate, load=load).log
-
-
-def every(data: Recording, step: int) -> Recording:
-    """Return every ``step``-th sample."""
-    columns = (data.time, data.q, data.qd, data.tau)
-    return Recording(*(array[::step] for array in columns))
 
 
 def states(types: Any, data: Recording, names: Sequence[str], order: Any = None):
@@ -81,7 +86,7 @@ def franka(
     data = motion_of(model, rate=1000.0)
     joints = _numbered(f"{arm}_joint")
     fingers = _numbered(f"{arm}_finger_joint", 2)
-    slow = every(data, 33) if len(topic_names) > 1 else motion_of(model)
+    slow = data[::33] if len(topic_names) > 1 else motion_of(model)
     both = with_extra_joints(slow, 2, 0.035)
     contents = {
         "/franka/joint_states": states(types, data, joints),
@@ -139,13 +144,16 @@ def rtde(folder: Path, torque: str, load: float = 0.0) -> Path:
     return recorded.rtde(folder, measured, torque)
 
 
+XARM = "ufactory_xarm7/xarm7.xml"
+
+
 def xarm(folder: Path, storage: str) -> Path:
     """A bag of xarm_api with the gripper: 100 Hz ("dev" reports), and twice a second a message
     of the gripper's six joints with neither velocity nor effort.
     """
     store = typestore(storage)
     types = store.types
-    data = motion_of("ufactory_xarm7/xarm7.xml", rate=100.0)
+    data = motion_of(XARM, rate=100.0)
     arm = list(states(types, data, _numbered("joint")))
     names = ["drive_joint", "left_finger_joint", "left_inner_knuckle_joint"]
     names += ["right_outer_knuckle_joint", "right_finger_joint"]
@@ -223,107 +231,231 @@ def kortex_feedback(types: Any, data: Recording):
         yield time, types[KORTEX](0, actuators)
 
 
+SIX_JOINTS = arms.serial_arm(
+    arms.SEVEN_AXES[:6], joint='range="-2.5 2.5" frictionloss=".2" damping=".1"'
+)
+"""An arm of six joints, which ``six_joint_model`` gives a maker's joint names."""
+OPENARM = MODELS / "openarm_v2" / "openarm_bimanual.xml"
+SO101 = MODELS / "so101" / "so101_new_calib.xml"
+
+
+def six_joint_model(folder: Path) -> Path:
+    """Write the arm of six joints as a model with joints joint1 .. joint6."""
+    text = SIX_JOINTS
+    for number in range(6, 0, -1):
+        text = text.replace(f'"joint{number - 1}"', f'"joint{number}"')
+    path = folder / "arm.xml"
+    path.write_text(text)
+    return path
+
+
+@cache
+def six_joint_motion(rate: float) -> Recording:
+    """Return 12 s of a motion of the arm of six joints."""
+    return truth_of(arms.robot_of(SIX_JOINTS), 3, rate=rate).log
+
+
+@cache
+def openarm_motion() -> Recording:
+    """Return 12 s of a motion of OpenArm's left arm."""
+    return truth_of(openarm(), 3, rate=100.0).log
+
+
+@cache
+def openarm() -> RobotModel:
+    """Return the left arm of OpenArm's model of two."""
+    return load_robot_model(OPENARM, joint="openarm_left_joint7")
+
+
+def piper(folder: Path) -> Path:
+    """A bag of Piper_ros: 200 Hz, the arm and its gripper twice, and what was commanded.
+
+    Velocity has six entries, position and effort seven. Angles are thousandths of a degree times
+    0.017444, efforts are N m. The node publishes commands as a JointState with zeros for effort.
+    """
+    store = typestore("MCAP")
+    data = six_joint_motion(200.0)
+    degrees = np.round(np.degrees(data.q), 3)
+    both = with_extra_joints(replace(data, q=0.017444 * degrees), 1, 0.05)
+    names = [*_numbered("joint", 6), "gripper"]
+    columns = (both.time, both.q, data.qd, both.tau)
+    measured = []
+    commanded = []
+    for time, q, qd, tau in zip(*columns):
+        measured.append((time, joint_state(store.types, time, names, q, qd, tau)))
+        zero = np.zeros(7)
+        commanded.append((time, joint_state(store.types, time, names, q, zero, zero)))
+    topics = [
+        ("/joint_states_single", STATE, measured),
+        ("/joint_states_feedback", STATE, measured),
+        ("/joint_ctrl", STATE, commanded),
+    ]
+    return write_bag(folder / "piper", topics, store, "MCAP")
+
+
+def openarm_bag(folder: Path) -> Path:
+    """A bag of openarm_ros2: 100 Hz, both arms and fingers in one topic, the right arm at rest."""
+    store = typestore("MCAP")
+    data = with_extra_joints(openarm_motion(), 9, 0.02)
+    names = []
+    for side in ("left", "right"):
+        names += _numbered(f"openarm_{side}_joint")
+        names.append(f"openarm_{side}_finger_joint1")
+    topics = [("/joint_states", STATE, states(store.types, data, names))]
+    return write_bag(folder / "openarm", topics, store, "MCAP")
+
+
+def so101_data_set(folder: Path, version: str) -> Path:
+    """LeRobot's SO-101 follower: positions and goals in degrees, gripper in per cent, at 30 Hz."""
+    robot = load_robot_model(SO101)
+    time = np.arange(900) / 30.0
+    phase = np.outer(time, 0.6 + 0.2 * np.arange(robot.n_joints))
+    titles = [f"{name}.pos" for name in (*robot.joint_names, "gripper")]
+    middle = 0.5 * (robot.limits.lower + robot.limits.upper)
+    goals = np.degrees(middle + 0.4 * np.sin(phase))
+    measured = np.degrees(middle + 0.4 * np.sin(phase - 0.05))
+    per_cent = np.full((len(time), 1), 50.0)
+    features = {
+        "action": (titles, np.hstack((goals, per_cent))),
+        "observation.state": (titles, np.hstack((measured, per_cent))),
+    }
+    return write_data_set(folder / "so101_set", version, 30, features)
+
+
+def i2rt_arrays(folder: Path) -> Path:
+    """Observations of i2rt's MotorChainRobot, stacked in an .npz file beside their time."""
+    data = six_joint_motion(100.0)
+    gripper = np.full((len(data), 1), 0.7)
+    path = folder / "yam.npz"
+    np.savez(
+        path,
+        timestamp=1.7e9 + data.time,
+        joint_pos=data.q,
+        joint_vel=data.qd,
+        joint_eff=data.tau,
+        gripper_pos=gripper,
+        gripper_vel=0.0 * gripper,
+        gripper_eff=0.0 * gripper,
+    )
+    return path
+
+
 @dataclass(frozen=True)
 class DriverLog:
-    """A recording of a driver, beside the model of its arm.
+    """A recording of a driver, beside its arm.
 
     Attributes:
         name: of the recording, for tests.
-        model: path of the model, below the folder of public models.
         write: writes the recording into a folder and returns its path.
-        rate: of the samples that identification takes [Hz].
+        robot: returns the arm, of a folder that its model may be written to.
+        motion: returns what the recording holds.
+        accuracy: of the recorded positions [rad].
+        is_public: whether its model is one of the public ones.
     """
 
     name: str
-    model: str
     write: Callable[..., Path]
-    rate: float
+    robot: Callable[[Path], RobotModel]
+    motion: Callable[[], Recording]
+    accuracy: float = 1e-6
+    is_public: bool = True
+
+
+def _public_log(
+    name: str, model: str, rate: float, write: Callable[..., Path], **fields: Any
+) -> DriverLog:
+    """Return a recording of a public model's arm, at the rate that identification takes [Hz]."""
+    motion = partial(motion_of, model, rate=rate)
+    return DriverLog(name, write, lambda folder: model_of(model), motion, **fields)
+
+
+def _six_joint_log(
+    name: str, rate: float, write: Callable[..., Path], **fields: Any
+) -> DriverLog:
+    """Return a recording of the arm of six joints, at a rate [Hz]."""
+    motion = partial(six_joint_motion, rate)
+    arm = (lambda folder: load_robot_model(six_joint_model(folder)), motion)
+    return DriverLog(name, write, *arm, is_public=False, **fields)
 
 
 PANDA = "franka_panda/panda.xml"
 FR3 = "franka_fr3/FrankaFR3_7DoF.urdf"
-_JOINT_STATES = ("/joint_states",)
 _ALL_FRANKA = ("/franka/joint_states", "/franka_gripper/joint_states", "/joint_states")
 _ALL_LBR = ("/lbr/joint_states", "/lbr/state")
+_PANDA_BAG = partial(franka, arm="panda", model=PANDA, topic_names=_ALL_FRANKA[2:])
 
 DRIVER_LOGS = (
     # frankarobotics/franka_ros2: franka_bringup/launch/franka.launch.py
-    DriverLog(
-        "panda bag",
-        PANDA,
-        lambda folder: franka(folder, "panda", PANDA, "MCAP", _JOINT_STATES),
-        250.0,
-    ),
-    DriverLog(
-        "panda ROS 1 bag",
-        PANDA,
-        lambda folder: franka(folder, "panda", PANDA, "ROS1", _JOINT_STATES),
-        250.0,
-    ),
-    DriverLog(
+    _public_log("panda bag", PANDA, 250.0, partial(_PANDA_BAG, storage="MCAP")),
+    _public_log("panda ROS 1 bag", PANDA, 250.0, partial(_PANDA_BAG, storage="ROS1")),
+    _public_log(
         "fr3 all topics",
         FR3,
-        lambda folder: franka(folder, "fr3", FR3, "MCAP", _ALL_FRANKA),
         1000.0,
+        partial(franka, arm="fr3", model=FR3, storage="MCAP", topic_names=_ALL_FRANKA),
     ),
     # UniversalRobots/Universal_Robots_ROS2_Driver:
     # ur_robot_driver/doc/usage/utility_controllers.rst and pull request 1551
-    DriverLog(
+    _public_log(
         "UR torque as effort",
         UR5E,
-        lambda folder: universal_robots(folder, "MCAP", is_current=False),
         500.0,
+        partial(universal_robots, storage="MCAP", is_current=False),
     ),
     # UniversalRobots/RTDE_Python_Client_Library: rtde/csv_writer.py
-    DriverLog(
-        "UR RTDE torque",
-        UR5E,
-        lambda folder: rtde(folder, "actual_current_as_torque"),
-        500.0,
+    _public_log(
+        "UR RTDE torque", UR5E, 500.0, partial(rtde, torque="actual_current_as_torque")
     ),
     # xArm-Developer/xarm_ros2: xarm_api/src/xarm_driver.cpp
-    DriverLog(
-        "xArm with gripper",
-        "ufactory_xarm7/xarm7.xml",
-        lambda folder: xarm(folder, "SQLITE3"),
-        100.0,
-    ),
+    _public_log("xArm with gripper", XARM, 100.0, partial(xarm, storage="SQLITE3")),
     # lbr-stack/lbr_fri_ros2_stack: lbr_description/ros2_control/lbr_controllers.yaml;
     # lbr-stack/lbr_fri_idl: msg/LBRState.msg
-    DriverLog(
-        "LBR all topics", IIWA, lambda folder: lbr(folder, "MCAP", _ALL_LBR), 100.0
+    _public_log(
+        "LBR all topics",
+        IIWA,
+        100.0,
+        partial(lbr, storage="MCAP", topic_names=_ALL_LBR),
     ),
-    DriverLog(
+    _public_log(
         "LBR state alone",
         IIWA,
-        lambda folder: lbr(folder, "SQLITE3", _ALL_LBR[1:]),
         100.0,
+        partial(lbr, storage="SQLITE3", topic_names=_ALL_LBR[1:]),
     ),
     # Kinovarobotics/ros_kortex:
     # kortex_driver/src/non-generated/driver/kortex_arm_driver.cpp
-    DriverLog(
+    _public_log(
         "kortex ROS 1",
         GEN3,
-        lambda folder: kortex(folder, ("joint_states", "base_feedback")),
         100.0,
+        partial(kortex, topic_names=("joint_states", "base_feedback")),
     ),
-    DriverLog(
+    # Kinova's own message has single precision.
+    _public_log(
         "kortex base_feedback alone",
         GEN3,
-        lambda folder: kortex(folder, ("base_feedback",)),
         100.0,
+        partial(kortex, topic_names=("base_feedback",)),
+        accuracy=6e-6,
     ),
+    # agilexrobotics/Piper_ros: src/piper/piper/piper_ctrl_single_node.py;
+    # 0.017444 is 0.05 % less than a degree.
+    _six_joint_log("Piper bag", 200.0, piper, accuracy=3e-3),
+    # enactic/openarm_ros2: openarm_bringup/config/v10_controllers
+    DriverLog("OpenArm bag", openarm_bag, lambda folder: openarm(), openarm_motion),
+    # i2rt-robotics/i2rt: i2rt/robots/motor_chain_robot.py
+    _six_joint_log("i2rt arrays", 100.0, i2rt_arrays),
 )
 """Recordings whose efforts are torques: they need no option. The public code that is named states
 names, order, rates and units."""
 UNWEIGHED_LOGS = (
-    DriverLog(
+    _public_log(
         "UR current as effort",
         UR5E,
-        partial(universal_robots, storage="MCAP", is_current=True),
         500.0,
+        partial(universal_robots, storage="MCAP", is_current=True),
     ),
-    DriverLog("UR RTDE current", UR5E, partial(rtde, torque="actual_current"), 500.0),
+    _public_log("UR RTDE current", UR5E, 500.0, partial(rtde, torque="actual_current")),
 )
 """Recordings whose efforts are no torques. Their ``write`` takes ``load``, the mass of a weight on
 the terminal link [kg]."""

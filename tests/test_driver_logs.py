@@ -1,32 +1,53 @@
-"""Recordings as the makers' drivers write them are read without any option.
+"""Recordings as the makers' drivers and programs write them are read without any option.
 
-Skipped where the public models are not beside the checkout.
+Those of arms whose model is public are skipped where it is not beside the checkout.
 """
 
 from __future__ import annotations
 
+import shlex
+
 import numpy as np
 import pytest
 
-from rigs.driver_logs import DRIVER_LOGS, UNWEIGHED_LOGS, DriverLog, model_of, motion_of
+from rigs.driver_logs import (
+    DRIVER_LOGS,
+    OPENARM,
+    SO101,
+    UNWEIGHED_LOGS,
+    openarm_bag,
+    so101_data_set,
+)
 from rigs.places import MODELS
 from robot_sysid.cli import main
 from robot_sysid.logs import LogOptions
 from robot_sysid.logs.reader import open_log
+from robot_sysid.parser import load_robot_model
 
-pytestmark = pytest.mark.skipif(
+for library in ("rosbags", "pyarrow"):
+    pytest.importorskip(library)
+
+NEEDS_MODELS = pytest.mark.skipif(
     not MODELS.is_dir(), reason="the public models are not here"
 )
-
-QUICK = {"panda ROS 1 bag", "LBR state alone", "UR RTDE torque"}
+QUICK = {
+    "panda ROS 1 bag",
+    "LBR state alone",
+    "UR RTDE torque",
+    "Piper bag",
+    "OpenArm bag",
+    "i2rt arrays",
+}
 """Recordings of the fast run; the others take seconds to write."""
 
 
-def marked(logs: tuple[DriverLog, ...]):
+def marked(logs):
     """Return the recordings as parameters, slow but for those of the fast run."""
     parameters = []
     for log in logs:
-        marks = () if log.name in QUICK else (pytest.mark.slow,)
+        marks = [NEEDS_MODELS] if log.is_public else []
+        if log.name not in QUICK:
+            marks.append(pytest.mark.slow)
         parameters.append(pytest.param(log, marks=marks, id=log.name))
     return parameters
 
@@ -34,22 +55,19 @@ def marked(logs: tuple[DriverLog, ...]):
 @pytest.mark.parametrize("log", marked(DRIVER_LOGS))
 def test_positions_and_torques_of_each_joint_are_those_of_the_arm(tmp_path, log):
     """Whatever the driver's order, names, units, turns and further topics are."""
-    pytest.importorskip("rosbags")
-    expected = motion_of(log.model, rate=log.rate)
-    samples = open_log(model_of(log.model), log.write(tmp_path), LogOptions())
-    assert len(samples) == len(expected)
-    turns = (samples.q - expected.q) / (2.0 * np.pi)
-    # Kinova's own message has single precision.
-    np.testing.assert_allclose(turns, np.round(turns[:1]) + 0 * turns, atol=1e-6)
-    np.testing.assert_allclose(samples.tau, expected.tau, atol=1e-5)
+    expected = log.motion()
+    recording = open_log(log.robot(tmp_path), log.write(tmp_path), LogOptions())
+    assert len(recording) == len(expected)
+    error = recording.q - expected.q
+    turns = 2.0 * np.pi * np.round(error[:1] / (2.0 * np.pi))
+    np.testing.assert_allclose(error, turns + 0 * error, rtol=0, atol=log.accuracy)
+    np.testing.assert_allclose(recording.tau, expected.tau, rtol=0, atol=1e-5)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("log", UNWEIGHED_LOGS, ids=lambda log: log.name)
+@pytest.mark.parametrize("log", marked(UNWEIGHED_LOGS))
 def test_motor_currents_are_named_and_never_fitted(tmp_path, monkeypatch, capsys, log):
-    pytest.importorskip("rosbags")
     monkeypatch.chdir(tmp_path)
-    model = str(MODELS / log.model)
+    model = str(log.robot(tmp_path).path)
     path = log.write(tmp_path)
     assert main(["identify", model, str(path)]) == 2
     error = capsys.readouterr().err
@@ -59,3 +77,36 @@ def test_motor_currents_are_named_and_never_fitted(tmp_path, monkeypatch, capsys
         command = f"identify {model} {path} --torque-constants 1\n"
     assert f"\n  robot-sysid {command}" in error
     assert not (tmp_path / "sysid_output" / "updated_model.xml").exists()
+
+
+def remedies(message):
+    """Return the commands that stand alone on a line, as words without the program's name."""
+    lines = [line for line in message.splitlines() if line.startswith("  robot-sysid ")]
+    return [shlex.split(line)[1:] for line in lines]
+
+
+@NEEDS_MODELS
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_servo_arms_data_set_names_the_command_that_needs_no_torque(
+    tmp_path, monkeypatch, capsys, version
+):
+    monkeypatch.chdir(tmp_path)
+    path = so101_data_set(tmp_path, version)
+    assert main(["identify", str(SO101), path.name]) == 2
+    (command,) = remedies(capsys.readouterr().err)
+    added = ["--torque-from", "position-error"]
+    assert command == ["identify", str(SO101), path.name, *added]
+    robot = load_robot_model(SO101)
+    log = open_log(robot, path, LogOptions(commanded=True))
+    assert len(log.columns.position) == len(log.columns.torque) == 5
+    assert log.command.shape == log.q.shape == (900, 5)
+    assert np.max(np.abs(log.q)) < np.pi
+
+
+@NEEDS_MODELS
+def test_of_two_arms_each_ones_command_is_printed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    path = openarm_bag(tmp_path)
+    assert main(["identify", str(OPENARM), path.name]) == 2
+    sides = [command[-1] for command in remedies(capsys.readouterr().err)]
+    assert sides == ["openarm_left_joint7", "openarm_right_joint7"]

@@ -13,8 +13,13 @@ from pathlib import Path
 import pytest
 
 from rigs import arms
-from rigs.driver_logs import DRIVER_LOGS, UNWEIGHED_LOGS, UR_CONSTANTS, model_of
-from rigs.lab_arm_logs import LAB_ARM_LOGS, OPENARM, SO101, so101_data_set
+from rigs.driver_logs import (
+    DRIVER_LOGS,
+    SO101,
+    UNWEIGHED_LOGS,
+    UR_CONSTANTS,
+    so101_data_set,
+)
 from rigs.places import MODELS
 from rigs.walk import MOST_STEPS, TrueArm, Walk
 from robot_sysid.motion.search import Design
@@ -140,13 +145,16 @@ def test_public_arms_are_led_to_the_file_and_to_the_card(short_search, model, jo
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.skipif(not MODELS.is_dir(), reason="the public models are not here")
 @pytest.mark.parametrize("log", DRIVER_LOGS, ids=lambda log: log.name)
 def test_a_drivers_recording_leads_to_the_file(short_search, log):
-    pytest.importorskip("rosbags")
-    arm = TrueArm(model_of(log.model))
-    walk = walk_from_recording(log.write(Path()), MODELS / log.model, arm)
-    assert not walk.refused
+    for library in ("rosbags", "pyarrow"):
+        pytest.importorskip(library)
+    if log.is_public and not MODELS.is_dir():
+        pytest.skip("the public models are not here")
+    robot = log.robot(Path())
+    walk = walk_from_recording(log.write(Path()), robot.path, TrueArm(robot))
+    # A model of two arms needs to be told which.
+    assert len(walk.refused) == log.name.startswith("OpenArm")
 
 
 @pytest.mark.slow
@@ -162,26 +170,12 @@ def test_motor_currents_lead_over_a_known_mass_to_the_file(short_search, log):
         folder.mkdir()
         log.write(folder, load=load).rename(path)
 
-    arm = TrueArm(model_of(log.model), constants=UR_CONSTANTS)
-    model = MODELS / log.model
-    walk = walk_from_recording(log.write(Path()), model, arm, record_again)
+    robot = log.robot(Path())
+    arm = TrueArm(robot, constants=UR_CONSTANTS)
+    walk = walk_from_recording(log.write(Path()), robot.path, arm, record_again)
     assert walk.refused
     weighing = walk.steps[len(walk.refused)]
     assert "--known-mass 1" in weighing.line and weighing.code == 0
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-@pytest.mark.parametrize("log", LAB_ARM_LOGS, ids=lambda log: log.name)
-def test_a_laboratory_arms_recording_leads_to_the_file(short_search, log):
-    for library in ("rosbags", "pyarrow"):
-        pytest.importorskip(library)
-    if log.name.startswith("OpenArm") and not OPENARM.exists():
-        pytest.skip("the public models are not here")
-    robot = log.robot(Path())
-    walk = walk_from_recording(log.write(Path()), robot.path, TrueArm(robot))
-    # A model of two arms needs to be told which.
-    assert len(walk.refused) == log.name.startswith("OpenArm")
 
 
 @pytest.mark.slow

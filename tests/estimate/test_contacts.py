@@ -41,7 +41,7 @@ def test_rows_of_contacts_are_left_out_unless_they_come_back(spans, seed):
     fitted = fit_recordings(ROBOT, [touched])
     found = fitted.recordings[0]
     kept = np.ones(len(time), dtype=bool)
-    for (start, stop, joints), (first, last) in zip(found.touched, spans):
+    for (start, stop, joints, _), (first, last) in zip(found.touched, spans):
         assert start <= first <= last <= stop < last + 1.0 < start + 1.5 + last - first
         assert joints[1] and not joints[0]
         kept[(time >= start) & (time <= stop)] = len(spans) > 5
