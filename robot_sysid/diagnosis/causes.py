@@ -440,9 +440,9 @@ def changes_of_load(fitted: Fit) -> Iterator[Explanation]:
     blocks = np.arange(len(logs))
     spread = parameter_scale(0.05 * robot.mass, 0.1 * robot.length)
     # Torque scales multiply the load, too.
-    every = fitted.arm.terms[SCALES].names
-    scales = [name for name in every if name in fitted.names]
-    error = float(np.max(fitted.errors[fitted.at(scales)], initial=0.0))
+    scales = fitted.arm.terms[SCALES].names
+    errors = [fitted.error_of(name) for name in scales if name in fitted.names]
+    error = max(errors, default=0.0)
     for first in blocks[1:].tolist():
         if logs[first] == logs[first - 1]:
             after = fitted.sums.is_of(logs[first]) & (blocks >= first)

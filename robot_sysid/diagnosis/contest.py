@@ -646,10 +646,9 @@ def regression(fitted: Fit, joint: int) -> dict[str, float]:
     """Return what a joint's torque has of the model's weight, its inertia, friction and offset."""
     sums = fitted.sums
     own = (term.key_of(sums.joints[joint]) for term in (COULOMB, VISCOUS, OFFSET))
-    columns = sums.columns[joint].tolist()
-    wanted = [n for n in (WEIGHT, INERTIAL, *own) if n in sums.names]
-    shown = [n for n in wanted if sums.names.index(n) in columns]
-    at = [columns.index(sums.names.index(n)) for n in shown]
+    names = [sums.names[column] for column in sums.columns[joint][:-1]]
+    shown = [name for name in (WEIGHT, INERTIAL, *own) if name in names]
+    at = [names.index(name) for name in shown]
     total = sums.totals[joint]
     values, *_ = np.linalg.lstsq(total[np.ix_(at, at)], total[at, -1], rcond=1e-12)
     return dict(zip(shown, values.tolist()))
@@ -669,15 +668,14 @@ def dry_friction(fitted: Fit) -> tuple[Array, Array]:
 
     That of a joint that stands still is zero, its error infinite.
     """
-    joints = fitted.arm.joints
-    dry = np.zeros(len(joints))
+    names = np.array([COULOMB.key_of(joint) for joint in fitted.arm.joints])
+    is_shown = np.isin(names, fitted.names)
+    at = fitted.at(names[is_shown].tolist())
+    dry = np.zeros(len(names))
     error = dry + np.inf
     values, inverse = fitted.unbounded
-    for joint, name in enumerate(map(COULOMB.key_of, joints)):
-        if name in fitted.names:
-            at = fitted.names.index(name)
-            dry[joint] = values[at]
-            error[joint] = np.sqrt(max(inverse[at, at], 0.0))
+    dry[is_shown] = values[at]
+    error[is_shown] = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
     return dry, error
 
 
@@ -699,8 +697,7 @@ def is_computed(fitted: Fit) -> bool:
 
 def last_mass(fitted: Fit) -> tuple[float, float]:
     """Return the last link's mass and its standard error [kg]."""
-    at = fitted.names.index("m")
-    return fitted.free[at], float(fitted.errors[at])
+    return fitted.free[fitted.names.index("m")], fitted.error_of("m")
 
 
 def is_plausible(fitted: Fit) -> bool:

@@ -140,9 +140,7 @@ class Equations:
 
     def full(self, values: Array) -> Array:
         """Return all parameters (p,) from the estimated ones (k,)."""
-        full = self.held.copy()
-        full[self.index] = values
-        return full
+        return self.selection[:-1] @ np.append(values, -1.0)
 
 
 def solve(

@@ -123,7 +123,7 @@ class Offers:
         # Bounds do not count: evidence of a negative friction would hide in other columns.
         free, self.inverse = solve(self._normal, equations.reference)
         self._own = np.append(free, -1.0)
-        self._full = np.append(equations.full(free), -1.0)
+        self._full = equations.selection @ self._own
         self.squares = self.sums.squared_residuals(self._full[:-1])
         self.successive = self.sums.successive(self._full[:-1])
         self.squares = np.maximum(self.squares, 1e-300)
@@ -133,25 +133,23 @@ class Offers:
 
     def offer(self, effect: Effect) -> Offer:
         """Return what the fit says of an effect, with the weights as they are."""
-        index = self.fitted.equations.index
-        size = len(self._full)
         count = len(effect.names)
-        cross = np.zeros((size, count))
+        cross = np.zeros((len(self._full), count))
         own = np.zeros((count, count))
         for joint, columns in enumerate(self.sums.columns):
             products, squares = self._products(effect, joint, self.sums.totals)
             cross[columns] += self.weights[joint] ** 2 * products
             own += self.weights[joint] ** 2 * squares
         # How all parameters move per unit of the further ones.
-        moves = np.zeros((size, count))
-        moves[index] = -self.inverse @ cross[index]
+        estimated = self.fitted.equations.selection[:, :-1]
+        moves = -estimated @ (self.inverse @ (estimated.T @ cross))
         factor = effect.factor
         inner = factor.T @ (own + cross.T @ moves) @ factor + np.eye(factor.shape[1])
         covariance = factor @ np.linalg.inv(inner) @ factor.T
         gradient = -self._full @ cross
         values = covariance @ gradient
         explained = float(gradient @ values)
-        change = moves[index] @ values
+        change = estimated.T @ (moves @ values)
         step = np.append(change, 0.0)
         prior = self.fitted.equations.prior
         return Offer(
@@ -175,9 +173,8 @@ class Offers:
         """
         sums = self.sums
         columns = sums.columns[joint]
-        selection = np.equal.outer(columns, sums.at(effect.names)).astype(float)
-        if effect.joint not in (None, joint):
-            selection[:] = 0.0
+        acts = effect.joint in (None, joint)
+        selection = np.equal.outer(columns, sums.at(effect.names)) & acts
         shares = np.ones(1) if effect.shares is None else effect.shares
         blocks = totals[joint][None]
         if effect.shares is not None:

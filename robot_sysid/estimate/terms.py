@@ -94,12 +94,12 @@ class Prior:
 
 
 def independent(
-    deviations: Sequence[float] | Array, mean: Array | None = None
+    deviations: Sequence[float] | Array, mean: Array | float = 0.0
 ) -> Prior:
     """Return the prior of k parameters with independent errors [SI], around zero by default."""
     # A number that is known exactly has an error all the same.
     size = np.maximum(deviations, 1e-9)
-    return Prior(np.zeros(len(size)) if mean is None else mean, np.diag(size))
+    return Prior(np.zeros(len(size)) + mean, np.diag(size))
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,8 @@ class Point:
         links: (n, 10) links whose torque loads the gears: all as they were estimated last.
         payload: (10,) what the last link carries in loaded recordings.
         gravity: (3,) in the world frame [m/s^2].
-        friction: name of a friction parameter to its value; a missing one is zero.
+        friction: name of a parameter to its value, of those of friction at least; a missing one is
+            zero.
     """
 
     thetas: Array

@@ -146,10 +146,11 @@ def predict(
     }
 
     link_errors = {}
-    for link in robot.links if aim.target == "arm" else ():
-        name = f"m({link.body_name})"
-        if name in fitted.names:
-            link_errors[link.body_name] = fitted.error_of(name) / float(link.theta[0])
+    for index in fitted.arm.others if aim.target == "arm" else ():
+        link = robot.links[index]
+        mass, *_ = fitted.arm.links[index]
+        if mass in fitted.names:
+            link_errors[link.body_name] = fitted.error_of(mass) / float(link.theta[0])
     return Prediction(
         recordings=recordings,
         subject=subject,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from robot_sysid.dynamics.friction import TERMS, Coupling
+from robot_sysid.dynamics.friction import TERMS
 from robot_sysid.records.levels import INTERVAL
 from robot_sysid.records.messages import aligned_lines, number_text, percent, with_error
 from robot_sysid.records.parameters import DELAY, SCALE, TILTS, ZERO
@@ -196,7 +196,7 @@ def largest_changes(content: Content) -> Iterator[str]:
     """Yield a line on the masses, friction and rotors that changed most beside their errors."""
     changes = []
     for row in content["quantities"]:
-        names = (CENTRAL[0], *(term.name for term in Coupling.terms))
+        names = ("mass", *TERMS)
         is_wanted = row["name"] in names and row["source"] == DATA and row["error"]
         if is_wanted and row["model"] is not None:
             size = abs(row["value"] - row["model"]) / row["error"]
