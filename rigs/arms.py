@@ -6,6 +6,8 @@ public model files do. ``random_chain`` and ``rigid_bodies`` are hypothesis stra
 
 from __future__ import annotations
 
+import copy
+
 import mujoco
 import numpy as np
 from hypothesis import strategies as st
@@ -245,6 +247,13 @@ def write_body(mj_model, body, theta):
     mj_model.body_ipos[body] = com
     mj_model.body_inertia[body] = moments
     mujoco.mju_mat2Quat(mj_model.body_iquat[body], axes.ravel())
+
+
+def with_link(robot, theta):
+    """The model with theta (10,) as its terminal body, and the composite theta (10,)."""
+    model = copy.copy(robot.mj_model)
+    write_body(model, robot.body_id, theta)
+    return model, composite_theta(model, robot.reference_qpos, robot.body_id)
 
 
 def random_motion(rng, joints, samples, speed=2.0):

@@ -10,20 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigs import arms
-from rigs.arms import SEEDS, random_motion, robot_of
+from rigs.arms import SEEDS, robot_of, seeded_motion
 from robot_sysid.errors import SimulationError
-from robot_sysid.records import Motion
 from robot_sysid.simulator import simulate_inverse
 from robot_sysid.trajectory import generate_excitation_trajectory, motion_chunks
 
 NAMES = ("seven", "dry friction", "springs")
 PLAIN = {name: robot_of(arms.MODELS[name]) for name in NAMES}
-
-
-def random_chunk(robot, seed, samples=5):
-    rng = np.random.default_rng(seed)
-    time = 0.01 * np.arange(samples)
-    return Motion(time, *random_motion(rng, robot.n_joints, samples))
 
 
 def simulated(robot, motion):
@@ -34,7 +27,7 @@ def simulated(robot, motion):
 @given(st.sampled_from(sorted(PLAIN)), SEEDS)
 def test_friction_is_coulomb_and_viscous_with_the_models_coefficients(name, seed):
     robot = PLAIN[name]
-    motion = random_chunk(robot, seed)
+    motion = seeded_motion(seed, robot.n_joints, 5)
     model = copy.copy(robot.mj_model)
     friction = model.dof_frictionloss * np.sign(motion.qd)
     friction += model.dof_damping * motion.qd
@@ -55,7 +48,7 @@ def test_contacts_and_joint_limits_do_not_push():
     boxed = boxed.replace("</body></body></body>", tip).replace(
         "<worldbody>", f"<worldbody>{wall}"
     )
-    motion = random_chunk(robot_of(free), 2)
+    motion = seeded_motion(2, 3, 5)
     expected = simulated(robot_of(free), motion).tau
     tau = simulated(robot_of(boxed), motion).tau
     np.testing.assert_allclose(tau, expected, rtol=1e-12)

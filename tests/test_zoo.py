@@ -7,7 +7,6 @@ search does not use: the model's own limits, and contacts as MuJoCo reports them
 
 from __future__ import annotations
 
-import copy
 from functools import cache
 
 import numpy as np
@@ -111,10 +110,7 @@ def excitation(robot, duration=15.0):
 
 def with_heavier_link(robot):
     """The same arm carrying 30 % more at its last link."""
-    model = copy.copy(robot.mj_model)
-    arms.write_body(model, robot.body_id, 1.3 * body_theta(model, robot.body_id))
-    theta = arms.composite_theta(model, robot.reference_qpos, robot.body_id)
-    return model, theta
+    return arms.with_link(robot, 1.3 * body_theta(robot.mj_model, robot.body_id))
 
 
 @pytest.mark.parametrize(("model", "terminal", "joints"), slow_unless_quick(WHOLE_ARMS))

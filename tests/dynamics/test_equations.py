@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,8 +53,7 @@ def plant_with(robot, theta, friction):
     Returns:
         The plant, and its true parameters (12,).
     """
-    model = copy.copy(robot.mj_model)
-    arms.write_body(model, robot.body_id, theta)
+    model, truth = arms.with_link(robot, theta)
     coulomb = robot.friction.coulomb.copy()
     viscous = robot.friction.viscous.copy()
     coulomb[-1], viscous[-1] = friction

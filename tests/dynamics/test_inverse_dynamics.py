@@ -4,8 +4,6 @@ slopes by tilt and encoder zeros equal differences.
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -36,16 +34,9 @@ from robot_sysid.model.bodies import body_theta
 SAMPLES = 4
 
 
-def with_link(robot, theta):
-    """Return the model with theta (10,) as its terminal body, and the composite theta (10,)."""
-    model = copy.copy(robot.mj_model)
-    arms.write_body(model, robot.body_id, theta)
-    return model, arms.composite_theta(model, robot.reference_qpos, robot.body_id)
-
-
 def assert_reproduces(robot, theta, motion):
     """Check tau_rest + Y theta' = inverse dynamics of the model with theta' written into it."""
-    model, composite = with_link(robot, theta)
+    model, composite = arms.with_link(robot, theta)
     rows, other_torque = arms.rows_and_rest(robot, motion)
     link = rows @ composite
     actual = ArmDynamics(robot, model).torque(*motion)
