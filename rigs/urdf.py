@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from pathlib import Path
 
 
 def link(name: str, content: str = "") -> str:
@@ -41,3 +42,10 @@ def serial(links: Mapping[str, str], fixed: Collection[str] = ()) -> str:
     kinds = ["fixed" if name in fixed else "revolute" for name in links]
     joints = map(joint, names, names[1:], kinds)
     return "\n".join([link("base"), *map(link, links, links.values()), *joints])
+
+
+def write_arm(folder: Path, links: Mapping[str, str], *parts: str) -> Path:
+    """The path of a file with a base and links of this content, each on the one before it."""
+    path = folder / "arm.urdf"
+    path.write_text(robot(serial(links), *parts))
+    return path

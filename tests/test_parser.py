@@ -124,21 +124,19 @@ def test_a_jaw_that_is_held_is_named_with_the_option_that_adds_it():
 NO_BODY = urdf.inertial(inertia="0.01 0.02 0.035", rpy="0.3 0.2 0.1")
 
 
-def vendor_arm(inertials, beside=NO_BODY):
-    """A URDF of an arm with an antenna on its base that has an inertia of no body."""
-    antenna = urdf.link("antenna", beside) + urdf.joint("base", "antenna", "fixed")
-    return urdf.robot(urdf.serial(inertials), antenna)
+ANTENNA = urdf.link("antenna", NO_BODY), urdf.joint("base", "antenna", "fixed")
+"""An antenna on an arm's base that has an inertia of no body."""
 
 
-def test_an_impossible_inertia_is_mended_with_a_note(arm_file):
+def test_an_impossible_inertia_is_mended_with_a_note(tmp_path):
     links = {f"l{k}": urdf.inertial() for k in range(3)}
-    robot = load_robot_model(arm_file(vendor_arm(links), "m.urdf"))
-    expected = load_robot_model(arm_file(urdf.robot(urdf.serial(links)), "n.urdf"))
+    expected = load_robot_model(urdf.write_arm(tmp_path, links))
+    robot = load_robot_model(urdf.write_arm(tmp_path, links, *ANTENNA))
     assert_array_equal(robot.links[0].theta, expected.links[0].theta)
     (note,) = robot.notes
     assert "'antenna'" in note and "in a written model too" in note
     links["l1"] = NO_BODY
-    robot = load_robot_model(arm_file(vendor_arm(links), "m.urdf"))
+    robot = load_robot_model(urdf.write_arm(tmp_path, links, *ANTENNA))
     assert "link 'l1', 'antenna', and MuJoCo refuses" in robot.notes[0]
     assert robot.links[0].theta[0] == expected.links[0].theta[0]
 
@@ -152,9 +150,7 @@ def test_moments_of_a_link_are_mended_in_silence_where_rounding_explains_them(
 ):
     """Six digits of a flat link, and a line that has no moment about itself."""
     links = {"l1": urdf.inertial(), "l2": urdf.inertial(inertia=inertia)}
-    path = tmp_path / "arm.urdf"
-    path.write_text(urdf.robot(urdf.serial(links)))
-    robot = load_robot_model(path)
+    robot = load_robot_model(urdf.write_arm(tmp_path, links))
     assert (robot.notes == ()) == is_silent
     if not is_silent:
         return

@@ -90,8 +90,7 @@ def test_the_mesh_folder_can_be_given(tmp_path):
 
 def test_a_urdf_inertia_is_exact_whatever_its_axes(tmp_path):
     inertial = urdf.inertial(1.0, "0.3 -0.7 1.1", "2e-6 3e-6 4.5e-6")
-    text = urdf.robot(urdf.serial({"l1": inertial}))
-    mj_model = compile_model(write_files(tmp_path, {"m.urdf": text})).mj_model
+    mj_model = compile_model(urdf.write_arm(tmp_path, {"l1": inertial})).mj_model
     turn = Rotation.from_euler("ZYX", [1.1, -0.7, 0.3]).as_matrix()
     expected = turn @ np.diag([2e-6, 3e-6, 4.5e-6]) @ turn.T
     inertia = inertia_about_com(mj_model, mj_model.body("l1").id)
@@ -101,16 +100,13 @@ def test_a_urdf_inertia_is_exact_whatever_its_axes(tmp_path):
 def test_a_urdf_states_its_speed_limits(tmp_path):
     """Stated speeds are kept; zero, missing and malformed ones mean that there is none."""
     limits = ('velocity="1.5"', 'velocity="0"', "", 'velocity="fast"')
-    joints = "".join(
-        f'<link name="l{k + 1}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" '
-        f'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j{k}" type="revolute">'
-        f'<parent link="l{k}"/><child link="l{k + 1}"/><axis xyz="0 0 1"/>'
-        f'<limit lower="-1" upper="1" effort="9" {limit}/></joint>'
-        for k, limit in enumerate(limits)
-    )
-    path = tmp_path / "arm.urdf"
-    path.write_text(f'<robot name="r"><link name="l0"/>{joints}</robot>')
-    assert compile_model(path).velocity_limits == {"j0": 1.5}
+    names = [f"l{k}" for k in range(len(limits))]
+    path = urdf.write_arm(tmp_path, dict.fromkeys(names, urdf.inertial()))
+    text = path.read_text()
+    for limit in limits:
+        text = text.replace('velocity="1"', limit, 1)
+    path.write_text(text)
+    assert compile_model(path).velocity_limits == {"base_l0": 1.5}
 
 
 def compile_body(theta):
@@ -173,8 +169,7 @@ def thin_link(rng):
 def test_an_mjcf_of_a_urdf_has_its_links_however_flat(tmp_path_factory, seed):
     rng = np.random.default_rng(seed)
     links = {name: thin_link(rng) for name in ("l1", "l2", "l3")}
-    text = urdf.robot(urdf.serial(links))
-    path = write_files(tmp_path_factory.mktemp("flat"), {"arm.urdf": text})
+    path = urdf.write_arm(tmp_path_factory.mktemp("flat"), links)
     original = compile_model(path).mj_model
     copied = compile_model(mjcf_of(path)).mj_model
     for name in links:

@@ -36,9 +36,7 @@ def arm(folder, placeholders=()):
             mass = 2e-4
             inertia = 1e-6 * np.eye(3)
         contents[name] = urdf_inertial_about_com(mass, com, inertia)
-    path = folder / "arm.urdf"
-    path.write_text(urdf.robot(urdf.serial(contents)))
-    return load_robot_model(path)
+    return load_robot_model(urdf.write_arm(folder, contents))
 
 
 @given(
@@ -85,8 +83,7 @@ def test_one_inertia_for_several_links_is_a_placeholder(tmp_path, count):
         inertia = np.diag([1.0, 0.9, 0.8]) * value
         com = np.array([0.0, 0.0, 0.1])
         contents[f"link{number}"] = urdf_inertial_about_com(mass, com, inertia)
-    path = tmp_path / "arm.urdf"
-    path.write_text(urdf.robot(urdf.serial(contents)))
+    path = urdf.write_arm(tmp_path, contents)
     found = [link.placeholders for link in load_robot_model(path).links]
     assert found == [(INERTIA,)] * count + [()] * (len(MASSES) - count)
 
@@ -96,9 +93,7 @@ def test_links_of_one_kind_are_no_copies(tmp_path):
     content = urdf_inertial_about_com(
         2.0, np.array([0.0, 0.0, 0.1]), np.diag([0.008, 0.007, 0.002])
     )
-    path = tmp_path / "arm.urdf"
-    names = [f"link{number}" for number in range(4)]
-    path.write_text(urdf.robot(urdf.serial(dict.fromkeys(names, content))))
+    path = urdf.write_arm(tmp_path, dict.fromkeys(("l1", "l2", "l3", "l4"), content))
     assert not any(link.placeholders for link in load_robot_model(path).links)
 
 

@@ -30,9 +30,8 @@ def arm(folder, mass=1.0, inertia=1.0, length=1.0, changed=LINKS, is_placeholder
             np.array([0.0, 0.0, 0.5 * length * size]),
             inertia_factor * np.diag(moments),
         )
-    text = urdf.robot(urdf.serial(contents)).replace("0 0 0.2", f"0 0 {0.2 * length!r}")
-    path = folder / "arm.urdf"
-    path.write_text(text)
+    path = urdf.write_arm(folder, contents)
+    path.write_text(path.read_text().replace("0 0 0.2", f"0 0 {0.2 * length!r}"))
     return path
 
 
