@@ -13,16 +13,14 @@ import contextlib
 import math
 import os
 import select
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from rigs.links import RememberingLink
 from robot_sysid.damiao.adapters import BusLink, read_in_pieces
-from robot_sysid.damiao.bus import Link, SystemClock, undisturbed_processor
+from robot_sysid.damiao.bus import SystemClock, undisturbed_processor
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.simulated import SimulatedArm, simulated_motor
 from robot_sysid.damiao.trajectory import read_damiao_trajectory
@@ -44,7 +42,7 @@ class NearEnd:
     timeout = write_timeout = 0.0
     in_waiting = 0
 
-    def __init__(self) -> None:
+    def __init__(self):
         # Unix only.
         import tty
 
@@ -54,26 +52,26 @@ class NearEnd:
         os.set_blocking(self._near, False)
         self.device = os.ttyname(self._far)
 
-    def read(self, size: int) -> bytes:
+    def read(self, size):
         """Return all bytes that have come; for a ``size`` of 1 wait for the first one."""
         ready = select.select([self._near], [], [], size * self.timeout)[0]
         return os.read(self._near, 4096) if ready else b""
 
-    def write(self, data: bytes) -> None:
+    def write(self, data):
         """Write bytes, or drop them where the far end is full because nobody reads it."""
         with contextlib.suppress(BlockingIOError):
             os.write(self._near, data)
 
-    def flush(self) -> None:
+    def flush(self):
         """Do nothing, because ``write`` holds nothing back."""
 
-    def close(self) -> None:
+    def close(self):
         """Close both ends."""
         os.close(self._near)
         os.close(self._far)
 
 
-def slcan_terminal() -> tuple[Any, str]:
+def slcan_terminal():
     """Return a python-can bus behind a pseudo-terminal, and the path of its device.
 
     A program that opens the device with python-can's slcan interface exchanges frames with this
@@ -81,19 +79,17 @@ def slcan_terminal() -> tuple[Any, str]:
     """
     from can.interfaces.slcan import slcanBus
 
-    slcan_bus: Any = slcanBus
-
-    class Terminal(slcan_bus):
+    class Terminal(slcanBus):
         """The adapter's end of a line: frames are the same text both ways, commands are ignored."""
 
-        def _recv_internal(self, timeout: float | None) -> tuple[Any, bool]:
+        def _recv_internal(self, timeout):
             """Return the next frame and False (not filtered); None as frame for half a line."""
             with contextlib.suppress(ValueError, IndexError):
                 return super()._recv_internal(timeout)
             return None, False
 
     # python-can opens a serial port that leads nowhere, which the pseudo-terminal then replaces.
-    bus: Any = Terminal("loop://", sleep_after_open=0)
+    bus = Terminal("loop://", sleep_after_open=0)
     line = NearEnd()
     bus.serialPortOrig = line
     read_in_pieces(bus)
@@ -123,9 +119,7 @@ class ServiceReport:
     longest_delay: float = 0.0
 
 
-def serve(
-    arm: SimulatedArm, link: Link, clock: SystemClock, running: Callable[[], bool]
-) -> ServiceReport:
+def serve(arm, link, clock, running):
     """Simulate an arm in real time and answer the frames on a link; return how timely this was.
 
     A computer that is too slow makes the arm skip time instead of falling behind more and more.
@@ -137,48 +131,34 @@ def serve(
         running: called in each cycle; the simulation ends when it returns False.
     """
     report = ServiceReport()
+    step = arm.mechanism.timestep
+    patience = _TICK
     with undisturbed_processor(clock.live):
-        _serve(arm, link, clock, running, report)
+        looked_at = clock.now()
+        # Clock time at the arm's time zero; ``now`` is the clock time in the arm's time.
+        start = looked_at - arm.time
+        while running():
+            # The waiting time begins now, so that there is some even where the physics are too
+            # slow: a block with real-time priority has to wait now and then.
+            frame = link.receive(clock.now() + patience)
+            moment = clock.now()
+            report.longest_delay = max(report.longest_delay, moment - looked_at)
+            looked_at = moment
+            now = moment - start
+            if now - arm.time > _MOST_BEHIND:
+                report.left_out += now - arm.time
+                arm.time = now
+            if frame is None or now - arm.time > _LONGEST_CYCLE:
+                # Only whole steps: advancing to the moment of each frame would need twice as many.
+                arm.advance(arm.time + math.floor((now - arm.time) / step) * step)
+            if frame is not None and not frame.echo:
+                for reply in arm.answers(frame, now):
+                    link.send(reply)
+            patience = _TICK if frame is None else _SAME_CYCLE
     return report
 
 
-def _serve(
-    arm: SimulatedArm,
-    link: Link,
-    clock: SystemClock,
-    running: Callable[[], bool],
-    report: ServiceReport,
-) -> None:
-    """Simulate an arm and answer frames until ``running`` returns False; update ``report``.
-
-    ``arm``, ``link``, ``clock`` and ``running`` are as for ``serve``.
-    """
-    step = arm.mechanism.timestep
-    looked_at = clock.now()
-    # Clock time at the arm's time zero; ``now`` is the clock time in the arm's time.
-    start = looked_at - arm.time
-    patience = _TICK
-    while running():
-        # The waiting time begins now, so that there is some even where the physics are too slow: a
-        # block with real-time priority has to wait now and then.
-        frame = link.receive(clock.now() + patience)
-        moment = clock.now()
-        report.longest_delay = max(report.longest_delay, moment - looked_at)
-        looked_at = moment
-        now = moment - start
-        if now - arm.time > _MOST_BEHIND:
-            report.left_out += now - arm.time
-            arm.time = now
-        if frame is None or now - arm.time > _LONGEST_CYCLE:
-            # Only whole steps: advancing to the moment of each frame would need twice as many.
-            arm.advance(arm.time + math.floor((now - arm.time) / step) * step)
-        if frame is not None and not frame.echo:
-            for reply in arm.answers(frame, now):
-                link.send(reply)
-        patience = _TICK if frame is None else _SAME_CYCLE
-
-
-def main() -> None:
+def main():
     """Serve the arm of a model that stands at a trajectory's first point until it is ended."""
     parser = argparse.ArgumentParser()
     parser.add_argument("trajectory", type=Path)
