@@ -202,10 +202,10 @@ def export(chunks, types, path, **ids):
         return export_damiao_trajectory(chunks, joints, file)
 
 
-def trajectory_file(folder, motion, motor_type="DM4340"):
-    """A motion as a trajectory file for motors of one type, read back."""
+def trajectory_file(folder, motion, *types):
+    """A motion as a trajectory file for motors of these types, else of one, read back."""
     path = folder / "damiao_trajectory.csv"
-    export([motion], [motor_type] * motion[1].shape[1], path)
+    export([motion], types or ["DM4340"] * motion[1].shape[1], path)
     return read_damiao_trajectory(path)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from rigs.clocks import ScriptedClock
 from rigs.damaged_links import FaultyLink
-from rigs.damiao_rig import BIT_RATE, export, motor
+from rigs.damiao_rig import BIT_RATE, motor, trajectory_file
 from rigs.faulty_arm import FaultyArm
 from rigs.places import GUESS, TRUTH
 from rigs.wrong_arms import resting_torque
@@ -32,7 +32,6 @@ from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.settings import Plan, PlaySettings
 from robot_sysid.damiao.simulated import SimulatedLink
-from robot_sysid.damiao.trajectory import read_damiao_trajectory
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
@@ -168,9 +167,7 @@ def exported_trajectory(setup):
     robot = robot_of(setup.belief)
     tau = np.asarray(ArmDynamics(robot)(Motion(time_, q, qd, qdd)))
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "damiao_trajectory.csv"
-        export([(time_, q, qd, tau)], MOTOR_TYPES, path)
-        return read_damiao_trajectory(path)
+        return trajectory_file(Path(folder), (time_, q, qd, tau), *MOTOR_TYPES)
 
 
 @cache

@@ -10,12 +10,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from rigs.arms import random_theta
+from rigs.arms import SEEDS, random_theta
 from rigs.synthetic_data import arm_equations, sums_of, terminal_sums
 from robot_sysid import spatial
 from robot_sysid.solver import identify_parameters
-
-SEEDS = st.integers(0, 2**32 - 1)
 
 
 def noisy_arm(seed, noise=0.1, count=60):

@@ -12,13 +12,12 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from rigs.arms import random_rotation, random_theta
+from rigs.arms import SEEDS, random_rotation, random_theta
 from robot_sysid import spatial
 
 assert_close = partial(assert_allclose, rtol=0.0)
 """Compare arrays within the absolute tolerance ``atol`` alone."""
 
-SEEDS = st.integers(0, 2**32 - 1)
 # Down to a needle: the shortest direction holds 1e-12 of the mass's second moment.
 SPREADS = st.sampled_from([1.0, 1e-3, 1e-6])
 

@@ -50,7 +50,8 @@ def limited_robot(arm, share, peaks):
 
 def check_trajectory(folder, motion, speed, robot, limits=NO_LIMITS):
     """What a model says to a motion played at a share of its speed."""
-    played = trajectory_file(folder, motion, MOTOR)
+    types = [MOTOR] * motion[1].shape[1]
+    played = trajectory_file(folder, motion, *types)
     pairs = zip(played.joints, robot.joint_names)
     joints = tuple(replace(joint, name=name) for joint, name in pairs)
     played = replace(played, joints=joints)

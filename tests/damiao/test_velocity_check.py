@@ -8,6 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.arms import SEEDS
 from robot_sysid.damiao.trajectory import DamiaoTrajectory, velocity_mismatch
 
 RATES = st.sampled_from([50.0, 100.0, 250.0, 500.0, 1000.0])
@@ -38,7 +39,7 @@ def differences(time, q, method):
     return np.vstack([slope, zero] if method == "forward" else [zero, slope])
 
 
-@given(rate=RATES, seed=st.integers(0, 10**6), gap=st.booleans())
+@given(rate=RATES, seed=SEEDS, gap=st.booleans())
 def test_a_derivative_and_a_difference_quotient_are_left_alone(rate, seed, gap):
     time, q, qd = smooth_motion(rate, seed)
     # A pause of the clock at the turning point, where the joints stand.
@@ -51,18 +52,14 @@ def test_a_derivative_and_a_difference_quotient_are_left_alone(rate, seed, gap):
         assert mismatch(time, q, velocity) is None
 
 
-@given(
-    rate=RATES,
-    seed=st.integers(0, 10**6),
-    factor=st.sampled_from([-1.0, 0.0, 0.8, 1.25, 57.3]),
-)
+@given(rate=RATES, seed=SEEDS, factor=st.sampled_from([-1.0, 0.0, 0.8, 1.25, 57.3]))
 def test_another_scale_or_sign_is_found(rate, seed, factor):
     time, q, qd = smooth_motion(rate, seed)
     qd = qd * [1.0, factor]
     assert mismatch(time, q, qd)[1] == 1
 
 
-@given(rate=RATES, seed=st.integers(0, 10**6), share=st.floats(0.2, 0.8))
+@given(rate=RATES, seed=SEEDS, share=st.floats(0.2, 0.8))
 def test_a_jump_of_the_positions_is_found(rate, seed, share):
     time, q, qd = smooth_motion(rate, seed)
     row = round(share * len(time))

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from rigs import arms
+from rigs.arms import SEEDS
 from rigs.places import DATA
 from robot_sysid import spatial
 from robot_sysid.errors import SysidError
@@ -29,7 +30,6 @@ LINKS = 2
 FRICTION = 3
 SIZE = 10 * LINKS + FRICTION
 BODY = np.arange(10)
-SEEDS = st.integers(0, 2**31 - 1)
 
 
 def random_body(rng):

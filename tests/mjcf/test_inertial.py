@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.arms import random_rotation, random_theta
+from rigs.arms import SEEDS, random_rotation, random_theta
 from rigs.model_files import ARM, document_of, write_files
 from rigs.releases import IS_PRINCIPAL, since
 from robot_sysid import spatial
@@ -33,7 +33,7 @@ from robot_sysid.results.verification import verify_written_model
 
 
 @pytest.mark.parametrize("principal", [True, False])
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=SEEDS)
 def test_mujoco_reads_back_what_was_written(principal, seed):
     rng = np.random.default_rng(seed)
     theta = random_theta(rng, 10.0 ** rng.uniform(-3, 1), 10.0 ** rng.uniform(-2, 0))
@@ -180,9 +180,6 @@ def test_the_written_value_survives_and_the_other_bodies_stay(
     write_and_verify(arm(tmp_path, compiler), "link2", theta)
 
 
-seeds = st.integers(0, 2**32 - 1)
-
-
 NOTHING = np.zeros(10)
 
 
@@ -196,7 +193,7 @@ def hanging(number, theta):
     return SubtreeBody(number, f"b{number}", theta, welded=False)
 
 
-@given(seed=seeds)
+@given(seed=SEEDS)
 def test_the_terminal_body_takes_the_difference(seed):
     rng = np.random.default_rng(seed)
     link, tool, finger = (random_theta(rng, m) for m in (2.0, 0.3, 0.1))
@@ -206,7 +203,7 @@ def test_the_terminal_body_takes_the_difference(seed):
     assert not plan.emptied and not plan.notes
 
 
-@given(seed=seeds)
+@given(seed=SEEDS)
 def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
     rng = np.random.default_rng(seed)
     tool, finger, load = (random_theta(rng, m) for m in (1.0, 0.1, 0.5))
@@ -221,7 +218,7 @@ def test_a_massless_terminal_body_takes_the_whole_rigid_group(seed):
     assert not heavier.emptied and spatial.is_consistent(heavier.theta)
 
 
-@given(seed=seeds)
+@given(seed=SEEDS)
 def test_what_hangs_on_joints_keeps_its_inertia_or_is_refused(seed):
     rng = np.random.default_rng(seed)
     link, tool, finger = (random_theta(rng, m) for m in (0.2, 0.3, 2.0))
@@ -238,7 +235,7 @@ def test_no_scale_makes_an_impossible_link_possible():
     assert "\n" not in str(e.value)
 
 
-@given(seed=seeds, flatness=st.floats(-1e-11, 1e-11))
+@given(seed=SEEDS, flatness=st.floats(-1e-11, 1e-11))
 def test_a_body_on_the_edge_is_moved_inside_by_less_than_anyone_sees(seed, flatness):
     rng = np.random.default_rng(seed)
     axes = random_rotation(rng)
@@ -272,7 +269,7 @@ def rod(rng, mass=1.0):
     return spatial.theta_from_com(mass, rng.normal(size=3), inertia)
 
 
-@given(seed=seeds, bound=st.floats(1e-9, 1e-4))
+@given(seed=SEEDS, bound=st.floats(1e-9, 1e-4))
 def test_moments_below_the_files_bound_are_raised(seed, bound):
     identified = rod(np.random.default_rng(seed))
     plan = plan_write_back(identified, rigid_bodies(NOTHING), bound)

@@ -9,11 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rigs import urdf
-from rigs.arms import random_theta
+from rigs.arms import SEEDS, random_theta
 from rigs.model_files import INERTIAL, TETRAHEDRON, assert_model_refused, write_files
 from robot_sysid import spatial
 from robot_sysid.mjcf.inertial import mjcf_inertial, urdf_inertial_about_com
@@ -114,7 +113,7 @@ def compile_body(theta):
     return mujoco.MjModel.from_xml_string(world(body))
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=SEEDS)
 def test_a_turned_inertia_is_restored_with_all_that_follows(seed):
     rng = np.random.default_rng(seed)
     theta = random_theta(rng)
@@ -165,7 +164,7 @@ def thin_link(rng):
     return urdf_inertial_about_com(1.0, 0.1 * rng.normal(size=3), inertia)
 
 
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=SEEDS)
 def test_an_mjcf_of_a_urdf_has_its_links_however_flat(tmp_path_factory, seed):
     rng = np.random.default_rng(seed)
     links = {name: thin_link(rng) for name in ("l1", "l2", "l3")}
