@@ -36,24 +36,27 @@ from robot_sysid.mjcf.inertial import (
     urdf_inertial_about_com,
 )
 from robot_sysid.mjcf.urdf import give_minimum, raise_inertias
-from robot_sysid.records import Array
+from robot_sysid.records import Array, Flange
 
 
 @dataclass(frozen=True)
 class BodyChange:
-    """New inertia for a body.
+    """New inertia for a body, or a new body.
 
     Attributes:
         label: the body's name, or "#7" for the nameless body with MuJoCo id 7.
-        body_id: MuJoCo's id of the body, by which the written model is verified.
+        body_id: MuJoCo's id of the body, by which the written model is verified; of a new body that
+            of the one it is fixed to.
         theta: (10,) its parameters in its own frame; zeros empty it.
         addition: further text for the comment that is written beside the inertia.
+        flange: where a new body is fixed to the terminal one; None for a body of the file.
     """
 
     label: str
     body_id: int
     theta: Array
     addition: str = ""
+    flange: Flange | None = None
 
 
 @dataclass(frozen=True)
@@ -79,33 +82,13 @@ class ElementChange:
 
 
 @dataclass(frozen=True)
-class WeldedBody:
-    """A new body, fixed to a body of the file, its carrier.
-
-    Attributes:
-        name, carrier: names of the new body and of its carrier.
-        rotation, translation: pose of its frame in the carrier's, (3, 3) and (3,) [m].
-        theta: (10,) in its own frame.
-        comment: text for its comment.
-    """
-
-    name: str
-    carrier: str
-    rotation: Array
-    translation: Array
-    theta: Array
-    comment: str = ""
-
-
-@dataclass(frozen=True)
 class ModelChange:
     """All changes of a model.
 
     Attributes:
-        bodies: those that get a new inertia.
+        bodies: those that get a new inertia, new ones last.
         rmse: residual of the identification, for the comments [N m].
         elements: what else gets new numbers.
-        welded: a new body, or None.
         gravity: (3,) new gravity in the world frame [m/s^2]; None leaves the file's.
         principal: whether inertias are written as principal moments and axes, not as full matrix.
     """
@@ -113,7 +96,6 @@ class ModelChange:
     bodies: tuple[BodyChange, ...]
     rmse: float
     elements: tuple[ElementChange, ...] = ()
-    welded: WeldedBody | None = None
     gravity: Array | None = None
     principal: bool = False
 
@@ -136,16 +118,20 @@ def changed_model_text(
         ExportError: the file does not contain an element itself (see ``find_element``).
     """
     document = read_document(source, mesh_dir)
-    written = []
-    for body in change.bodies:
-        node = find_element(document, "body", body.label)
-        _state_origin(node, f"body '{body.label}'", change.rmse, body.addition)
-        put_inertial(node, _inertial(document, body.theta, change.principal))
-        written.append(node)
     for element in change.elements:
         write_element(document, element, change.rmse)
-    if change.welded is not None:
-        _write_welded_body(document, change.welded, change)
+    written = []
+    for body in change.bodies:
+        if body.flange is None:
+            node = find_element(document, "body", body.label)
+        else:
+            node = _add_body(document, body.label, body.flange)
+        _state_origin(node, f"body '{body.label}'", change.rmse, body.addition)
+        text = mjcf_inertial(body.theta, change.principal)
+        if document.is_urdf:
+            text = urdf_inertial_about_com(*spatial.com_from_theta(body.theta))
+        put_inertial(node, text)
+        written.append(node)
     if change.gravity is not None:
         _write_gravity(document, change.gravity, change.rmse)
     if document.is_urdf:
@@ -159,16 +145,6 @@ def changed_model_text(
                 node.set("inertiafromgeom", "auto")
     relocate(document, folder)
     return document.text()
-
-
-def _inertial(document: ModelDocument, theta: Array, principal: bool) -> str:
-    """Return the ``<inertial>`` of theta (10,), in URDF where the document is URDF, else in MJCF.
-
-    ``principal``: whether MJCF states principal moments and axes, not the full matrix.
-    """
-    if document.is_urdf:
-        return urdf_inertial_about_com(*spatial.com_from_theta(theta))
-    return mjcf_inertial(theta, principal)
 
 
 def _state_origin(node: Node, subject: str, rmse: float, addition: str = "") -> None:
@@ -187,42 +163,39 @@ def _state_origin(node: Node, subject: str, rmse: float, addition: str = "") -> 
     put_comment(node, f" {re.sub('-(?=-)', '- ', ' '.join(text.split()))} ")
 
 
-def _write_welded_body(
-    document: ModelDocument, body: WeldedBody, change: ModelChange
-) -> None:
-    """Add the new body of a change, with its comment, to its carrier; in a URDF with a fixed joint.
+def _add_body(document: ModelDocument, name: str, flange: Flange) -> Node:
+    """Add an empty body at a flange, in a URDF with a fixed joint, and return its element.
 
     ExportError where its name is empty or taken.
     """
-    joint_name = f"{body.name}_joint"
-    carrier = find_element(document, "body", body.carrier)
+    joint_name = f"{name}_joint"
+    carrier = find_element(document, "body", flange.terminal)
     nodes = document.root.iter("body", "link", "joint")
     taken = {"world", *(node.get("name") for node in nodes)}
-    is_text = body.name.strip() and body.name.isprintable()
-    if not is_text or not taken.isdisjoint((body.name, joint_name)):
+    is_text = name.strip() and name.isprintable()
+    if not is_text or not taken.isdisjoint((name, joint_name)):
         raise ExportError(
-            f"{document.path}: the new body cannot be called '{body.name}', because that name is "
-            "empty or taken; choose another"
+            f"{document.path}: the new body cannot be called '{name}', because that name is empty "
+            "or taken; choose another"
         )
-    position = format_numbers(body.translation)
-    inertial = etree.fromstring(_inertial(document, body.theta, change.principal))
+    position = format_numbers(flange.translation)
     if document.is_urdf:
         # All links of a URDF stand side by side.
-        angles = format_numbers(spatial.roll_pitch_yaw(body.rotation))
+        angles = format_numbers(spatial.roll_pitch_yaw(flange.rotation))
         joint = E.joint(
-            E.parent(link=body.carrier),
-            E.child(link=body.name),
+            E.parent(link=flange.terminal),
+            E.child(link=name),
             E.origin(xyz=position, rpy=angles),
             name=joint_name,
             type="fixed",
         )
-        link = E.link(inertial, name=body.name)
+        link = E.link(name=name)
         append(document.root, link, joint)
     else:
-        turn = format_numbers(spatial.quaternion(body.rotation))
-        link = E.body(inertial, name=body.name, pos=position, quat=turn)
+        turn = format_numbers(spatial.quaternion(flange.rotation))
+        link = E.body(name=name, pos=position, quat=turn)
         append(carrier, link)
-    _state_origin(link, f"body '{body.name}'", change.rmse, body.comment)
+    return link
 
 
 # MuJoCo's own, where a model states none [m/s^2].

@@ -27,7 +27,6 @@ from robot_sysid.mjcf.updated_model import (
     BodyChange,
     ElementChange,
     ModelChange,
-    WeldedBody,
     changed_model_text,
 )
 from robot_sysid.model.actuators import AT_TENDON, actuators_on, stated_at_actuator
@@ -83,7 +82,7 @@ def write_model(
             elements.append(ElementChange("rotor", name, rotor))
         if numbers:
             elements.append(ElementChange("joint", name, numbers))
-    welded = None
+    new_bodies: tuple[BodyChange, ...] = ()
     comment = ""
     # Parameters of a payload in a body of its own, which only the torque check adds to the terminal
     # link.
@@ -94,7 +93,7 @@ def write_model(
         text = f"a payload of {mass}"
         text += "" if np.all(payload.body.is_determined) else ", inertia not known,"
         if as_body is not None:
-            welded = _payload_body(robot, payload, as_body, text)
+            new_bodies = (_payload_body(robot, payload, as_body, text),)
             theta_beside = theta
             comment = "without the payload"
         else:
@@ -117,7 +116,8 @@ def write_model(
         gravity = file.gravity
         if robot.kind == "mjcf":
             elements += _tendon_changes(robot, file)
-    change = ModelChange(bodies, target.rmse, tuple(elements), welded, gravity)
+    bodies += new_bodies
+    change = ModelChange(bodies, target.rmse, tuple(elements), gravity)
     _write(robot, change, target, written_thetas)
     return notes
 
@@ -216,7 +216,7 @@ def _body_changes(
 
 def _payload_body(
     robot: RobotModel, payload: Payload, name: str, text: str
-) -> WeldedBody:
+) -> BodyChange:
     """Return a new body for a payload, in the flange frame, fixed to the terminal body.
 
     Args:
@@ -229,8 +229,7 @@ def _payload_body(
     empty_body = SubtreeBody(body_id=0, name=name, theta=np.zeros(10), welded=True)
     theta = plan_write_back(payload.body.theta, [empty_body]).theta
     comment = f"{text} at {flange.name}"
-    pose = flange.rotation, flange.translation
-    return WeldedBody(name, robot.body_name, *pose, theta, comment)
+    return BodyChange(name, robot.body_id, theta, comment, flange)
 
 
 def _write(
@@ -256,15 +255,16 @@ def _write(
     release = tuple(map(int, MUJOCO_VERSION.split(".")[:2]))
     elements = (*change.elements, *_emptied_actuators(robot, change))
     change = replace(change, principal=release < (3, 14), elements=elements)
+    old_bodies = tuple(body for body in change.bodies if body.flange is None)
     old = tuple(element for element in elements if element.owner is not None)
-    without_new = replace(change, welded=None, elements=old)
+    without_new = replace(change, bodies=old_bodies, elements=old)
     path = target.path
     try:
         draft = _write_draft(robot.path, without_new, target)
         written_model = verification.verify_written_model(
             robot.mj_model, draft, without_new
         )
-        if change.welded is not None or len(old) < len(elements):
+        if len(old_bodies) < len(change.bodies) or len(old) < len(elements):
             draft = _write_draft(robot.path, change, target)
             written_model = verification.compiled_draft(draft)
         verification.require_reproduction(
