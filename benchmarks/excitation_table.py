@@ -74,7 +74,7 @@ def figures(design, criterion, motion):
     """Return standard deviations of mass, centre of mass, Izz and the ten, and the mean axis."""
     covariance = link_covariance(criterion, motion)
     standard_errors = np.sqrt(np.diag(covariance))
-    scale = design.problem.scale
+    scale = design.problem.robot.prior.scale
     slopes = centre_slopes(design.problem.robot.prior.theta)
     centre = np.sqrt(np.trace(slopes @ covariance @ slopes.T))
     mean = np.exp(criterion.evaluate(motion))

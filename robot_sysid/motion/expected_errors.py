@@ -127,7 +127,7 @@ def predict(
     recordings = "Recorded once"
     subject = robot.body_name
     theta = robot.prior.theta
-    size = problem.scale
+    size = robot.prior.scale
     if aim.target == "payload":
         names = PAYLOAD_NAMES
         recordings = RECORDED_FOR_PAYLOAD

@@ -80,7 +80,7 @@ class Criterion:
         self._joints = slice(problem.rows[0], None)
         self._smooth_speed = smoothing * problem.limits.velocity[self._joints]
         # All directions at first, and the noise of one torque [N m]: only shares count.
-        scale = np.diag(problem.scale)
+        scale = np.diag(problem.robot.prior.scale)
         self._set_unknowns(knowledge, scale, np.ones(len(problem.rows)))
         information = self.information(random_motion(problem))
         cross = information[:10, 10:]

@@ -158,12 +158,6 @@ class ExcitationProblem:
         torque = self.torque(motion)
         return self.limits.signals(motion.q, motion.qd, motion.qdd, torque, fastest)
 
-    @property
-    def scale(self) -> Array:
-        """Typical magnitudes (10,) of the inertial parameters: m, m L, m L^2."""
-        theta = self.robot.prior.theta
-        return spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
-
 
 def motion_of_samples(q: Array, qd: Array, qdd: Array) -> Motion:
     """Return samples (N, n) as a motion; neither torques nor limits depend on their times."""

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     BeyondRigidBodies,
@@ -27,7 +26,7 @@ from robot_sysid.mjcf.updated_model import ModelChange
 from robot_sysid.model.bodies import body_theta, inertia_about_com
 from robot_sysid.model.chain import body_label, joint_label
 from robot_sysid.model.compilation import compile_model
-from robot_sysid.records import Array, Motion, RobotModel
+from robot_sysid.records import Array, InertialParameters, Motion, RobotModel
 
 CHECKPOINTS = 400
 """Number of samples of the motion at which the torques of a written model are compared with the
@@ -245,14 +244,14 @@ def require_theta(
     """
     scale = np.ones(len(theta))
     if scale_theta[0] > 0.0:
-        length = spatial.characteristic_length(scale_theta)
-        scale = spatial.parameter_scale(scale_theta[0], length)
+        scale = InertialParameters(scale_theta).scale
     actual = body_theta(mj_model, body_id)
     deviation = np.max(np.abs(actual - theta) / scale)
     if deviation <= TOLERANCE and theta[0] > 0.0:
         # The inertia about the centre of mass is small beside that about a distant origin.
-        inertia = spatial.com_from_theta(theta)[2]
-        difference = np.max(np.abs(spatial.com_from_theta(actual)[2] - inertia))
+        inertia = InertialParameters(theta).inertia_com
+        other = InertialParameters(actual).inertia_com
+        difference = np.max(np.abs(other - inertia))
         deviation = difference / np.max(np.abs(inertia))
     if not deviation <= TOLERANCE:
         raise ExportError(
