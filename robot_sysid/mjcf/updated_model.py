@@ -251,13 +251,14 @@ def write_element(document: ModelDocument, change: ElementChange, rmse: float) -
     if change.kind == "rotor":
         _write_rotor(document, change.owner, numbers["armature"])
         return
-    if change.kind == "tendon":
-        node = _tendon(document, change)
-        _state_origin(node, motor, rmse)
-    elif change.kind == "actuator":
-        node = _actuator(document, change)
-    else:
+    if change.kind == "joint":
         node = find_element(document, "joint", change.owner)
+    elif change.owner is None:
+        node = _add_tendon(document, change.coefficients)
+    else:
+        node = _numbered_element(document, change)
+    if change.coefficients:
+        _state_origin(node, motor, rmse)
     if document.is_urdf:
         joint = node
         node = joint.find("dynamics")
@@ -310,16 +311,10 @@ def _write_rotor(document: ModelDocument, joint: str, rotor: float) -> None:
         node.set("value", format_number(value))
 
 
-def _tendon(document: ModelDocument, change: ElementChange) -> Node:
-    """Return the element of a fixed tendon, which may be a new one, or raise ExportError."""
-    if change.owner is not None:
-        node = _section_child(document, "tendon", change.owner)
-        if node is None or node.tag != "fixed":
-            fault = f"tendon number {change.owner} is not written out in the file"
-            raise ExportError(f"{document.path}: {fault} as a <fixed>; write it out")
-        return node
+def _add_tendon(document: ModelDocument, coefficients: Mapping[str, float]) -> Node:
+    """Add a fixed tendon over joints, by name with the tendon's speed per speed of each."""
     node = E.fixed()
-    for joint, coefficient in change.coefficients.items():
+    for joint, coefficient in coefficients.items():
         node.append(E.joint(joint=joint, coef=format_number(coefficient)))
     sections = document.root.findall("tendon")
     if not sections:
@@ -329,30 +324,26 @@ def _tendon(document: ModelDocument, change: ElementChange) -> Node:
     return node
 
 
-def _actuator(document: ModelDocument, change: ElementChange) -> Node:
-    """Return the element of an actuator, or raise ExportError."""
-    node = _section_child(document, "actuator", change.owner)
-    servos = ("position", "pid", "general")
-    if node is None or ("kp" in change.numbers and node.tag not in servos):
+def _numbered_element(document: ModelDocument, change: ElementChange) -> Node:
+    """Return the element of a tendon or actuator, which the file itself must contain.
+
+    MuJoCo's id counts the children of all sections from 0. ExportError where there are no more, or
+    the element cannot hold the numbers.
+    """
+    children = document.root.iterfind(f"{change.kind}/*")
+    node = next(islice(children, change.owner, None), None)
+    tags = ("fixed",)
+    fault = " as a <fixed>"
+    if change.kind == "actuator":
+        tags = ("position", "pid", "general")
+        fault = ", or gets gains and is no <position>, <pid> or <general>"
+    is_any = change.kind == "actuator" and "kp" not in change.numbers
+    if node is None or not (is_any or node.tag in tags):
         raise ExportError(
-            f"{document.path}: actuator number {change.owner} is not written out in the file, or "
-            "gets gains and is no <position>, <pid> or <general>; write it out"
+            f"{document.path}: {change.kind} number {change.owner} is not written out in the file"
+            f"{fault}; write it out"
         )
     return node
-
-
-def _section_child(document: ModelDocument, section: str, index: Any) -> Node | None:
-    """Return the element with a MuJoCo id among the children of all sections of a name.
-
-    Args:
-        section: name of the sections, "tendon" or "actuator".
-        index: MuJoCo's id, which counts the children of all these sections from 0.
-
-    Returns:
-        The element; None where there are no more than ``index`` children.
-    """
-    children = document.root.iterfind(f"{section}/*")
-    return next(islice(children, index, None), None)
 
 
 # Elements that make bodies which are not written out.

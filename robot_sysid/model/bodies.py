@@ -299,7 +299,6 @@ def touching_by_design(
     counts = count_moving_joints(robot)
     weld = model.body_weldid
     carrier = weld[model.body_parentid[weld]]
-    data = data_at_pose(model, robot.reference_qpos)
     by_design = set()
     for pair in pairs:
         # The chain joints first, ..., last - 1 are between the two bodies.
@@ -309,23 +308,18 @@ def touching_by_design(
             continue
         one, other = pair
         is_carried = weld[one] == carrier[other] or weld[other] == carrier[one]
-        if is_carried or _never_part(robot, data, pair, slice(first, last)):
+        if is_carried or _never_part(robot, pair, slice(first, last)):
             by_design.add(pair)
     return by_design
 
 
-def _never_part(
-    robot: RobotModel, data: Any, pair: tuple[int, int], between: slice
-) -> bool:
-    """Return whether two bodies touch at all tried positions of the chain joints between them.
-
-    ``data`` is used; its joints are moved.
-    """
+def _never_part(robot: RobotModel, pair: tuple[int, int], between: slice) -> bool:
+    """Return whether two bodies touch at all tried positions of the chain joints between them."""
     model = robot.mj_model
     # Half a turn to both sides where a joint has no limit.
     limits = robot.limits.around(robot.reference, np.pi)
     grid = np.linspace(limits.lower[between], limits.upper[between], 7)
-    data.qpos[:] = robot.reference_qpos
+    data = data_at_pose(model, robot.reference_qpos)
     for positions in product(*grid.T):
         data.qpos[robot.qpos_index[between]] = positions
         update_contacts(model, data)

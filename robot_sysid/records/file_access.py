@@ -100,8 +100,9 @@ def read_json(path: Path, remedy: str) -> Any:
     try:
         return json.loads(text, parse_int=_number_of_digits)
     except (ValueError, RecursionError) as error:
-        reason = f"it is not JSON: {error}"
-    raise InputError(f"cannot read {path}: {reason}; {remedy}")
+        raise InputError(
+            f"cannot read {path}: it is not JSON: {error}; {remedy}"
+        ) from None
 
 
 def _number_of_digits(digits: str) -> int | float:
