@@ -37,13 +37,13 @@ def derive_regressor() -> tuple[Any, tuple[Any, ...]]:
     omega = hat(*twist[:3])
     v = hat(*twist[3:])
     # ad(V) = [[[omega]x, 0], [[v]x, [omega]x]].
-    adjoint = omega.row_join(sp.zeros(3)).col_join(v.row_join(omega))
+    adjoint = sp.Matrix([[omega, sp.zeros(3)], [v, omega]])
     theta = sp.symbols(" ".join(PARAMETER_NAMES))
     m, hx, hy, hz, xx, xy, xz, yy, yz, zz = theta
     # G = [[I, [h]x], [-[h]x, m 1]].
     inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     h = hat(hx, hy, hz)
-    spatial_inertia = inertia.row_join(h).col_join((-h).row_join(m * sp.eye(3)))
+    spatial_inertia = sp.Matrix([[inertia, h], [-h, m * sp.eye(3)]])
     wrench = spatial_inertia * acceleration - adjoint.T * spatial_inertia * twist
     return wrench.jacobian(theta), motion
 

@@ -20,7 +20,7 @@ BUDGETS = {
     "robot_sysid/commands": 9794,
     "robot_sysid/damiao": 30118,
     "robot_sysid/diagnosis": 16659,
-    "robot_sysid/dynamics": 3254,
+    "robot_sysid/dynamics": 3232,
     "robot_sysid/estimate": 29179,
     "robot_sysid/logs": 14564,
     "robot_sysid/mjcf": 6720,
@@ -33,7 +33,7 @@ BUDGETS = {
     "robot_sysid/servo": 4852,
     "robot_sysid/signals": 5279,
     "robot_sysid/simulation": 3465,
-    "robot_sysid": 10628,
+    "robot_sysid": 10630,
     "tests": 225582,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""

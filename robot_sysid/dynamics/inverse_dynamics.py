@@ -231,12 +231,12 @@ class LinksMotion:
         joints = len(self.velocity)
         samples = self.velocity[0].shape[1]
         columns = np.zeros((joints, len(links), N_INERTIAL, samples))
-        reached = range(max(links, default=-1) + 1)
-        for link, jacobian in zip(reached, self.jacobians()):
-            for number in np.flatnonzero(np.equal(links, link)):
+        for link, jacobian in enumerate(self.jacobians()):
+            if link in links:
                 motion = self.velocity[link].T, self.acceleration[link].T
                 wrench = wrench_regressor(*motion)
-                for twist, block in zip(jacobian[: link + 1], columns[:, number]):
+                blocks = columns[:, links.index(link)]
+                for twist, block in zip(jacobian[: link + 1], blocks):
                     np.einsum("in,ikn->kn", twist, wrench, out=block)
         return columns.reshape(joints, -1, samples).transpose(2, 0, 1)
 
