@@ -43,8 +43,6 @@ from robot_sysid.records.parameters import TILTS, keys_of, of_body
 from robot_sysid.regressor import wrench_regressor
 from robot_sysid.spatial import N_INERTIAL, cross, skew, symmetric_from_six
 
-MUJOCO_VERSION: str = mujoco.__version__
-"""Release of MuJoCo that computes the torques."""
 ARRAY_SIZE = 1_000_000
 """Largest size of an array of intermediate results [numbers], beyond which a motion is split: it
 bounds the memory for arms with many joints, and changes no result."""

@@ -11,9 +11,9 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.records import ITSELF
 from robot_sysid.records.file_access import CARD_NAME, models_in
 from robot_sysid.records.messages import Detail, NextStep, percent, with_error
@@ -246,8 +246,8 @@ def use_lines(path: Path, contents: str = "") -> tuple[str, str, str]:
     return (
         f"Use this file{contents}: {path}",
         f"  mujoco.MjModel.from_xml_path({text})",
-        f"It loads in MuJoCo {MUJOCO_VERSION} (tested); others from 3.0 on load it if they load "
-        "your model",
+        f"It loads in MuJoCo {mujoco.__version__} (tested); others from 3.0 on load it if they "
+        "load your model",
     )
 
 

@@ -19,7 +19,6 @@ import mujoco
 import numpy as np
 
 from robot_sysid import __version__
-from robot_sysid.dynamics.inverse_dynamics import MUJOCO_VERSION
 from robot_sysid.errors import ExportError, InputError
 from robot_sysid.mjcf.documents import read_document
 from robot_sysid.mjcf.inertial import plan_write_back
@@ -252,7 +251,7 @@ def _write(
         ExportError: the draft does not load, differs in more than ``change``, or takes other
             torques. The draft is withdrawn on this and on any other exception.
     """
-    release = tuple(map(int, MUJOCO_VERSION.split(".")[:2]))
+    release = tuple(map(int, mujoco.__version__.split(".")[:2]))
     elements = (*change.elements, *_emptied_actuators(robot, change))
     change = replace(change, principal=release < (3, 14), elements=elements)
     old_bodies = tuple(body for body in change.bodies if body.flange is None)
@@ -308,7 +307,7 @@ def versions() -> dict[str, str]:
     """Return the versions of this package, MuJoCo, numpy and Python, on which results depend."""
     return {
         "robot_sysid": __version__,
-        "mujoco": MUJOCO_VERSION,
+        "mujoco": mujoco.__version__,
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
