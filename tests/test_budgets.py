@@ -28,7 +28,7 @@ BUDGETS = {
     "robot_sysid/motion": 14880,
     "robot_sysid/pipeline": 7168,
     "robot_sysid/records": 10232,
-    "robot_sysid/report": 4974,
+    "robot_sysid/report": 4960,
     "robot_sysid/results": 10557,
     "robot_sysid/servo": 4852,
     "robot_sysid/signals": 5279,

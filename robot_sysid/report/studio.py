@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_sysid import spatial
+from robot_sysid.dynamics.inverse_dynamics import data_at_pose
 from robot_sysid.errors import InputError
 from robot_sysid.records import Array, RobotModel
 
@@ -92,9 +93,7 @@ class Studio:
         # MuJoCo made its own choice when it was imported, without trying whether it works here.
         chooser = sys.modules[mujoco.Renderer.__module__].gl_context
         chooser.GLContext = importlib.import_module(f"mujoco.{name}").GLContext
-        self.data = mujoco.MjData(self._model)
-        self.data.qpos[:] = robot.reference_qpos
-        mujoco.mj_kinematics(self._model, self.data)
+        self.data = data_at_pose(self._model, robot.reference_qpos)
         mujoco.mj_comPos(self._model, self.data)
         mujoco.mj_camlight(self._model, self.data)
         self._renderer = mujoco.Renderer(self._model, height, width)
