@@ -20,7 +20,7 @@ BUDGETS = {
     "robot_sysid/commands": 9794,
     "robot_sysid/damiao": 30118,
     "robot_sysid/diagnosis": 16659,
-    "robot_sysid/dynamics": 3224,
+    "robot_sysid/dynamics": 3231,
     "robot_sysid/estimate": 29179,
     "robot_sysid/logs": 14564,
     "robot_sysid/mjcf": 6720,

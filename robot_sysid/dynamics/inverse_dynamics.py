@@ -65,7 +65,8 @@ def analysis_copy(
     model = copy.copy(mj_model)
     options = model.opt
     bits = mujoco.mjtDisableBit
-    options.disableflags &= ~int(bits.mjDSBL_CONSTRAINT | bits.mjDSBL_ACTUATION)
+    for flag in (bits.mjDSBL_CONSTRAINT, bits.mjDSBL_ACTUATION):
+        options.disableflags &= ~int(flag)
     for name in disabled:
         # Older releases lack some of these flags.
         options.disableflags |= int(getattr(bits, f"mjDSBL_{name}", 0))
