@@ -10,14 +10,12 @@ import pytest
 
 import robot_sysid as rs
 from rigs import arms
-from rigs.clocks import ScriptedClock
-from rigs.damiao_rig import swing, trajectory_file, two_motor_arm, with_coarse_physics
-from rigs.links import RememberingLink
+from rigs.damiao_rig import swing, trajectory_file, with_coarse_physics
 from rigs.recordings import read_recording
 from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
-from robot_sysid.damiao import execution
 from robot_sysid.damiao.protocol import DISABLED
+from tests.commands.conftest import SimulatedBus
 
 
 @pytest.fixture
@@ -78,17 +76,7 @@ def test_what_cannot_be_used_is_said(trajectory, message):
 @pytest.fixture
 def arm(monkeypatch):
     """Two motors on a bus in simulated time."""
-    arm = two_motor_arm()
-    clock = ScriptedClock()
-    monkeypatch.setattr(execution, "SystemClock", lambda: clock)
-
-    def open_bus(address, timing, clock):
-        return RememberingLink(
-            execution.SimulatedLink(clock, arm, timing, echo=True), clock
-        )
-
-    monkeypatch.setattr(execution, "open_bus", open_bus)
-    return arm
+    return SimulatedBus(monkeypatch).arm
 
 
 def test_an_arm_is_moved_from_any_thread(trajectory, arm):

@@ -34,10 +34,12 @@ class SimulatedBus:
         wire: the frames of the last link that was opened, or None.
     """
 
-    def __init__(self):
+    def __init__(self, monkeypatch):
         self.arm = two_motor_arm()
         self.clock = ScriptedClock()
         self.wire = None
+        monkeypatch.setattr(execution, "SystemClock", lambda: self.clock)
+        monkeypatch.setattr(execution, "open_bus", self.open_link)
 
     def open_link(self, address, timing, clock):
         link = SimulatedLink(self.clock, self.arm, timing, echo=True)
@@ -67,8 +69,5 @@ def person(monkeypatch):
 
 @pytest.fixture
 def bus(monkeypatch):
-    simulated = SimulatedBus()
-    monkeypatch.setattr(execution, "SystemClock", lambda: simulated.clock)
-    monkeypatch.setattr(execution, "open_bus", simulated.open_link)
     with heard_signals():
-        yield simulated
+        yield SimulatedBus(monkeypatch)

@@ -57,27 +57,30 @@ def test_data_of_a_run_never_pass_for_those_of_another(command, arm, monkeypatch
     assert run.traces is None and "belongs to another run" in run.missing
 
 
-def test_a_report_that_fails_leaves_the_results(command, arm, monkeypatch):
-    def break_result(*_, **__):
-        raise RuntimeError("ink is out")
+@pytest.mark.parametrize(
+    ("module", "name", "option", "code", "message"),
+    [
+        (
+            page,
+            "write_report",
+            "--report",
+            1,
+            "the results are written, but the report is not",
+        ),
+        (runs, "save_data", "--no-friction", 0, "nothing was left for a later report"),
+    ],
+)
+def test_a_report_that_fails_leaves_the_results(
+    command, arm, monkeypatch, module, name, option, code, message
+):
+    def fail(*_, **__):
+        raise OSError("ink is out")
 
-    monkeypatch.setattr(page, "write_report", break_result)
-    printed = command.run(arm, *RUN, "--report", code=1)
-    assert "the results are written, but the report is not" in printed.err
-    assert "ink is out" in printed.err and "Results saved" in printed.out
+    monkeypatch.setattr(module, name, fail)
+    printed = command.run(arm, "--plant-model", arm, *RUN, option, code=code)
+    assert message in printed.err and "ink is out" in printed.err
+    assert "Results saved" in printed.out
     assert (arm.parent / "sysid_output" / "updated_model.xml").is_file()
-
-
-def test_data_that_cannot_be_left_is_only_noted(command, arm, monkeypatch):
-    def break_result(*_):
-        raise OSError("disk full")
-
-    monkeypatch.setattr(runs, "save_data", break_result)
-    printed = command.run(arm, "--plant-model", arm, *RUN)
-    assert (
-        "nothing was left for a later report" in printed.err
-        and "disk full" in printed.err
-    )
 
 
 def test_without_the_option_nothing_is_drawn_and_nothing_for_it_loaded(command, arm):
