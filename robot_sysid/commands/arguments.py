@@ -38,7 +38,7 @@ class Command:
         groups: options by heading in the help, under which positional arguments are not listed.
         run: runs the command with the values of its options, by key, and a console; returns the
             exit code.
-        main: keys of the options in the short help, which work otherwise as well; empty for all.
+        main: keys of the options in the short help; empty for all. The others work as well.
         required: keys of options that have to be given.
         codes: exit codes that the command may have.
         overview: lines of the help between the example and the usage.
