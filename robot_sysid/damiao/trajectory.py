@@ -317,16 +317,20 @@ def limit_excesses(
     )
     time = (trajectory.time - trajectory.time[0]) / speed
     labels = [joint.label for joint in trajectory.joints]
-    units = dict(zip(LIMITED, ("rad", "rad/s", "rad/s^2", "N·m")))
     rounding = np.full(signals.shape[1], ROUNDING)
     # A velocity is rounded at both ends of a step.
     rounding[2 * len(labels) : 3 * len(labels)] = 2.0 * ROUNDING / step.min()
     for use in limits.uses([(time, signals)], labels, rounding):
-        if not use.is_kept:
-            yield (
-                f"{use.owner}: {use.quantity} {use.middle + use.value:.4g} {units[use.quantity]} "
-                f"is beyond {owner} limit {use.middle + use.limit:g}, at {use.time:.2f} s"
-            )
+        if use.is_kept:
+            continue
+        # Stated as if the limit were an upper one.
+        side = np.sign(use.value)
+        value = side * (use.middle + use.value)
+        limit = side * (use.middle + use.limit)
+        yield (
+            f"{use.owner}: {use.quantity} {value:.4g} {LIMITED[use.quantity]} is beyond {owner} "
+            f"limit {limit:g}, at {use.time:.2f} s"
+        )
 
 
 def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | None:

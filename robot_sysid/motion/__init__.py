@@ -119,10 +119,10 @@ class LimitOptions(OptionRecord):
         """
         import numpy as np
 
-        from robot_sysid.records import LIMITED, Limits
+        from robot_sysid.records.limits import LARGEST, Limits
 
         numbers = {}
-        for quantity in LIMITED[1:]:
+        for quantity in LARGEST:
             key = f"max_{quantity}"
             limit = getattr(self, key) or np.inf
             numbers[quantity] = joint_values(limit, len(is_slide), option_name(key))

@@ -162,11 +162,12 @@ def _assumed_limits(problem: ExcitationProblem) -> Iterator[str]:
     """Yield the limits that neither the model nor an option states, such as "velocity 2 rad/s of
     joint0, joint1": a real arm may allow less than that.
     """
-    limits = problem.limits.columns[:-1].reshape(len(LIMITED), -1)
+    largest = problem.limits.largest
+    quantities = [*LIMITED]
     joints: dict[str, list[str]] = {}
     for row, joint in np.argwhere(problem.assumed):
         unit = position_unit(problem.robot.is_slide[joint]) + ("", "/s", "/s²")[row]
-        limit = f"{LIMITED[row]} {limits[row, joint]:.4g} {unit}"
+        limit = f"{quantities[row]} {largest[row, joint]:.4g} {unit}"
         joints.setdefault(limit, []).append(problem.joint_names[joint])
     for limit, names in joints.items():
         is_general = len(names) == problem.n_joints

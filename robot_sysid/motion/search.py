@@ -42,7 +42,7 @@ from robot_sysid.motion.problem import (
     ExcitationProblem,
     motion_of_samples,
 )
-from robot_sysid.records import LIMITED, Array
+from robot_sysid.records import Array
 from robot_sysid.records.limits import ROUNDING, limit_name, limited_quantities
 from robot_sysid.records.messages import Progress
 from robot_sysid.trajectory import SineTrajectory, TrajectoryOptions
@@ -471,7 +471,7 @@ def _largest_factor(design: Design, base: Array, x: Array) -> Array:
     start = design.motion(base)
     start[0] -= limits.center
     step = design.on_grid @ x.T
-    largest = LIMIT_SHARE * limits.columns[:-1].reshape(len(LIMITED), 1, -1)[:3]
+    largest = LIMIT_SHARE * limits.largest[:3, None]
     room = largest - np.sign(step) * start
     factor = np.min(room / np.maximum(np.abs(step), 1e-12), axis=(0, 1))
     return np.maximum(factor, 0.0)

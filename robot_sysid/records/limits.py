@@ -20,8 +20,15 @@ from numpy.typing import NDArray
 from robot_sysid.errors import InputError
 from robot_sysid.records.arrays import Array
 
-LIMITED = ("position", "velocity", "acceleration", "torque")
-"""The quantities of a joint that have limits, in the order of their columns."""
+LIMITED = {
+    "position": "rad",
+    "velocity": "rad/s",
+    "acceleration": "rad/s^2",
+    "torque": "N·m",
+}
+"""The quantities of a joint that have limits, in the order of their columns, to units of hinges."""
+LARGEST = [*LIMITED][1:]
+"""Those of them with a limit that is the same in both directions."""
 ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it: the motion may start exactly at one."""
 
@@ -93,7 +100,7 @@ class LimitUse(NamedTuple):
 _TIGHTER: Mapping[str, Callable[[Any, Any], Any]] = {
     "lower": np.maximum,
     "upper": np.minimum,
-    **dict.fromkeys((*LIMITED[1:], "tool_speed"), np.minimum),
+    **dict.fromkeys((*LARGEST, "tool_speed"), np.minimum),
     "clearance": np.maximum,
     "spaces": operator.add,
 }
@@ -129,7 +136,7 @@ class Limits:
     spaces: tuple[HalfSpace, ...] = ()
 
     def __post_init__(self) -> None:
-        names = ("lower", "upper", *LIMITED[1:])
+        names = ("lower", "upper", *LARGEST)
         arrays = np.broadcast_arrays(*(getattr(self, name) for name in names))
         for name, array in zip(names, arrays):
             object.__setattr__(self, name, array.astype(float))
@@ -180,10 +187,14 @@ class Limits:
         return replace(self, lower=lower, upper=np.fmax(self.upper, q))
 
     @property
+    def largest(self) -> Array:
+        """Largest absolute values (4, n) of the quantities, of positions from the middle."""
+        return np.stack((self.span, *(getattr(self, name) for name in LARGEST)))
+
+    @property
     def columns(self) -> Array:
         """Largest absolute values (4 n + 1,) of the columns of ``signals``."""
-        others = (getattr(self, name) for name in LIMITED[1:])
-        return np.append((self.span, *others), self.tool_speed)
+        return np.append(self.largest, self.tool_speed)
 
     def signals(
         self, q: Array, qd: Array, qdd: Array, tau: Array, tool: Array | float = 0.0

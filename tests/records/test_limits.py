@@ -51,7 +51,7 @@ def test_an_excess_states_the_farthest_sample_and_the_limit_on_its_side(seed):
     for use in excesses(limits, signals, tool):
         values = tool
         if use.owner in JOINTS:
-            row, joint = LIMITED.index(use.quantity), JOINTS.index(use.owner)
+            row, joint = [*LIMITED].index(use.quantity), JOINTS.index(use.owner)
             values = signals[row][:, joint]
         assert use.middle + use.value == pytest.approx(values[int(use.time)])
         assert abs(use.value) == pytest.approx(np.max(np.abs(values - use.middle)))
