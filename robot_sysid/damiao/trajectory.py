@@ -321,16 +321,13 @@ def limit_excesses(
     # A velocity is rounded at both ends of a step.
     rounding[2 * len(labels) : 3 * len(labels)] = 2.0 * ROUNDING / step.min()
     for use in limits.uses([(time, signals)], labels, rounding):
-        if use.is_kept:
-            continue
-        # Stated as if the limit were an upper one.
-        side = np.sign(use.value)
-        value = side * (use.middle + use.value)
-        limit = side * (use.middle + use.limit)
-        yield (
-            f"{use.owner}: {use.quantity} {value:.4g} {LIMITED[use.quantity]} is beyond {owner} "
-            f"limit {limit:g}, at {use.time:.2f} s"
-        )
+        if not use.is_kept:
+            value = use.middle + use.value
+            limit = use.middle + use.limit
+            yield (
+                f"{use.owner}: {use.quantity} {value:.4g} {LIMITED[use.quantity]} is beyond "
+                f"{owner} limit {limit:g}, at {use.time:.2f} s"
+            )
 
 
 def velocity_mismatch(trajectory: DamiaoTrajectory) -> tuple[int, int, float] | None:

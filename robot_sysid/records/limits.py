@@ -70,9 +70,10 @@ class LimitUse(NamedTuple):
     Attributes:
         quantity: one of ``LIMITED``; "speed" of the tool, "clearance" of two bodies.
         owner: the joint, tool or bodies that have the limit, in words.
-        middle: that value and limit are stated from: of a position's range, else zero [SI].
+        middle: that value and limit are stated from, of a position's range, else zero [SI];
+            negated where the value is below it, so that value and limit are positive.
         value: the farthest one from the middle [SI].
-        limit: on the side of the value [SI].
+        limit: of the value [SI].
         time: when the value is reached [s].
         is_kept: whether the value is within the limit, but for rounding.
     """
@@ -225,11 +226,12 @@ class Limits:
         values, times = _farthest(*map(np.stack, zip(*peaks)))
         columns = self.columns
         middles = np.append(self.center, np.zeros(len(columns) - len(joints)))
-        limits = np.copysign(columns, values)
+        sizes = np.abs(values)
         # A value that is NaN is not within its limit.
-        is_kept = np.abs(values) <= (1.0 + ROUNDING) * columns + rounding
+        is_kept = sizes <= (1.0 + ROUNDING) * columns + rounding
         owners = limited_quantities(joints)
-        rows = zip(owners, middles, values, limits, times, is_kept)
+        middles *= np.sign(values)
+        rows = zip(owners, middles, sizes, columns, times, is_kept)
         return [LimitUse(*owner, *numbers) for owner, *numbers in rows]
 
 

@@ -49,16 +49,20 @@ def test_an_excess_states_the_farthest_sample_and_the_limit_on_its_side(seed):
     limits = random_limits(rng)
     signals, tool = 1.5 * rng.normal(size=(4, 50, 3)), 3.0 * rng.uniform(size=50)
     for use in excesses(limits, signals, tool):
-        values = tool
+        values, ends = tool, (-limits.tool_speed, limits.tool_speed)
         if use.owner in JOINTS:
             row, joint = [*LIMITED].index(use.quantity), JOINTS.index(use.owner)
-            values = signals[row][:, joint]
-        assert use.middle + use.value == pytest.approx(values[int(use.time)])
-        assert abs(use.value) == pytest.approx(np.max(np.abs(values - use.middle)))
+            values, largest = signals[row][:, joint], limits.largest[row, joint]
+            ends = -largest, largest
+            if row == 0:
+                ends = limits.lower[joint], limits.upper[joint]
+        middle = np.mean(ends)
+        farthest = values[int(use.time)]
+        assert abs(farthest - middle) == np.max(np.abs(values - middle)) == use.value
+        side = np.sign(farthest - middle)
+        assert side * farthest == pytest.approx(use.middle + use.value)
+        assert side * ends[int(side > 0.0)] == pytest.approx(use.middle + use.limit)
         assert use.share > 1.0
-        if use.quantity == "position":
-            ends = limits.lower[joint], limits.upper[joint]
-            assert use.middle + use.limit == pytest.approx(ends[int(use.value > 0.0)])
 
 
 @pytest.mark.parametrize(
