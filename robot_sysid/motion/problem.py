@@ -150,7 +150,7 @@ class ExcitationProblem:
         return [f"joint {name}" for name in self.joint_names]
 
     def signals(self, motion: Motion) -> Array:
-        """Return the quantities that have limits (N, 4 n + 1), see ``Limits.signals``."""
+        """Return the quantities that have limits (N, m), see ``Limits.signals``."""
         links = self.dynamics.motion(motion.q, motion.qd, motion.qdd)
         spin, velocity = np.split(links.velocity[-1][:, None], 2)
         corners = velocity + spatial.cross(spin, self.tool.T[:, :, None])

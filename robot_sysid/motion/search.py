@@ -150,7 +150,7 @@ class Candidate:
     Attributes:
         x: (n, M) free coefficients of each joint [rad or m]; the motion may break a limit.
         feasible_x: (n, M) the best coefficients so far that keep all limits.
-        multipliers: (N, 4 n + 2) Lagrange multipliers of the constraints at the N grid points; zero
+        multipliers: (N, m + 1) Lagrange multipliers of the constraints at the N grid points; zero
             at first.
         score: the criterion at ``x``, smaller is better; infinite if singular.
         feasible_score: the criterion at ``feasible_x``; infinite where none are known.
@@ -168,7 +168,7 @@ def constraints_of(
 ) -> tuple[Array, Array]:
     """Return all constraints g at the samples of a motion, and the derivative of the last one.
 
-    The columns of g (N, 4 n + 2), which are fulfilled where <= 0, are ``problem.signals``: absolute
+    The columns of g (N, m + 1), which are fulfilled where <= 0, are ``problem.signals``: absolute
     values over ``LIMIT_SHARE`` of their limits, minus one; the last column is the missing distance
     from obstacles over ``OBSTACLE_LENGTH``, the derivative (N, n) of which is by q.
 
@@ -194,7 +194,7 @@ def constraint_gradient(
         problem: the arm and its limits.
         motion: (3, N, n) q, qd and qdd.
         by_position: (N, n) derivative of the last constraint by q.
-        weight: (N, 4 n + 2) of the constraints g.
+        weight: (N, m + 1) of the constraints g.
     """
     n_linear = 3 * problem.n_joints
     factor = weight[:, :-1] / (LIMIT_SHARE * problem.limits.columns)
@@ -220,7 +220,7 @@ def constraint_gradient(
 def penalised_objective(
     design: Design, candidate: Candidate, x: Array
 ) -> tuple[float, Array, Array]:
-    """Return (objective, gradient (n, M), new multipliers (N, 4 n + 2)) at coefficients x (n, M).
+    """Return (objective, gradient (n, M), new multipliers (N, m + 1)) at coefficients x (n, M).
 
     The objective is the criterion plus the augmented Lagrangian's penalty, with the multipliers and
     the weight of the candidate. The new multipliers max(0, l + m g) are for the next round, if the

@@ -34,7 +34,7 @@ ROUNDING = 1e-9
 
 
 def limited_quantities(joints: Sequence[str]) -> list[tuple[str, str]]:
-    """Return each limited quantity and its owner in words, (4 n + 1,), of n joints in words."""
+    """Return each limited quantity and its owner in words, (m,), of n joints in words."""
     quantities = [(quantity, joint) for quantity in LIMITED for joint in joints]
     return [*quantities, ("speed", "the tool")]
 
@@ -111,7 +111,8 @@ _TIGHTER: Mapping[str, Callable[[Any, Any], Any]] = {
 class Limits:
     """Limits of n joints, each (n,) or one number for all, and of what they carry.
 
-    A joint has both limits of its position, or none. Without an argument there is no limit.
+    They are m in all: one of each of ``LIMITED`` of each joint, and that of the tool. A joint has
+    both limits of its position, or none. Without an argument there is no limit.
 
     Attributes:
         lower: smallest positions [rad or m].
@@ -194,13 +195,13 @@ class Limits:
 
     @property
     def columns(self) -> Array:
-        """Largest absolute values (4 n + 1,) of the columns of ``signals``."""
+        """Largest absolute values (m,) of the columns of ``signals``."""
         return np.append(self.largest, self.tool_speed)
 
     def signals(
         self, q: Array, qd: Array, qdd: Array, tau: Array, tool: Array | float = 0.0
     ) -> Array:
-        """Return the quantities that have limits (N, 4 n + 1) of N samples of a motion.
+        """Return the quantities that have limits (N, m) of N samples of a motion.
 
         Args:
             q, qd, qdd, tau: (N, n) of the joints.
@@ -218,9 +219,9 @@ class Limits:
         """Return how far a motion uses each limit, one of each of ``columns``.
 
         Args:
-            chunks: stretches of the motion: times (N,) [s] and ``signals`` (N, 4 n + 1).
+            chunks: stretches of the motion: times (N,) [s] and ``signals`` (N, m).
             joints: the n joints in words.
-            rounding: by how much the values may be off, of all or of each column (4 n + 1,).
+            rounding: by how much the values may be off, of all or of each column (m,).
         """
         peaks = [_farthest(signals, time[:, None]) for time, signals in chunks]
         values, times = _farthest(*map(np.stack, zip(*peaks)))

@@ -111,7 +111,8 @@ def test_rounds_keep_the_best_feasible_trajectory():
 def test_gradient_equals_differences(seed):
     design = make_design(arms.THREE)
     rng = default_rng(seed)
-    multipliers = rng.uniform(size=(len(design.grid), 14))
+    n_constraints = len(design.problem.limits.columns) + 1
+    multipliers = rng.uniform(size=(len(design.grid), n_constraints))
     x = random_x(design, seed)
     direction = random_x(design, seed + 1, 1.0)
     candidate = search.Candidate(x, x, multipliers)
