@@ -100,7 +100,7 @@ def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:
     return np.array([joint.spec.peak_torque for joint in joints])
 
 
-def torque_limits(joints: Sequence[DamiaoJoint]) -> Limits:
+def motor_limits(joints: Sequence[DamiaoJoint]) -> Limits:
     """Return the limits of the joints' motors: the peak torque, or TMAX of a frame if that is less,
     for no command can exceed it.
     """

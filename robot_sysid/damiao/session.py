@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot_sysid.damiao.bus import GuardedLink
-from robot_sysid.damiao.joints import DamiaoJoint, Mounting, torque_limits
+from robot_sysid.damiao.joints import DamiaoJoint, Mounting, motor_limits
 from robot_sysid.damiao.protocol import (
     DISABLE,
     ENABLE,
@@ -156,7 +156,7 @@ class MotorSession:
         # A frame cannot command more than TMAX either.
         self._frames = self._mounting.frame_limits(scaling.limits)
         # In a stop commands are limited to these, which must not exceed what frames can carry.
-        self.limits = Limits.of(limits, torque_limits(joints), self._frames)
+        self.limits = Limits.of(limits, motor_limits(joints), self._frames)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         # Command in force as the motors read it, in joint space; None before the first.
         self._command: MitCommand | None = None

@@ -208,11 +208,11 @@ def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | Non
     from robot_sysid.motion.problem import DEFAULT_NOISE_TORQUE, build_problem
     from robot_sysid.motion.starts import gentle_problem, startable
 
-    motor_limits = None
+    motors = None
     if joints:
-        from robot_sysid.damiao.joints import torque_limits
+        from robot_sysid.damiao.joints import motor_limits
 
-        motor_limits = torque_limits(joints)
+        motors = motor_limits(joints)
     is_new = config.trajectory.file is None
     estimation = config.estimation
     problem = build_problem(
@@ -222,7 +222,7 @@ def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | Non
         noise_torque=estimation.priors.noise or DEFAULT_NOISE_TORQUE,
         shakes_gently=is_new,
         link_uncertainty=estimation.priors.link,
-        motors=motor_limits,
+        motors=motors,
     )
     if config.aim.purpose == WEIGHT:
         problem = gentle_problem(problem)
