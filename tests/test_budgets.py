@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3865,
     "robot_sysid/commands": 9794,
-    "robot_sysid/damiao": 30117,
+    "robot_sysid/damiao": 30129,
     "robot_sysid/diagnosis": 16659,
     "robot_sysid/dynamics": 3231,
     "robot_sysid/estimate": 29179,
@@ -26,7 +26,7 @@ BUDGETS = {
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,
     "robot_sysid/motion": 14850,
-    "robot_sysid/pipeline": 7168,
+    "robot_sysid/pipeline": 7183,
     "robot_sysid/records": 10257,
     "robot_sysid/report": 4960,
     "robot_sysid/results": 10557,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5279,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10630,
-    "tests": 225605,
+    "tests": 225598,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -100,12 +100,13 @@ def peak_torques(joints: Sequence[DamiaoJoint]) -> Array:
     return np.array([joint.spec.peak_torque for joint in joints])
 
 
-def motor_limits(joints: Sequence[DamiaoJoint]) -> Limits:
-    """Return the limits of the joints' motors: the peak torque, or TMAX of a frame if that is less,
-    for no command can exceed it.
+def motor_limits(
+    joints: Sequence[DamiaoJoint], tmax: Sequence[float] | Array
+) -> Limits:
+    """Return the limits of n joints' motors: the peak torque, or TMAX (n,) of their frames [N m] if
+    that is less, for no command can exceed it.
     """
-    frames = [joint.spec.limits[2] for joint in joints]
-    return Limits(torque=np.minimum(peak_torques(joints), frames))
+    return Limits(torque=np.minimum(peak_torques(joints), tmax))
 
 
 def matching_types(limits: Sequence[float]) -> tuple[str, ...]:

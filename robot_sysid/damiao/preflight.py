@@ -262,11 +262,13 @@ def _readiness_checks(
     trajectory = plan.trajectory
     joints = trajectory.joints
     settings = plan.settings
-    frames = Mounting.of(joints).frame_limits(np.array(limits))
-    for excess in motion.limit_excesses(
-        trajectory, settings.speed, "its registers'", frames
-    ):
-        yield stop(f"{excess}; export a smaller trajectory")
+    # Others are those of no motor, and stop the run already.
+    if np.min(limits) > 0.0:
+        frames = Mounting.of(joints).frame_limits(np.array(limits))
+        for excess in motion.limit_excesses(
+            trajectory, settings.speed, "its registers'", frames
+        ):
+            yield stop(f"{excess}; export a smaller trajectory")
 
     # Time from the commands to the last answer [s].
     round_trip = inspection.round_trip

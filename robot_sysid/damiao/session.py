@@ -153,10 +153,10 @@ class MotorSession:
         self._labels = [joint.label for joint in joints]
         self._mounting = Mounting.of(joints)
         self.steps = scaling.steps
-        # A frame cannot command more than TMAX either.
         self._frames = self._mounting.frame_limits(scaling.limits)
+        motors = motor_limits(joints, self._frames.torque)
         # In a stop commands are limited to these, which must not exceed what frames can carry.
-        self.limits = Limits.of(limits, motor_limits(joints), self._frames)
+        self.limits = Limits.of(limits, motors, self._frames)
         self.unconfirmed: tuple[DamiaoJoint, ...] = ()
         # Command in force as the motors read it, in joint space; None before the first.
         self._command: MitCommand | None = None

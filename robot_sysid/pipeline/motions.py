@@ -212,7 +212,7 @@ def _problem(config: MotionConfig, robot: RobotModel) -> ExcitationProblem | Non
     if joints:
         from robot_sysid.damiao.joints import motor_limits
 
-        motors = motor_limits(joints)
+        motors = motor_limits(joints, [joint.spec.limits[2] for joint in joints])
     is_new = config.trajectory.file is None
     estimation = config.estimation
     problem = build_problem(

@@ -26,11 +26,11 @@ def random_limits(rng):
 
 
 def excesses(limits, signals, tool=0.0, rounding=0.0):
-    """What samples of a motion (4, N, 3) break, taken in two stretches."""
+    """What samples of a motion (4, N, 3) break, taken in stretches."""
     samples = limits.signals(*signals, tool)
-    chunks = [(np.arange(len(samples)), samples)] if len(samples) < 2 else [
-        (np.arange(9.0), samples[:9]), (np.arange(9.0, len(samples)), samples[9:])
-    ]  # fmt: skip
+    time = np.arange(float(len(samples)))
+    starts = range(0, len(time), 9)
+    chunks = [(time[k : k + 9], samples[k : k + 9]) for k in starts]
     uses = limits.uses(chunks, JOINTS, rounding)
     return [use for use in uses if not use.is_kept]
 
