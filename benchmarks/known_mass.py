@@ -68,10 +68,10 @@ def run(robot, seed, sets):
     stated = []
     for mass in PAYLOADS:
         raw = recordings(robot, arm, rng, payload=body(mass))
-        plain.append(weigh(robot, raw).payload.body.mass / mass - 1.0)
+        plain.append(weigh(robot, raw).payload.mass / mass - 1.0)
         better = [divide_by_scale(recording, scale) for recording in raw]
         options = EstimationOptions(priors=Priors(scale=sure))
-        result = weigh(robot, better, options).payload.body
+        result = weigh(robot, better, options).payload
         scaled.append(result.mass / mass - 1.0)
         stated.append(result.errors[0] / mass)
     return plain, scaled, stated, off

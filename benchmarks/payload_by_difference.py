@@ -116,7 +116,7 @@ def run(robot, seed, off, different, single, wide, second):
     arm = draw_imperfect_arm(robot, rng, off)
     raw = recordings(robot, arm, rng, different, wide=wide, second=second)
     result = weigh(robot, raw)
-    body = result.payload.body
+    body = result.payload
     difference = single_difference(robot, raw) if single else np.nan
     return (
         body.mass - PAYLOAD[0],

@@ -90,7 +90,7 @@ def saved(folder, result):
     payload = result.payload
     card = None
     if payload is not None and result.verdict.is_trustworthy:
-        card = number_groups(payload.body)
+        card = number_groups(payload)
         text = card_text(payload, card, result.robot)
         (folder / "payload_card.txt").write_text(text, encoding="utf-8")
     content = content_of(result, card)

@@ -115,6 +115,7 @@ def found(result: Estimate | None = None, **changes) -> Result:
         data=DataOrigin("log arm.csv", 15.0, 1000.0),
         quantities=tuple(rows),
         links=links,
+        total=terminal(result),
         friction_model="coulomb-viscous",
     )
     return replace(defaults, **changes)
@@ -162,7 +163,8 @@ def itself(result: Estimate | None = None, **changes) -> Result:
         full,
         data=DataOrigin(ITSELF, 15.0, 1000.0, 1),
         verdict=Verdict.OK,
-        links=by_name(exact),
+        links={},
+        total=exact,
         standard_errors={},
         quantities=tuple(rows),
         friction_model=None,
@@ -221,21 +223,23 @@ def payload(
 
     ``torque_scale`` has pairs of a joint and its scale.
     """
+    total = body(2.0, name="link6 with payload")
     payload_record = Payload(
+        **vars(own or body()),
         flange=Flange("site 'flange'", np.eye(3), np.zeros(3), "link6"),
-        body=own or body(),
-        total=body(2.0, name="link6 with payload"),
         recordings={"empty": ("a.csv",), "loaded": ("b.csv", "c.csv")},
     )
     for name in vars(payload_record).keys() & changes.keys():
         payload_record = replace(payload_record, **{name: changes.pop(name)})
-    rows = [*body_quantities(payload_record.body)]
+    rows = [*body_quantities(payload_record)]
     rows += body_quantities(body(0.8, name="link6"))
-    rows += body_quantities(payload_record.total)
+    rows += body_quantities(total)
     for joint, scale in torque_scale:
         rows.append(Quantity("torque_scale", joint, "", 1.0, scale, 0.004))
     changes = {"verdict": Verdict.OK, "quantities": tuple(rows), **changes}
-    return found(result, question=PAYLOAD, payload=payload_record, **changes)
+    return found(
+        result, question=PAYLOAD, payload=payload_record, total=total, **changes
+    )
 
 
 def model_file(**changes) -> ModelFile:

@@ -121,7 +121,7 @@ def save(
                 )
             if payload is not None:
                 written.append(folder / file_access.CARD_NAME)
-                card = number_groups(payload.body)
+                card = number_groups(payload)
                 text = card_text(payload, card, result.robot, card_choice)
                 files.write(written[-1], text)
         if motor_file is not None:

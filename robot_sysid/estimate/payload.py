@@ -17,10 +17,12 @@ from robot_sysid.estimate.held_out import validation
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.result import (
     body_estimate,
-    common_result,
+    fit_quantities,
+    link_estimates,
     model_file,
     quantity,
     result_notes,
+    result_of,
     select,
     traces_of,
 )
@@ -96,6 +98,7 @@ def payload_result(
         divided: (n,) torque scales by which the torques were divided already.
     """
     robot = fitted.arm.robot
+    links = link_estimates(fitted)
     known_mass = fitted.question.known_mass
     # Judged is the payload before bodies were made possible: that step hides a negative mass.
     free = _in_flange(weighed, flange, weighed.free)
@@ -110,48 +113,50 @@ def payload_result(
         theta, unknown_inertia = written_payload(fitted)
         values[fitted.at(PAYLOAD_NAMES)] = theta
     both = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
-    bodies = [
-        _in_flange(fitted, flange, values),
-        body_estimate(fitted, f"{robot.body_name} with payload", both, values),
-    ]
+    body = _in_flange(fitted, flange, values)
+    total = body_estimate(fitted, f"{robot.body_name} with payload", both, values)
     missed = missed_friction(fitted)
     notes = [*robot.notes, *sentences]
     if unknown_inertia:
-        bodies = [*map(_without_inertia, bodies)]
+        body, total = map(_without_inertia, (body, total))
         notes.append(Detail(unknown_inertia))
         if known_mass is None:
             remarks.append(Verdict.INERTIA_NOT_KNOWN.remark())
     remarks += [Remark(Level.DOUBTS, "friction", missed)] if missed else []
-    body, total = bodies
     rows = [*body_quantities(body), *body_quantities(total)]
     if known_mass is not None:
         rows += _torque_scales(fitted, divided)
+    rows += fit_quantities(fitted, links)
     written: ModelFile | None = None
-    file_rows: list[Quantity] = []
     if file is not None:
         written, file_rows, file_notes = model_file(fitted, file)
         judgement = judge_file(written.validation_before, written.validation_after)
         if judgement.level is Level.SAYS:
             notes += file_notes
+            rows += file_rows
         else:
             written = None
-            file_rows = []
             notes.append(
                 f"the written model is the arm's own with the payload on it: {judgement.text}"
             )
     notes += result_notes(fitted, written)
-    common = common_result(fitted, origin, PAYLOAD)
     kinds = _kinds(fitted)
     recordings = {
         "empty": tuple(name for name in kinds if not kinds[name]),
         "loaded": tuple(name for name in kinds if kinds[name]),
     }
-    return replace(
-        common,
+    return result_of(
+        fitted,
+        question=PAYLOAD,
+        data=origin,
+        links=links,
         remarks=(*remarks, *says(notes)),
-        quantities=(*rows, *common.quantities, *file_rows),
+        quantities=tuple(rows),
         standard_errors=dict(zip(PARAMETER_NAMES, body.errors.tolist())),
-        payload=Payload(flange, body, total, recordings, known_mass),
+        payload=Payload(
+            **vars(body), flange=flange, recordings=recordings, known_mass=known_mass
+        ),
+        total=total,
         file=written,
         validation=(validation(fitted),),
         checkpoints=fitted.recordings[-1].motion,

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -116,11 +117,12 @@ def link_result(
     acceleration_error = max(
         recording.acceleration_error for recording in fitted.recordings
     )
-    common = common_result(fitted, origin, LINK)
-    *other_links, last_link = common.links.values()
+    links = link_estimates(fitted)
+    *other_links, last_link = links
+    rows = fit_quantities(fitted, links)
     refusals = [*find_misfits(fitted, tests)]
     refusals += implausible_link(robot, last_link)
-    refusals += implausible_joints(robot, common.quantities, fitted.torque)
+    refusals += implausible_joints(robot, rows, fitted.torque)
     written, file_rows, file_notes = model_file(fitted, file)
     judgement = judge_file(written.validation_before, written.validation_after)
     # A file that is worse on another log than the given model is not trustworthy.
@@ -128,8 +130,7 @@ def link_result(
     missed = missed_friction(fitted)
     share = fitted.unexplained_share
     sentence = unexplained_torque(fitted)
-    doubts = [sentence] if share > UNEXPLAINED else []
-    doubts += [missed] if missed else []
+    doubts = filter(None, (sentence if share > UNEXPLAINED else "", missed))
     # A file that clearly predicts better is written all the same, for torques only.
     is_better = judgement.about == Verdict.BETTER.name
     verdict = Verdict.TORQUES_ONLY if is_better else Verdict.UNEXPLAINED
@@ -155,10 +156,15 @@ def link_result(
     if 0.035 < share <= UNEXPLAINED:
         sentences.append(sentence)
     sentences += [*file_notes, *result_notes(fitted, written)]
-    return replace(
-        common,
+    return result_of(
+        fitted,
+        question=LINK,
+        data=origin,
+        links=links,
+        total=last_link,
+        standard_errors=dict(zip(fitted.names, fitted.errors.tolist())),
         remarks=(*remarks, *says(sentences)),
-        quantities=(*common.quantities, *beyond_model(last_link), *file_rows),
+        quantities=(*rows, *beyond_model(last_link), *file_rows),
         file=replace(written, other_validations=tuple(file_tests)),
         validation=tests,
         checkpoints=first.samples(samples),
@@ -181,27 +187,28 @@ def beyond_model(link: BodyEstimate) -> Iterator[Quantity]:
     yield from itertools.islice(body_quantities(beyond), 4)
 
 
-def common_result(fitted: Fit, origin: DataOrigin, question: str) -> Result:
-    """Return a result with the fields that do not depend on whether a payload is identified.
+def result_of(fitted: Fit, links: Iterable[BodyEstimate], **fields: Any) -> Result:
+    """Return a result with the fields that follow from its fit and its links alone.
 
-    Its quantities are those of links, joints, motors and sensors.
+    ``fields`` are the further ones of the result, by name.
     """
     robot = fitted.arm.robot
-    links = {link.name: link for link in link_estimates(fitted)}
-    rows = itertools.chain(*map(body_quantities, links.values()))
     return Result(
         robot=robot,
-        question=question,
         quality=_quality(fitted),
-        quantities=(*rows, *joint_quantities(fitted), *sensors(fitted)),
         torques="chain" if len(fitted.arm.joints) == robot.n_joints else "terminal",
-        data=origin,
-        links=links,
-        standard_errors=dict(zip(fitted.names, fitted.errors.tolist())),
+        links={link.name: link for link in links},
         friction_model="-".join(fitted.question.friction) or "none",
         cutoff=fitted.recordings[0].cutoff,
         link_scales=asdict(fitted.question.link_scales),
+        **fields,
     )
+
+
+def fit_quantities(fitted: Fit, links: Iterable[BodyEstimate]) -> list[Quantity]:
+    """Return the rows of a fit: of its links, of joints and motors, of sensors and recordings."""
+    rows = [row for link in links for row in body_quantities(link)]
+    return [*rows, *joint_quantities(fitted), *sensors(fitted)]
 
 
 def select(fitted: Fit, names: Sequence[str]) -> Array:
@@ -236,16 +243,20 @@ def body_estimate(
     )
 
 
-def link_estimates(fitted: Fit) -> Iterator[BodyEstimate]:
-    """Yield the estimate of every link whose parameters were estimated, base to terminal."""
-    arm = fitted.arm
-    for index, names in arm.links.items():
-        if names[0] in fitted.names:
-            link = arm.robot.links[index]
-            chosen = select(fitted, names)
-            yield body_estimate(
-                fitted, link.body_name, chosen, fitted.values, link.theta
-            )
+def link_estimates(fitted: Fit) -> list[BodyEstimate]:
+    """Return the estimate of every link whose parameters were estimated, base to terminal."""
+    links = fitted.arm.robot.links
+    return [
+        body_estimate(
+            fitted,
+            links[index].body_name,
+            select(fitted, names),
+            fitted.values,
+            links[index].theta,
+        )
+        for index, names in fitted.arm.links.items()
+        if names[0] in fitted.names
+    ]
 
 
 def term_quantities(fitted: Fit, terms: Iterable[Term]) -> Iterator[Quantity]:

@@ -295,7 +295,7 @@ def run_self_test(
         quality=quality,
         quantities=tuple(rows),
         remarks=(verdict.remark(), *says(robot.notes)),
-        links={body.name: body},
+        total=body,
         torques=options.torques,
         data=DataOrigin(ITSELF, plan.duration, rate, config.trajectory.seed or 0),
         friction_model="-".join(terms) or "none",

@@ -70,7 +70,7 @@ def card_text(
             flange=flange,
             flange_origin=round_to_errors(flange.translation, exact),
             flange_quaternion=round_to_errors(quaternion, exact),
-            errors=load_errors(payload.body).tolist(),
+            errors=load_errors(payload).tolist(),
             not_known=NOT_KNOWN,
             choices=[key for key in CHOICES if key != AUTO] if choice == AUTO else [],
         )

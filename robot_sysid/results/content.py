@@ -44,12 +44,12 @@ def content_of(
     robot = result.robot
     joint = robot.terminal_joint
     payload = result.payload
-    body = result.body if payload is None else payload.total
+    body = result.total
     friction = [result.quantity(term, joint) for term in ("coulomb", "viscous")]
     coulomb, viscous = [row and row.value for row in friction]
     is_identified = not quality.unidentifiable
     if payload is not None:
-        is_identified = bool(np.all(payload.body.is_determined))
+        is_identified = bool(np.all(payload.is_determined))
     file = result.file
     content = {
         "schema_version": SCHEMA_VERSION,

@@ -234,21 +234,17 @@ class ModelFile:
 
 
 @dataclass(frozen=True)
-class Payload:
-    """A payload that the arm carries in some recordings and not in others.
+class Payload(BodyEstimate):
+    """A payload that the arm carries in some recordings and not in others, in the FLANGE frame.
 
     Attributes:
         flange: the frame in which the payload is stated.
-        body: the payload in the FLANGE frame, inertia about that frame's origin.
-        total: the terminal link with the payload, in the terminal body's frame.
         recordings: "empty" and "loaded" to the names of the recordings.
         known_mass: the payload's weight as the user states it [kg]; None where it is unknown.
     """
 
-    flange: records.Flange
-    body: BodyEstimate
-    total: BodyEstimate
-    recordings: Mapping[str, tuple[str, ...]]
+    flange: records.Flange = records.Flange("terminal body", np.eye(3), np.zeros(3))
+    recordings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     known_mass: float | None = None
 
 
@@ -265,8 +261,10 @@ class Result:
         quantities: every identified number, once, and every number of the written file: of bodies,
             joints, motors that turn several joints (``joint_5+joint_6``), sensors and recordings.
         remarks: what the user should know; the verdict follows from the first of the highest level.
-        links: name of the body to every link with mass, base to terminal; of the model's own
-            simulation the terminal link alone, without errors.
+        total: the terminal link with all bodies that move with it, a payload too; without errors
+            where they are not known.
+        links: name of the body to every link with mass, base to terminal; empty of the model's own
+            simulation.
         standard_errors: parameter name to standard error of all causes together, in the parameter's
             unit. "m" to "Izz" are of the terminal link, or the payload; "m(link3)" of another link;
             "coulomb[joint6]" of a joint's friction. All others are nuisances, allowed for because
@@ -291,6 +289,7 @@ class Result:
     quality: records.FitQuality
     torques: str
     data: records.DataOrigin
+    total: BodyEstimate
     quantities: tuple[Quantity, ...] = ()
     remarks: tuple[Remark, ...] = ()
     links: Mapping[str, BodyEstimate] = field(default_factory=dict)
@@ -345,9 +344,7 @@ class Result:
     @property
     def body(self) -> BodyEstimate:
         """The payload; without one, the terminal link with all bodies that move with it."""
-        if self.payload is not None:
-            return self.payload.body
-        return [*self.links.values()][-1]
+        return self.payload or self.total
 
     @property
     def failure(self) -> str | None:

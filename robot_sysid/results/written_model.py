@@ -87,10 +87,10 @@ def write_model(
     # link.
     theta_beside = np.zeros(10)
     if payload is not None:
-        theta = payload.flange.from_flange(payload.body.theta)
-        mass = with_error(payload.body.mass, payload.body.errors[0], "kg")
+        theta = payload.flange.from_flange(payload.theta)
+        mass = with_error(payload.mass, payload.errors[0], "kg")
         text = f"a payload of {mass}"
-        text += "" if np.all(payload.body.is_determined) else ", inertia not known,"
+        text += "" if np.all(payload.is_determined) else ", inertia not known,"
         if as_body is not None:
             new_bodies = (_payload_body(robot, payload, as_body, text),)
             theta_beside = theta
@@ -226,7 +226,7 @@ def _payload_body(
     """
     flange = payload.flange
     empty_body = SubtreeBody(body_id=0, name=name, theta=np.zeros(10), welded=True)
-    theta = plan_write_back(payload.body.theta, [empty_body]).theta
+    theta = plan_write_back(payload.theta, [empty_body]).theta
     comment = f"{text} at {flange.name}"
     return BodyChange(name, robot.body_id, theta, comment, flange)
 

@@ -249,11 +249,10 @@ def test_a_saved_result_is_that_of_the_command(workshop, result, tmp_path):
     files = result.save(tmp_path / "out")
     assert {path.name for path in files} == {"params.json", "updated_model.xml"}
     written = rs.load_robot_model(tmp_path / "out" / "updated_model.xml")
-    file = result.file
-    assert written.prior.mass == pytest.approx(file.thetas[-1][0], rel=1e-9)
-    assert written.friction.coulomb[-1] == pytest.approx(
-        file.joints["joint3"]["coulomb"]
-    )
+    mass = result.quantity("mass", result.robot.body_name, "file").value
+    assert written.prior.mass == pytest.approx(mass, rel=1e-9)
+    coulomb = result.quantity("coulomb", "joint3", "file").value
+    assert written.friction.coulomb[-1] == pytest.approx(coulomb)
 
 
 def test_a_result_of_arrays_is_saved_with_the_data_of_its_report(
@@ -273,7 +272,8 @@ def test_a_spec_has_the_result_in_it(result):
     assert compiled.body_subtreemass[result.robot.body_id] == pytest.approx(
         file.thetas[-1][0]
     )
-    coulomb = [file.joints[joint]["coulomb"] for joint in result.robot.joint_names]
+    joints = result.robot.joint_names
+    coulomb = [result.quantity("coulomb", joint, "file").value for joint in joints]
     np.testing.assert_allclose(
         compiled.dof_frictionloss[result.robot.dof_index], coulomb
     )

@@ -50,11 +50,11 @@ def test_a_payload_is_given_in_the_flange_frame_with_its_errors(result_and_file)
     file = result.file
     after = file.validation_after.relative_error
     assert after < file.validation_before.relative_error
-    body = payload.body
+    body = payload
     theta = body.theta
     assert np.max(np.abs(theta - FLANGE.to_flange(PAYLOAD)) / body.errors) < 4.0
-    assert body.errors[0] < 0.03 and result.body is body
-    difference = payload.total.theta - result.links["link3"].theta
+    assert body.errors[0] < 0.03 and result.body is payload
+    difference = result.total.theta - result.links["link3"].theta
     assert_allclose(FLANGE.to_flange(difference), theta, atol=1e-12)
     names = {"empty": ("log0", "log3"), "loaded": ("log1", "log2")}
     assert payload.recordings == names
@@ -92,7 +92,7 @@ def test_scales_that_change_when_the_payload_comes_on_are_within_the_error():
 def test_a_refused_payload_has_one_error_of_its_mass(recordings):
     swapped = [replace(log, is_loaded=not log.is_loaded) for log in recordings]
     result, _ = result_of(swapped)
-    body = result.payload.body
+    body = result.payload
     assert result.verdict is Verdict.SWAPPED
     assert result.remarks[0].text.endswith(with_error(body.mass, body.errors[0], "kg"))
 
@@ -107,11 +107,11 @@ def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
     assert result.verdict is Verdict.INERTIA_NOT_KNOWN and result.verdict.is_trustworthy
     expected = spatial.aluminium_ball(theta[0], theta[1:4] / theta[0])
     assert_allclose(theta, expected, atol=1e-12)
-    difference = payload.total.theta - result.links["link3"].theta
+    difference = result.total.theta - result.links["link3"].theta
     carried = [file.by_name[f"{name}(payload)"] for name in spatial.PARAMETER_NAMES]
     for body in (difference, np.array(carried)):
         assert_allclose(FLANGE.to_flange(body), theta, atol=1e-12)
-    for body in (payload.body, payload.total):
+    for body in (payload, result.total):
         assert np.all(np.isinf(body.errors) == (np.arange(10) >= 4))
     texts = [remark.text for remark in result.remarks]
     (note,) = [text for text in texts if "differ significantly from zero" in text]

@@ -146,7 +146,7 @@ def text_of(body, choice="auto", path="m.xml"):
     """The text of payload_card.txt for an arm in a file of this name."""
     flange = replace(FLANGE, note="found by name")
     recordings = {"empty": ("a",), "loaded": ("b", "c")}
-    payload = Payload(flange, body, body, recordings)
+    payload = Payload(**vars(body), flange=flange, recordings=recordings)
     arm = replace(made.ARM, path=Path(path))
     return card_text(payload, number_groups(body), arm, choice)
 

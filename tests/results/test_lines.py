@@ -173,8 +173,7 @@ def test_a_file_that_only_predicts_torques_says_for_what_it_may_be_used():
 def test_a_result_that_is_not_usable_has_one_sentence_with_the_reason(verdict):
     for result in (made.found(verdict=verdict), made.payload(verdict=verdict)):
         sentence = verdict_line(result)
-        assert (
-            sentence.startswith("Not usable: no model ") and verdict.value in sentence
-        )
+        assert sentence.startswith("Not usable: no model ")
+        assert verdict.remark().text in sentence
     refused = verdict_line(made.found(), "the disk is gone")
     assert refused == "Not usable: the disk is gone"

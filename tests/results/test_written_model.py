@@ -106,20 +106,19 @@ def file_of(robot, thetas=None, joints=None, gravity=None):
     return made.model_file(thetas=thetas, joints=joints or {}, gravity=gravity)
 
 
-def payload_of(robot, theta, flange_position=None, link=None):
-    """A payload with the parameters theta (10,) in the flange frame, and a terminal link."""
+def payload_of(robot, theta, flange_position=None):
+    """A payload with the parameters theta (10,) in the flange frame."""
     flange = find_flange(robot, flange_position)
-    link = robot.prior.theta if link is None else link
-    total = body_estimate(link + flange.from_flange(theta))
-    names = {"empty": ("a",), "loaded": ("b", "c")}
-    return record.Payload(flange, body_estimate(theta), total, names)
+    recordings = {"empty": ("a",), "loaded": ("b", "c")}
+    body = vars(body_estimate(theta))
+    return record.Payload(**body, flange=flange, recordings=recordings)
 
 
 def result_of(robot, theta=None, file=None, payload=None, **changes):
     """A result with the parameters theta (10,) of the terminal link, by default the model's own."""
     theta = robot.prior.theta if theta is None else theta
     link = record.BodyEstimate(theta, robot.body_name)
-    fields = {"robot": robot, "verdict": record.Verdict.OK, "links": {"": link}}
+    fields = {"robot": robot, "verdict": record.Verdict.OK, "total": link}
     fields |= {"file": file, "payload": payload, **changes}
     return made.found(**fields)
 
@@ -174,7 +173,8 @@ def test_a_payload_becomes_a_body_of_its_own(robots, suffix, flange_position):
     load = mj_model.body("load & co")
     assert_same_theta(body_theta(mj_model, load.id), theta)
     assert mj_model.body(int(load.parentid[0])).name == robot.body_name
-    assert_same_theta(terminal_composite(mj_model, robot), payload.total.theta)
+    total = robot.prior.theta + payload.flange.from_flange(theta)
+    assert_same_theta(terminal_composite(mj_model, robot), total)
 
 
 @SUFFIXES
@@ -186,7 +186,7 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
     robot = robots[suffix]
     rng = np.random.default_rng(3)
     link = robot.prior.theta + random_theta(rng, 0.4)
-    payload = payload_of(robot, some_payload(rng), link=link)
+    payload = payload_of(robot, some_payload(rng))
     file = None
     thetas = robot.thetas
     if with_file:  # what it says of the terminal link counts, not what the payload does
@@ -200,7 +200,7 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
     bare_link = (
         link if with_file else robot.prior.theta
     )  # without a file the model's own stays
-    expected = bare_link + payload.flange.from_flange(payload.body.theta)
+    expected = bare_link + payload.flange.from_flange(payload.theta)
     assert_same_theta(terminal_composite(mj_model, robot), expected)
     if name is not None and with_file:
         assert "without the payload" in path.read_text()
