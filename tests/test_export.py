@@ -29,9 +29,7 @@ from robot_sysid.export import RESULT_NAMES, save
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.file_access import json_text
 from robot_sysid.results import content as rows
-from robot_sysid.results.cards import load_errors, number_groups
-from robot_sysid.results.quantities import BEYOND
-from robot_sysid.results.record import BOUND, FILE, Quantity, Verdict
+from robot_sysid.results.record import FILE, Verdict
 from tests.results.test_written_model import checkpoints, payload_of, result_of
 
 THETA = random_theta(np.random.default_rng(1), 2.0)
@@ -260,30 +258,6 @@ def content_of(result, card=None, notes=()):
     return content
 
 
-def number(content, name, of, is_file=False):
-    """The only row with a name of a body or joint: the identified one, or the file's."""
-    rows = [
-        row for row in content["quantities"] if (row["name"], row["of"]) == (name, of)
-    ]
-    (row,) = [row for row in rows if (row["source"] == FILE) is is_file]
-    return row
-
-
-def assert_holds(content, expected):
-    """Check that values are equal, each by its path: ``file/before`` or ``mass of link6/value``."""
-    for path, expected_value in expected.items():
-        value = content
-        first, *keys = path.split("/")
-        name, _, of = first.partition(" of ")
-        if of:
-            value = number(content, name, of)
-        else:
-            keys = [first, *keys]
-        for key in keys:
-            value = value[int(key) if key.isdigit() else key]
-        assert value == expected_value, path
-
-
 @pytest.mark.parametrize(
     "result", [made.found(), made.whole(), made.payload(), made.itself()]
 )
@@ -303,81 +277,6 @@ def test_reading_back_gives_the_same_bits(tmp_path_factory, seed):
     result = made.found(made.estimate(values=np.append(theta, made.VALUES[10:])))
     path.write_text(json_text(rows.content_of(result)), encoding="utf-8")
     assert_array_equal(made.theta_in(path), theta)
-
-
-def test_the_specified_keys_hold_the_terminal_link_and_the_others_what_the_run_was():
-    content = content_of(made.found())
-    specified = {
-        "mass": 2,
-        "coulomb_friction": 0.4,
-        "viscous_friction": 0.1,
-        "rmse": 0.03,
-    }
-    specified |= {"condition_number": 50, "n_base_params": 12}
-    assert content == {**content, **specified}
-    assert_holds(content, {"question": "link", "failure": None})
-    expected = {
-        "mass of link6/source": "model",
-        "viscous of j6/source": "data",
-        "status": "TOO_WEAK",
-        "unidentifiable": ["mass"],
-        "mass of link6/error": None,
-    }
-    result = made.found(made.without_mass(), verdict=Verdict.TOO_WEAK)
-    content = content_of(result)
-    assert_holds(content, expected)
-    assert list(content["valid"].values()) == [True, False, False]
-    frictionless = made.found(quantities=())
-    assert content_of(frictionless)["viscous_friction"] is None
-    origin = {"source": "simulation of the model itself", "seed": 1}
-    origin |= {"duration": 15, "sample_rate": 1000}
-    assert_holds(content_of(made.itself()), origin)
-
-
-def test_what_is_not_finite_is_null_everywhere():
-    result = made.without_mass()
-    quality = replace(result.quality, condition_number=np.inf, rmse=np.float64("nan"))
-    result = result._replace(quality=quality)
-    zero = Quantity("zero", "j6", "rad", None, 0.0, np.nan, BOUND)
-    found = made.found(result)
-    content = content_of(replace(found, quantities=(*found.quantities, zero)))
-    expected = {
-        "condition_number": None,
-        "rmse": None,
-        "zero of j6/error": None,
-        "zero of j6/value": 0.0,
-        "mass of link6/error": None,
-        "com_x of link6/error": None,
-    }
-    assert_holds(content, expected)
-    assert number(content, "Ixx", "link6")["error"] > 0.0
-
-
-def test_links_joints_and_the_file_stand_beside_the_models():
-    content = content_of(made.whole(), notes=("another",))
-    expected = {
-        "mass of link6/value": approx(2.0),
-        "mass of link6/model": approx(1.0),
-        "mass of link6/error": approx(2e-3),
-        "mass of link6/unit": "kg",
-        "mass of link6/reason": "the other links' parameters",
-        f"mass of {BEYOND}/value": approx(1.0),
-        "file/before/relative_error": 0.27,
-        "file/after/relative_error": 0.0025,
-        "file/others/0/before/relative_error": 0.3,
-        "file/others/0/after/rmse": 0.05,
-        "file/gravity": [0.0, 0.1, -9.8],
-        "file/kept": ["rotor inertia"],
-        "coulomb of j5/error": approx(5e-4),
-        "viscous of j5+j6/value": 0.05,
-        "remarks/1/remedy": "weigh it",
-    }
-    assert_holds(content, expected)
-    texts = [remark["text"] for remark in content["remarks"]]
-    assert texts[2:] == ["a note", "another"]
-    expected = {("mass", "link5"): 3.0, ("mass", "link6"): 1.8, ("viscous", "j5"): 0.25}
-    for key, value in expected.items():
-        assert number(content, *key, is_file=True)["value"] == approx(value)
 
 
 def test_every_number_has_one_row():
@@ -401,33 +300,3 @@ def test_every_formula_is_the_column_of_its_term():
         assert_allclose(
             column, TERMS[term].torque(np.sign(qd), qd, qd, load), rtol=1e-12
         )
-
-
-def test_a_payload_stands_between_the_link_without_and_with_it():
-    result = made.payload(known_mass=2.0, torque_scale=[("j5", 1.02)])
-    content = content_of(result, number_groups(result.body))
-    expected = {
-        "question": "payload",
-        "mass": 2.0,
-        "mass of payload/value": 1.2,
-        "mass of payload/error": approx(0.01),
-        "mass of payload/reason": "the torque scales",
-        "com_z of payload/error": approx(load_errors(made.body())[3]),
-        "mass of link6/value": 0.8,
-        "mass of link6 with payload/value": 2.0,
-        "torque_scale of j5/value": 1.02,
-        "payload/flange/name": "site 'flange'",
-        "payload/flange/terminal": "link6",
-        "payload/recordings": {"empty": ["a.csv"], "loaded": ["b.csv", "c.csv"]},
-        "payload/known_mass": 2.0,
-        "payload/card/kg": 1.2,
-    }
-    assert_holds(content, expected)
-    expected = {
-        "Ixx of payload/error": None,
-        "Ixx of payload/source": "model",
-        "valid/all_identified": False,
-    }
-    assert_holds(content_of(made.payload(made.body(shown=False))), expected)
-    expected = {"valid/physically_consistent": False}
-    assert_holds(content_of(made.payload(made.body(-1.0))), expected)

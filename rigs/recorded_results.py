@@ -1,0 +1,134 @@
+"""What is printed and written of made-up results, as it is recorded in tests/results/recorded.
+
+    python -m rigs.recorded_results
+
+records it anew.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rigs import results as made
+from rigs.places import ROOT
+from robot_sysid.records.messages import Detail
+from robot_sysid.results.cards import number_groups
+from robot_sysid.results.content import content_of
+from robot_sysid.results.lines import block_lines, more_lines, verdict_line
+from robot_sysid.results.quantities import BEYOND, MOMENT
+from robot_sysid.results.record import BOUND, DATA, MODEL, Quantity, Result, Verdict
+from robot_sysid.results.table import beyond_line
+
+FOLDER = ROOT / "tests" / "results" / "recorded"
+
+
+def with_rows(*rows: Quantity) -> Result:
+    """The usual result with further rows."""
+    found = made.found()
+    return replace(found, quantities=(*found.quantities, *rows))
+
+
+def bolted_on(mass: float, error: float) -> Result:
+    """A result with a mass [kg] beyond the model, 0.1 m from the frame of the link."""
+    source = DATA if np.isfinite(error) else MODEL
+    return with_rows(
+        Quantity(MOMENT, BEYOND, "kg·m", None, 0.1 * abs(mass), 0.1 * error),
+        Quantity("mass", BEYOND, "kg", None, mass, error, source),
+        *(Quantity(f"com_{x}", BEYOND, "m", None, 0.1, 0.01) for x in "xyz"),
+    )
+
+
+FILE = made.model_file(other_validations=())
+UNSEEN = made.found(made.without_mass(), verdict=Verdict.PARTLY_FROM_MODEL)
+RESULTS = {
+    "every link, with its file": made.whole(),
+    "last link": made.found(validation=(made.validation_of(0.05),)),
+    "mass not shown": UNSEEN,
+    "mass not known": made.found(made.with_value("m", 2.0, 1.2), file=FILE),
+    "as good before": made.found(verdict=Verdict.AS_GOOD, file=FILE),
+    "torques only": made.found(verdict=Verdict.TORQUES_ONLY),
+    "payload": made.payload(),
+    "payload without inertia": made.payload(made.body(shown=False)),
+    "impossible payload": made.payload(made.body(-1.0), verdict=Verdict.SWAPPED),
+    "known mass": made.payload(known_mass=2.0, torque_scale=[("j5", 1.02)]),
+    "self-test": made.itself(),
+    "without friction, not finite": replace(
+        made.found(
+            quantities=(Quantity("zero", "j6", "rad", None, 0.0, np.nan, BOUND),)
+        ),
+        quality=replace(made.QUALITY, condition_number=np.inf),
+    ),
+}
+"""Name of a case to its result."""
+WRITTEN = (
+    "every link, with its file",
+    "mass not shown",
+    "payload without inertia",
+    "known mass",
+    "self-test",
+    "without friction, not finite",
+)
+"""Cases whose params.json is recorded."""
+BOLTED_ON = ((0.5, 0.09), (0.5, 0.15), (0.1, 0.1), (-0.5, 0.1), (0.5, np.inf))
+"""Masses beyond the model and their errors: seen, not known, nothing, less, not shown [kg]."""
+
+
+def console(result: Result) -> str:
+    """Return the printed lines of a result; those of --verbose begin with "-v"."""
+    content = content_of(result)
+    lines = [*block_lines(content, False), *more_lines(content), verdict_line(content)]
+    if "j5+j6" in {row.of for row in result.quantities}:
+        lines = [*block_lines(content, True), "", *lines]
+    return "\n".join(f"-v {x}" if isinstance(x, Detail) else x for x in lines)
+
+
+def consoles() -> str:
+    """Return the printed lines of all cases."""
+    texts = [f"== {name}\n{console(result)}\n" for name, result in RESULTS.items()]
+    lines = [beyond_line(content_of(bolted_on(*numbers))) for numbers in BOLTED_ON]
+    return "\n".join([*texts, "== bolted on", *lines, ""])
+
+
+def rounded(value: Any) -> Any:
+    """Return JSON with numbers of nine digits, zero below 1e-12."""
+    if isinstance(value, dict):
+        return {key: rounded(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [*map(rounded, value)]
+    return float(f"{round(value, 12):.9g}") if isinstance(value, float) else value
+
+
+def params() -> str:
+    """Return the params.json of some cases, a line per key or row, without versions."""
+    lines = []
+    for name in WRITTEN:
+        payload = RESULTS[name].payload
+        card = payload and number_groups(payload)
+        content = {**content_of(RESULTS[name], card, ("another",)), "versions": None}
+        lines.append(f"== {name}")
+        for key, value in content.items():
+            entries = value if key in ("quantities", "remarks") else [value]
+            texts = [
+                json.dumps(rounded(entry), ensure_ascii=False) for entry in entries
+            ]
+            lines += [f"{key}: {text}" for text in texts]
+    return "\n".join([*lines, ""])
+
+
+RECORDED = {"consoles.txt": consoles, "params.txt": params}
+"""Name of a recorded file to what makes its text."""
+
+
+def main() -> None:
+    """Record all cases."""
+    FOLDER.mkdir(exist_ok=True)
+    for name, text in RECORDED.items():
+        (FOLDER / name).write_text(text(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
