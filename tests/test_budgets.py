@@ -29,12 +29,12 @@ BUDGETS = {
     "robot_sysid/pipeline": 7177,
     "robot_sysid/records": 10257,
     "robot_sysid/report": 4960,
-    "robot_sysid/results": 10542,
+    "robot_sysid/results": 10501,
     "robot_sysid/servo": 4852,
     "robot_sysid/signals": 5279,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10628,
-    "tests": 224161,
+    "tests": 224190,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

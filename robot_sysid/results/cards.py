@@ -192,17 +192,18 @@ def round_to_errors(
     return rounded
 
 
-def plain(value: float) -> str:
-    """Return a number as text of ``DIGITS`` digits without exponent, which not all targets read."""
-    text = np.format_float_positional(value, DIGITS, fractional=False, trim="0")
-    return "0.0" if float(text) == 0.0 else text
-
-
 def join_numbers(values: float | Sequence[float], separator: str = ", ") -> str:
-    """Return a number, or several with a separator between them, without exponent."""
-    return separator.join(map(plain, np.ravel(values).tolist()))
+    """Return a number, or several with a separator between them, of ``DIGITS`` digits.
+
+    They are without exponent, which not all targets read.
+    """
+    texts = []
+    for value in np.ravel(values).tolist():
+        text = np.format_float_positional(value, DIGITS, fractional=False, trim="0")
+        texts.append("0.0" if float(text) == 0.0 else text)
+    return separator.join(texts)
 
 
 def _number_with_error(value: float, error: float) -> str:
     """Return a number, and its standard error where that is known."""
-    return with_error(value, error) if math.isfinite(error) else plain(value)
+    return with_error(value, error) if math.isfinite(error) else join_numbers(value)

@@ -259,13 +259,10 @@ def _write(
     without_new = replace(change, bodies=old_bodies, elements=old)
     path = target.path
     try:
-        draft = _write_draft(robot.path, without_new, target)
-        written_model = verification.verify_written_model(
-            robot.mj_model, draft, without_new
-        )
+        written_model = _compiled_draft(robot.path, without_new, target)
+        verification.require_change(robot.mj_model, written_model, without_new)
         if len(old_bodies) < len(change.bodies) or len(old) < len(elements):
-            draft = _write_draft(robot.path, change, target)
-            written_model = verification.compiled_draft(draft)
+            written_model = _compiled_draft(robot.path, change, target)
         verification.require_reproduction(
             robot, thetas, change, written_model, target.checkpoints, path
         )
@@ -274,11 +271,11 @@ def _write(
         raise
 
 
-def _write_draft(source: Path, change: ModelChange, target: ModelTarget) -> Path:
-    """Write a changed model file as the target's draft, and return where the draft is."""
+def _compiled_draft(source: Path, change: ModelChange, target: ModelTarget) -> Any:
+    """Write a changed model file as the target's draft, and return its ``MjModel``."""
     folder = target.path.absolute().parent
     text = changed_model_text(source, change, folder, target.mesh_dir)
-    return target.files.write(target.path, text)
+    return verification.compiled_file(target.files.write(target.path, text))
 
 
 def _emptied_actuators(

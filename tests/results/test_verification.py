@@ -28,11 +28,11 @@ from robot_sysid.model.bodies import body_theta, subtree_bodies
 from robot_sysid.model.compilation import compile_model
 from robot_sysid.parser import load_robot_model
 from robot_sysid.results.verification import (
+    compiled_file,
     require_change,
     require_reproduction,
     require_same_model,
     require_theta,
-    verify_written_model,
 )
 
 # Damping ratios came with MuJoCo 3.1.
@@ -164,12 +164,12 @@ def test_a_file_that_does_not_load_or_was_tampered_with_is_refused(tmp_path):
     body = original.body("link2").id
     change = ModelChange((BodyChange("link2", body, THETA),), 0.0)
     with pytest.raises(ExportError, match="'link2' has an inertia that is off"):
-        verify_written_model(original, source, change)
+        require_change(original, compiled_file(source), change)
     source.write_text(FULL.replace('axis="1 0 0"', 'axis="0 0 0"'))
     with pytest.raises(
         ExportError, match="the written model cannot be loaded: MuJoCo cannot"
     ):
-        verify_written_model(original, source, change)
+        require_change(original, compiled_file(source), change)
 
 
 def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_path):
@@ -181,11 +181,11 @@ def test_gravity_may_differ_only_where_it_was_written_and_only_as_written(tmp_pa
         ((1e-8, 0.0, -9.8), "has another opt.gravity"),
     ):
         with pytest.raises(ExportError, match=message):
-            verify_written_model(
-                original, source, ModelChange((), 0.0, gravity=gravity)
+            require_change(
+                original, compiled_file(source), ModelChange((), 0.0, gravity=gravity)
             )
-    verify_written_model(
-        original, source, ModelChange((), 0.0, gravity=(0.0, 0.0, -9.8))
+    require_change(
+        original, compiled_file(source), ModelChange((), 0.0, gravity=(0.0, 0.0, -9.8))
     )
 
 
@@ -217,7 +217,9 @@ def test_a_joint_or_actuator_without_its_new_number_is_refused_by_name(
     text = FULL.replace('"j1"', '"j{1}"').replace(RATIO, "")
     source = write_files(tmp_path, {"m.xml": text})
     with pytest.raises(ExportError, match=re.escape(message)):
-        verify_written_model(model(text), source, ModelChange((), 0.0, (change,)))
+        require_change(
+            model(text), compiled_file(source), ModelChange((), 0.0, (change,))
+        )
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +254,8 @@ def test_any_possible_link_moves_as_predicted_once_written_and_loaded(
     text = changed_model_text(three_joints.path, change, three_joints.path.parent)
     written_path = three_joints.path.with_name("written.xml")
     written_path.write_bytes(text)
-    mj_model = verify_written_model(three_joints.mj_model, written_path, change)
+    mj_model = compiled_file(written_path)
+    require_change(three_joints.mj_model, mj_model, change)
     thetas = three_joints.thetas
     thetas[-1] = write_back.composite
     require_reproduction(
