@@ -332,12 +332,12 @@ def _numbered_element(document: ModelDocument, change: ElementChange) -> Node:
     """
     children = document.root.iterfind(f"{change.kind}/*")
     node = next(islice(children, change.owner, None), None)
-    tags = ("fixed",)
+    is_actuator = change.kind == "actuator"
+    tags = ("position", "pid", "general") if is_actuator else ("fixed",)
     fault = " as a <fixed>"
-    if change.kind == "actuator":
-        tags = ("position", "pid", "general")
+    if is_actuator:
         fault = ", or gets gains and is no <position>, <pid> or <general>"
-    is_any = change.kind == "actuator" and "kp" not in change.numbers
+    is_any = is_actuator and "kp" not in change.numbers
     if node is None or not (is_any or node.tag in tags):
         raise ExportError(
             f"{document.path}: {change.kind} number {change.owner} is not written out in the file"
