@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -33,12 +33,28 @@ def _decay(exponent: Array) -> Array:
     return np.exp(-np.minimum(exponent, 200.0))
 
 
-def _fading(name: str, speed: float) -> Parameter:
+class FrictionTerm(Parameter):
+    """An entry of ``TERMS``, or that of a joint or motor.
+
+    It is pickled by its name, as results are: a function without a name cannot be.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how pickle makes the object again: from the table."""
+        return _term_of, (self.name, self.of, self.is_slide)
+
+
+def _term_of(name: str, owner: str, is_slide: bool) -> Parameter:
+    """Return the parameter of a joint or motor by the name of its term."""
+    return TERMS[name].at(owner, is_slide)
+
+
+def _fading(name: str, speed: float) -> FrictionTerm:
     """Return friction that fades with speed, of which 1/e is left at a speed [rad/s].
 
     A sum of several approximates any friction that falls with speed.
     """
-    return Parameter(
+    return FrictionTerm(
         name,
         units=_TORQUE,
         formula=f"sign(qd) * exp(-abs(qd) / {speed:g})",
@@ -49,7 +65,7 @@ def _fading(name: str, speed: float) -> Parameter:
     )
 
 
-COULOMB = Parameter(
+COULOMB = FrictionTerm(
     "coulomb",
     "Coulomb friction",
     _TORQUE,
@@ -60,7 +76,7 @@ COULOMB = Parameter(
     attribute="frictionloss",
 )
 """Dry friction, the same at any speed."""
-VISCOUS = Parameter(
+VISCOUS = FrictionTerm(
     "viscous",
     "viscous friction",
     ("N·m·s/rad", "N·s/m"),
@@ -70,7 +86,7 @@ VISCOUS = Parameter(
     attribute="damping",
 )
 """Friction in proportion to speed."""
-OFFSET = Parameter(
+OFFSET = FrictionTerm(
     "offset",
     "torque offset",
     _TORQUE,
@@ -79,7 +95,7 @@ OFFSET = Parameter(
     is_friction=False,
 )
 """Offset of a sensor of torque or current, which no file holds."""
-ROTOR = Parameter(
+ROTOR = FrictionTerm(
     "armature",
     "rotor inertia",
     ("kg·m²", "kg"),
@@ -92,7 +108,7 @@ ROTOR = Parameter(
 """Rotor inertia, seen through the gear."""
 _OTHERS = (
     # It bends the curve of friction, either way.
-    Parameter(
+    FrictionTerm(
         "sqrt",
         units=("N·m·√(s/rad)", "N·√(s/m)"),
         formula="sign(qd) * sqrt(abs(qd))",
@@ -104,7 +120,7 @@ _OTHERS = (
     _fading("fading", 0.13),
     _fading("fading_slow", 0.4),
     # Breakaway above Coulomb friction.
-    Parameter(
+    FrictionTerm(
         "stribeck",
         "Stribeck friction",
         _TORQUE,
@@ -114,7 +130,7 @@ _OTHERS = (
         lower=0.0,
     ),
     # Share of its load that a gear loses: with half of it, the gear would lock backwards.
-    Parameter(
+    FrictionTerm(
         "load",
         formula="sign(qd) * abs(load)",
         torque=lambda sign, qd, qdd, load: sign * np.abs(load),
@@ -124,7 +140,7 @@ _OTHERS = (
         prior=1.0,
     ),
     # Coulomb friction with a smooth reversal.
-    Parameter(
+    FrictionTerm(
         "sigmoid",
         units=_TORQUE,
         formula="tanh(qd / 0.05)",
@@ -133,7 +149,7 @@ _OTHERS = (
         lower=0.0,
     ),
 )
-TERMS: Mapping[str, Parameter] = {
+TERMS: Mapping[str, FrictionTerm] = {
     term.name: term for term in (COULOMB, VISCOUS, OFFSET, ROTOR, *_OTHERS)
 }
 """Name of each friction term to what it is."""

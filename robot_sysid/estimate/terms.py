@@ -176,9 +176,13 @@ class Term:
         return replace(
             self,
             parameters=tuple(self.parameters[k] for k in at),
-            columns=lambda rows, point: self.columns(rows, point)[:, :, at],
+            columns=partial(self._columns_at, at),
             reference=self.reference[at],
         )
+
+    def _columns_at(self, at: Sequence[int], rows: Rows, point: Point) -> Array:
+        """Return some of the columns, as a function that can be pickled with a result."""
+        return self.columns(rows, point)[:, :, at]
 
 
 class ArmTerms:

@@ -21,6 +21,11 @@ Torque = Callable[[Array, Array, Array, Array], Array]
 accelerations [rad/s^2] and loads of the gear [N m], arrays of one shape."""
 
 
+def _no_torque(sign: Array, qd: Array, qdd: Array, load: Array) -> Array:
+    """Return zeros: what is neither friction nor rotor has no torque of its own joint's motion."""
+    return 0.0 * qd
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One number of an arm; an entry of a table is that of any joint (``at``).
@@ -47,7 +52,7 @@ class Parameter:
     label: str = ""
     units: tuple[str, ...] = ("",)
     formula: str = ""
-    torque: Torque = lambda sign, qd, qdd, load: 0.0 * qd
+    torque: Torque = _no_torque
     is_dry: bool = False
     is_friction: bool = True
     lower: float = -np.inf
