@@ -12,8 +12,8 @@ from robot_sysid.records import Array
 
 
 @dataclass(frozen=True)
-class Recording:
-    """A recording read back.
+class MotorLog:
+    """A recording of motors, read back.
 
     Attributes:
         head: the comment lines above the rows, without their mark.
@@ -43,4 +43,4 @@ def read_recording(path):
     titles = rows[0].split(",")
     assert titles[0] == "time"
     table = table.reshape(-1, len(titles))
-    return Recording(tuple(head), ending, dict(zip(titles, table.T)))
+    return MotorLog(tuple(head), ending, dict(zip(titles, table.T)))

@@ -22,7 +22,7 @@ BUDGETS = {
     "robot_sysid/diagnosis": 16659,
     "robot_sysid/dynamics": 3298,
     "robot_sysid/estimate": 29235,
-    "robot_sysid/logs": 14564,
+    "robot_sysid/logs": 14553,
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,
     "robot_sysid/motion": 14850,

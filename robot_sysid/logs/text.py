@@ -293,13 +293,13 @@ def _is_mostly_numbers(cells: Sequence[str]) -> bool:
     return 2 * count > len(cells)
 
 
-# Quantity, as titles end in it, to attribute of a recording.
-_ATTRIBUTES = {
-    "position": "q",
-    "velocity": "qd",
-    "torque": "tau",
-    "acceleration": "qdd",
-    "time": "joint_time",
+# Name of samples in a recording to the quantity, as titles end in it.
+_QUANTITIES = {
+    "q": "position",
+    "qd": "velocity",
+    "tau": "torque",
+    "qdd": "acceleration",
+    "joint_time": "time",
 }
 
 
@@ -313,13 +313,13 @@ def write_measurement_csv(
     """
     with atomic_file(path) as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        quantities: list[str] = []
+        titles: list[str] = []
         for chunk in chunks:
-            if not quantities:
-                pairs = _ATTRIBUTES.items()
-                quantities = [q for q, a in pairs if getattr(chunk, a) is not None]
-                titles = [f"{j}_{q}" for q, j in product(quantities, joint_names)]
+            names = [name for name in chunk.arrays() if name in _QUANTITIES]
+            if not titles:
+                pairs = product(names, joint_names)
+                titles = ["time", *(f"{j}_{_QUANTITIES[name]}" for name, j in pairs)]
                 # The name of a joint may hold ends of lines.
-                writer.writerow(re.sub(r"[\r\n]", " ", t) for t in ("time", *titles))
-            values = [getattr(chunk, _ATTRIBUTES[q]) for q in quantities]
+                writer.writerow(re.sub(r"[\r\n]", " ", title) for title in titles)
+            values = [getattr(chunk, name) for name in names]
             writer.writerows(np.column_stack((chunk.time, *values)).tolist())
