@@ -13,22 +13,29 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 
-from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES, gravity_vector
+from robot_sysid.dynamics.inverse_dynamics import (
+    TILT_NAMES,
+    LinksMotion,
+    gravity_vector,
+)
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.offers import Effect, Offer
 from robot_sysid.estimate.rows import Rows
-from robot_sysid.estimate.terms import SCALES, ArmTerms, Point, Term
+from robot_sysid.estimate.terms import PAYLOAD_NAMES, SCALES, Point, Term
+from robot_sysid.estimate.trust import UNEXPLAINED
 from robot_sysid.records import Array
+from robot_sysid.records.levels import CLEAR
 from robot_sysid.records.messages import Level, position_unit, torque_unit, with_error
 from robot_sysid.records.parameters import SCALE, ZERO, Parameter
 from robot_sysid.spatial import PARAMETER_NAMES, parameter_scale
 from robot_sysid.wording import option_name
 
-INERTIAL = "inertial torque"
+INERTIAL = "inertia"
 """Name of the column of the links' torque without their weight."""
 TIME = 0.5
 """Relative error of time per relative change of inertial torque: accelerations and squared speeds
@@ -40,6 +47,8 @@ HUM = ("cosine of time", "sine of time")
 NEIGHBOURS = ("torque of joint before", "torque of joint after")
 LAST_WEIGHT = tuple(f"weight of last {name}" for name in PARAMETER_NAMES[:4])
 FORCE = tuple(f"force {axis} {name}" for name in PARAMETER_NAMES[:4] for axis in "xyz")
+SHAPES = ("force", "contact", "crosstalk")
+"""Checks whose causes at one joint are torque of any shape."""
 # Numbers of units that are no SI units.
 _UNITS = {"%": 100.0, "ms": 1e3, "degrees": np.degrees(1.0)}
 # Words of a text for a positive number, and for a negative one.
@@ -63,7 +72,7 @@ class Explanation:
         level: level of the finding, where a result without the explanation would be wrong.
         sizes: least and largest number that exists.
         is_norm: whether the number is the Euclidean norm of the first three values, not the first.
-        factor: the number is the first value times it.
+        factor: the number is the value times it.
         relative_error: of the number, beside the standard error of the fit.
         choices: number of similar explanations that are tried, of which only the best one counts.
         log: name of the only log in which it acts; "" for all.
@@ -87,48 +96,98 @@ class Explanation:
         """The check, the words and the log; a finding names each subject once."""
         return self.check, self.text.partition("{instant}")[0], self.log
 
-    def number(self, offer: Offer) -> tuple[float, float]:
-        """Return the number that an offer gives, and its standard error."""
-        value = float(offer.values[0])
-        error = float(offer.errors[0])
-        if self.is_norm:
-            value = float(np.linalg.norm(offer.values[:3]))
-            error = float(np.max(offer.errors[:3]))
-        return self.factor * value, self.factor * error
+    @property
+    def is_shape(self) -> bool:
+        """Whether it is torque of a shape at one joint, which may stand for other terms."""
+        return self.check in SHAPES and self.effect.joint is not None
 
-    def distance(self, offer: Offer) -> float:
-        """Return an offer's number in its own errors; zero where it is of no size that exists."""
-        value, error = self.number(offer)
-        least, largest = self.sizes
-        if not least < value < largest:
-            return 0.0
-        # What has no single number is judged by all its values.
-        if self.is_norm or "{value}" not in self.text:
-            return offer.distance
-        return abs(value) / max(error, 1e-300)
 
-    def describe(self, offer: Offer) -> tuple[str, str]:
-        """Return (text, remedy) with the number of an offer."""
-        value, error = self.number(offer)
-        size = _UNITS.get(self.unit, 1.0)
-        error = size * float(np.hypot(error, self.relative_error * value))
-        number = with_error(size * abs(value), error, self.unit)
+@dataclass(frozen=True)
+class Score:
+    """An explanation, and what a fit says of it.
 
-        def fill_in(template: str) -> str:
-            """Return a text with the number and the words for its sign."""
-            words = _BY_SIGN.sub(r"\1" if value > 0.0 else r"\2", template)
-            # Values of other causes, which do not show it, may be below -1.
-            inverse = f"{max(1.0 + offer.values[0], 1e-9) ** -0.5:.3g}"
-            return words.replace("{value}", number).replace("{inverse}", inverse)
+    Attributes:
+        explanation: the fault.
+        offer: its values, and what it leaves.
+        gain: of the offer, minus the log of ``Explanation.choices``.
+        fitted: the fit that it was offered to.
+        distance: its value in its own errors; zero where it is of no size that exists.
+        level: the explanation's where an estimate that ignores it would be wrong, else SAYS.
+        is_reportable: whether it explains enough for a finding.
+        text, remedy: of the explanation, with the number.
+    """
 
-        where = f"in {self.log}, " if self.log else ""
-        return where + fill_in(self.text), fill_in(self.remedy)
+    explanation: Explanation
+    offer: Offer
+    gain: float
+    fitted: Fit
+    distance: float
+    level: Level
+    is_reportable: bool
+    text: str
+    remedy: str
 
-    def in_log(self, fitted: Fit, log: str) -> Explanation:
-        """Return the explanation for one log of several."""
-        mask = fitted.sums.is_of(log).astype(float)
-        shares = mask if self.effect.shares is None else mask * self.effect.shares
-        return replace(self, effect=replace(self.effect, shares=shares), log=log)
+
+def scored(
+    explanation: Explanation, offer: Offer, gain: float, fitted: Fit, errors: Array
+) -> Score:
+    """Return what a fit says of an explanation.
+
+    Args:
+        explanation, offer, gain, fitted: as in ``Score``.
+        errors: standard errors (10,) of what was asked, as they are printed.
+    """
+    value, *_ = offer.values.tolist()
+    error, *_ = offer.errors.tolist()
+    if explanation.is_norm:
+        value = float(np.linalg.norm(offer.values[:3]))
+        error = float(np.max(offer.errors[:3]))
+    least, largest = explanation.sizes
+    distance = abs(value) / max(error, 1e-300)
+    # What has no single number is judged by all its values.
+    if explanation.is_norm or "{value}" not in explanation.text:
+        distance = offer.distance
+    # The torque that is left unexplained without it only, as a share of all torque.
+    sums = fitted.sums
+    left = np.maximum(offer.successive, 0.0) / sums.row_counts
+    explained = np.sum(np.maximum(fitted.unexplained**2 - left, 0.0))
+    share = np.sqrt(explained / np.sum(sums.rms_torque**2))
+    # What was asked may change by more than a standard error. Other terms take less for a shape.
+    change = np.abs(offer.change[fitted.at(asked(fitted))])
+    is_harmful = share > (0.015 if explanation.is_shape else UNEXPLAINED)
+    is_harmful |= not explanation.is_shape and np.any(change > errors)
+    level = explanation.level if is_harmful else Level.SAYS
+    is_of_log = explanation.effect.joint is None
+    is_of_log &= explanation.level is not Level.SAYS
+    # What is as clear as this is noted however small it is.
+    is_clear = gain > 3.0 * CLEAR
+    is_large = level is not Level.SAYS or share > 0.005
+    size = explanation.factor * _UNITS.get(explanation.unit, 1.0)
+    error = float(np.hypot(error, explanation.relative_error * value))
+    number = with_error(size * abs(value), size * error, explanation.unit)
+    # Values of other causes, which do not show it, may be below -1.
+    inverse = f"{max(1.0 + value, 1e-9) ** -0.5:.3g}"
+    sentences = []
+    for template in (explanation.text, explanation.remedy):
+        words = _BY_SIGN.sub(r"\1" if value > 0.0 else r"\2", template)
+        sentences.append(words.replace("{value}", number).replace("{inverse}", inverse))
+    text, remedy = sentences
+    return Score(
+        explanation,
+        offer,
+        gain,
+        fitted,
+        distance if least < value < largest else 0.0,
+        level,
+        is_of_log or is_clear or is_large,
+        f"in {explanation.log}, {text}" if explanation.log else text,
+        remedy,
+    )
+
+
+def asked(fitted: Fit) -> Sequence[str]:
+    """Return the names of the ten parameters that are asked for."""
+    return PAYLOAD_NAMES if fitted.question.loaded else PARAMETER_NAMES
 
 
 # ---- columns beside those of a fit
@@ -137,54 +196,45 @@ class Explanation:
 def beside(fitted: Fit) -> list[Term]:
     """Return the terms whose columns causes need, beside those of every fit."""
     arm = fitted.arm
-    rates = np.zeros(len(arm.joints))
-    residuals = np.nan_to_num(fitted.residuals)
+    robot = arm.robot
     recordings = fitted.recordings
     time = np.concatenate([recording.motion.time for recording in recordings])
     first = np.min(time)
-    for joint, residual in enumerate(residuals.T):
-        rates[joint] = strongest_rate(time - first, residual)
-    eye = np.eye(len(arm.joints))
+    residuals = np.nan_to_num(fitted.residuals)
+    rates = [strongest_rate(time - first, residual) for residual in residuals.T]
 
-    def inertial(rows: Rows, point: Point) -> Array:
-        """Return the torque (m, J, 1) of the links without their weight."""
-        return (arm.links_torque(rows, point) - weight(arm, rows, point))[:, :, None]
+    def of_last(moves: LinksMotion) -> Array:
+        """Return the torque (m, J, 4) of the last link's mass and first moments, one each."""
+        return moves.columns([robot.n_joints - 1])[:, arm.indices, :4]
 
-    def spring(rows: Rows, point: Point) -> Array:
-        """Return each joint's position (m, J, 3), its sine and its cosine."""
-        own = rows.motion.q[:, arm.indices]
-        return np.stack((own, np.sin(own), np.cos(own)), axis=-1)
-
-    def hum(rows: Rows, point: Point) -> Array:
-        """Return waves (m, J, 2) over time, at each joint's own rate."""
-        phases = np.outer(rows.motion.time - first, rates)
-        return np.stack((np.cos(phases), np.sin(phases)), axis=-1)
-
-    def neighbours(rows: Rows, point: Point) -> Array:
-        """Return the links' torque (m, J, 2) of the joint before, and of that after."""
+    def columns(rows: Rows, point: Point) -> Array:
+        """Return the columns (m, J, 25): each cause's own, in the order of the names."""
+        moves = rows.at_rest(robot, point.gravity)
+        weight = moves.torque(point.carried(rows.is_loaded))[:, arm.indices]
         torque = arm.links_torque(rows, point)
-        return np.stack(
-            (torque @ np.eye(len(eye), k=1), torque @ np.eye(len(eye), k=-1)), -1
+        # The weight of one kilogram under a gravity of one along an axis stands for a unit force.
+        forces = np.stack([of_last(rows.at_rest(robot, axis)) for axis in -np.eye(3)])
+        own = rows.motion.q[:, arm.indices]
+        # Waves at each joint's own rate.
+        phases = np.outer(rows.motion.time - first, rates)
+        beside = [torque @ np.eye(len(rates), k=side) for side in (1, -1)]
+        return np.dstack(
+            (
+                torque - weight,
+                weight,
+                of_last(moves),
+                *np.moveaxis(forces, -1, 0).reshape(len(FORCE), *own.shape),
+                own,
+                np.sin(own),
+                np.cos(own),
+                np.cos(phases),
+                np.sin(phases),
+                *beside,
+            )
         )
 
-    def force(rows: Rows, point: Point) -> Array:
-        """Return the torque (m, J, 12) of forces on the last link, and of their offsets."""
-        # The weight of one kilogram under a gravity of one along an axis stands for a unit force.
-        axes = [-last_weight(arm, rows, axis) for axis in np.eye(3)]
-        return np.stack(axes, axis=-1).reshape(len(rows.motion.time), -1, len(FORCE))
-
-    columns = {
-        (INERTIAL,): inertial,
-        (WEIGHT,): lambda rows, point: weight(arm, rows, point)[:, :, None],
-        LAST_WEIGHT: lambda rows, point: last_weight(arm, rows, point.gravity),
-        FORCE: force,
-        SPRING: spring,
-        HUM: hum,
-        NEIGHBOURS: neighbours,
-    }
-    return [
-        Term("", tuple(map(Parameter, names)), make) for names, make in columns.items()
-    ]
+    names = (INERTIAL, WEIGHT, *LAST_WEIGHT, *FORCE, *SPRING, *HUM, *NEIGHBOURS)
+    return [Term("", tuple(map(Parameter, names)), columns)]
 
 
 def strongest_rate(time: Array, residual: Array) -> float:
@@ -195,23 +245,9 @@ def strongest_rate(time: Array, residual: Array) -> float:
     """
     step = max(float(np.median(np.diff(time))), 1e-9)
     grid = np.bincount(np.rint(time / step).astype(int), residual)
-    spectrum = np.abs(np.fft.rfft(grid, 4 * len(grid)))
-    highest = int(0.4 * 4 * len(grid))
-    return float(
-        2.0 * np.pi * (8 + np.argmax(spectrum[8:highest])) / (4 * len(grid) * step)
-    )
-
-
-def weight(arm: ArmTerms, rows: Rows, point: Point) -> Array:
-    """Return the torque (m, J) of the weight of the point's links [N m]."""
-    moves = rows.at_rest(arm.robot, point.gravity)
-    return moves.torque(point.carried(rows.is_loaded))[:, arm.indices]
-
-
-def last_weight(arm: ArmTerms, rows: Rows, gravity: Array) -> Array:
-    """Return the torque (m, J, 4) of the last link's weight, per unit of mass and first moments."""
-    moves = rows.at_rest(arm.robot, gravity)
-    return moves.columns([arm.robot.n_joints - 1])[:, arm.indices, :4]
+    size = 4 * len(grid)
+    spectrum = np.abs(np.fft.rfft(grid, size))[: int(0.4 * size)]
+    return float(2.0 * np.pi * (8 + np.argmax(spectrum[8:])) / (size * step))
 
 
 def typical_torque(fitted: Fit) -> Array:
@@ -227,9 +263,13 @@ def explanations(fitted: Fit) -> list[Explanation]:
     """Return all explanations for a fit that has the columns of ``beside``."""
     every = [*of_arm(fitted), *of_joints(fitted), *over_time(fitted)]
     logs = dict.fromkeys(fitted.sums.logs)
-    if len(logs) > 1:
-        every += [each.in_log(fitted, log) for each in every for log in logs]
-    return [*every, *changes_of_load(fitted)]
+    in_logs = []
+    for each, log in product(every, logs if len(logs) > 1 else ()):
+        own = each.effect.shares
+        shares = fitted.sums.is_of(log) * (1.0 if own is None else own)
+        acting = replace(each.effect, shares=shares)
+        in_logs.append(replace(each, effect=acting, log=log))
+    return [*every, *in_logs, *changes_of_load(fitted)]
 
 
 def effect(
@@ -241,6 +281,10 @@ def effect(
     """Return the effect of columns with independent prior standard deviations."""
     factor = np.diag(np.broadcast_to(spread, len(names)))
     return Effect(tuple(names), factor, joint, shares)
+
+
+CLOCK = effect([INERTIAL], 0.2)
+"""The effect of time stamps that are all too long or too short."""
 
 
 def of_arm(fitted: Fit) -> Iterator[Explanation]:
@@ -280,14 +324,14 @@ def of_arm(fitted: Fit) -> Iterator[Explanation]:
     )
     yield Explanation(
         "clock",
-        effect([INERTIAL], 0.2),
+        CLOCK,
         "time in the log is {value} too {long, or a balancer carries a part of the weight|short}, "
         "as the torque of inertia shows beside that of gravity",
         "record the controller's own time stamps, or scale these with a line in "
         f"{option_name('columns', 'FILE')}: time = {{inverse}} * TITLE",
         "%",
         # Beyond it, torque lacks inertia.
-        sizes=(-0.4, 0.4),
+        sizes=(-0.8, 0.8),
         factor=TIME,
     )
     total = arm.robot.mass
@@ -325,11 +369,10 @@ def of_arm(fitted: Fit) -> Iterator[Explanation]:
 
 def of_joints(fitted: Fit) -> Iterator[Explanation]:
     """Yield errors of each joint's sensors, and torque that is none of the joint's motion."""
-    arm = fitted.arm
-    joints = arm.joints
+    joints = fitted.arm.joints
     torque = typical_torque(fitted)
     for joint, name in enumerate(joints):
-        is_slide = name in arm.robot.slides
+        is_slide = name in fitted.arm.robot.slides
         yield Explanation(
             "torque-scale",
             effect([SCALE.key_of(name)], 0.4, joint),
@@ -386,11 +429,10 @@ def of_joints(fitted: Fit) -> Iterator[Explanation]:
 def over_time(fitted: Fit) -> Iterator[Explanation]:
     """Yield delays, and what changes over a log: scales, the clock, friction."""
     joints = fitted.arm.joints
-    # The time of each block, from -1/2 to 1/2.
-    along = np.zeros(len(fitted.sums.logs))
-    for log in dict.fromkeys(fitted.sums.logs):
-        own = np.flatnonzero(fitted.sums.is_of(log))
-        along[own] = (np.arange(len(own)) + 0.5) / len(own) - 0.5
+    logs = fitted.sums.logs
+    # The time of each block, from -1/2 to 1/2: each log has as many.
+    count = logs.count(logs[0])
+    along = np.tile((np.arange(count) + 0.5) / count - 0.5, len(logs) // count)
     scales = fitted.arm.terms[SCALES].names
     owners: dict[str, int | None] = {f"joint {n}": k for k, n in enumerate(joints)}
     for owner, joint in {**owners, "all joints": None}.items():

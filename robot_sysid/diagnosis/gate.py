@@ -6,17 +6,17 @@ asked is a note: an error that an empty and a loaded log share cancels in their 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import compress
+from itertools import count
 from typing import Any
 
 import numpy as np
 
 from robot_sysid.diagnosis import Finding
 from robot_sysid.diagnosis.causes import beside
-from robot_sysid.diagnosis.contest import Evidence, findings
-from robot_sysid.diagnosis.limited_in_time import SLOWEST, too_much
+from robot_sysid.diagnosis.contest import findings
+from robot_sysid.diagnosis.limited_in_time import SLOWEST, stretch_findings
 from robot_sysid.diagnosis.log_checks import (
     check_recording,
     time_share,
@@ -24,9 +24,9 @@ from robot_sysid.diagnosis.log_checks import (
     velocity_ratios,
 )
 from robot_sysid.diagnosis.log_refusal import refuse_for
+from robot_sysid.diagnosis.relabelling import Evidence
 from robot_sysid.errors import InputError, SysidError
 from robot_sysid.estimate.choose import solved
-from robot_sysid.estimate.contacts import MOST_STRETCHES
 from robot_sysid.estimate.fit import Fit
 from robot_sysid.estimate.options import Priors
 from robot_sysid.estimate.questions import Question
@@ -88,29 +88,28 @@ def judge(
     """
     found: list[Finding] = []
     pieces: list[Recording] = []
-    shares = set()
+    shares = []
     velocities: list[Finding] = []
     sides = is_loaded or [False] * len(logs)
     places = order or [0.0] * len(logs)
     for log, side, place in zip(logs, sides, places):
         own, kept = check_recording(robot, split_at_gaps(log))
         found += own
-        if any(piece.qd is not None for piece in kept):
-            ratios = velocity_ratios(kept)
-            shares.add(time_share(ratios))
-            velocities += velocity_notes(ratios, robot.joint_names)
+        ratios = velocity_ratios(kept)
+        shares.append(time_share(ratios))
+        velocities += velocity_notes(ratios, robot.joint_names)
         # Recorded velocities are not used any more.
         for piece in kept:
             pieces.append(
                 replace(piece, qd=None, notes=(), is_loaded=side, order=place)
             )
-    if any(finding.level is Level.REFUSES for finding in found):
-        return Judged(tuple(logs), in_order(found), (), None)
     options = question.options
-    recordings, notes = low_pass_recordings(robot, pieces, options.cutoff)
-    too_little = [*enough_findings(pieces, recordings)]
-    if too_little:
-        return Judged(tuple(logs), in_order([*found, *too_little]), notes, None)
+    notes: tuple[str, ...] = ()
+    if not refusals(found):
+        recordings, notes = low_pass_recordings(robot, pieces, options.cutoff)
+        found += enough_findings(pieces, recordings)
+    if refusals(found):
+        return Judged(tuple(logs), in_order(found), notes, None)
     fitted = solved(robot, recordings, question, progress, beside)
     usual = replace(
         options, friction_model=None, no_friction=False, priors=wide(options.priors)
@@ -120,25 +119,28 @@ def judge(
         judged = solved(
             robot, recordings, replace(question, options=usual), beside=beside
         )
-    share = max(shares, key=abs, default=None)
-    given = logs[0].options.get("torque_scale")
-    divided, _ = joint_factors(given, robot.joint_names, TORQUE_SCALE)
-    evidence = Evidence(divided, share)
-    n_tried = 0
+    rounds = count(1)
 
     def advance() -> None:
         """Show that one more round is done."""
-        nonlocal n_tried
-        n_tried += 1
+        n_tried = next(rounds)
         progress.advance(TRYING, n_tried / (n_tried + 3.0), 1.0, "")
 
+    known = [share for share in shares if share is not None]
+    share = max(known, key=abs, default=None)
+    given = logs[0].options.get("torque_scale")
+    divided, _ = joint_factors(given, robot.joint_names, TORQUE_SCALE)
+    evidence = Evidence(divided, share, advance)
     progress.advance(TRYING, 0.0, 1.0, "")
-    wrong, right = findings(judged, evidence, advance)
+    wrong, right = findings(judged, evidence)
     progress.advance(TRYING, 1.0, 1.0, "")
     wrong = wrong or [*slow_findings(robot, recordings)]
     doubtful = ("model", "unexplained", "held", "saturated")
     if not any(finding.about in doubtful for finding in [*found, *wrong]):
-        found += contacts(right, bool(wrong))
+        # Contacts that come back are a doubt, unless something else is wrong.
+        touched = [each for log in right.recordings for each in log.touched]
+        touches = stretch_findings(right.arm.joints, touched)
+        found += [each for each in touches if each.level is Level.SAYS or not wrong]
     if not any(finding.about == "clock" for finding in wrong):
         found += velocities
     # What was asked of the log alone is not kept with its answer.
@@ -150,35 +152,23 @@ def judge(
 def wide(priors: Priors) -> Priors:
     """Return priors that are no narrower than the default ones: a log is judged by these."""
     usual = Priors()
-    wider: dict[str, Any] = {}
-    for name in ("link", "zero", "gravity", "delay", "friction"):
-        wider[name] = max(getattr(priors, name), getattr(usual, name))
+    wider: dict[str, Any] = {
+        name: max(getattr(priors, name), getattr(usual, name))
+        for name in ("link", "zero", "gravity", "delay", "friction")
+    }
     if priors.scale is not None:
         wider["scale"] = tuple(np.maximum(np.ravel(priors.scale), SCALE).tolist())
     return replace(priors, **wider)
 
 
-def contacts(fitted: Fit, is_else_wrong: bool) -> Iterator[Finding]:
-    """Yield what touched the arm for a moment, and is left out.
-
-    Where it comes back, it is a doubt, unless something else is wrong.
-    """
-    texts = []
-    for recording in fitted.recordings:
-        for start, stop, joints, _ in recording.touched:
-            names = ", ".join(compress(fitted.arm.joints, joints))
-            text = f"something touched the arm from {start:.2f} s to {stop:.2f} s ({names})"
-            texts.append(text)
-    if len(texts) <= MOST_STRETCHES:
-        for text in texts:
-            yield Finding(Level.SAYS, "contact", f"{text}: left out")
-    elif not is_else_wrong:
-        yield too_much("contact", texts)
-
-
 def in_order(found: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return findings by their level, the most severe first, each once."""
     return tuple(sorted(dict.fromkeys(found), key=lambda f: [*Level].index(f.level)))
+
+
+def refusals(found: Iterable[Finding]) -> list[Finding]:
+    """Return the findings that forbid the use of logs."""
+    return [finding for finding in found if finding.level is Level.REFUSES]
 
 
 def slow_findings(
@@ -213,8 +203,8 @@ def enough_findings(
         yield Finding(Level.REFUSES, "too-little", text, "record at 100 or more")
     if rows < least_rows:
         text = (
-            f"{span:.3g} s behind a low-pass of {cutoff:.3g} Hz hold about {rows:.0f} "
-            f"independent samples per joint, and {least_rows} are needed"
+            f"{span:.3g} s behind a low-pass of {cutoff:.3g} Hz hold about {rows:.0f} independent "
+            f"samples per joint, and {least_rows} are needed"
         )
         yield Finding(Level.REFUSES, "too-little", text, "record longer")
 
@@ -265,7 +255,7 @@ def require_acceptable(
         InputError: a finding refuses the logs.
         SysidError: there is a doubt that is not accepted.
     """
-    refused = [finding for finding in found if finding.level is Level.REFUSES]
+    refused = refusals(found)
     # A remedy is none where something else is wrong as well.
     if len(refused) == 1:
         raise refuse_for(logs, refused[0])

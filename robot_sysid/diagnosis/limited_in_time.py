@@ -66,8 +66,7 @@ def leave_out(
         stretches: may overlap.
     """
     kept = []
-    texts = []
-    checks = []
+    runs = []
     left_out_count = 0
     for piece in pieces:
         wrong = np.zeros(piece.q.shape, dtype=bool)
@@ -77,31 +76,40 @@ def leave_out(
         left_out = np.any(wrong, axis=1)
         for rows in true_runs(left_out):
             start, stop = piece.time[[rows.start, rows.stop - 1]].tolist()
-            names = ", ".join(compress(joint_names, np.any(wrong[rows], axis=0)))
-            texts.append(
-                f"a sensor failed from {start:.2f} s to {stop:.2f} s ({names})"
-            )
-            shown = [s.check for s in stretches if s.start <= start <= s.stop]
-            checks.append(shown[-1])
+            *_, check = (s.check for s in stretches if s.start <= start <= s.stop)
+            runs.append(Stretch(start, stop, np.any(wrong[rows], axis=0), check))
         left_out_count += int(np.sum(left_out))
         if not np.any(left_out):
             kept.append(piece)
         elif not np.all(left_out):
             kept.append(_mark(piece, left_out))
     is_much = left_out_count > MOST_SHARE * sum(map(len, pieces))
+    found = stretch_findings(joint_names, runs, is_much)
+    is_left_out = all(finding.level is Level.SAYS for finding in found)
+    return (kept if is_left_out else list(pieces)), found
+
+
+def stretch_findings(
+    joint_names: Sequence[str], stretches: Sequence[Stretch], is_much: bool = False
+) -> list[Finding]:
+    """Return what is said of stretches that are left out.
+
+    It is a doubt where they are too many, or too much (``is_much``) of a log.
+    """
+    texts = []
+    for start, stop, joints, check in stretches:
+        fault = "something touched the arm" if check == "contact" else "a sensor failed"
+        names = ", ".join(compress(joint_names, joints))
+        texts.append(f"{fault} from {start:.2f} s to {stop:.2f} s ({names})")
     if is_much or len(texts) > MOST_STRETCHES:
-        return list(pieces), [too_much(checks[0], texts)]
-    notes = [
-        Finding(Level.SAYS, check, f"{text}: left out")
-        for check, text in zip(checks, texts)
+        count = count_text(len(texts), "time")
+        text = f"{texts[0]}; {count} in all, too much to leave out"
+        remedy = "record again without it"
+        return [Finding(Level.DOUBTS, stretches[0].check, text, remedy)]
+    return [
+        Finding(Level.SAYS, stretch.check, f"{text}: left out")
+        for stretch, text in zip(stretches, texts)
     ]
-    return kept, notes
-
-
-def too_much(check: str, texts: Sequence[str]) -> Finding:
-    """Return the doubt for a fault that comes back, from what is said of each time."""
-    text = f"{texts[0]}; {count_text(len(texts), 'time')} in all, too much to leave out"
-    return Finding(Level.DOUBTS, check, text, "record again without it")
 
 
 def _mark(piece: Recording, left_out: NDArray[np.bool_]) -> Recording:

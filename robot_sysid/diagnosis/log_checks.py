@@ -102,19 +102,23 @@ def velocity_ratios(pieces: Sequence[Recording]) -> Array:
     # A constant error of a drive's speed is neither an error of time nor another motion.
     by_position, by_velocity = moves - np.mean(moves, axis=1, keepdims=True)
     squares = np.sum(by_position**2, axis=0)
+    products = np.sum(by_position * by_velocity, axis=0)
     # Joints that move enough, with a tenth of the largest displacement.
     moving = squares > 0.01 * np.max(squares)
-    products = np.sum(by_position * by_velocity, axis=0)
-    return np.where(moving, products / np.where(moving, squares, 1.0), 1.0)
+    ratios = np.ones(len(squares))
+    ratios[moving] = products[moving] / squares[moving]
+    return ratios
 
 
-def time_share(ratios: Array) -> float:
+def time_share(ratios: Array) -> float | None:
     """Return the share by which time is too long if velocities are right, from ratios (n,).
 
-    It is zero where joints do not have it in common.
+    It is zero where joints do not have it in common; None where no velocity says anything.
     """
     off = ratios[ratios != 1.0] - 1.0
-    share = float(np.median(off)) if len(off) else 0.0
+    if not len(off):
+        return None
+    share = float(np.median(off))
     # Correct logs have 0.001, a log whose velocities pass a low-pass of 3 Hz has 0.028.
     is_common = 0.03 < abs(share) < OTHER and np.ptp(off) < 0.02
     return share if is_common else 0.0

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from robot_sysid.diagnosis import ColumnCorrection, Finding
 from robot_sysid.diagnosis.causes import beside
+from robot_sysid.dynamics.friction import COULOMB
 from robot_sysid.dynamics.inverse_dynamics import (
     TILT_NAMES,
     gravity_vector,
@@ -29,14 +30,15 @@ from robot_sysid.dynamics.inverse_dynamics import (
     with_gravity,
 )
 from robot_sysid.estimate.choose import common_factor, solved
+from robot_sysid.estimate.contacts import LITTLE
 from robot_sysid.estimate.fit import Equations, Fit, Problem, equations_of, solve
 from robot_sysid.estimate.links import AS_STATED
 from robot_sysid.estimate.questions import Question, arm_question
 from robot_sysid.estimate.rows import Rows
-from robot_sysid.estimate.terms import LAST_LINK, LINKS, PAYLOAD, SCALES, ArmTerms
+from robot_sysid.estimate.terms import LINKS, MOTORS, SCALES, ArmTerms
 from robot_sysid.model.units import mass_unit, with_mass_scale
 from robot_sysid.records import Array, RobotModel
-from robot_sysid.records.levels import CLEAR, INTERVAL
+from robot_sysid.records.levels import CLEAR, INTERVAL, SURE
 from robot_sysid.records.messages import Level, torque_unit, with_error
 from robot_sysid.signals.process import FilteredRecording
 from robot_sysid.wording import option_name, with_option_names
@@ -63,6 +65,12 @@ WEIGHING = (
     "1 kg (of another mass, state it), record a motion called weight, and compare"
 )
 """What to do where torques are motor currents; the command that compares follows the message."""
+# Quantities whose columns a mistake changes: as subject, with its verb, and as scope.
+_QUANTITIES = (
+    (("torque",), "torque", "has", " in the torques"),
+    (("position",), "position", "has", " in the positions"),
+    (("position", "torque"), "position and torque", "have", ""),
+)
 COLUMNS = "put the columns right with {columns FILE}"
 
 
@@ -84,18 +92,18 @@ class Relabelling:
     gravity: Array | None = None
 
     @classmethod
-    def none(cls, n: int) -> Relabelling:
-        """Return the reading of a log as it is."""
-        return cls(np.eye(n), np.eye(n), np.zeros(n))
-
-    def then(self, step: Relabelling) -> Relabelling:
-        """Return this reading with another one after it."""
-        return Relabelling(
-            step.position @ self.position,
-            step.torque @ self.torque,
-            step.position @ self.zeros + step.zeros,
-            self.gravity if step.gravity is None else step.gravity,
-        )
+    def of(cls, n: int, steps: Sequence[Step] = ()) -> Relabelling:
+        """Return the reading of the log of n joints with steps, one after the other."""
+        reading = cls(np.eye(n), np.eye(n), np.zeros(n))
+        for step in steps:
+            right = step.reading
+            reading = cls(
+                right.position @ reading.position,
+                right.torque @ reading.torque,
+                right.position @ reading.zeros + right.zeros,
+                reading.gravity if right.gravity is None else right.gravity,
+            )
+        return reading
 
     def apply(self, recording: FilteredRecording) -> FilteredRecording:
         """Return a recording read so, of which as many rows are used."""
@@ -117,15 +125,15 @@ class Relabelling:
         return right
 
     @property
-    def columns(self) -> ColumnCorrection | None:
-        """The correction of a log's columns; None where columns alone do not put it right."""
-        if np.any(self.zeros) or self.gravity is not None:
-            return None
-        sources = []
-        for matrix in (self.position, self.torque):
-            at = np.nonzero(matrix)
-            sources.append(tuple(zip(at[1].tolist(), matrix[at].tolist())))
-        return ColumnCorrection(*sources)
+    def columns(self) -> ColumnCorrection:
+        """The correction of a log's columns; zeros and gravity are none."""
+        return ColumnCorrection(*map(sources, (self.position, self.torque)))
+
+
+def sources(matrix: Array) -> tuple[tuple[int, float], ...]:
+    """Return (index, factor) of the only number of each row of a matrix (n, n) that is not zero."""
+    indices = np.argmax(matrix != 0.0, axis=1)
+    return tuple(zip(indices.tolist(), np.sum(matrix, axis=1).tolist()))
 
 
 @dataclass(frozen=True)
@@ -137,6 +145,21 @@ class Step:
     reading: Relabelling
     remedy: str = COLUMNS
     options: tuple[tuple[str, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known of a log beside its rows.
+
+    Attributes:
+        divided: (n,) torque scales by which the torques were divided already.
+        time_share: by which time is too long, by recorded velocities; None where there are none.
+        advance: is called after each round of a search.
+    """
+
+    divided: Array
+    time_share: float | None
+    advance: Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -156,46 +179,44 @@ def steps(robot: RobotModel, moving: Sequence[int]) -> Iterator[Step]:
     """
     names = robot.joint_names
     n = len(names)
-    none = Relabelling.none(n)
-
-    def read(quantities: Sequence[str], matrix: Array) -> Relabelling:
-        """Return the reading in which the columns of some quantities are others."""
-        return replace(none, **dict.fromkeys(quantities, matrix))
-
+    none = Relabelling.of(n)
     every = np.eye(n)
-    for quantities in (("torque",), ("position",), ("position", "torque")):
-        subject = " and ".join(quantities)
-        verb = "has" if len(quantities) == 1 else "have"
-        scope = "" if len(quantities) == 2 else f" in the {subject}s"
+
+    def mirrored(across: Array) -> Array:
+        """Return the matrix (n, n) that mirrors columns: it turns one, or exchanges two."""
+        return every - 2.0 * np.outer(across, across) / (across @ across)
+
+    for quantities, subject, verb, scope in _QUANTITIES:
+        changes = []
         for joint in moving:
-            turned = np.diag(1.0 - 2.0 * every[joint])
             text = f"the {subject} of joint {names[joint]} {verb} the opposite sign of the model's"
-            yield Step("sign", text, read(quantities, turned))
-        if n > 1 and quantities != ("position", "torque"):
+            changes.append(("sign", text, mirrored(every[joint])))
+        if n > 1 and scope:
             text = (
                 f"the {subject} of every joint {verb} the opposite sign of the model's"
             )
-            yield Step("sign", text, read(quantities, -every))
-        for first, second in combinations(moving, 2):
-            exchanged = every.copy()
-            exchanged[[first, second]] = every[[second, first]]
-            text = f"joints {names[first]} and {names[second]} are exchanged{scope}"
-            yield Step("order", text, read(quantities, exchanged))
+            changes.append(("sign", text, -every))
+        for one, two in combinations(moving, 2):
+            text = f"joints {names[one]} and {names[two]} are exchanged{scope}"
+            changes.append(("order", text, mirrored(every[one] - every[two])))
         if n > 2 and len(moving) == n:
             text = f"the order of the joints is reversed{scope}"
-            yield Step("order", text, read(quantities, every[::-1]))
+            changes.append(("order", text, every[::-1]))
+        for check, text, matrix in changes:
+            changed = dict.fromkeys(quantities, matrix)
+            yield Step(check, text, replace(none, **changed))
     radians = np.where(robot.is_slide, 1.0, np.pi / 180.0)
     yield Step(
         "angle-unit",
         "positions look like degrees",
-        read(("position",), np.diag(radians)),
+        replace(none, position=np.diag(radians)),
         "pass {units=deg}",
         (("--units", "deg"),),
     )
     yield Step(
         "angle-unit",
         "positions look like radians that were taken for degrees",
-        read(("position",), np.diag(1.0 / radians)),
+        replace(none, position=np.diag(1.0 / radians)),
         "say rad where degrees are said: in {units}, the file of {columns}, a column's title or "
         "the recorder",
     )
@@ -203,18 +224,12 @@ def steps(robot: RobotModel, moving: Sequence[int]) -> Iterator[Step]:
         if not robot.is_slide[joint]:
             zeros = np.radians(degrees) * every[joint]
             yield Step("zero", "", replace(none, zeros=zeros))
-
-
-def mountings(robot: RobotModel) -> Iterator[Step]:
-    """Yield the 26 directions of gravity along axes and diagonals."""
-    level = gravity_vector(robot)
-    size = np.linalg.norm(level)
-    none = Relabelling.none(robot.n_joints)
-    if size > 0.0:
-        for axis in product((-1.0, 0.0, 1.0), repeat=3):
-            if any(axis):
-                gravity = size * np.array(axis) / np.linalg.norm(axis)
-                yield Step("tilt", "", replace(none, gravity=gravity))
+    # Gravity along axes and diagonals.
+    size = np.linalg.norm(gravity_vector(robot))
+    for axis in product((-1.0, 0.0, 1.0), repeat=3):
+        if size * any(axis):
+            gravity = size * np.array(axis) / np.linalg.norm(axis)
+            yield Step("tilt", "", replace(none, gravity=gravity))
 
 
 def with_priors(question: Question, **priors: Any) -> Question:
@@ -233,10 +248,11 @@ class Search:
 
     def __init__(self, fitted: Fit) -> None:
         question = with_priors(fitted.question, friction=0.0)
-        motors = [motor.name for motor in fitted.arm.motors]
-        needed = {LAST_LINK, LINKS, PAYLOAD, *question.friction, *motors}
-        terms = fitted.arm.terms
-        self.arm = fitted.arm.of([terms[key] for key in terms if key in needed])
+        needed = []
+        for key, term in fitted.arm.terms.items():
+            if term.bodies or term.cause == MOTORS or key in question.friction:
+                needed.append(term)
+        self.arm = fitted.arm.of(needed)
         self.terms = arm_question(self.arm, question, fitted.sums.rms_torque)
         # 250 rows tell readings apart.
         every = max(1, sum(map(len, fitted.recordings)) // 250)
@@ -246,9 +262,10 @@ class Search:
             fewer.__dict__["used"] = recording.used[::every]
             self.recordings.append(fewer)
 
-    def score(self, reading: Relabelling) -> float:
-        """Return the log likelihood of a reading, but for a constant."""
+    def score(self, steps: Sequence[Step]) -> float:
+        """Return the log likelihood of the log with steps, but for a constant."""
         arm = self.arm
+        reading = Relabelling.of(arm.robot.n_joints, steps)
         point = arm.start()
         if reading.gravity is not None:
             point = replace(point, gravity=reading.gravity)
@@ -257,7 +274,7 @@ class Search:
         equations = equations_of(arm, sums, self.terms, {})
         # Smaller residuals do not count.
         least = 0.01 * np.sqrt(np.mean(torque**2))
-        counts = np.maximum(np.sum(sums.counts, axis=0), 1.0)
+        counts = sums.row_counts
         noise = np.maximum(0.05 * torque, least)
         # Noise that is found to the end follows a joint that other joints' errors were left to.
         for _ in range(2):
@@ -271,60 +288,49 @@ class Search:
             noise = np.maximum(np.sqrt(squares / counts), least)
         return likelihood(equations, values, counts, noise)
 
-    def best(self, tried: Sequence[Step], advance: Callable[[], object]) -> list[Step]:
+    def best(self, tried: Sequence[Step], evidence: Evidence) -> list[Step]:
         """Return the steps that fit best together, one after the other; [] for none.
 
         The likeliest first steps are followed, as one that is wrong may fit as well alone.
         """
-        none = Relabelling.none(self.arm.robot.n_joints)
-        before = self.score(none)
-        zeros = [step.reading for step in tried if step.check == "zero"]
+        zeros = [step for step in tried if step.check == "zero"]
+        pairs = []
         # With another zero wrong as well, a right one alone may fit worse than none.
-        pairs = [Step("zero", "", one.then(two)) for one, two in combinations(zeros, 2)]
+        for both in combinations(zeros, 2):
+            pairs.append(
+                Step("zero", "", Relabelling.of(self.arm.robot.n_joints, both))
+            )
+        before = self.score([])
+        firsts = self._longer([], [*tried, *pairs])
+        least = before + max(CLEAR, 0.5 * (firsts[0][0] - before))
         followed = 3
-        firsts = self._ranked([*tried, *pairs], none)[:followed]
-        least = max(CLEAR, 0.5 * (firsts[0][0] - before))
-        ways = [
-            self._followed(tried, step, score, advance)
-            for score, step in firsts
-            if score > before + least
-        ]
-        likeliest = max((score for score, _ in ways), default=0.0)
+        ways = []
+        for score, found in firsts[:followed]:
+            # Largest number of steps that act together.
+            while score > least and len(found) < 8:
+                evidence.advance()
+                after, longer = self._longer(found, tried)[0]
+                if after < score + CLEAR:
+                    break
+                score = after
+                found = longer
+            if score > least:
+                ways.append((score, found))
+        likeliest = max(ways, default=(0.0,), key=lambda way: way[0])[0]
         return next((found for score, found in ways if score > likeliest - 1.0), [])
 
-    def _followed(
-        self,
-        tried: Sequence[Step],
-        first: Step,
-        score: float,
-        advance: Callable[[], object],
-    ) -> tuple[float, list[Step]]:
-        """Return (log likelihood, the steps that fit best together from a first one on)."""
-        found = [first]
-        reading = first.reading
-        # Largest number of steps that act together.
-        most_steps = 8
-        while len(found) < most_steps:
-            advance()
-            better, step = self._ranked(tried, reading)[0]
-            if better < score + CLEAR:
-                break
-            score = better
-            found.append(step)
-            reading = reading.then(step.reading)
-        return score, found
-
-    def _ranked(
-        self, tried: Sequence[Step], reading: Relabelling
-    ) -> list[tuple[float, Step]]:
-        """Return (log likelihood, step) of steps after a reading, the likeliest first."""
-        scores = [self.score(reading.then(step.reading)) for step in tried]
+    def _longer(
+        self, found: list[Step], tried: Sequence[Step]
+    ) -> list[tuple[float, list[Step]]]:
+        """Return (log likelihood, steps) with one more step each, the likeliest first."""
+        ways = [[*found, step] for step in tried]
+        scores = np.array([self.score(way) for way in ways])
         # Equally likely ones keep their order.
-        order = np.argsort((max(scores) - np.array(scores)) // 1.0, kind="stable")
-        return [(scores[k], tried[k]) for k in order.tolist()]
+        order = np.argsort((np.max(scores) - scores) // 1.0, kind="stable")
+        return [(scores[k], ways[k]) for k in order.tolist()]
 
 
-# ---- corrections
+# ---- what a fit says by itself
 
 
 def model_torque(fitted: Fit) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -337,12 +343,10 @@ def model_torque(fitted: Fit) -> tuple[Array, Array, NDArray[np.bool_]]:
     exceeds the torques of an arm that it carries.
     """
     arm = fitted.arm
-    terms = [arm.terms[key] for key in (LAST_LINK, LINKS) if key in arm.terms]
-    model = np.zeros(len(fitted.sums.names) + 1)
-    for name in (name for term in terms for name in term.names):
-        if name[0] in "mh" or not arm.has_gravity:
-            model[fitted.sums.names.index(name)] = arm.model[name]
     sums = fitted.sums
+    of_links = "mh" if arm.has_gravity else "mhI"
+    values = [arm.model.get(n, 0.0) * (n[0] in of_links) for n in sums.names]
+    model = np.array([*values, 0.0])
     squares = np.maximum(sums.squares_of(model, sums.totals), 1e-24)
     pairs = zip(sums.columns, sums.totals)
     products = np.array([model[at] @ total[:, -1] for at, total in pairs])
@@ -358,6 +362,69 @@ def typical_ratio(fitted: Fit) -> float:
     torque, _, is_loaded = model_torque(fitted)
     ratio = fitted.sums.rms_torque / torque
     return float(np.median(ratio[is_loaded])) if np.any(is_loaded) else 1.0
+
+
+def is_foreign(fitted: Fit) -> bool:
+    """Return whether torques are so small or large that no links, nor a tool, make them."""
+    return not SMALLER < typical_ratio(fitted) < LARGER
+
+
+def dry_friction(fitted: Fit) -> tuple[Array, Array]:
+    """Return Coulomb friction (J,) without its bound and its standard error [N m].
+
+    That of a joint that stands still is zero, its error infinite.
+    """
+    values, inverse = fitted.unbounded
+    known = dict(zip(fitted.names, zip(values, np.diag(inverse))))
+    names = map(COULOMB.key_of, fitted.arm.joints)
+    dry, variance = np.transpose([known.get(name, (0.0, np.inf)) for name in names])
+    return dry, np.sqrt(np.maximum(variance, 0.0))
+
+
+def fits(fitted: Fit) -> bool:
+    """Return whether a log fits its model so well that its columns are right."""
+    touched = any(recording.touched for recording in fitted.recordings)
+    return bool(
+        fitted.unexplained_share < LITTLE
+        and not is_foreign(fitted)
+        and is_plausible(fitted)
+        and not drives(fitted)
+        and not touched
+    )
+
+
+def drives(fitted: Fit) -> bool:
+    """Return whether friction drives a joint: a turned sign, whatever the model."""
+    dry, error = dry_friction(fitted)
+    return bool(np.any(dry < -SURE * error))
+
+
+def last_mass(fitted: Fit) -> tuple[float, float]:
+    """Return the last link's mass and its standard error [kg]."""
+    return fitted.free[fitted.names.index("m")], fitted.error_of("m")
+
+
+def is_plausible(fitted: Fit) -> bool:
+    """Return whether the last link's mass is that of a link, and the others are near the model's.
+
+    The mass has to lie, within ``SURE`` standard errors, between zero and the larger of two limits:
+    60 % of the arm's mass, and the model's mass plus 30 % of the arm's.
+    """
+    robot = fitted.arm.robot
+    largest = max(0.6 * robot.mass, robot.prior.mass + 0.3 * robot.mass)
+    mass, error = last_mass(fitted)
+    is_possible = -SURE * error < mass < largest + SURE * error
+    for term, span in fitted.equations.spans:
+        if term.cause == LINKS and term.prior is not None:
+            values = np.append(fitted.free[span], -1.0)
+            count = len(term.names)
+            # Four deviations of chi-square beyond its mean: no log of the right model is there.
+            largest = count + 4.0 * np.sqrt(2.0 * count)
+            is_possible &= np.sum((term.prior.rows @ values) ** 2) < largest
+    return bool(is_possible)
+
+
+# ---- corrections
 
 
 def likelihood(
@@ -382,50 +449,49 @@ def likelier(before: Fit, after: Fit, factors: Array | float = 1.0) -> float:
     Both have the noise of their own residuals and the memory of the second's. ``factors`` (J,) are
     those by which its torques were multiplied.
     """
-    both = (before, after)
-    counts = np.minimum(*(np.sum(each.sums.counts, axis=0) for each in both))
+    counts = np.minimum(
+        np.sum(before.sums.counts, axis=0), np.sum(after.sums.counts, axis=0)
+    )
     independent = counts / np.minimum(before.correlation, after.correlation)
     least = 1e-3 * np.sqrt(np.mean(before.sums.rms_torque**2))
-    noises = (before.noise, after.noise / np.abs(factors))
-    earlier, later = (
-        likelihood(each.equations, each.free, independent, np.maximum(noise, least))
-        for each, noise in zip(both, noises)
-    )
-    return later - earlier
+    noise = np.maximum(before.noise, least)
+    earlier = likelihood(before.equations, before.free, independent, noise)
+    noise = np.maximum(after.noise / np.abs(factors), least)
+    return likelihood(after.equations, after.free, independent, noise) - earlier
 
 
-def discrete(
-    fitted: Fit, fits: Callable[[Fit], bool], advance: Callable[[], object]
-) -> Iterator[Correction]:
+def read(fitted: Fit, reading: Relabelling, **priors: float) -> Fit:
+    """Return the fit of a log that is read otherwise, some priors of its question changed."""
+    robot = fitted.arm.robot
+    if reading.gravity is not None:
+        robot = with_gravity(robot, reading.gravity)
+    recordings = [reading.apply(recording) for recording in fitted.recordings]
+    question = with_priors(fitted.question, **priors)
+    return solved(robot, recordings, question, beside=beside)
+
+
+def discrete(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
     """Yield the correction of the mistakes that fit best together, if there are any.
 
     They are the first ones with which the whole log fits.
-
-    Args:
-        fitted: the fit of the log.
-        fits: says whether a log fits its model.
-        advance: is called after each step.
     """
     robot = fitted.arm.robot
     counts = np.sum(fitted.sums.counts, axis=0)
     moving = fitted.arm.indices[counts > 0].tolist()
-    tried = [*steps(robot, moving), *mountings(robot)]
-    found = Search(fitted).best(tried, advance)
-    reading = Relabelling.none(robot.n_joints)
-    after = None
+    found = Search(fitted).best([*steps(robot, moving)], evidence)
+    after = fitted
     findings: list[Finding] = []
-    for number, step in enumerate(found, 1):
-        reading = reading.then(step.reading)
-        recordings = [reading.apply(recording) for recording in fitted.recordings]
+    for number in range(1, len(found) + 1):
+        reading = Relabelling.of(robot.n_joints, found[:number])
         findings = [*of_columns(robot, found[:number], reading)]
         if reading.gravity is None:
-            after = solved(robot, recordings, fitted.question, beside=beside)
+            after = read(fitted, reading)
         else:
-            after, turned = mounted(fitted, recordings, reading.gravity)
+            after, turned = mounted(fitted, reading, reading.gravity)
             findings += turned
         if fits(after):
             break
-    if after is not None and findings:
+    if findings:
         yield Correction(tuple(findings), likelier(fitted, after), after)
 
 
@@ -435,18 +501,14 @@ def of_columns(
     """Yield the findings on columns, which one reading puts right, and on zeros."""
     wrong = [step for step in found if step.text]
     if wrong:
-        text = "; ".join(dict.fromkeys(step.text for step in wrong))
         first = wrong[0]
-        columns = replace(reading, zeros=0.0 * reading.zeros, gravity=None).columns
-        options = first.options if len(wrong) == 1 else ()
         yield Finding(
             Level.REFUSES,
             first.check,
-            text,
+            "; ".join(dict.fromkeys(step.text for step in wrong)),
             with_option_names(first.remedy),
-            options,
-            "",
-            columns,
+            first.options if len(wrong) == 1 else (),
+            correction=reading.columns,
         )
     turned = np.rint(np.degrees(reading.zeros)) % 360.0
     for name, degrees in zip(robot.joint_names, turned):
@@ -458,34 +520,31 @@ def of_columns(
 
 
 def mounted(
-    fitted: Fit, recordings: Sequence[FilteredRecording], gravity: Array
+    fitted: Fit, reading: Relabelling, gravity: Array
 ) -> tuple[Fit, list[Finding]]:
     """Return the fit of an arm whose base is mounted otherwise, and the finding, if it is.
 
     From one direction on, gravity (3,) is turned until the fit, which allows it a wide tilt, agrees
     with it.
     """
-    robot = fitted.arm.robot
-    level = gravity_vector(robot)
-    # The 26 directions are at most some 27 degrees from the true one, usually half as much.
-    question = with_priors(fitted.question, gravity=15.0)
     for _ in range(2):
-        after = solved(
-            with_gravity(robot, gravity), recordings, question, beside=beside
-        )
+        # The 26 directions are at most some 27 degrees from the true one, usually half as much.
+        after = read(fitted, replace(reading, gravity=gravity), gravity=15.0)
         at = after.at(TILT_NAMES)
         gravity = turn_gravity(gravity, after.free[at])
+    level = gravity_vector(fitted.arm.robot)
     cosine = np.clip(level @ gravity / (level @ level), -1.0, 1.0)
     angle = float(np.degrees(np.arccos(cosine)))
     error = np.degrees(np.sqrt(np.max(np.diag(after.inverse)[at])))
     numbers = " ".join(f"{value:.2f}" for value in gravity + 0.0)
-    text = f"gravity acts {with_error(angle, error, 'degrees')} from the model's: the base is "
-    text += "mounted otherwise, on a wall or a ceiling"
-    remedy = (
+    finding = Finding(
+        Level.REFUSES,
+        "tilt",
+        f"gravity acts {with_error(angle, error, 'degrees')} from the model's: the base is mounted "
+        "otherwise, on a wall or a ceiling",
         f'turn it in the model (MJCF: gravity="{numbers}" of <option>, or euler of the base\'s '
-        "body; URDF: rpy of the first joint's origin)"
+        "body; URDF: rpy of the first joint's origin)",
     )
-    finding = Finding(Level.REFUSES, "tilt", text, remedy)
     # A base that is less tilted is mounted as the model says.
     return after, [finding] if angle > 5.0 else []
 
@@ -493,14 +552,10 @@ def mounted(
 # ---- torque scales
 
 
-def common_scale(fitted: Fit, divided: Array) -> Iterator[Correction]:
+def common_scale(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
     """Yield the correction of all masses by one factor, if they are clearly ``ODD`` times off.
 
     Torques do not tell it from torques that are all scaled.
-
-    Args:
-        fitted: the fit of the log.
-        divided: (n,) torque scales by which the torques were divided already.
     """
     robot = fitted.arm.robot
     factor = 1.0
@@ -515,8 +570,14 @@ def common_scale(fitted: Fit, divided: Array) -> Iterator[Correction]:
         after = solved(scaled, fitted.recordings, fitted.question, beside=beside)
         if abs(np.log(estimate)) < np.log(ODD):
             break
-    finding = common_finding(robot, factor, relative, divided)
+    finding = common_finding(robot, factor, relative, evidence)
     yield Correction((finding,), likelier(fitted, after), after)
+
+
+def torque_scale(scales: Array) -> tuple[str, str]:
+    """Return the option that divides torques by scales (n,), one number where they are alike."""
+    texts = [f"{value:.4g}" for value in scales]
+    return "--torque-scale", ",".join(texts if len({*texts}) > 1 else texts[:1])
 
 
 def clear_factor(fitted: Fit, before: float = 1.0) -> tuple[float, float] | None:
@@ -539,7 +600,7 @@ def clear_factor(fitted: Fit, before: float = 1.0) -> tuple[float, float] | None
 
 
 def common_finding(
-    robot: RobotModel, factor: float, relative_error: float, divided: Array
+    robot: RobotModel, factor: float, relative_error: float, evidence: Evidence
 ) -> Finding:
     """Return the finding on torques that are a factor times those of the model's masses.
 
@@ -551,56 +612,51 @@ def common_finding(
     # Masses that are a little off stand between the factor and that of its unit.
     is_close = abs(np.log(factor / unit)) < max(np.log(1.25), INTERVAL * relative_error)
     unit_text = f" (as in {UNITS[unit]})" if is_close else ""
-    texts = [f"{value:.4g}" for value in (unit if is_close else factor) * divided]
-    numbers = texts if len({*texts}) > 1 else texts[:1]
-    torque_scale = ("--torque-scale", ",".join(numbers))
+    options: tuple[tuple[str, str], ...]
+    options = (torque_scale((unit if is_close else factor) * evidence.divided),)
+    check = "torque-unit"
+    command = ""
     if mass_unit(robot, factor) != 1.0:
         remedy = f"they are in another unit{unit_text}: divide them"
-        return Finding(Level.REFUSES, "torque-unit", text, remedy, (torque_scale,))
     # No arm has all masses off by more.
-    if not is_close and abs(np.log(factor)) > np.log(5.0):
+    elif not is_close and abs(np.log(factor)) > np.log(5.0):
         text += ": they may be motor currents"
-        weighing = with_option_names(WEIGHING)
-        return Finding(
-            Level.REFUSES, "torque-unit", text, weighing, (torque_scale,), "payload"
+        remedy = with_option_names(WEIGHING)
+        command = "payload"
+    else:
+        check = "torque-scale"
+        remedy = (
+            "torques cannot tell what is wrong by that much, the masses or the torques: if the "
+            f"torques are N·m, multiply the masses; if the model is right{unit_text}, divide the "
+            "torques"
         )
-    remedy = (
-        "torques cannot tell what is wrong by that much, the masses or the torques: if the torques "
-        f"are N·m, multiply the masses; if the model is right{unit_text}, divide the torques"
-    )
-    mass_scale = ("--mass-scale", f"{factor * robot.mass_scale:.4g}")
-    return Finding(
-        Level.REFUSES, "torque-scale", text, remedy, (mass_scale, torque_scale)
-    )
+        options = (("--mass-scale", f"{factor * robot.mass_scale:.4g}"), *options)
+    return Finding(Level.REFUSES, check, text, remedy, options, command)
 
 
-def own_scales(fitted: Fit, divided: Array) -> Iterator[Correction]:
+def own_scales(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
     """Yield the correction of torque scales of one per joint.
 
     Found by Gauss-Newton from the ratios of root mean square torques: torques are divided by the
     scales, and the fit of what results allows them wide errors. Signs are found with them in
     torques of another unit, in which a turned one alone explains nothing. None where some loaded
-    joint's torque does not follow its links, or all have one scale (``common_scale``). Arguments
-    are as in ``common_scale``.
+    joint's torque does not follow its links, or all have one scale (``common_scale``).
     """
     arm = fitted.arm
     torque, share, is_loaded = model_torque(fitted)
     scale = fitted.sums.rms_torque / torque
     scale[~is_loaded] = np.median(scale[is_loaded])
-    signs = np.ones(len(scale))
-    if not SMALLER < typical_ratio(fitted) < LARGER:
-        opposes = share * torque < -0.5 * fitted.sums.rms_torque
-        signs[is_loaded & opposes] = -1.0
+    opposes = is_loaded & (share * torque < -0.5 * fitted.sums.rms_torque)
+    signs = np.where(opposes & is_foreign(fitted), -1.0, 1.0)
     # In one round, a scale may change by 70 %.
     # Links that explain the scales as they are would leave none to find.
     question = with_priors(replace(fitted.question, link_scales=AS_STATED), scale=70.0)
     sums = arm.sums(fitted.recordings, arm.start())
     for _ in range(4):
-        divided_sums = sums.with_torque_times(signs / scale)
-        torque = divided_sums.rms_torque
-        terms = arm_question(arm, question, torque)
-        problem = Problem(arm, fitted.recordings, arm.start(), divided_sums, question)
-        after = problem.fit(terms, noise=0.05 * torque, possible=False)
+        scaled = sums.with_torque_times(signs / scale)
+        problem = Problem(arm, fitted.recordings, arm.start(), scaled, question)
+        terms = arm_question(arm, question, scaled.rms_torque)
+        after = problem.fit(terms, possible=False)
         at = after.at(arm.terms[SCALES].names)
         change = np.clip(1.0 + after.free[at], 0.2, 5.0)
         scale = scale * change
@@ -616,27 +672,24 @@ def own_scales(fitted: Fit, divided: Array) -> Iterator[Correction]:
     # Scales that are so alike have one common cause.
     if np.ptp(own) < np.log(1.35):
         return
-    reading = with_factors(arm, signs / scale)
-    recordings = [reading.apply(recording) for recording in fitted.recordings]
-    after = solved(arm.robot, recordings, fitted.question, beside=beside)
+    after = read(fitted, with_factors(arm, signs / scale))
     # Loss for scales that fit the data instead of being one: the prior's volume over that left. The
     # logarithm of a joint's scale over the common one has a standard deviation of 0.4.
     penalty = np.sum(np.log(0.4 / relative[is_sure]))
-    finding = scale_finding(fitted, signs * scale, np.flatnonzero(is_sure), divided)
+    finding = scale_finding(fitted, signs * scale, np.flatnonzero(is_sure), evidence)
     gain = likelier(fitted, after, 1.0 / scale) - penalty
     yield Correction((finding,), float(gain), after)
 
 
 def with_factors(arm: ArmTerms, factors: Array) -> Relabelling:
     """Return the reading in which torques (J,) are multiplied by factors."""
-    none = Relabelling.none(arm.robot.n_joints)
-    torque = none.torque.copy()
-    torque[arm.indices, arm.indices] = factors
-    return replace(none, torque=torque)
+    torque = np.ones(arm.robot.n_joints)
+    torque[arm.indices] = factors
+    return replace(Relabelling.of(len(torque)), torque=np.diag(torque))
 
 
 def scale_finding(
-    fitted: Fit, scale: Array, sure: NDArray[np.int64], divided: Array
+    fitted: Fit, scale: Array, sure: NDArray[np.int64], evidence: Evidence
 ) -> Finding:
     """Return the finding on torque scales (J,), of which those with indices ``sure`` are found.
 
@@ -644,35 +697,31 @@ def scale_finding(
     """
     names = fitted.arm.joints
     known = np.abs(scale[sure])
-    typical = np.median(known)
     listed = ", ".join(f"{names[k]} {scale[k]:.3g}" for k in sure)
-    text = f"torque reads {typical:.3g} times what the model takes ({listed}): "
-    off = np.max(np.abs(np.log(known)))
     # No sensor is that far off.
-    level = Level.REFUSES if off > np.log(1.6) else Level.DOUBTS
+    is_sensor = np.max(np.abs(np.log(known))) <= np.log(1.6)
     # No links, and no tool that an arm may carry, make all torques that small or large.
-    is_foreign = np.all(known < SMALLER) or np.all(known > LARGER)
-    check = "torque-unit" if is_foreign else "torque-scale"
-    correction = None
-    if np.any(scale < 0.0):
-        correction = with_factors(fitted.arm, np.sign(scale)).columns
-        opposite = ", ".join(compress(names, scale < 0.0))
-        text += f"of {opposite} with the opposite sign; "
-    start = [f"{value:.4g}" for value in np.abs(scale) * divided]
-    options = ("--torque-scale", ",".join(start))
-    text += (
-        "a factor of its own for every joint, as motor currents or per cent of rated "
+    is_unit = np.all(known < SMALLER) or np.all(known > LARGER)
+    opposite = ", ".join(compress(names, scale < 0.0))
+    signs = f"of {opposite} with the opposite sign; " if opposite else ""
+    return Finding(
+        Level.DOUBTS if is_sensor else Level.REFUSES,
+        "torque-unit" if is_unit else "torque-scale",
+        f"torque reads {np.median(known):.3g} times what the model takes ({listed}): {signs}a "
+        "factor of its own for every joint, as motor currents or per cent of rated torque have, or "
+        "all masses of the model are wrong",
+        with_option_names(WEIGHING),
+        (torque_scale(np.abs(scale) * evidence.divided),),
+        "payload",
+        with_factors(fitted.arm, np.sign(scale)).columns if opposite else None,
     )
-    text += "torque have, or all masses of the model are wrong"
-    remedy = with_option_names(WEIGHING)
-    return Finding(level, check, text, remedy, (options,), "payload", correction)
 
 
-def odd_unit(fitted: Fit, dry: Array) -> Iterator[Finding]:
+def odd_unit(fitted: Fit) -> Iterator[Finding]:
     """Yield the finding that one joint's torque has another unit than that of the other joints.
 
-    Dry friction (J,) counts beside the torque: links hardly load some joints, but no joint has so
-    much more friction than the others.
+    Dry friction counts beside the torque: links hardly load some joints, but no joint has so much
+    more friction than the others.
     """
     torque, *_ = model_torque(fitted)
     if len(torque) < 3:
@@ -682,6 +731,7 @@ def odd_unit(fitted: Fit, dry: Array) -> Iterator[Finding]:
     ratio = fitted.sums.rms_torque / np.maximum(torque, least)
     joint = int(np.argmax(ratio))
     factor = ratio[joint] / max(np.median(np.delete(ratio, joint)), 1e-9)
+    dry, _ = dry_friction(fitted)
     friction = dry / np.median(np.maximum(np.delete(dry, joint), 1e-9))
     # Neither links nor gears make one joint so different from the others.
     if min(factor, friction[joint]) > 10.0:

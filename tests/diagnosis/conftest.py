@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from rigs import arms
+from rigs.log_files import motion
 from rigs.wrong_arms import truth_of
 from robot_sysid.diagnosis.gate import judge
 from robot_sysid.estimate.options import EstimationOptions
@@ -15,6 +17,11 @@ from robot_sysid.records.messages import Progress
 
 FOUR_AXES = (arms.Z, arms.Y, arms.Y, arms.X)
 JOINT = 'range="-2.5 2.5" frictionloss=".4" damping=".2"'
+SAMPLES = motion(2000)
+NOISY = replace(
+    SAMPLES,
+    tau=SAMPLES.tau + 0.01 * np.random.default_rng(1).normal(size=SAMPLES.tau.shape),
+)
 
 
 def read_log(robot, samples, name="log.csv", divided=1.0):
@@ -39,6 +46,11 @@ def judged(robot, *samples, divided=1.0, progress=None, **options):
 def findings_of(robot, *samples, **options):
     """Return what is wrong with logs of an arm."""
     return judged(robot, *samples, **options).findings
+
+
+def found_in(truth, **samples):
+    """Return what is wrong with a log of a truth, some of whose samples are others."""
+    return findings_of(truth.robot, replace(truth.log, **samples))
 
 
 @pytest.fixture(scope="session")

@@ -9,14 +9,14 @@ import pytest
 from scipy.stats import chi2
 
 from robot_sysid.diagnosis.causes import beside, explanations
-from robot_sysid.diagnosis.contest import CLEAR, is_plausible
+from robot_sysid.diagnosis.relabelling import CLEAR, is_plausible
 from robot_sysid.estimate.choose import solved
 from robot_sysid.estimate.offers import Offers
 from robot_sysid.estimate.options import EstimationOptions, Priors
 from robot_sysid.estimate.questions import Question
 from robot_sysid.records.messages import Level
 from robot_sysid.signals.process import low_pass_recordings
-from tests.diagnosis.conftest import findings_of
+from tests.diagnosis.conftest import findings_of, found_in
 
 QUESTION = Question(EstimationOptions())
 
@@ -33,7 +33,7 @@ def test_a_right_log_fits_shows_the_link_and_has_no_explanation(truth, right):
     mass = right.by_name["m"]
     error = right.errors[right.at(["m"])][0]
     assert abs(mass - truth.theta[0]) < 3.0 * error
-    assert findings_of(truth.robot, truth.log) == ()
+    assert found_in(truth) == ()
 
 
 def test_each_explanation_is_found_with_the_value_that_is_put_in(right):
@@ -81,7 +81,7 @@ def test_deviations_that_the_prior_allows_are_not_named(truth):
 def test_torque_that_nothing_explains_is_said_with_what_is_missing(truth):
     noise = np.random.default_rng(0).normal(size=truth.log.tau.shape)
     noise = np.cumsum(noise, axis=0)
-    (finding,) = findings_of(truth.robot, replace(truth.log, tau=noise))
+    (finding,) = found_in(truth, tau=noise)
     assert finding.about in ("model", "unexplained")
     assert "the torques do not fit this model" in finding.text
     assert "of the model's weight" in finding.text and finding.options == ()

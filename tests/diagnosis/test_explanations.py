@@ -11,18 +11,12 @@ import pytest
 
 from rigs.wrong_arms import link_torque, resting_torque, truth_of
 from robot_sysid.dynamics.inverse_dynamics import gravity_vector, turn_gravity
-from tests.diagnosis.conftest import findings_of
+from tests.diagnosis.conftest import findings_of, found_in
 
 
 def of_joint(torque, joint):
     """Return the torque (N, 4) of a torque (N,) at one joint."""
     return np.outer(torque, np.arange(4) == joint)
-
-
-def contact(truth):
-    """Return the torque (N, 4) of half a second of contact."""
-    is_touching = (truth.log.time > 5.0) & (truth.log.time < 5.5)
-    return np.outer(is_touching, 0.7 * np.max(np.abs(truth.rigid), axis=0))
 
 
 def delay_joint(truth, joint):
@@ -91,7 +85,6 @@ TORQUES = {
     ),
     "computed": lambda t: t.rigid,
     "sign": lambda t: t.log.tau * [1.0, -1.0, 1.0, 1.0],
-    "contact": lambda t: t.log.tau + contact(t),
     "contact: torque of joint joint1 hums: a sine of": lambda t: t.log.tau + hum(t, 1),
     "delay": lambda t: np.roll(t.log.tau, 10, axis=0),
     "delay: torque of joint joint2 is": lambda t: delay_joint(t, 2),
@@ -156,12 +149,8 @@ def correct_torques(log, finding):
 def test_a_change_of_load_is_within_its_error_at_any_instant(four_joints, instant):
     """The instant need not be that of a row, of which there are a few per second."""
     tau = four_joints.log.tau + late_payload(four_joints, instant)
-    log = replace(four_joints.log, tau=tau)
-    (text,) = (
-        finding.text
-        for finding in findings_of(four_joints.robot, log)
-        if finding.about == "payload-step"
-    )
+    findings = found_in(four_joints, tau=tau)
+    (text,) = (found.text for found in findings if found.about == "payload-step")
     mass, error = map(float, re.search("carries (.*) ± (.*) kg more", text).groups())
     true_mass = 0.8 * four_joints.theta[0]
     assert abs(mass - true_mass) < 2.0 * error < 0.2 * true_mass
@@ -203,6 +192,5 @@ def test_torque_scales_or_a_tilted_base_are_no_fault_of_the_clock(
     truth = truth_of(four_joints.robot, seed)
     torque = weight(truth, [pull, 0.6 * pull, 0.0])
     scales = 1.0 + scale * np.array([1.0, -1.0, 1.0, -1.0])
-    log = replace(truth.log, tau=(truth.log.tau + torque) * scales)
-    findings = findings_of(truth.robot, log)
+    findings = found_in(truth, tau=(truth.log.tau + torque) * scales)
     assert {finding.about for finding in findings} <= {"torque-scale", "tilt"}, findings

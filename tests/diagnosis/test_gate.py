@@ -13,16 +13,15 @@ from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.options import EstimationOptions
 from robot_sysid.estimate.questions import Question
-from robot_sysid.records import Recording
+from robot_sysid.records import Motion, Recording
 from robot_sysid.records.messages import Level, Progress
-from tests.diagnosis.conftest import findings_of, read_log
+from tests.diagnosis.conftest import findings_of, found_in, read_log
 
 
 @pytest.mark.parametrize("turned", [(0, 2), (1, 2), (0, 1, 3)])
 def test_turned_signs_of_several_joints_are_named_together(four_joints, turned):
     signs = np.where(np.isin(range(4), turned), -1.0, 1.0)
-    log = replace(four_joints.log, tau=signs * four_joints.log.tau)
-    (finding,) = findings_of(four_joints.robot, log)
+    (finding,) = found_in(four_joints, tau=signs * four_joints.log.tau)
     assert finding.about == "sign"
     assert tuple(factor for _, factor in finding.correction.torque) == tuple(signs)
 
@@ -30,8 +29,7 @@ def test_turned_signs_of_several_joints_are_named_together(four_joints, turned):
 def test_a_torque_of_weight_alone_is_no_fault_of_the_clock(four_joints):
     """Such as of an arm that is guided by hand, or of a controller's model of gravity."""
     noise = np.random.default_rng(0).normal(0.0, 0.02, four_joints.still.shape)
-    log = replace(four_joints.log, tau=four_joints.still + noise)
-    found = findings_of(four_joints.robot, log)
+    found = found_in(four_joints, tau=four_joints.still + noise)
     assert {f.about for f in found} == {"computed"} and not found[0].options
     assert "time" not in found[0].sentence
 
@@ -40,15 +38,14 @@ def swings(robot, seed):
     """Return a right log in which one joint after the other swings twice."""
     rng = np.random.default_rng(seed)
     time = np.arange(4000) / 200.0
-    q, qd, qdd = np.zeros((3, len(time), robot.n_joints))
-    for joint in range(robot.n_joints):
-        own = (time >= 5.0 * joint) & (time < 5.0 * (joint + 1))
-        phase = 0.8 * np.pi * (time[own] - 5.0 * joint)
-        size = rng.uniform(0.5, 0.9)
-        q[own, joint] = size * (1.0 - np.cos(phase))
-        qd[own, joint] = 0.8 * np.pi * size * np.sin(phase)
-        qdd[own, joint] = (0.8 * np.pi) ** 2 * size * np.cos(phase)
-    tau = ArmDynamics(robot)(Recording(time, q, qd, q, qdd))
+    rate = 0.8 * np.pi
+    phase = rate * (time[:, None] - 5.0 * np.arange(robot.n_joints))
+    is_own = (phase >= 0.0) & (phase < 5.0 * rate)
+    size = is_own * rng.uniform(0.5, 0.9, robot.n_joints)
+    q = size * (1.0 - np.cos(phase))
+    qd = rate * size * np.sin(phase)
+    qdd = rate**2 * size * np.cos(phase)
+    tau = ArmDynamics(robot)(Motion(time, q, qd, qdd))
     noise = 0.02 * rng.normal(size=q.shape)
     return Recording(time, np.round(q, 4), None, tau + noise)
 

@@ -27,7 +27,7 @@ FILE = (
     "# mine\ntime = #1\nposition = #2, #3, #4\nvelocity = #5, #6, #7\n"
     "torque = #8, #9, #10\ntorque.joint1 = 0.5 * #9\n"
 )
-CORRECTIONS = [s.reading.columns for s in steps(ROBOT, range(3)) if s.check != "zero"]
+CORRECTIONS = [s.reading.columns for s in steps(ROBOT, range(3)) if s.text]
 
 
 def columns_of(titles, path):

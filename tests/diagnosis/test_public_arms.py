@@ -11,7 +11,7 @@ from rigs.places import MODELS
 from rigs.wrong_arms import ARMS, truth_of
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records.messages import Level
-from tests.diagnosis.conftest import findings_of
+from tests.diagnosis.conftest import findings_of, found_in
 from tests.diagnosis.test_gate import swings
 
 pytestmark = [
@@ -26,37 +26,37 @@ def truth(request):
     return truth_of(load_robot_model(MODELS / ARMS[request.param]), 5, wrong_links=0.1)
 
 
-def with_torque(truth, tau):
-    """Return the log with other torques (N, n), and a little noise."""
+def noisy(tau):
+    """Return torques (N, n) with a little noise."""
     size = 0.005 * np.sqrt(np.mean(tau**2, axis=0))
     noise = np.random.default_rng(1).normal(0.0, size, tau.shape)
-    return replace(truth.log, tau=tau + noise)
+    return {"tau": tau + noise}
 
 
 def turned(truth, joints):
-    """Return the log with the torques of some joints turned."""
-    signs = np.where(np.isin(range(truth.robot.n_joints), joints), -1.0, 1.0)
-    return replace(truth.log, tau=signs * truth.log.tau)
+    """Return the torques of a log, those of some joints turned."""
+    is_turned = np.isin(range(truth.robot.n_joints), joints)
+    return {"tau": np.where(is_turned, -1.0, 1.0) * truth.log.tau}
 
 
 def with_zeros(truth):
-    """Return the log with the zeros of two loaded joints off by 90 degrees."""
+    """Return the positions of a log with the zeros of two loaded joints off by 90 degrees."""
     loaded = np.argsort(-np.mean(truth.still**2, axis=0))[:2]
-    offset = 0.5 * np.pi * np.isin(range(truth.robot.n_joints), loaded)
-    return replace(truth.log, q=truth.log.q + offset)
+    is_off = np.isin(range(truth.robot.n_joints), loaded)
+    return {"q": truth.log.q + 0.5 * np.pi * is_off}
 
 
 WRONG = {
-    "weight alone": (lambda truth: with_torque(truth, truth.still), {"computed"}),
+    "weight alone": (lambda truth: noisy(truth.still), {"computed"}),
     "all signs": (lambda truth: turned(truth, range(truth.robot.n_joints)), {"sign"}),
     "three signs": (lambda truth: turned(truth, [1, 2, 4]), {"sign"}),
     "two zeros": (with_zeros, {"zero"}),
     "drive side": (
-        lambda truth: with_torque(truth, truth.log.tau / 101.0),
+        lambda truth: noisy(truth.log.tau / 101.0),
         {"torque-unit", "torque-scale"},
     ),
     "drive side with a balancer": (
-        lambda truth: with_torque(truth, (truth.log.tau - 0.3 * truth.still) / 101.0),
+        lambda truth: noisy((truth.log.tau - 0.3 * truth.still) / 101.0),
         {"torque-unit"},
     ),
 }
@@ -65,7 +65,7 @@ WRONG = {
 @pytest.mark.parametrize("fault", WRONG)
 def test_a_mistake_of_many_joints_has_one_name(truth, fault):
     spoil, names = WRONG[fault]
-    found = findings_of(truth.robot, spoil(truth))
+    found = found_in(truth, **spoil(truth))
     named = {finding.about for finding in found if finding.level is not Level.SAYS}
     assert named and named <= names, found
     assert "time =" not in "".join(finding.sentence for finding in found)
