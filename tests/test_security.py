@@ -43,7 +43,8 @@ HELD = {
     "test_rows_with_holes_or_rubbish_are_left_out_and_counted",
     "Nothing is written": "test_security.py::"
     "test_files_are_written_where_a_command_says_and_no_network_is_opened",
-    "A run that would": "test_config.py::test_no_file_is_written_over_another_one",
+    "A run that would": "test_config.py::"
+    "test_what_means_nothing_or_excludes_each_other_is_refused",
     "Files appear whole": "records/test_file_access.py::"
     "test_an_error_at_any_instant_leaves_whole_files_and_nothing_else",
     "No network": "test_security.py::"

@@ -87,7 +87,7 @@ def check_commands(logs: Sequence[Recording], joint_names: Sequence[str]) -> Non
                     "that they were sent to the servos, units and signs "
                     f"({option_name('units')}, or {option_name('columns', 'FILE')} such as "
                     f"'command.JOINT = {1.0 / slope:.4g} * TITLE'), columns that were exchanged, "
-                    " time stamps and zeros"
+                    "time stamps and zeros"
                 )
 
 

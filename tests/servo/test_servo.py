@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -219,8 +218,7 @@ def delay(values, samples):
 
 
 def log(q, command, time=TIME):
-    piece = Recording(time, q, None, command - q, command=command)
-    return SimpleNamespace(path="log.csv", samples=piece)
+    return Recording(time, q, None, command - q, command=command, name="log.csv")
 
 
 FOLLOWED = delay(COMMAND, 2) + NOISE
