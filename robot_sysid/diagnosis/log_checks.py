@@ -87,12 +87,12 @@ def velocity_ratios(pieces: Sequence[Recording]) -> Array:
     one begins at every sample of windows that are spread over a long log. The velocities are
     p.v / p.p times the derivatives.
     """
-    from scipy.integrate import cumulative_trapezoid
-
     displacements = []
     for piece in select_pieces([*cut_pieces(pieces, 16.0)], 64.0):
         length = max(1, round(1.0 / sampling_period(piece.time)))
         if piece.qd is not None and len(piece) > length:
+            from scipy.integrate import cumulative_trapezoid
+
             integral = cumulative_trapezoid(piece.qd, piece.time, axis=0, initial=0.0)
             tracks = np.stack((piece.q, integral))
             displacements.append(tracks[:, length:] - tracks[:, :-length])
