@@ -21,7 +21,7 @@ BUDGETS = {
     "robot_sysid/damiao": 30129,
     "robot_sysid/diagnosis": 15742,
     "robot_sysid/dynamics": 3298,
-    "robot_sysid/estimate": 29235,
+    "robot_sysid/estimate": 29330,
     "robot_sysid/logs": 14553,
     "robot_sysid/mjcf": 6720,
     "robot_sysid/model": 8465,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5279,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10628,
-    "tests": 223879,
+    "tests": 223868,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

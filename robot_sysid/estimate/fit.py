@@ -106,7 +106,12 @@ class Equations:
         grams = self.sums.of_blocks(blocks)
         for weight, columns, gram in zip(weights, self.sums.columns, grams):
             total[columns[:, None], columns] += weight**2 * gram
-        return self.selection.T @ total @ self.selection
+        # Nearly all of the selection's products would be with zeros.
+        data = np.zeros_like(self.prior)
+        data[:-1, :-1] = total[self.index[:, None], self.index]
+        data[-1] = self.selection.T @ (total @ self.selection[:, -1])
+        data[:, -1] = data[-1]
+        return data
 
     def normal(self, weights: Array) -> Array:
         """Return the products (k + 1, k + 1) of priors and of weighted rows."""
@@ -120,8 +125,8 @@ class Equations:
 
     def spread(self, covariance: Array, blocks: Sequence[int] | None = None) -> Array:
         """Return the squared errors (J,) to expect from those of an estimate (k, k) [N^2 m^2]."""
-        own = self.selection[:, :-1]
-        errors = own @ covariance @ own.T
+        errors = np.zeros((len(self.selection), len(self.selection)))
+        errors[self.index[:, None], self.index] = covariance
         pairs = zip(self.sums.columns, self.sums.of_blocks(blocks))
         return np.array([np.vdot(gram, errors[at[:, None], at]) for at, gram in pairs])
 

@@ -137,6 +137,8 @@ class Offers:
         cross = np.zeros((len(self._full), count))
         own = np.zeros((count, count))
         for joint, columns in enumerate(self.sums.columns):
+            if effect.joint not in (None, joint):
+                continue
             products, squares = self._products(effect, joint, self.sums.totals)
             cross[columns] += self.weights[joint] ** 2 * products
             own += self.weights[joint] ** 2 * squares
