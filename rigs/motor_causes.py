@@ -109,7 +109,7 @@ class SecondMaster:
         fields = (np.array([value]) for value in (target, 0.0, self.kp, 1.0, 0.0))
         scaling = protocol.Scaling([joint.spec.limits])
         data = protocol.encode_mit(protocol.MitCommand(*fields), scaling)[0].tobytes()
-        run.link.send_foreign(protocol.Frame(joint.can_id, data), self.is_seen)
+        run.link.send_foreign(protocol.CanFrame(joint.can_id, data), self.is_seen)
         run.at(_FOREIGN_PERIOD, lambda: self._send(run, target))
 
 

@@ -18,7 +18,7 @@ from rigs.places import ROOT
 BUDGETS = {
     "robot_sysid/api": 3865,
     "robot_sysid/commands": 9794,
-    "robot_sysid/damiao": 30129,
+    "robot_sysid/damiao": 30130,
     "robot_sysid/diagnosis": 15742,
     "robot_sysid/dynamics": 3298,
     "robot_sysid/estimate": 29330,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5279,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10628,
-    "tests": 223868,
+    "tests": 223871,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -20,7 +20,7 @@ from robot_sysid.damiao.protocol import (
     ENABLE,
     REFRESH,
     REGISTER_ID,
-    Frame,
+    CanFrame,
     MitCommand,
     Scaling,
     decode_feedback,
@@ -71,11 +71,11 @@ def _line(random: Random) -> bytes:
     return bytes(pieces[random.randint(0, 20) :])
 
 
-def frames_in(data: bytes) -> list[Frame]:
+def frames_in(data: bytes) -> list[CanFrame]:
     """Return the frames of an input."""
     pieces = [data[k : k + 13] for k in range(0, len(data) - 12, 13)]
     return [
-        Frame(
+        CanFrame(
             int.from_bytes(piece[:2], "big") & 0x7FF,
             piece[5 : 5 + min(piece[4], 8)],
             **{name: bool(piece[2] & 1 << k) for k, name in enumerate(_FLAGS)},
@@ -87,13 +87,13 @@ def frames_in(data: bytes) -> list[Frame]:
 class TalkativeBus:
     """A bus whose motors answer some commands, with other frames in between."""
 
-    def __init__(self, frames: list[Frame], clock: SimulatedClock) -> None:
+    def __init__(self, frames: list[CanFrame], clock: SimulatedClock) -> None:
         self._frames = deque(frames)
         self._clock = clock
-        self._waiting = deque[Frame]()
+        self._waiting = deque[CanFrame]()
         self._left = _LONGEST
 
-    def send(self, frame: Frame) -> None:
+    def send(self, frame: CanFrame) -> None:
         """Answer with the payload of the next frames."""
         self._frames.rotate(-1)
         reply = self._frames[0]
@@ -117,20 +117,20 @@ class TalkativeBus:
 AT_REST = bytes([0x80, 0x00, 0x80, 0x08, 0x00, 30, 30])
 
 
-def _answer(frame: Frame, payload: bytes) -> Frame:
+def _answer(frame: CanFrame, payload: bytes) -> CanFrame:
     """Return what a motor would answer, its figures being those of other bytes."""
     if frame.id == REGISTER_ID and frame.data[2] == REFRESH:
         # Where an arm stands is believed when two answers agree.
-        return Frame(frame.data[0] + 16, bytes([frame.data[0] & 0xF]) + AT_REST)
+        return CanFrame(frame.data[0] + 16, bytes([frame.data[0] & 0xF]) + AT_REST)
     if frame.data[7:] == bytes([ENABLE]):
-        return Frame(frame.id + 16, bytes([0x10 | frame.id & 0xF]) + AT_REST)
+        return CanFrame(frame.id + 16, bytes([0x10 | frame.id & 0xF]) + AT_REST)
     if frame.id == REGISTER_ID:
         motor = frame.data[0]
-        return Frame(motor + 16, frame.data[:4] + payload[4:])
+        return CanFrame(motor + 16, frame.data[:4] + payload[4:])
     status = (
         {ENABLE: 1, DISABLE: 0}.get(frame.data[7], 1) if is_special(frame.data) else 1
     )
-    return Frame(frame.id + 16, bytes([status << 4 | frame.id & 0xF]) + payload[1:])
+    return CanFrame(frame.id + 16, bytes([status << 4 | frame.id & 0xF]) + payload[1:])
 
 
 @functools.cache
@@ -153,7 +153,7 @@ def use(case: Case, folder: Path) -> None:
     _session(frames)
 
 
-def _codec(frames: list[Frame]) -> None:
+def _codec(frames: list[CanFrame]) -> None:
     """Decode and encode frames as feedback and commands."""
     raw = np.array(
         [list(f.data) for f in frames if len(f.data) == 8], np.uint8
@@ -181,7 +181,7 @@ def _line_read(line: bytes) -> None:
         assert message is None or len(message.data) == 8
 
 
-def _through_driver(frames: list[Frame]) -> None:
+def _through_driver(frames: list[CanFrame]) -> None:
     """Pass python-can's messages through the bus; its driver raises any error."""
     clock = SimulatedClock()
     waiting = deque(frames)
@@ -213,7 +213,7 @@ def _through_driver(frames: list[Frame]) -> None:
     link.close()
 
 
-def _session(frames: list[Frame]) -> None:
+def _session(frames: list[CanFrame]) -> None:
     """Run motors on a bus whose answers are these frames."""
     clock = SimulatedClock()
     link = GuardedLink(TalkativeBus(frames, clock), clock)

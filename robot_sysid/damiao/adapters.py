@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robot_sysid.damiao.bus import LinkError, SystemClock
-from robot_sysid.damiao.protocol import BusTiming, Frame
+from robot_sysid.damiao.protocol import BusTiming, CanFrame
 from robot_sysid.errors import InputError, error_text
 from robot_sysid.records.installation import install_hint
 from robot_sysid.records.option_fields import OptionRecord, option
@@ -92,7 +92,7 @@ def _driver_text(error: BaseException) -> str:
     return repr(error) if isinstance(error, SystemExit) else error_text(error)
 
 
-def can_message(frame: Frame, **stamp: Any) -> Any:
+def can_message(frame: CanFrame, **stamp: Any) -> Any:
     """Return a frame as a Message of python-can.
 
     ``stamp`` are further fields of the Message: timestamp [s], is_rx and channel.
@@ -119,7 +119,7 @@ class BusLink:
     bus: Any
     clock: SystemClock
 
-    def send(self, frame: Frame) -> None:
+    def send(self, frame: CanFrame) -> None:
         """Send a frame, tried for 1.5 ms while the queue is full; else LinkError."""
         message = can_message(frame)
         # A queue that is full for longer does not empty within a control cycle.
@@ -139,7 +139,7 @@ class BusLink:
                     raise LinkError(_FULL) from error
             self.clock.sleep_until(self.clock.now() + 2e-4)
 
-    def receive(self, until: float) -> Frame | None:
+    def receive(self, until: float) -> CanFrame | None:
         """Return the next data frame with a standard id; None if none came by ``until`` [s].
 
         ``until`` is in the link's clock. A line of a serial adapter that is no frame is a lost
@@ -166,7 +166,7 @@ class BusLink:
         with contextlib.suppress(BaseException):
             self.bus.shutdown()
 
-    def _frame(self, message: Any) -> Frame:
+    def _frame(self, message: Any) -> CanFrame:
         """Return python-can's message as a frame.
 
         The message's time stamp, in seconds since 1970, is converted to the clock of this link. If
@@ -176,7 +176,7 @@ class BusLink:
         # An older frame is stamped by another clock.
         if not 0.0 <= age < 1.0:
             age = 0.0
-        return Frame(
+        return CanFrame(
             id=message.arbitration_id,
             data=bytes(message.data),
             time=self.clock.now() - age,
@@ -320,7 +320,7 @@ class SerialAdapter:
         # Other packets hold no received frame.
         if line is None or line[-15] != 0x11:
             return None
-        frame = Frame(int.from_bytes(line[-13:-9], "little"), line[-9:-1])
+        frame = CanFrame(int.from_bytes(line[-13:-9], "little"), line[-9:-1])
         return can_message(frame, timestamp=time.time())
 
     def shutdown(self) -> None:

@@ -24,8 +24,8 @@ from robot_sysid.damiao.protocol import (
     REFRESH,
     SCALING,
     WRITE,
+    CanFrame,
     Feedback,
-    Frame,
     Register,
     Scaling,
     bytes_from_value,
@@ -77,10 +77,10 @@ class LinkError(HardwareAbort):
 class Link(Protocol):
     """One end of a CAN bus; times are in the clock with which it was opened."""
 
-    def send(self, frame: Frame) -> None:
+    def send(self, frame: CanFrame) -> None:
         """Send a frame, or raise LinkError."""
 
-    def receive(self, until: float) -> Frame | None:
+    def receive(self, until: float) -> CanFrame | None:
         """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
 
 
@@ -91,22 +91,22 @@ class GuardedLink:
     Attributes:
         link: link on which frames are sent and received.
         clock: clock of the link.
-        fd: whether frames are sent as CAN-FD, whatever ``Frame.fd`` says.
+        fd: whether frames are sent as CAN-FD, whatever ``CanFrame.fd`` says.
         refuses: tells of each frame to be sent whether it must not be.
     """
 
     link: Link
     clock: SystemClock
     fd: bool = False
-    refuses: Callable[[Frame], bool] = is_harmful
+    refuses: Callable[[CanFrame], bool] = is_harmful
 
-    def send(self, frame: Frame) -> None:
+    def send(self, frame: CanFrame) -> None:
         """Send a frame; SysidError for one that is refused, LinkError where the bus fails."""
         if self.refuses(frame):
             raise SysidError(f"refused to send {frame.data.hex(' ')} to {frame.id:#x}")
         self.link.send(frame._replace(fd=self.fd))
 
-    def receive(self, until: float) -> Frame | None:
+    def receive(self, until: float) -> CanFrame | None:
         """Return the next frame, or None if none has come at ``until`` [s]; may raise LinkError."""
         return self.link.receive(until)
 
@@ -201,13 +201,13 @@ class RegisterClient:
                 f"motor {can_id} refused {Register(register).name} = {value:g} and keeps {stored:g}"
             )
 
-    def refresh(self, can_id: int, master_id: int) -> Frame | None:
+    def refresh(self, can_id: int, master_id: int) -> CanFrame | None:
         """Request a motor's feedback frame, up to three times, and return it; None without answer.
 
         ``master_id`` is the arbitration id of the motor's replies. The request has no other effect.
         """
 
-        def is_feedback(frame: Frame) -> bool:
+        def is_feedback(frame: CanFrame) -> bool:
             """Tell whether a frame has the low four bits of the CAN id in its first byte."""
             return frame.id == master_id and frame.data[0] & 0xF == can_id & 0xF
 
@@ -247,7 +247,7 @@ class RegisterClient:
         return self.link.clock.now() - start
 
     def answers(
-        self, request: Frame, limit: int | None = None
+        self, request: CanFrame, limit: int | None = None
     ) -> list[tuple[float, int]]:
         """Return value and arbitration id of each reply to a register request.
 
@@ -262,8 +262,11 @@ class RegisterClient:
         return [(value_from_bytes(register, f.data[4:8]), f.id) for f in frames]
 
     def _ask(
-        self, request: Frame, is_answer: Callable[[Frame], bool], limit: int | None
-    ) -> list[Frame]:
+        self,
+        request: CanFrame,
+        is_answer: Callable[[CanFrame], bool],
+        limit: int | None,
+    ) -> list[CanFrame]:
         """Send a request and return the 8-byte frames that answer it.
 
         Frames that have come earlier are discarded, and so are echoes of this program's own frames.
@@ -276,7 +279,7 @@ class RegisterClient:
             limit: number of answers after which no more are waited for; None waits until the
                 timeout.
         """
-        answers: list[Frame] = []
+        answers: list[CanFrame] = []
         for _ in range(3):
             self.link.drain()
             self.link.send(request)

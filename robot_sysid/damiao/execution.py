@@ -17,7 +17,7 @@ from robot_sysid.damiao.adapters import BusAddress, open_bus
 from robot_sysid.damiao.bus import GuardedLink, Inspection, SimulatedClock, SystemClock
 from robot_sysid.damiao.joints import DamiaoJoint, map_joints, read_joint_map
 from robot_sysid.damiao.player import Player, PlayReport, StopRequest
-from robot_sysid.damiao.protocol import BusTiming, Frame, Scaling, is_harmful
+from robot_sysid.damiao.protocol import BusTiming, CanFrame, Scaling, is_harmful
 from robot_sysid.damiao.recorder import Aside, MeasurementRecorder
 from robot_sysid.damiao.references import (
     HoldingCheck,
@@ -236,7 +236,7 @@ class MotorRun:
 
     @contextlib.contextmanager
     def open_guarded(
-        self, refuses: Callable[[Frame], bool] = is_harmful
+        self, refuses: Callable[[CanFrame], bool] = is_harmful
     ) -> Iterator[GuardedLink]:
         """Open the bus for a block and yield its link; InputError without --channel.
 

@@ -263,7 +263,7 @@ CLEAR_ERROR = 0xFB
 _SPECIAL = b"\xff" * 7
 
 
-class Frame(NamedTuple):
+class CanFrame(NamedTuple):
     """One CAN frame.
 
     Attributes:
@@ -281,14 +281,14 @@ class Frame(NamedTuple):
     echo: bool = False
 
 
-def special_frame(code: int, can_id: int) -> Frame:
+def special_frame(code: int, can_id: int) -> CanFrame:
     """Return the frame of a special command (code), such as ENABLE, to a motor."""
-    return Frame(can_id, _SPECIAL + bytes([code]))
+    return CanFrame(can_id, _SPECIAL + bytes([code]))
 
 
 def register_frame(
     operation: int, can_id: int, register: int = 0, value: bytes = bytes(4)
-) -> Frame:
+) -> CanFrame:
     """Return the frame that requests an operation on a motor's register.
 
     Args:
@@ -298,7 +298,7 @@ def register_frame(
         value: four little-endian bytes to write (``bytes_from_value``); zeros for other operations.
     """
     head = bytes([can_id & 0xFF, can_id >> 8, operation, register])
-    return Frame(REGISTER_ID, head + value)
+    return CanFrame(REGISTER_ID, head + value)
 
 
 def is_special(data: bytes) -> bool:
@@ -306,7 +306,7 @@ def is_special(data: bytes) -> bool:
     return len(data) == 8 and data[:7] == _SPECIAL
 
 
-def is_harmful(frame: Frame) -> bool:
+def is_harmful(frame: CanFrame) -> bool:
     """Tell whether a frame must never be sent while an arm is played or checked.
 
     Harmful frames store a new zero position, clear an error (an operator has to find its cause
@@ -317,7 +317,7 @@ def is_harmful(frame: Frame) -> bool:
     return is_special(frame.data) and frame.data[7] not in (ENABLE, DISABLE)
 
 
-def is_motion(frame: Frame) -> bool:
+def is_motion(frame: CanFrame) -> bool:
     """Tell whether a frame would drive a motor: setting up a motor never sends one.
 
     Register operations and clearing an error do not.

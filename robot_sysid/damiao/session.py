@@ -21,8 +21,8 @@ from robot_sysid.damiao.protocol import (
     ENABLED,
     REFRESH,
     Bytes,
+    CanFrame,
     Feedback,
-    Frame,
     MitCommand,
     Scaling,
     decode_feedback,
@@ -261,7 +261,7 @@ class MotorSession:
             reason = f"its answers disagree, {last_position:.3f} and {position:.3f} rad"
         raise HardwareAbort(f"{joint.label} did not enable: {reason}")
 
-    def _ask(self, j: int, request: Frame) -> tuple[int, float]:
+    def _ask(self, j: int, request: CanFrame) -> tuple[int, float]:
         """Send a request to the motor of joint j; return its status and joint position [rad].
 
         Frames that came before are discarded. Without an answer in ``_CONFIRM_TIMEOUT`` the result
@@ -317,7 +317,7 @@ class MotorSession:
         self._put_in_force(packed, commanded, now)
         for j in np.flatnonzero(commanded).tolist():
             self._sent_data[j] = packed[j].tobytes()
-            self._link.send(Frame(self.joints[j].can_id, self._sent_data[j]))
+            self._link.send(CanFrame(self.joints[j].can_id, self._sent_data[j]))
         came, time, feedback = self._receive(commanded, until)
         believed, jump = self._filter.believe(came, time, feedback, acted)
         measured = feedback.position, feedback.velocity, feedback.torque
@@ -427,7 +427,7 @@ class MotorSession:
         came = np.isfinite(received)
         return came, np.where(came & np.isfinite(sent), sent, received), feedback
 
-    def _answering_joint(self, frame: Frame) -> int | None:
+    def _answering_joint(self, frame: CanFrame) -> int | None:
         """Count a received frame; return the joint (its index) that answers by it, or None.
 
         A frame to a motor that this session did not send is another program's. In feedback the

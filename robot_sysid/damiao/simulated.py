@@ -34,7 +34,7 @@ from robot_sysid.damiao.protocol import (
     SCALING,
     TIMEOUT_UNIT,
     BusTiming,
-    Frame,
+    CanFrame,
     MitCommand,
     Register,
     Scaling,
@@ -108,7 +108,7 @@ class SimulatedMotor:
         self.status = code
         self.command = _NOTHING
 
-    def handle(self, frame: Frame, time: float) -> Frame | None:
+    def handle(self, frame: CanFrame, time: float) -> CanFrame | None:
         """Process a frame on the bus at ``time`` [s]; return the motor's answer, None if silent."""
         data = None
         if len(frame.data) < 4:
@@ -119,7 +119,7 @@ class SimulatedMotor:
             data = self._command_answer(frame.data, time)
         if data is None:
             return None
-        return Frame(int(self.registers[Register.MST_ID]), data)
+        return CanFrame(int(self.registers[Register.MST_ID]), data)
 
     def _command_answer(self, data: bytes, time: float) -> bytes:
         """Feed the watchdog at ``time`` [s], obey a command's 8 bytes, return the answer's data."""
@@ -245,12 +245,12 @@ class SimulatedArm:
             torque, damping = self._motor_torques(ahead)
             self.mechanism.step(torque, damping, duration)
 
-    def handle(self, frame: Frame, time: float) -> list[Frame]:
+    def handle(self, frame: CanFrame, time: float) -> list[CanFrame]:
         """Simulate up to ``time`` [s], send a frame to all motors and return their answers."""
         self.advance(time)
         return self.answers(frame, time)
 
-    def answers(self, frame: Frame, time: float) -> list[Frame]:
+    def answers(self, frame: CanFrame, time: float) -> list[CanFrame]:
         """Send a frame to all motors at ``time`` [s] and return their answers; simulate nothing."""
         self._read_sensors()
         self._changed = True
@@ -334,10 +334,10 @@ class SimulatedLink:
         self._order = itertools.count()
         # Heap of transmitted frames (time, order, frame), and heap of replies that wait for a free
         # bus (time from which they may be sent, id, order, reply): of two, the lower id goes first.
-        self._through: list[tuple[float, int, Frame]] = []
-        self._replies: list[tuple[float, int, int, Frame]] = []
+        self._through: list[tuple[float, int, CanFrame]] = []
+        self._replies: list[tuple[float, int, int, CanFrame]] = []
 
-    def send(self, frame: Frame) -> None:
+    def send(self, frame: CanFrame) -> None:
         """Send a frame as soon as the bus is free; the arm gets it after the last bit."""
         end = max(self.clock.now(), self._free_at) + self._timing.frame_time
         self._free_at = end
@@ -348,7 +348,7 @@ class SimulatedLink:
             begin = end + 50e-6
             heapq.heappush(self._replies, (begin, reply.id, next(self._order), reply))
 
-    def receive(self, until: float) -> Frame | None:
+    def receive(self, until: float) -> CanFrame | None:
         """Return the next frame transmitted by ``until`` [s], or None; advance the clock to it."""
         while self._replies:
             begin, _, _, reply = self._replies[0]
@@ -366,6 +366,6 @@ class SimulatedLink:
         self.clock.sleep_until(frame.time)
         return frame
 
-    def _deliver(self, frame: Frame) -> None:
+    def _deliver(self, frame: CanFrame) -> None:
         """Store a transmitted frame, which ``receive`` returns at the frame's time."""
         heapq.heappush(self._through, (frame.time, next(self._order), frame))

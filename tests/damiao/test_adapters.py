@@ -26,7 +26,7 @@ from robot_sysid.damiao.adapters import (
     open_bus,
 )
 from robot_sysid.damiao.bus import LinkError, SimulatedClock, SystemClock
-from robot_sysid.damiao.protocol import DISABLE, BusTiming, Frame, special_frame
+from robot_sysid.damiao.protocol import DISABLE, BusTiming, CanFrame, special_frame
 from robot_sysid.errors import InputError
 
 WALL = 1.7e9
@@ -41,7 +41,7 @@ class ArmBus:
         self.waiting = []
 
     def send(self, message, timeout):
-        frame = Frame(message.arbitration_id, bytes(message.data), fd=message.is_fd)
+        frame = CanFrame(message.arbitration_id, bytes(message.data), fd=message.is_fd)
         for reply in self._arm.handle(frame, self._clock.now()):
             self.waiting.append(self.message(reply.id, reply.data))
 
@@ -110,7 +110,7 @@ class Broken:
 @pytest.mark.parametrize("error_type", [can.CanError, RuntimeError, SystemExit])
 def test_whatever_a_driver_raises_is_our_error(clock, error_type):
     link = BusLink(Broken(error_type), clock)
-    for call in (lambda: link.send(Frame(1, b"")), lambda: link.receive(0.1)):
+    for call in (lambda: link.send(CanFrame(1, b"")), lambda: link.receive(0.1)):
         with pytest.raises(LinkError, match="7"):
             call()
     for broken_link in (link, BusLink(Broken(KeyboardInterrupt), clock)):
@@ -189,18 +189,18 @@ def test_a_full_queue_is_tried_again_within_the_cycle(clock):
 
     once = Queue(1)
     always = Queue(10**9)
-    BusLink(once, clock).send(Frame(1, bytes(8)))
+    BusLink(once, clock).send(CanFrame(1, bytes(8)))
     assert len(once.calls) == 2 and once.calls[1] - once.calls[0] < 1e-3
     with pytest.raises(
         LinkError, match="check the motors' power, the wiring and the termination"
     ):
-        BusLink(always, clock).send(Frame(1, bytes(8)))
+        BusLink(always, clock).send(CanFrame(1, bytes(8)))
     assert always.calls[-1] - always.calls[0] < 4e-3
 
 
 PACKET_FRAMES = st.lists(
     st.tuples(st.integers(0, 0x7FF), st.binary(min_size=8, max_size=8)).map(
-        lambda f: Frame(*f)
+        lambda f: CanFrame(*f)
     )
 )
 
@@ -227,7 +227,7 @@ def frames_in(line, size):
     adapter = SerialAdapter.__new__(SerialAdapter)
     adapter._read = SerialReader(Port(line, size), PACKET)
     messages = [adapter.recv(1e-3) for _ in range(len(line) // 16 + 1)]
-    return [Frame(m.arbitration_id, bytes(m.data)) for m in messages if m]
+    return [CanFrame(m.arbitration_id, bytes(m.data)) for m in messages if m]
 
 
 @settings(deadline=None)
@@ -237,7 +237,7 @@ def test_frames_come_through_in_whatever_pieces(frames, size):
 
 
 def test_other_packets_and_broken_ones_are_passed_over():
-    one = Frame(0x11, bytes(range(8)))
+    one = CanFrame(0x11, bytes(range(8)))
     status = b"\xaa\x01" + bytes(13) + b"\x55"
     torn = answer(one)[:9]
     # A torn packet swallows at most what looks like its own rest.

@@ -12,7 +12,7 @@ import pytest
 
 from rigs.motor_bench import Bench
 from robot_sysid.damiao.bus import undisturbed_processor
-from robot_sysid.damiao.protocol import Frame
+from robot_sysid.damiao.protocol import CanFrame
 from robot_sysid.errors import SysidError
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
@@ -100,5 +100,5 @@ def test_simulated_time_takes_no_priority(monkeypatch):
 def test_a_refused_frame_does_not_reach_the_bus():
     bench = Bench()
     with pytest.raises(SysidError):
-        bench.link.send(Frame(1, b"\xff" * 7 + b"\xfe"))
+        bench.link.send(CanFrame(1, b"\xff" * 7 + b"\xfe"))
     assert bench.bus.sent == []

@@ -14,7 +14,7 @@ from robot_sysid.damiao.protocol import (
     KP_MAX,
     READ,
     REGISTER_ID,
-    Frame,
+    CanFrame,
     MitCommand,
     Register,
     Scaling,
@@ -220,4 +220,4 @@ def test_register_values_survive_their_four_bytes(number, data):
 
 def test_a_request_holds_both_bytes_of_the_motors_number():
     frame = register_frame(READ, 0x123, register=7)
-    assert frame == Frame(REGISTER_ID, bytes([0x23, 0x01, 0x33, 7, 0, 0, 0, 0]))
+    assert frame == CanFrame(REGISTER_ID, bytes([0x23, 0x01, 0x33, 7, 0, 0, 0, 0]))

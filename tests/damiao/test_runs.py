@@ -22,7 +22,13 @@ from robot_sysid.damiao import recorder
 from robot_sysid.damiao.bus import LinkError
 from robot_sysid.damiao.joints import DamiaoJoint
 from robot_sysid.damiao.preflight import stops
-from robot_sysid.damiao.protocol import DISABLED, ENABLED, Frame, Register, is_special
+from robot_sysid.damiao.protocol import (
+    DISABLED,
+    ENABLED,
+    CanFrame,
+    Register,
+    is_special,
+)
 from robot_sysid.damiao.references import trajectory_reference
 from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import Permissions
@@ -170,7 +176,7 @@ def test_every_motor_that_is_not_as_expected_is_named_with_what_is_wrong(rig):
 
 def as_if_somebody_talked(run):
     for k in range(10):
-        run.bus._replies.append((0.004 * k, 0x11, -k, Frame(0x11, bytes(8))))
+        run.bus._replies.append((0.004 * k, 0x11, -k, CanFrame(0x11, bytes(8))))
 
 
 def answers_in_fd(run):

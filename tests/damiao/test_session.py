@@ -16,7 +16,7 @@ from robot_sysid.damiao.protocol import (
     DISABLED,
     ENABLED,
     REGISTER_ID,
-    Frame,
+    CanFrame,
     Register,
     is_motion,
 )
@@ -70,7 +70,7 @@ def test_feedback_is_not_taken_for_a_register_reply():
     ours = bench.arm.handle
 
     def with_feedback_first(frame, time):
-        feedback = Frame(17, bytes([0x01, 0x00, 0x33, 0x07, 0x80, 0x00, 30, 30]))
+        feedback = CanFrame(17, bytes([0x01, 0x00, 0x33, 0x07, 0x80, 0x00, 30, 30]))
         return [feedback, *ours(frame, time)]
 
     bench.arm.handle = with_feedback_first

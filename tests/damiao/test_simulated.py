@@ -10,7 +10,7 @@ import pytest
 from rigs.realtime_arm import NEEDS_TERMINALS, slcan_terminal
 from robot_sysid.damiao.adapters import BusLink
 from robot_sysid.damiao.bus import SystemClock
-from robot_sysid.damiao.protocol import Frame
+from robot_sysid.damiao.protocol import CanFrame
 
 # Far longer than any pause of a busy machine.
 PATIENCE = 60.0
@@ -40,10 +40,10 @@ def test_frames_pass_through_the_adapter_both_ways_whatever_else_is_on_the_line(
     far, near_link, device = adapter
     clock = SystemClock()
     for number in range(1, 10):
-        near_link.send(Frame(number, bytes([number])))
+        near_link.send(CanFrame(number, bytes([number])))
         received = far.receive(clock.now() + PATIENCE)
         assert (received.id, received.data) == (number, bytes([number]))
-        far.send(Frame(0x100 + number, bytes(8)))
+        far.send(CanFrame(0x100 + number, bytes(8)))
         answer = near_link.receive(clock.now() + PATIENCE)
         assert (answer.id, answer.data) == (0x100 + number, bytes(8))
         # Half a frame, then the line that opens an adapter; what is none of either.

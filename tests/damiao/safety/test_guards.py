@@ -13,8 +13,8 @@ from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import (
     REGISTER_ID,
+    CanFrame,
     Feedback,
-    Frame,
     MitCommand,
     Scaling,
     is_special,
@@ -218,7 +218,7 @@ class AbsurdLink:
         else:
             payload = self.answers.pop(0)
         if payload is not None:
-            self._waiting.append(Frame(0x11 + j, payload, self.clock.now()))
+            self._waiting.append(CanFrame(0x11 + j, payload, self.clock.now()))
 
     def receive(self, until):
         if self._waiting:
