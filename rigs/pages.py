@@ -124,8 +124,9 @@ def make_models(folder: Path) -> None:
     load += 'diaginertia=".004 .005 .003"/></body>'
     truth = arms.serial_arm(AXES, **ARM)
     loaded = arms.serial_arm(AXES, tip=load, **ARM)
-    texts = {"truth.xml": truth, "loaded.xml": loaded, "arm_with_tool.xml": loaded}
     model = arms.serial_arm(AXES, **MODEL)
+    tool = arms.serial_arm(AXES, tip=load, **MODEL)
+    texts = {"truth.xml": truth, "loaded.xml": loaded, "arm_with_tool.xml": tool}
     names = ("my_arm.xml", "arm.xml", "guess.xml", "MODEL.xml")
     texts.update(dict.fromkeys(names, model))
     five = "[0.1, 0.1, 0.1, 0.1, 0.2]"
