@@ -26,15 +26,15 @@ def stepped_log(model, robot, seed, seconds):
     data.qpos[:] = motion.q[0]
     q = np.empty_like(motion.q)
     tau = np.empty_like(motion.q)
-    mass = np.empty((7, 7))
+    pushed = np.empty(7)
     for k in range(len(q)):
         mujoco.mj_forward(model, data)
         q[k] = data.qpos
-        mujoco.mj_fullM(model, data, mass)
         commanded = motion.qdd[k] + 900.0 * (motion.q[k] - data.qpos)
         commanded = commanded + 60.0 * (motion.qd[k] - data.qvel)
         dry = model.dof_frictionloss * np.tanh(motion.qd[k] / 0.02)
-        tau[k] = mass @ commanded + data.qfrc_bias + model.dof_damping * data.qvel + dry
+        mujoco.mj_mulM(model, data, pushed, commanded)
+        tau[k] = pushed + data.qfrc_bias + model.dof_damping * data.qvel + dry
         data.qfrc_applied[:] = tau[k]
         mujoco.mj_step(model, data)
     tau += TORQUE_NOISE * rng.normal(size=tau.shape)

@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5279,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10628,
-    "tests": 223886,
+    "tests": 223882,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02
