@@ -87,17 +87,21 @@ def velocity_ratios(pieces: Sequence[Recording]) -> Array:
     one begins at every sample of windows that are spread over a long log. The velocities are
     p.v / p.p times the derivatives.
     """
+    ratios = np.ones(pieces[0].q.shape[1])
+    # Pieces of a log have the same columns.
+    if pieces[0].qd is None:
+        return ratios
+    from scipy.integrate import cumulative_trapezoid
+
     displacements = []
     for piece in select_pieces([*cut_pieces(pieces, 16.0)], 64.0):
         length = max(1, round(1.0 / sampling_period(piece.time)))
-        if piece.qd is not None and len(piece) > length:
-            from scipy.integrate import cumulative_trapezoid
-
+        if len(piece) > length:
             integral = cumulative_trapezoid(piece.qd, piece.time, axis=0, initial=0.0)
             tracks = np.stack((piece.q, integral))
             displacements.append(tracks[:, length:] - tracks[:, :-length])
     if not displacements:
-        return np.ones(pieces[0].q.shape[1])
+        return ratios
     moves = np.concatenate(displacements, axis=1)
     # A constant error of a drive's speed is neither an error of time nor another motion.
     by_position, by_velocity = moves - np.mean(moves, axis=1, keepdims=True)
@@ -105,7 +109,6 @@ def velocity_ratios(pieces: Sequence[Recording]) -> Array:
     products = np.sum(by_position * by_velocity, axis=0)
     # Joints that move enough, with a tenth of the largest displacement.
     moving = squares > 0.01 * np.max(squares)
-    ratios = np.ones(len(squares))
     ratios[moving] = products[moving] / squares[moving]
     return ratios
 

@@ -86,7 +86,7 @@ class Offer:
     @cached_property
     def _after(self) -> tuple[Array, Array]:
         """What the columns change in squared residuals (J,), and their leverage (J,)."""
-        return self._offers.after(self, self._offers.sums.totals)
+        return self._offers.after(self, False)
 
     @cached_property
     def squares(self) -> Array:
@@ -97,7 +97,7 @@ class Offer:
     @cached_property
     def successive(self) -> Array:
         """Sums of products of successive residuals (J,), with the columns [N^2 m^2]."""
-        change, _ = self._offers.after(self, self._offers.sums.lagged_totals)
+        change, _ = self._offers.after(self, True)
         return self._offers.successive + change
 
     @property
@@ -139,7 +139,7 @@ class Offers:
         for joint, columns in enumerate(self.sums.columns):
             if effect.joint not in (None, joint):
                 continue
-            products, squares = self._products(effect, joint, self.sums.totals)
+            products, squares = self._products(effect, joint, False)
             cross[columns] += self.weights[joint] ** 2 * products
             own += self.weights[joint] ** 2 * squares
         # How all parameters move per unit of the further ones.
@@ -166,21 +166,25 @@ class Offers:
             self,
         )
 
+    def _totals(self, lagged: bool) -> Sequence[Array]:
+        """Return the products of each joint's rows, or of successive rows if ``lagged``."""
+        return self.sums.lagged_totals if lagged else self.sums.totals
+
     def _products(
-        self, effect: Effect, joint: int, totals: Sequence[Array]
+        self, effect: Effect, joint: int, lagged: bool
     ) -> tuple[Array, Array]:
         """Return the products (k, m) of a joint's k columns with an effect's, and the latter's.
 
-        ``totals`` are the sums' own, of rows or of successive rows.
+        They are those of rows, or of successive rows if ``lagged``.
         """
         sums = self.sums
         columns = sums.columns[joint]
         acts = effect.joint in (None, joint)
         selection = np.equal.outer(columns, sums.at(effect.names)) & acts
         shares = np.ones(1) if effect.shares is None else effect.shares
-        blocks = totals[joint][None]
+        blocks = self._totals(lagged)[joint][None]
         if effect.shares is not None:
-            blocks = sums.products[joint][int(totals is sums.lagged_totals)]
+            blocks = sums.products[joint][int(lagged)]
         # The effect has few of all columns.
         own = np.flatnonzero(np.any(selection, axis=1))
         further = selection[own]
@@ -189,16 +193,17 @@ class Offers:
         cross = np.tensordot(shares, blocks, 1) @ further
         return cross, further.T @ squares @ further
 
-    def after(self, offer: Offer, totals: Sequence[Array]) -> tuple[Array, Array]:
+    def after(self, offer: Offer, lagged: bool) -> tuple[Array, Array]:
         """Return what an offer changes in each joint's sums of squares (J,), and determines (J,).
 
-        ``totals`` are the sums' own, of rows or of successive rows.
+        Sums are those of products of successive rows if ``lagged``.
         """
         values = offer.values
+        totals = self._totals(lagged)
         change = np.zeros(len(self.weights))
         explained = np.zeros(len(self.weights))
         for joint, columns in enumerate(self.sums.columns):
-            cross, squares = self._products(offer.effect, joint, totals)
+            cross, squares = self._products(offer.effect, joint, lagged)
             moves = offer.moves[columns]
             moved = totals[joint] @ moves + cross
             slope = self._full[columns] @ moved

@@ -70,7 +70,7 @@ class Parameter:
     @property
     def key(self) -> str:
         """Its name among all parameters of an arm, such as "coulomb[joint6]"."""
-        return f"{self.name}[{self.of}]" if self.of else self.name
+        return self.key_of(self.of)
 
     @property
     def unit(self) -> str:
@@ -94,7 +94,7 @@ class Parameter:
 
     def key_of(self, owner: str) -> str:
         """Return the name of a joint's or motor's parameter among all of an arm."""
-        return self.at(owner).key
+        return f"{self.name}[{owner}]" if owner else self.name
 
 
 def keys_of(parameters: Iterable[Parameter]) -> tuple[str, ...]:
