@@ -89,8 +89,7 @@ def exact_recording(recording: Recording) -> FilteredRecording:
     unfiltered = LowPass(np.inf, np.inf, np.ones(1), 1)
     exact = FilteredRecording.exact(recording, recording.tau, unfiltered)
     # A torque of zero is one, not a missing sensor.
-    exact.__dict__["used"] = np.ones(recording.q.shape, dtype=bool)
-    return exact
+    return exact.using(np.ones(recording.q.shape, dtype=bool))
 
 
 class Solution(NamedTuple):

@@ -110,8 +110,9 @@ class Relabelling:
         position = self.position.T
         every_row = Rows(recording, slice(None))
         dry = every_row.low_passed("coulomb", lambda motion: np.sign(motion.qd))
-        right = replace(
-            recording,
+        # A joint's rows are those in which it moves.
+        return recording.using(
+            recording.used @ (position != 0.0),
             q=recording.q @ position + self.zeros,
             qd=recording.qd @ position,
             qdd=recording.qdd @ position,
@@ -120,9 +121,6 @@ class Relabelling:
             # The direction of friction is that of the speed.
             _kept={"coulomb": dry @ np.sign(position)},
         )
-        # A joint's rows are those in which it moves.
-        right.__dict__["used"] = recording.used @ (position != 0.0)
-        return right
 
     @property
     def columns(self) -> ColumnCorrection:
@@ -256,11 +254,10 @@ class Search:
         self.terms = arm_question(self.arm, question, fitted.sums.rms_torque)
         # 250 rows tell readings apart.
         every = max(1, sum(map(len, fitted.recordings)) // 250)
-        self.recordings = []
-        for recording in fitted.recordings:
-            fewer = replace(recording, every=every, _kept={})
-            fewer.__dict__["used"] = recording.used[::every]
-            self.recordings.append(fewer)
+        self.recordings = [
+            recording.using(recording.used[::every], every=every, _kept={})
+            for recording in fitted.recordings
+        ]
 
     def score(self, steps: Sequence[Step]) -> float:
         """Return the log likelihood of the log with steps, but for a constant."""

@@ -175,9 +175,17 @@ class FilteredRecording:
 
     def only(self, rows: Mask) -> FilteredRecording:
         """Return the recording in which some rows, (K,) or (K, n), are used at most."""
-        smaller = replace(self)
-        smaller.__dict__["used"] = (self.used.T & rows.T).T
-        return smaller
+        return self.using((self.used.T & rows.T).T)
+
+    def using(self, used: Mask, **changes: Any) -> FilteredRecording:
+        """Return the recording with changed fields, of whose rows those (K, n) are used.
+
+        They take the place of what would follow from the signals (``used``); a later ``replace``
+        of fields does not carry them on.
+        """
+        changed = replace(self, **changes)
+        changed.__dict__["used"] = used
+        return changed
 
     def filter_columns(self, make: Callable[[Motion], Array]) -> Array:
         """Return columns (K, ...) that are made from the motion, low-passed and decimated.
