@@ -11,16 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from rigs import arms
+from rigs.wrong_arms import WrongArm
 from robot_sysid import spatial
-from robot_sysid.dynamics.inverse_dynamics import LinkDynamics, link_names
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.records import Motion
 from robot_sysid.signals.filters import LowPass
 from robot_sysid.signals.process import FilteredRecording
-from robot_sysid.spatial import PARAMETER_NAMES
 
 RATE = 50.0
-DURATION = 12.0
+DURATION = 8.0
 UNFILTERED = LowPass(20.0, RATE, np.ones(1), 1)
 """A low-pass that passes everything: columns and torques agree to rounding."""
 PAYLOAD = spatial.theta_from_com(
@@ -29,7 +28,6 @@ PAYLOAD = spatial.theta_from_com(
     np.array([[6, 1, 0.5], [1, 7, -0.4], [0.5, -0.4, 4]]) * 1e-3,
 )
 _FREQUENCIES = np.array([0.23, 0.47, 0.71, 1.03])
-_JOINT_TERMS = ("coulomb", "viscous", "offset", "armature")
 
 
 def four_joint_xml(joint='range="-2.5 2.5"'):
@@ -58,7 +56,7 @@ def wide_motion(seed, joints=4, duration=DURATION, rate=RATE, delay=0.0):
     return Motion(time, *derivatives)
 
 
-class TrueArm:
+class TrueArm(WrongArm):
     """An arm whose links, friction and torque sensors differ from its model.
 
     Args:
@@ -66,45 +64,28 @@ class TrueArm:
         seed: draws what differs.
         model_error: each link differs by up to this share of its mass and size.
         payload: (10,) body that loaded recordings carry beside the terminal link.
-        scale: (n,) torque scales; None are ones.
+        fields: those of ``WrongArm`` that are not to be drawn.
     """
 
-    def __init__(self, robot, seed, model_error=0.3, payload=PAYLOAD, scale=None):
+    def __init__(self, robot, seed, model_error=0.3, payload=PAYLOAD, **fields):
         rng = np.random.default_rng(seed)
-        self.robot = robot
-        self.payload = payload
         thetas = [perturb_body(link.theta, model_error, rng) for link in robot.links]
-        self.thetas = np.array(thetas)
-        self.coulomb, self.viscous = rng.uniform(0.1, 1.0, (2, robot.n_joints))
-        self.offset, self.armature = rng.uniform(0.0, 0.3, (2, robot.n_joints))
-        self.scale = np.ones(robot.n_joints) if scale is None else scale
+        coulomb, viscous = rng.uniform(0.1, 1.0, (2, robot.n_joints))
+        offset, rotor = rng.uniform(0.0, 0.3, (2, robot.n_joints))
+        drawn = {
+            "coulomb": coulomb,
+            "viscous": viscous,
+            "offset": offset,
+            "rotor": rotor,
+        }
+        super().__init__(robot, np.array(thetas), np.zeros(2), **{**drawn, **fields})
+        self.__dict__["payload"] = payload
 
-    def rigid_torque(self, motion, is_loaded):
-        """Return the torque (N, n) of the links and the payload alone."""
-        thetas = self.thetas.copy()
-        thetas[-1] += self.payload * is_loaded
-        dynamics = LinkDynamics(self.robot)
-        return dynamics.motion(motion.q, motion.qd, motion.qdd).torque(thetas)
-
-    def torque(self, motion, is_loaded, drift=0.0):
-        """Return the readings of the torque sensors (N, n)."""
-        rigid = self.rigid_torque(motion, is_loaded)
-        friction = self.coulomb * np.sign(motion.qd) + self.viscous * motion.qd
-        rotor_and_offset = self.armature * motion.qdd + self.offset
-        return self.scale * rigid + (1.0 + drift) * friction + rotor_and_offset
-
-    def values(self, names, drift=0.0):
-        """Return the true values (p,) of named parameters."""
-        value_of = dict(zip(PARAMETER_NAMES, self.thetas[-1]))
-        value_of.update(zip(PAYLOAD_NAMES, self.payload))
-        for number, joint in enumerate(self.robot.joint_names):
-            for term in _JOINT_TERMS:
-                value_of[f"{term}[{joint}]"] = getattr(self, term)[number]
-            value_of[f"scale[{joint}]"] = self.scale[number] - 1.0
-            value_of[f"drift[{joint}]"] = drift
-        for number in range(self.robot.n_joints - 1):
-            value_of.update(zip(link_names(self.robot, number), self.thetas[number]))
-        return np.array([float(value_of.get(name, 0.0)) for name in names])
+    def values(self, names):
+        """Return the true values (p,) of parameters, those of the payload among them."""
+        of_payload = dict(zip(PAYLOAD_NAMES, self.payload))
+        others = zip(names, super().values(names))
+        return np.array([of_payload.get(name, value) for name, value in others])
 
     def abba(self, seed, drift=0.0, sigma=0.0):
         """Return four recordings in the order empty, loaded, loaded, empty."""
@@ -118,8 +99,9 @@ class TrueArm:
         return recordings
 
     def recording(self, motion, is_loaded, place=0.0, name="log", drift=0.0):
-        """Return the exact recording of a motion."""
-        tau = self.torque(motion, is_loaded, drift * place)
+        """Return the exact recording of a motion; friction drifts with the place."""
+        rigid, friction = self.torques(motion, self.payload * is_loaded)
+        tau = self.scales * rigid + (1.0 + drift * place) * friction + self.offset
         return exact_recording(motion, tau, is_loaded, place, name)
 
 

@@ -18,6 +18,7 @@ from robot_sysid.dynamics.inverse_dynamics import (
     ArmDynamics,
     LinkDynamics,
     gravity_vector,
+    link_names,
     other_links,
     turn_gravity,
 )
@@ -115,21 +116,27 @@ class WrongArm:
         q = np.round((motion.q + self.zeros) / self.step) * self.step
         return Recording(motion.time, q, None, tau)
 
-    def sensors(self):
-        """Return what is true of sensors, base and friction, by the names of an estimate."""
-        truth = {"delay": self.lag, "tilt_1": self.tilt[0], "tilt_2": self.tilt[1]}
-        values = {
+    def values(self, names):
+        """Return the true values (p,) of parameters of an estimate; what is not wrong is zero."""
+        value_of = {"delay": self.lag, "tilt_1": self.tilt[0], "tilt_2": self.tilt[1]}
+        value_of.update(zip(spatial.PARAMETER_NAMES, self.thetas[-1]))
+        for number, theta in enumerate(self.thetas[:-1]):
+            value_of.update(zip(link_names(self.robot, number), theta))
+        of_joints = {
+            "coulomb": self.coulomb,
+            "viscous": self.viscous,
+            "offset": self.offset,
+            "armature": self.rotor,
             "scale": self.scales - 1.0,
             "zero": self.zeros,
             "load": self.loss,
             "sqrt": self.root,
-            **dict.fromkeys(("fading_fast", "fading", "fading_slow"), 0.0),
         }
-        for name, value in values.items():
-            of_joints = np.broadcast_to(value, len(self.thetas))
-            for joint, number in zip(self.robot.joint_names, of_joints):
-                truth[f"{name}[{joint}]"] = number
-        return truth
+        for term, sizes in of_joints.items():
+            numbers = np.broadcast_to(sizes, len(self.thetas))
+            for joint, number in zip(self.robot.joint_names, numbers):
+                value_of[f"{term}[{joint}]"] = number
+        return np.array([float(value_of.get(name, 0.0)) for name in names])
 
 
 def delay(time, values, lag):

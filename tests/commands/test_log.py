@@ -163,7 +163,7 @@ def test_motor_currents_end_with_the_command_that_weighs_their_constants(
     arm = TrueArm(arms.robot_of(ARM), 1, model_error=0.05, payload=ONE_KG)
     for seed, name in enumerate(("ampere", "weight")):
         motion = wide_motion(seed, joints=4, duration=15.0, rate=250.0)
-        torque = arm.torque(motion, is_loaded=name == "weight")
+        torque = arm.recording(motion, name == "weight").tau
         torque += np.random.default_rng(seed).normal(0.0, 0.02, torque.shape)
         log = Recording(motion.time, motion.q, motion.qd, PER_NM * torque)
         write_measurement_csv(folder / f"{name}.csv", arm.robot.joint_names, [log])

@@ -7,12 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from rigs import arms
 from rigs.arms import SEEDS
-from rigs.places import DATA
 from robot_sysid import spatial
 from robot_sysid.errors import SysidError
 from robot_sysid.estimate import bodies
@@ -38,52 +36,9 @@ def random_body(rng):
     return arms.random_theta(rng, mass, 10.0 ** rng.uniform(-2.0, -0.5))
 
 
-@st.composite
-def link_bodies(draw, count=LINKS):
-    """Return theta of some links of an arm."""
-    return [random_body(np.random.default_rng(draw(SEEDS))) for _ in range(count)]
-
-
-def problem_of(thetas):
-    """Return the problem of links, with a prior each, and three friction terms."""
-    bodies = np.array([10 * k + BODY for k in range(len(thetas))])
-    return Problem(bodies, np.concatenate((*thetas, np.zeros(FRICTION))))
-
-
 def sizes_of(theta):
     """Return the usual size of each parameter of a link (10,)."""
     return spatial.parameter_scale(theta[0], spatial.characteristic_length(theta))
-
-
-def unit_sizes(thetas):
-    """Return the usual size of each parameter of links, and ones for friction."""
-    return np.concatenate((*map(sizes_of, thetas), np.ones(FRICTION)))
-
-
-def random_rows(rng, count, thetas):
-    """Return a regressor whose columns all weigh about the same for such links."""
-    return rng.normal(size=(count, SIZE)) / unit_sizes(thetas)
-
-
-@given(thetas=link_bodies(4), seed=SEEDS)
-def test_noise_free_data_gives_the_truth_whatever_the_model(thetas, seed):
-    rng = np.random.default_rng(seed)
-    truth = np.concatenate((*thetas[2:], [0.3, 0.5, 0.1]))
-    matrix = 1e4 * random_rows(rng, 60, thetas[2:])
-    problem = problem_of(thetas[:2])
-    values = consistent_least_squares(matrix, matrix @ truth, *problem).values
-    assert np.max(np.abs(values - truth) / unit_sizes(thetas[2:])) < 1e-3
-
-
-@given(thetas=link_bodies(), seed=SEEDS)
-def test_links_are_possible_bodies_whatever_the_data(thetas, seed):
-    """Right-hand sides are nothing but noise, and half of the directions do not show."""
-    rng = np.random.default_rng(seed)
-    matrix = random_rows(rng, SIZE // 2, thetas)
-    right = 100.0 * rng.normal(size=len(matrix))
-    values = consistent_least_squares(matrix, right, *problem_of(thetas)).values
-    for theta in values[: 10 * LINKS].reshape(LINKS, 10):
-        assert spatial.is_consistent(theta)
 
 
 def relative_bodies(values, problem):
@@ -102,13 +57,16 @@ def is_admitted(values, problem):
     return all(np.linalg.eigvalsh(body)[0] >= LEAST_SHARE for body in bodies)
 
 
-@given(thetas=link_bodies(4), seed=SEEDS)
-def test_the_best_is_found_where_it_is_known(thetas, seed):
+@given(SEEDS)
+def test_the_best_is_found_where_it_is_known(seed):
     """Bodies on the edge of the admitted ones, and residuals whose gradient points outwards."""
     rng = np.random.default_rng(seed)
-    matrix = 100.0 * random_rows(rng, 40, thetas[2:])
-    problem = problem_of(thetas[:2])
-    best = np.concatenate((*thetas[2:], rng.normal(size=FRICTION)))
+    thetas = [random_body(rng) for _ in range(2 * LINKS)]
+    sizes = np.concatenate((*map(sizes_of, thetas[LINKS:]), np.ones(FRICTION)))
+    matrix = 100.0 * rng.normal(size=(40, SIZE)) / sizes
+    links = BODY + 10 * np.arange(LINKS)[:, None]
+    problem = Problem(links, np.concatenate((*thetas[:LINKS], np.zeros(FRICTION))))
+    best = np.concatenate((*thetas[LINKS:], rng.normal(size=FRICTION)))
     gradient = np.zeros(SIZE)
     for link, relative in zip(problem.links, relative_bodies(best, problem)):
         root = np.linalg.cholesky(spatial.pseudo_inertia(problem.prior[link]))
@@ -143,20 +101,17 @@ def fit_last_joint(izz):
     return prior, consistent_least_squares(matrix, matrix @ truth, *problem).values
 
 
-def test_hidden_parameters_keep_the_prior_where_a_possible_body_costs_hardly_anything():
-    """Ixy, weakly seen, is larger than a body as slim as this can have."""
-    prior, theta = fit_last_joint(0.001)
-    assert spatial.is_consistent(theta) and theta[5] < 0.001
-    assert_allclose(theta[[0, 3]], prior[[0, 3]], rtol=1e-5)
-    assert theta[4] + theta[7] == pytest.approx(prior[4] + prior[7], rel=1e-5)
-
-
-def test_hidden_parameters_give_way_to_well_seen_ones():
-    """No body has an Izz above the sum of the others."""
-    prior, theta = fit_last_joint(0.1)
+@pytest.mark.parametrize("izz", [0.001, 0.1])
+def test_hidden_parameters_give_way_to_well_seen_ones_alone(izz):
+    """Ixy, weakly seen, is larger than a slim body's; no body has an Izz above all others."""
+    prior, theta = fit_last_joint(izz)
     assert spatial.is_consistent(theta)
-    assert theta[9] == pytest.approx(0.1, rel=1e-2)
-    assert theta[4] + theta[7] > 2.0 * (prior[4] + prior[7])
+    hidden_sum = (theta[4] + theta[7]) / (prior[4] + prior[7])
+    if izz == 0.001:
+        assert theta[5] < 0.001 and hidden_sum == pytest.approx(1.0, rel=1e-5)
+        assert_allclose(theta[[0, 3]], prior[[0, 3]], rtol=1e-5)
+    else:
+        assert theta[9] == pytest.approx(izz, rel=1e-2) and hidden_sum > 2.0
 
 
 def test_equations_that_are_no_numbers_are_our_error():
@@ -180,9 +135,9 @@ def hard_problem(rng):
     """Return (A, b, problem, truth) of 1 to 8 links with any reference bodies.
 
     Further parameters have units from 1e-6 to 1e6, half of all problems have directions that do not
-    show, half of them a mass that is known to 1e-6, and a third no noise.
+    show, half of them a mass that is known to 1e-6, a quarter no noise, another little else.
     """
-    n_links = rng.integers(1, 9)
+    n_links = rng.choice((1, 2, 3, 8))
     size = 10 * n_links + rng.integers(0, 21)
     links = np.array([10 * k + BODY for k in range(n_links)])
     truth = rng.normal(size=size)
@@ -200,45 +155,27 @@ def hard_problem(rng):
     matrix = np.vstack((matrix, np.zeros(size)))
     if rng.random() < 0.5:
         matrix[-1, 0] = 1e6 / truth[0]
-    noise = rng.choice((0.0, 1.0, 10.0)) * rng.normal(size=len(matrix))
+    noise = rng.choice((0.0, 1.0, 10.0, 1000.0)) * rng.normal(size=len(matrix))
     return matrix, matrix @ truth + noise, Problem(links, prior), truth
 
 
-@given(seed=SEEDS)
+@given(SEEDS)
 def test_every_problem_has_an_answer_near_the_best_whatever_the_reference(seed):
-    """So has one whose search begins where another has ended."""
+    """So has one whose search begins where another has ended.
+
+    Where the search fails, bodies are possible.
+    """
     matrix, right, problem, truth = hard_problem(np.random.default_rng(seed))
     found = consistent_least_squares(matrix, right, *problem)
     again = consistent_least_squares(matrix, right, *problem, like=found)
-    for values in (found.values, again.values):
-        assert all(spatial.is_consistent(values[link]) for link in problem.links)
-        if is_admitted(truth, problem):
-            # The best is not above the truth.
-            limit = np.sum((matrix @ truth - right) ** 2) + 3.0
-            assert np.sum((matrix @ values - right) ** 2) <= (1.0 + 1e-6) * limit
-
-
-@given(seed=SEEDS)
-def test_bodies_are_possible_where_the_search_fails(seed):
-    matrix, right, problem, truth = hard_problem(np.random.default_rng(seed))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bodies, "_by_cone", lambda rows, least: np.zeros(10 * len(least)))
-        values = consistent_least_squares(matrix, right, *problem).values
-    assert all(spatial.is_consistent(values[link]) for link in problem.links)
-
-
-CONIC = DATA / "conic" / "known_mass.npz"
-
-
-@pytest.mark.skipif(not CONIC.exists(), reason="the logs of real arms are not here")
-def test_a_real_pair_weighed_with_a_known_mass():
-    """The payload's reference body is a point, and its mass is known to 3 mg."""
-    arrays = np.load(CONIC)
-    *columns, right = arrays["equations"].T
-    matrix = np.column_stack(columns)
-    problem = Problem(arrays["links"], arrays["prior"])
-    values = consistent_least_squares(matrix, right, *problem, has_hidden=False).values
-    assert all(spatial.is_consistent(values[link]) for link in problem.links)
-    assert values[problem.links[-1][0]] == pytest.approx(2.805, rel=1e-5)
-    # Least squares over log-Cholesky parameters of the bodies end at 4.53.
-    assert np.sum((matrix @ values - right) ** 2) < 4.53 + 3.0
+        failed = consistent_least_squares(matrix, right, *problem)
+    for fit in (found, again, failed):
+        assert all(spatial.is_consistent(fit.values[link]) for link in problem.links)
+    if is_admitted(truth, problem):
+        # The best is not above the truth.
+        limit = np.sum((matrix @ truth - right) ** 2) + 3.0
+        for fit in (found, again):
+            residual = matrix @ fit.values - right
+            assert np.sum(residual**2) <= (1.0 + 1e-6) * limit

@@ -18,26 +18,18 @@ from rigs.payload_logs import (
 ROBOT = four_joint_arm()
 
 
-@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(
-    "spans",
-    [
-        [],
-        [(4.0, 4.5)],
-        [(9.0, 12.0)],
-        [(4.0, 4.5), (9.0, 12.0)],
-        [(k, k + 0.3) for k in range(1, 7)],
-    ],
+    "spans", [[], [(4.0, 4.5), (9.0, 12.0)], [(k, k + 0.3) for k in range(1, 7)]]
 )
-def test_rows_of_contacts_are_left_out_unless_they_come_back(spans, seed):
+def test_rows_of_contacts_are_left_out_unless_they_come_back(spans):
     """As the last ones do: no log goes on without what comes back."""
-    arm = TrueArm(ROBOT, seed, model_error=0.02)
-    recording = arm.recording(wide_motion(seed, duration=20.0), False)
+    arm = TrueArm(ROBOT, 0, model_error=0.02)
+    recording = arm.recording(wide_motion(0, duration=20.0), False)
     time = recording.motion.time
     push = np.zeros_like(recording.torque)
     for first, last in spans:
         push[(time >= first) & (time <= last)] = 0.0, 8.0, 0.0, 4.0
-    touched = add_noise(add_torque(recording, push), 0.05, seed)
+    touched = add_noise(add_torque(recording, push), 0.05, 0)
     fitted = fit_recordings(ROBOT, [touched])
     found = fitted.recordings[0]
     kept = np.ones(len(time), dtype=bool)

@@ -13,14 +13,7 @@ from rigs.payload_logs import TrueArm, add_torque, four_joint_arm
 from robot_sysid.estimate.fit import Equations, correlation_times, solve
 from robot_sysid.estimate.offers import Effect, Offers
 from robot_sysid.estimate.rows import row_chunks
-from robot_sysid.estimate.terms import (
-    SCALE_DRIFT,
-    TILT,
-    ZEROS,
-    ArmTerms,
-    Term,
-    independent,
-)
+from robot_sysid.estimate.terms import SCALE_DRIFT, ZEROS, ArmTerms, Term, independent
 from robot_sysid.records.parameters import Parameter
 
 ROBOT = four_joint_arm()
@@ -34,7 +27,7 @@ def log_evidence(equations, weights):
     return 0.5 * (np.linalg.slogdet(inverse)[1] - change @ normal @ change)
 
 
-@pytest.mark.parametrize(("seed", "joint"), [*enumerate([None, 0, 1, 2, 3, None])])
+@pytest.mark.parametrize(("seed", "joint"), [(0, None), (1, 0), (2, 3)])
 def test_an_offer_is_the_estimate_with_the_columns_in_the_sums(
     payload_fit, seed, joint
 ):
@@ -68,7 +61,7 @@ def test_an_offer_is_the_estimate_with_the_columns_in_the_sums(
     assert_allclose(offer.successive, wide.successive(full), rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("cause", [ZEROS, TILT, SCALE_DRIFT])
+@pytest.mark.parametrize("cause", [ZEROS, SCALE_DRIFT])
 def test_an_effect_that_is_weighed_is_that_of_a_fit_with_its_own_noise(cause):
     """Both fits have the memory of the residuals that the columns leave."""
     truth = TrueArm(ROBOT, 1, model_error=0.02)

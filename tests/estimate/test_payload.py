@@ -17,7 +17,6 @@ from robot_sysid.estimate.payload import contradiction, payload_result, written_
 from robot_sysid.estimate.restricted_fit import error_before, fit_file
 from robot_sysid.estimate.rows import row_chunks
 from robot_sysid.records import Flange
-from robot_sysid.records.messages import with_error
 from robot_sysid.results.record import Verdict
 
 ROBOT = four_joint_arm()
@@ -64,17 +63,6 @@ def test_a_payload_is_given_in_the_flange_frame_with_its_errors(result_and_file)
     assert (row.value, row.error) == (body.mass, pytest.approx(body.errors[0]))
 
 
-@pytest.mark.parametrize("factor", [0.94, 1.06])
-def test_a_scale_of_all_torques_is_within_the_payloads_error(factor):
-    """Twice as large as scales usually are: 1.5 % for four joints of 3 % each."""
-    arm = TrueArm(ROBOT, 3, model_error=0.1, scale=np.full(4, factor))
-    fitted = fit_recordings(ROBOT, arm.abba(3, sigma=0.05), loaded=True)
-    mass = fitted.by_name["m(payload)"]
-    assert mass == pytest.approx(factor * PAYLOAD[0], rel=0.01)
-    error = fitted.errors[fitted.names.index("m(payload)")]
-    assert 0.014 < error / mass < 0.025
-
-
 def test_scales_that_change_when_the_payload_comes_on_are_within_the_error():
     """Two logs of other motions: 0.3 % more torque of a heavy arm is no payload."""
     arm = TrueArm(ROBOT, 3, payload=np.zeros(10))
@@ -87,14 +75,6 @@ def test_scales_that_change_when_the_payload_comes_on_are_within_the_error():
     fitted = fit_recordings(ROBOT, [empty, loaded], loaded=True)
     at = fitted.names.index("m(payload)")
     assert abs(fitted.free[at]) < 2.0 * fitted.errors[at]
-
-
-def test_a_refused_payload_has_one_error_of_its_mass(recordings):
-    swapped = [replace(log, is_loaded=not log.is_loaded) for log in recordings]
-    result, _ = result_of(swapped)
-    body = result.payload
-    assert result.verdict is Verdict.SWAPPED
-    assert result.remarks[0].text.endswith(with_error(body.mass, body.errors[0], "kg"))
 
 
 def test_an_inertia_within_its_error_of_zero_is_replaced_by_a_balls():
@@ -159,9 +139,7 @@ def half_turn(theta):
 @pytest.mark.parametrize(
     ("index", "change", "names"),
     [
-        (2, lambda theta: theta, ()),
         (2, lambda theta: 1.01 * theta, ()),
-        (2, lambda theta: 1.3 * theta, ("log1", "log2")),
         (2, half_turn, ("log1", "log2")),
         (3, lambda theta: 0.2 * theta, ("log0", "log3")),
     ],

@@ -12,9 +12,7 @@ from numpy.testing import assert_allclose
 from rigs import arms
 from rigs.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
 from rigs.measured_logs import XML, log_of, plan_of
-from rigs.wrong_arms import draw_arm
 from robot_sysid import spatial
-from robot_sysid.dynamics.inverse_dynamics import TILT_NAMES
 from robot_sysid.errors import InputError
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.result import link_result, traces_of
@@ -98,22 +96,6 @@ def test_unexplained_torque_is_noted(robot, noisy, share, verdict, is_noted):
     for remark in remarks:
         is_doubt = verdict is Verdict.TORQUES_ONLY
         assert remark.level is (Level.DOUBTS if is_doubt else Level.SAYS)
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_sensor_parameters_are_the_deviation_from_the_model(plant, seed):
-    """An arm that is tilted and late, with wrong zeros and scales, all estimated at once."""
-    drawn = draw_arm(plant, "priors", False, 20.0, True, seed)
-    result = result_of(plant, drawn.log)
-    truth = drawn.arm.sensors()
-    sensors = {}
-    for row in result.quantities:
-        name = row.name.removeprefix("further_")
-        sensors[name if row.of == "arm" else f"{name}[{row.of}]"] = row
-    assert truth.keys() <= sensors.keys()
-    for name, value in truth.items():
-        assert abs(sensors[name].value - value) < 4.0 * sensors[name].error, name
-    assert {"delay", *TILT_NAMES} <= sensors.keys()
 
 
 def test_a_resting_joint_keeps_the_models_numbers_and_an_offset_is_noted(
