@@ -14,12 +14,6 @@ def rows(content: Mapping[str, Any]) -> dict[tuple[str, str], Mapping[str, Any]]
     return {(row["of"], row["name"]): row for row in found}
 
 
-def written(content: Mapping[str, Any]) -> dict[tuple[str, str], float]:
-    """(body or joint, name) to each number of the written model."""
-    found = [row for row in content["quantities"] if row["source"] == FILE]
-    return {(row["of"], row["name"]): row["value"] for row in found}
-
-
 def motors(content: Mapping[str, Any]) -> list[str]:
     """The motors that turn several joints."""
     owners = [row["of"] for row in content["quantities"] if row["source"] != FILE]

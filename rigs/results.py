@@ -25,7 +25,7 @@ from robot_sysid.records import (
     Validation,
 )
 from robot_sysid.records.messages import Level, Remark, says
-from robot_sysid.results.quantities import body_quantities, file_quantities
+from robot_sysid.results.quantities import body_quantities
 from robot_sysid.results.record import (
     BOUND,
     FILE,
@@ -274,8 +274,6 @@ def whole(**changes) -> Result:
         Quantity("delay", "arm", "s", None, 0.0032, 2e-5),
         Quantity("tilt_1", "arm", "rad", None, 0.0, np.radians(0.03)),
         *beyond_model(last),
-        *file_quantities(file.thetas[0], THETA, "link5"),
-        *file_quantities(file.thetas[1], 0.5 * THETA, "link6"),
         Quantity("coulomb", "j5", "N", 0.3, 0.45, 0.01, FILE),
         Quantity("viscous", "j5", "N·s/m", 0.1, 0.25, 0.02, FILE),
     ]

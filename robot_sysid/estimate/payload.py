@@ -25,6 +25,7 @@ from robot_sysid.estimate.result import (
     result_of,
     select,
     traces_of,
+    values_with_bodies_of,
 )
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
 from robot_sysid.estimate.trust import (
@@ -98,7 +99,18 @@ def payload_result(
         divided: (n,) torque scales by which the torques were divided already.
     """
     robot = fitted.arm.robot
-    links = link_estimates(fitted)
+    written: ModelFile | None = None
+    file_rows: list[Quantity] = []
+    file_notes: list[str] = []
+    if file is not None:
+        written, file_rows, file_notes = model_file(fitted, file)
+        judgement = judge_file(written.validation_before, written.validation_after)
+        if judgement.level is not Level.SAYS:
+            file, written, file_rows = None, None, []
+            file_notes = [
+                f"the written model is the arm's own with the payload on it: {judgement.text}"
+            ]
+    links = link_estimates(fitted, file)
     known_mass = fitted.question.known_mass
     # Judged is the payload before bodies were made possible: that step hides a negative mass.
     free = _in_flange(weighed, flange, weighed.free)
@@ -109,7 +121,7 @@ def payload_result(
     values = fitted.free.copy()
     unknown_inertia = ""
     if not remarks:
-        values = fitted.values.copy()
+        values = values_with_bodies_of(fitted, file)
         theta, unknown_inertia = written_payload(fitted)
         values[fitted.at(PAYLOAD_NAMES)] = theta
     both = select(fitted, PARAMETER_NAMES) + select(fitted, PAYLOAD_NAMES)
@@ -126,20 +138,8 @@ def payload_result(
     rows = [*body_quantities(body), *body_quantities(total)]
     if known_mass is not None:
         rows += _torque_scales(fitted, divided)
-    rows += fit_quantities(fitted, links)
-    written: ModelFile | None = None
-    if file is not None:
-        written, file_rows, file_notes = model_file(fitted, file)
-        judgement = judge_file(written.validation_before, written.validation_after)
-        if judgement.level is Level.SAYS:
-            notes += file_notes
-            rows += file_rows
-        else:
-            written = None
-            notes.append(
-                f"the written model is the arm's own with the payload on it: {judgement.text}"
-            )
-    notes += result_notes(fitted, written)
+    rows += [*fit_quantities(fitted, links), *file_rows]
+    notes += [*file_notes, *result_notes(fitted, written)]
     kinds = _kinds(fitted)
     recordings = {
         "empty": tuple(name for name in kinds if not kinds[name]),

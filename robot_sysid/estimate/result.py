@@ -67,7 +67,6 @@ from robot_sysid.results.quantities import (
     NOT_SHOWN,
     PRIOR_SHARE,
     body_quantities,
-    file_quantities,
 )
 from robot_sysid.results.record import (
     BOUND,
@@ -117,7 +116,7 @@ def link_result(
     acceleration_error = max(
         recording.acceleration_error for recording in fitted.recordings
     )
-    links = link_estimates(fitted)
+    links = link_estimates(fitted, file)
     *other_links, last_link = links
     rows = fit_quantities(fitted, links)
     refusals = [*find_misfits(fitted, tests)]
@@ -243,15 +242,30 @@ def body_estimate(
     )
 
 
-def link_estimates(fitted: Fit) -> list[BodyEstimate]:
+def values_with_bodies_of(fitted: Fit, file: Fit | None) -> Array:
+    """Return the values (k,) of a fit, with those of the model file for bodies that it changes.
+
+    The table and the file have the same links: a fit of a file is near the one of all terms, as
+    near as the errors of that, which hold for both.
+    """
+    values = fitted.values.copy()
+    if file is not None:
+        bodies = [term for term in file.equations.terms if term.bodies]
+        names = [name for term in bodies for name in term.names]
+        values[fitted.at(names)] = file.values[file.at(names)]
+    return values
+
+
+def link_estimates(fitted: Fit, file: Fit | None) -> list[BodyEstimate]:
     """Return the estimate of every link whose parameters were estimated, base to terminal."""
     links = fitted.arm.robot.links
+    values = values_with_bodies_of(fitted, file)
     return [
         body_estimate(
             fitted,
             links[index].body_name,
             select(fitted, names),
-            fitted.values,
+            values,
             links[index].theta,
         )
         for index, names in fitted.arm.links.items()
@@ -336,9 +350,6 @@ def model_file(fitted: Fit, file: Fit) -> tuple[ModelFile, list[Quantity], list[
     joints: dict[str, dict[str, float]] = {}
     notes = []
     rows: list[Quantity] = []
-    for link, theta in zip(robot.links, thetas):
-        if np.any(theta):
-            rows += file_quantities(theta, link.theta, link.body_name)
     for row in _file_terms(fitted, file):
         joints.setdefault(row.of, {})[TERMS[row.name].attribute] = row.value
         rows.append(row)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import datetime
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,6 @@ from robot_sysid.results.record import Verdict
 from robot_sysid.results.table import (
     body_rows,
     cells,
-    file_rows,
     friction_rows,
     label,
     rows_of,
@@ -145,36 +144,27 @@ def _summary_of(run: Run) -> dict[str, Any]:
     }
 
 
-def _table(
-    rows: Sequence[Content],
-    title: str,
-    written: Mapping[tuple[str, str], Content] | None = None,
-) -> list[tuple[str, ...]]:
-    """Return the table of rows, headings first, with the unit behind each name.
-
-    ``written``: the ``file_rows`` to show beside them; None for none.
-    """
+def _table(rows: Sequence[Content], title: str) -> list[tuple[str, ...]]:
+    """Return the table of rows, headings first, with the unit behind each name."""
     shown = []
     for row in rows:
         name = f"{row['of']}: {label(row)}" if row["of"] != title else label(row)
         name += f" [{row['unit']}]" if row["unit"] else ""
-        in_file = (written or {}).get((row["of"], row["name"]))
-        shown.append(cells({**row, "unit": ""}, name, in_file))
+        shown.append(cells({**row, "unit": ""}, name))
     return shown_columns(shown, title)
 
 
 def _tables(run: Run) -> dict[str, list[list[tuple[str, ...]]]]:
     """Return the tables of a page by its section: bodies, friction, and all other numbers."""
     content = run.content
-    written = file_rows(content)
-    bodies = [_table(body_rows(content, body), body, written) for body in run.bodies]
+    bodies = [_table(body_rows(content, body), body) for body in run.bodies]
     friction = []
     others = []
     for owner in dict.fromkeys(row["of"] for row in content["quantities"]):
         if owner in (*run.bodies, BEYOND):
             continue
         rows = friction_rows(content, owner)
-        friction += [_table(rows, owner, written)] if rows else []
+        friction += [_table(rows, owner)] if rows else []
         others += [row for row in rows_of(content, owner) if row not in rows]
     sensors = [_table(others, "sensors and recordings")] if others else []
     return {"bodies": bodies, "friction": friction, "sensors": sensors}

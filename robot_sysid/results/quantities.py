@@ -16,7 +16,7 @@ from robot_sysid import spatial
 from robot_sysid.records import Array, InertialParameters
 from robot_sysid.records.levels import SURE
 from robot_sysid.records.parameters import INERTIAL, Parameter
-from robot_sysid.results.record import DATA, FILE, MODEL, BodyEstimate, Quantity
+from robot_sysid.results.record import DATA, MODEL, BodyEstimate, Quantity
 
 _CENTRAL = (
     Parameter("mass", "mass", ("kg",)),
@@ -161,10 +161,3 @@ def body_quantities(body: BodyEstimate) -> Iterator[Quantity]:
         source = DATA if is_from_data and np.isfinite(error) else MODEL
         about = entry.name, body.name, entry.unit
         yield Quantity(*about, model, value, error or None, source, reason)
-
-
-def file_quantities(theta: Array, prior: Array, of: str) -> Iterator[Quantity]:
-    """Yield the rows of a written link, parameters (10,); those of the model are ``prior``."""
-    body = BodyEstimate(theta, of, prior=InertialParameters(prior))
-    for row in body_quantities(body):
-        yield replace(row, source=FILE)

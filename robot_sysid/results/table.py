@@ -23,7 +23,7 @@ _LABELS = {
 _LABELS["frictionloss"] = "dry friction"
 ORIGIN = (BODY[0].name, *(each.name for each in BODY[10:]))
 """Names of mass, first moments and inertia about the origin of the body's frame."""
-HEADINGS = ("", "model", "identified", "±", "in the file", "unit", "change")
+HEADINGS = ("", "model", "identified", "±", "unit", "change")
 """Headings of a table, in the order of ``cells``."""
 # Cell of a change that is smaller than the standard error.
 _WITHIN = "within ±"
@@ -49,12 +49,6 @@ def rows_of(content: Content, of: str) -> list[Content]:
     """Return the identified rows of a body or joint."""
     rows = content["quantities"]
     return [row for row in rows if row["of"] == of and row["source"] != FILE]
-
-
-def file_rows(content: Content) -> dict[tuple[str, str], Content]:
-    """Return (what has it, name) to each row of the written model."""
-    rows = content["quantities"]
-    return {(row["of"], row["name"]): row for row in rows if row["source"] == FILE}
 
 
 def body_rows(content: Content, of: str) -> list[Content]:
@@ -113,21 +107,13 @@ def _difference(row: Content) -> str:
     return f"{sign}{number_text(difference, error)}"
 
 
-def cells(row: Content, title: str, written: Content | None = None) -> tuple[str, ...]:
-    """Return a row as text, one cell per heading.
-
-    Args:
-        row: the identified number.
-        title: of the first cell.
-        written: the number in the written model, shown where it prints otherwise; or None.
-    """
+def cells(row: Content, title: str) -> tuple[str, ...]:
+    """Return a row as text, one cell per heading, under the title of the first."""
     error = row["error"]
     before = "" if row["model"] is None else number_text(row["model"], error)
     after = number_text(row["value"], error)
-    in_file = "" if written is None else number_text(written["value"], error)
-    in_file = "" if in_file == after else in_file
     plus_minus = "" if error is None else number_text(error, error)
-    return (title, before, after, plus_minus, in_file, row["unit"], change(row))
+    return (title, before, after, plus_minus, row["unit"], change(row))
 
 
 def shown_columns(rows: Iterable[Sequence[str]], title: str) -> list[tuple[str, ...]]:
@@ -141,19 +127,18 @@ def table_lines(rows: Iterable[Sequence[str]], title: str = "") -> list[str]:
 
     See ``shown_columns``.
     """
-    lines = aligned_lines(shown_columns(rows, title), HEADINGS[1:5])
+    lines = aligned_lines(shown_columns(rows, title), HEADINGS[1:4])
     text = "\n".join(lines)
     meanings = [f"{word}: {_LEGEND[word]}" for word in _LEGEND if word in text]
     return list(map("  {}".format, filter(None, (*lines, "; ".join(meanings)))))
 
 
 def all_cells(content: Content) -> Iterator[tuple[str, ...]]:
-    """Yield every row of links, joints and motors, with the written number where it differs."""
-    written = file_rows(content)
+    """Yield every row of links, joints and motors."""
     for owner in dict.fromkeys(row["of"] for row in content["quantities"]):
         rows = [] if owner == BEYOND else body_rows(content, owner)
         for row in (*rows, *friction_rows(content, owner)):
-            yield cells(row, f"{owner} {label(row)}", written.get((owner, row["name"])))
+            yield cells(row, f"{owner} {label(row)}")
 
 
 def beyond_line(content: Content) -> str:

@@ -249,7 +249,7 @@ def test_a_saved_result_is_that_of_the_command(workshop, result, tmp_path):
     files = result.save(tmp_path / "out")
     assert {path.name for path in files} == {"params.json", "updated_model.xml"}
     written = rs.load_robot_model(tmp_path / "out" / "updated_model.xml")
-    mass = result.quantity("mass", result.robot.body_name, "file").value
+    mass = result.quantity("mass", result.robot.body_name).value
     assert written.prior.mass == pytest.approx(mass, rel=1e-9)
     coulomb = result.quantity("coulomb", "joint3", "file").value
     assert written.friction.coulomb[-1] == pytest.approx(coulomb)

@@ -10,7 +10,6 @@ import pytest
 
 from rigs import arms, schemas
 from rigs.params import rows
-from rigs.params import written as in_the_file
 from rigs.payload_logs import PAYLOAD
 from robot_sysid.logs.text import write_measurement_csv
 from robot_sysid.model.compilation import compile_model
@@ -74,8 +73,9 @@ def test_a_payload_is_found_and_written_into_the_model(command, models):
     assert f"Payload of {row[1]} ± {row[2]} kg" in card
     written = compile_model(folder / "updated_model.xml").mj_model
     theta = arms.composite_theta(written, written.qpos0, written.body("link3").id)
-    link = in_the_file(content)["link3", "mass"]
-    assert theta[0] == pytest.approx(link + mass["value"], rel=1e-9)
+    whole = numbers["link3 with payload", "mass"]["value"]
+    assert theta[0] == pytest.approx(whole, rel=1e-9)
+    assert whole == pytest.approx(numbers["link3", "mass"]["value"] + mass["value"])
 
 
 @pytest.mark.slow
