@@ -168,7 +168,7 @@ def _near(estimate: Fit, term: Term) -> Term:
 
     A file lacks terms, and its bodies would take up their torque. Errors of single parameters leave
     to the torques the combinations that they show, and hold the numbers by which one reads them:
-    files of other runs of a KUKA predict torques up to 3 % better than without it.
+    other runs of a KUKA are predicted up to 6 % better than without it.
     """
     at = estimate.at(term.names)
     values = estimate.values[at]
