@@ -41,7 +41,12 @@ def cross(a: Array, b: Array) -> Array:
 
 def skew(vector: Array) -> Array:
     """Return [v]x (3, 3) of v (3,), for which [v]x b = v x b."""
-    return np.cross(vector, np.eye(3)).T
+    return cross(vector, np.eye(3))
+
+
+def lower_triangular(turn: Array, shift: Array) -> Array:
+    """Return [[turn, 0], [shift, turn]] (6, 6) of two (3, 3) matrices."""
+    return np.block([[turn, np.zeros((3, 3))], [shift, turn]])
 
 
 def symmetric_from_six(six: Array) -> Array:

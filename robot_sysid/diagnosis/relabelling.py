@@ -108,8 +108,8 @@ class Relabelling:
     def apply(self, recording: FilteredRecording) -> FilteredRecording:
         """Return a recording read so, of which as many rows are used."""
         position = self.position.T
-        every_row = Rows(recording, slice(None))
-        dry = every_row.low_passed("coulomb", lambda motion: np.sign(motion.qd))
+        rows = Rows(recording, slice(None))
+        dry = rows.low_passed("coulomb", lambda motion: np.sign(motion.qd))
         # A joint's rows are those in which it moves.
         return recording.using(
             recording.used @ (position != 0.0),
@@ -266,7 +266,8 @@ class Search:
         point = arm.start()
         if reading.gravity is not None:
             point = replace(point, gravity=reading.gravity)
-        sums = arm.sums([reading.apply(each) for each in self.recordings], point)
+        # Likelihoods need no blocks.
+        sums = arm.sums([reading.apply(each) for each in self.recordings], point, False)
         torque = sums.rms_torque
         equations = equations_of(arm, sums, self.terms, {})
         # Smaller residuals do not count.
@@ -473,8 +474,8 @@ def discrete(fitted: Fit, evidence: Evidence) -> Iterator[Correction]:
     They are the first ones with which the whole log fits.
     """
     robot = fitted.arm.robot
-    counts = np.sum(fitted.sums.counts, axis=0)
-    moving = fitted.arm.indices[counts > 0].tolist()
+    moves = np.any(fitted.sums.counts, axis=0)
+    moving = fitted.arm.indices[moves].tolist()
     found = Search(fitted).best([*steps(robot, moving)], evidence)
     after = fitted
     findings: list[Finding] = []

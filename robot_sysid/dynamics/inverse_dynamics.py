@@ -41,13 +41,15 @@ from robot_sysid.errors import InputError
 from robot_sysid.records import Array, Motion, RobotModel
 from robot_sysid.records.parameters import TILTS, keys_of, of_body
 from robot_sysid.regressor import wrench_regressor
-from robot_sysid.spatial import N_INERTIAL, cross, skew, symmetric_from_six
+from robot_sysid.spatial import N_INERTIAL, cross
 
 ARRAY_SIZE = 1_000_000
 """Largest size of an array of intermediate results [numbers], beyond which a motion is split: it
 bounds the memory for arms with many joints, and changes no result."""
 TILT_NAMES = keys_of(TILTS)
 """Names of the two angles by which a base is tilted."""
+# Spatial inertia (6, 10, 6) per parameter: wrenches of unit accelerations of a resting body.
+_UNIT_WRENCHES = wrench_regressor(np.zeros((6, 6)), np.eye(6))
 
 
 def analysis_copy(
@@ -195,17 +197,17 @@ class LinksMotion:
     """Motion of the n links of an arm over N samples, each in the link's own frame.
 
     Attributes:
-        velocity: per link its twist (6, N) [rad/s, m/s].
-        acceleration: per link its spatial acceleration minus gravity (6, N) [rad/s^2, m/s^2].
-        steps: per link Ad(T^-1) (6, 6, N), which takes twists from the previous link's frame (the
-            base's for the first link) to its own.
+        velocity: (n, 6, N) twist of each link [rad/s, m/s].
+        acceleration: (n, 6, N) spatial acceleration of each link minus gravity [rad/s^2, m/s^2].
+        steps: (n, 6, 6, N) Ad(T^-1) of each link, which takes twists from the previous link's frame
+            (the base's for the first link) to its own.
         screws: per link the screw (6,) of its joint in the link's frame.
         brackets: per link ad(S) (6, 6) of this screw.
     """
 
-    velocity: tuple[Array, ...]
-    acceleration: tuple[Array, ...]
-    steps: tuple[Array, ...]
+    velocity: Array
+    acceleration: Array
+    steps: Array
     screws: tuple[Array, ...]
     brackets: tuple[Array, ...]
 
@@ -214,10 +216,9 @@ class LinksMotion:
 
         It is one array, which the next step changes; entries of joints beyond the link are not set.
         """
-        jacobian = np.empty((len(self.screws), *self.velocity[0].shape))
+        jacobian = np.empty_like(self.velocity)
         for link, (step, screw) in enumerate(zip(self.steps, self.screws)):
-            for twist in jacobian[:link]:
-                twist[:] = np.einsum("abn,bn->an", step, twist)
+            jacobian[:link] = np.einsum("abn,jbn->jan", step, jacobian[:link])
             jacobian[link] = screw[:, None]
             yield jacobian
 
@@ -227,8 +228,7 @@ class LinksMotion:
 
         In memory the N samples of one entry lie side by side.
         """
-        joints = len(self.velocity)
-        samples = self.velocity[0].shape[1]
+        joints, _, samples = self.velocity.shape
         columns = np.zeros((joints, len(links), N_INERTIAL, samples))
         for link, jacobian in enumerate(self.jacobians()):
             if link in links:
@@ -250,11 +250,10 @@ class LinksMotion:
         """Yield, from the last link inwards, its index and the wrench (6, N) that moves it and all
         beyond it, in its frame; ``thetas`` as in ``torque``.
         """
-        wrench = np.zeros_like(self.velocity[0])
+        own = wrench_of(thetas, self.velocity, self.acceleration)
+        wrench = np.zeros_like(own[0])
         for link in reversed(range(len(thetas))):
-            wrench = wrench + wrench_of(
-                thetas[link], self.velocity[link], self.acceleration[link]
-            )
+            wrench = wrench + own[link]
             yield link, wrench
             wrench = np.einsum("abn,an->bn", self.steps[link], wrench)
 
@@ -271,29 +270,28 @@ class LinksMotion:
             qd: (N, n) joint speeds of this motion.
         """
         samples, count = qd.shape
-        # The derivatives (2, 6, j, N) of the present link's velocity and acceleration by q_j.
-        twists = np.zeros((2, 6, 0, samples))
+        # The derivatives (2, j, 6, N) of the present link's velocity and acceleration by q_j.
+        twists = np.zeros((2, 0, 6, samples))
         slopes = np.zeros((samples, count, count))
         wrench_slopes = []
-        # Outwards: the derivative (6, j, N) of each link's own wrench by q_j, j up to the link.
+        # Outwards: the derivative (j, 6, N) of each link's own wrench by q_j, j up to the link.
         for link, theta in enumerate(thetas):
             bracket = self.brackets[link]
-            motion = np.stack((self.velocity[link], self.acceleration[link]))
-            twists = np.einsum("abn,mbjn->majn", self.steps[link], twists)
-            twists[1] -= np.tensordot(bracket, twists[0] * qd[:, link], 1)
-            by_position = -bracket @ motion
-            twists = np.concatenate((twists, by_position[:, :, None]), axis=2)
+            motion = np.stack((self.velocity[link], self.acceleration[link]))[:, None]
+            twists = np.einsum("abn,mjbn->mjan", self.steps[link], twists)
+            twists[1] -= bracket @ twists[0] * qd[:, link]
+            twists = np.concatenate((twists, -bracket @ motion), axis=1)
             # A wrench is quadratic in the motion, so that this difference is exact.
-            ahead = wrench_of(theta, *(motion[:, :, None] + twists))
-            behind = wrench_of(theta, *(motion[:, :, None] - twists))
+            ahead = wrench_of(theta, *(motion + twists))
+            behind = wrench_of(theta, *(motion - twists))
             wrench_slopes.append(0.5 * (ahead - behind))
         # Inwards: the wrench of a link and all beyond it, and the derivative of that sum.
-        total = np.zeros((6, count, samples))
+        total = np.zeros_like(self.velocity)
         for link, wrench in self.wrenches(thetas):
-            total[:, : link + 1] += wrench_slopes[link]
-            slopes[:, link] = np.tensordot(self.screws[link], total, 1).T
-            total[:, link] -= self.brackets[link].T @ wrench
-            total = np.einsum("abn,ajn->bjn", self.steps[link], total)
+            total[: link + 1] += wrench_slopes[link]
+            slopes[:, link] = (self.screws[link] @ total).T
+            total[link] -= self.brackets[link].T @ wrench
+            total = np.einsum("abn,jan->jbn", self.steps[link], total)
         return slopes
 
 
@@ -309,17 +307,7 @@ class LinkDynamics:
     def __init__(self, robot: RobotModel, gravity: Array | None = None) -> None:
         self._home = robot.reference
         self._slides = robot.is_slide
-        self._screws = tuple(link.screw for link in robot.links)
-        # ad(S) of each joint, and the factors (6, 6, 3) of 1, sin d and 1 - cos d in Ad(T^-1).
-        self._brackets = []
-        self._steps = []
-        for screw, link in zip(self._screws, robot.links):
-            ad = _lower_triangular(skew(screw[:3]), skew(screw[3:]))
-            turn = link.rotation.T
-            at_home = _lower_triangular(turn, -turn @ skew(link.translation))
-            factors = (at_home, -ad @ at_home, ad @ ad @ at_home)
-            self._brackets.append(ad)
-            self._steps.append(np.stack(factors, axis=-1))
+        self._links = robot.links
         flags = robot.mj_model.opt.disableflags
         is_weightless = flags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         vector = gravity_vector(robot) if gravity is None else gravity
@@ -329,22 +317,25 @@ class LinkDynamics:
         """Return the motion of all links for joint motions q, qd, qdd (N, n) each [rad, rad/s,
         rad/s^2].
         """
-        velocity, acceleration = np.zeros((2, 6, len(q)))
-        acceleration[3:] = -self._gravity
         turns = (q - self._home).T
         sines = np.where(self._slides[:, None], turns, np.sin(turns))
-        versines = 1.0 - np.cos(turns)
-        links = []
-        for i, screw in enumerate(self._screws):
-            coefficients = np.stack((np.ones(len(q)), sines[i], versines[i]))
-            step = np.tensordot(self._steps[i], coefficients, 1)
-            velocity = np.einsum("abn,bn->an", step, velocity)
-            velocity = velocity + np.outer(screw, qd[:, i])
-            acceleration = np.einsum("abn,bn->an", step, acceleration)
-            acceleration = acceleration + np.outer(screw, qdd[:, i])
-            acceleration -= (self._brackets[i] @ velocity) * qd[:, i]
-            links.append((velocity, acceleration, step, screw, self._brackets[i]))
-        return LinksMotion(*zip(*links))
+        coefficients = np.stack(
+            (np.ones_like(turns), sines, 1.0 - np.cos(turns)), axis=1
+        )
+        factors = np.stack([link.step_factors for link in self._links])
+        steps = factors @ coefficients[:, None]
+        # Velocity and acceleration of the base and of each link.
+        twists = np.zeros((len(steps) + 1, 2, 6, len(q)))
+        twists[0, 1, 3:] = -self._gravity
+        for i, link in enumerate(self._links):
+            own = np.einsum("abn,mbn->man", steps[i], twists[i], out=twists[i + 1])
+            own[0] += np.outer(link.screw, qd[:, i])
+            own[1] += np.outer(link.screw, qdd[:, i])
+            own[1] -= link.bracket @ own[0] * qd[:, i]
+        velocity, acceleration = np.swapaxes(twists[1:], 0, 1)
+        screws = tuple(link.screw for link in self._links)
+        brackets = tuple(link.bracket for link in self._links)
+        return LinksMotion(velocity, acceleration, steps, screws, brackets)
 
 
 def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
@@ -359,38 +350,19 @@ def split_motion(width: int, *arrays: Array) -> Iterator[tuple[Array, ...]]:
     yield from zip(*(np.array_split(array, count) for array in arrays))
 
 
-def wrench_of(theta: Array, velocity: Array, acceleration: Array) -> Array:
-    """Return the wrench G A - ad(V)^T G V (6, ...) that moves a link with twists (6, ...).
+def wrench_of(thetas: Array, velocity: Array, acceleration: Array) -> Array:
+    """Return the wrench G A - ad(V)^T G V (..., 6, N) that moves a link with twists (..., 6, N).
 
-    G is the spatial inertia of its inertial parameters ``theta`` (10,).
+    G is the spatial inertia of its inertial parameters ``thetas`` (..., 10). With V = [w, v] and
+    G V = [m, f], -ad(V)^T G V = [w x m + v x f, w x f].
     """
-    inertia = _inertia(theta)
-    momentum = np.tensordot(inertia, velocity, 1)
-    gyroscopic = bracket_transposed(velocity, momentum)
-    return np.tensordot(inertia, acceleration, 1) - gyroscopic
-
-
-def bracket_transposed(a: Array, b: Array) -> Array:
-    """Return ad(a)^T b = -[w_a x m + v_a x f, w_a x f] of a twist a = [w_a, v_a] (6, ...) and a
-    wrench or momentum b = [m, f] (6, ...).
-    """
-    moment = cross(a[:3], b[:3]) + cross(a[3:], b[3:])
-    force = cross(a[:3], b[3:])
-    return -np.concatenate((moment, force))
-
-
-def _lower_triangular(turn: Array, shift: Array) -> Array:
-    """Return [[turn, 0], [shift, turn]] (6, 6) of two (3, 3) matrices."""
-    return np.block([[turn, np.zeros((3, 3))], [shift, turn]])
-
-
-def _inertia(theta: Array) -> Array:
-    """Return the spatial inertia G = [[I, [h]x], [-[h]x, m 1]] (6, 6) of a link with inertial
-    parameters ``theta`` (10,).
-    """
-    h = skew(theta[1:4])
-    mass = np.diag(np.full(3, theta[0]))
-    return np.block([[symmetric_from_six(theta[4:]), h], [-h, mass]])
+    inertia = np.einsum("aib,...i->...ab", _UNIT_WRENCHES, thetas)
+    momentum = inertia @ velocity
+    # Components come first.
+    w, v = np.split(np.swapaxes(velocity, 0, -2), 2)
+    m, f = np.split(np.swapaxes(momentum, 0, -2), 2)
+    gyroscopic = np.concatenate((cross(w, m) + cross(v, f), cross(w, f)))
+    return inertia @ acceleration + np.swapaxes(gyroscopic, 0, -2)
 
 
 def link_names(robot: RobotModel, link: int) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +130,23 @@ class ArmLink:
     def has_mass(self) -> bool:
         """Whether the link has any mass or inertia, without which it makes no torque."""
         return bool(np.any(self.theta))
+
+    @cached_property
+    def bracket(self) -> Array:
+        """ad(S) (6, 6) of the screw S."""
+        omega, v = map(spatial.skew, self.screw.reshape(2, 3))
+        return spatial.lower_triangular(omega, v)
+
+    @cached_property
+    def step_factors(self) -> Array:
+        """Factors (6, 6, 3) of 1, sin d and 1 - cos d in Ad(T^-1), which takes twists from the
+        frame of the link before it to its own, turned by d about its joint.
+        """
+        turn = self.rotation.T
+        shift = -turn @ spatial.skew(self.translation)
+        at_home = spatial.lower_triangular(turn, shift)
+        first = self.bracket @ at_home
+        return np.stack((at_home, -first, self.bracket @ first), axis=-1)
 
 
 @dataclass(frozen=True)
