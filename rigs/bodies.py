@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
+from rigs import results as made
 from rigs.arms import random_rotation
 from robot_sysid import spatial
-from robot_sysid.results.record import BodyEstimate
+from robot_sysid.records import Flange
+from robot_sysid.results.cards import card_text, number_groups
+from robot_sysid.results.record import BodyEstimate, Payload
 
+TOOL = np.array([0.0, 0.0, 0.107])
+FLANGE = Flange("site 'tool'", np.eye(3), TOOL, "link7", "found by name")
 COVARIANCE = np.diag(np.square([0.0153, *[2e-4] * 3, *[1e-4] * 6]))
 SHAPES = [
     "any",
@@ -44,3 +52,11 @@ def body_estimate(mass, com, inertia, covariance=COVARIANCE, n_identified=10):
     """A body of whose ten parameters the first n_identified are identified."""
     theta = spatial.theta_from_com(mass, np.array(com), inertia)
     return BodyEstimate(theta, "it", covariance, np.arange(10) < n_identified)
+
+
+def card_of(body, choice="auto", path="m.xml"):
+    """The text of payload_card.txt of a body, for an arm in a file of this name."""
+    recordings = {"empty": ("a",), "loaded": ("b", "c")}
+    payload = Payload(**vars(body), flange=FLANGE, recordings=recordings)
+    arm = replace(made.ARM, path=Path(path))
+    return card_text(payload, number_groups(body), arm, choice)

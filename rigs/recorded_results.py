@@ -14,14 +14,18 @@ from typing import Any
 import numpy as np
 
 from rigs import results as made
+from rigs.bodies import body_estimate, card_of
 from rigs.places import ROOT
+from robot_sysid import spatial
+from robot_sysid.records.controllers import CHOICES
+from robot_sysid.records.file_access import strict_json
 from robot_sysid.records.messages import Detail
 from robot_sysid.results.cards import number_groups
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, more_lines, verdict_line
 from robot_sysid.results.quantities import BEYOND, MOMENT
 from robot_sysid.results.record import BOUND, DATA, MODEL, Quantity, Result, Verdict
-from robot_sysid.results.table import beyond_line
+from robot_sysid.results.table import beyond_line, cells, table_lines
 
 FOLDER = ROOT / "tests" / "results" / "recorded"
 
@@ -75,6 +79,22 @@ WRITTEN = (
 """Cases whose params.json is recorded."""
 BOLTED_ON = ((0.5, 0.09), (0.5, 0.15), (0.1, 0.1), (-0.5, 0.1), (0.5, np.inf))
 """Masses beyond the model and their errors: seen, not known, nothing, less, not shown [kg]."""
+CHANGES = (
+    (1.0, 1.5, 0.1, DATA),
+    (1.0, 1.5, 0.1, MODEL),
+    (1.0, 1.05, 0.1, DATA),
+    (1.0, 1.05, 0.1, MODEL),
+    (1.0, 1.0, 0.1, MODEL),
+    (None, 1.0, 0.1, DATA),
+    (None, 1.0, 0.1, MODEL),
+    (1.0, 1.00001, 1e-9, DATA),
+    (0.0, 0.5, 0.1, DATA),
+    (1.0, 1.0, np.inf, MODEL),
+    (1.0, 0.0, np.nan, BOUND),
+    (1.0, 1.0, None, DATA),
+    (1.0, 2.0, 0.002, DATA),
+)
+"""Rows of a table: the model's value, the identified one, its error and source."""
 
 
 def console(result: Result) -> str:
@@ -90,6 +110,9 @@ def consoles() -> str:
     """Return the printed lines of all cases."""
     texts = [f"== {name}\n{console(result)}\n" for name, result in RESULTS.items()]
     lines = [beyond_line(content_of(bolted_on(*numbers))) for numbers in BOLTED_ON]
+    changes = [strict_json(Quantity("mass", "it", "kg", *row)) for row in CHANGES]
+    rows = [cells(row, "it") for row in changes]
+    lines += ["", "== changes", *table_lines(rows)]
     return "\n".join([*texts, "== bolted on", *lines, ""])
 
 
@@ -119,7 +142,29 @@ def params() -> str:
     return "\n".join([*lines, ""])
 
 
-RECORDED = {"consoles.txt": consoles, "params.txt": params}
+EXAMPLE = (1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3]))
+"""Mass, centre of mass and inertia about it of the body whose cards are recorded."""
+
+
+def cards() -> str:
+    """Return cards of known bodies and of balls, and which cards each choice has."""
+    known = body_estimate(*EXAMPLE)
+    ball = spatial.com_from_theta(spatial.aluminium_ball(0.31, np.zeros(3)))
+    texts = [
+        card_of(known, "all", "kuka.xml"),
+        card_of(body_estimate(*EXAMPLE, n_identified=4), "ur"),
+        card_of(body_estimate(*ball, n_identified=4), "kuka"),
+    ]
+    for largest in (133.0, 133.001):
+        inertia = np.diag([100.0, 120.0, largest])
+        texts.append(card_of(body_estimate(50.0, np.zeros(3), inertia), "ur"))
+    for choice in CHOICES:
+        lines = card_of(known, choice, "panda_on_ur5e.xml").splitlines()
+        texts.append("\n".join([choice, *(x for x in lines if x.startswith("=="))]))
+    return "\n--------\n".join([*texts, ""])
+
+
+RECORDED = {"cards.txt": cards, "consoles.txt": consoles, "params.txt": params}
 """Name of a recorded file to what makes its text."""
 
 

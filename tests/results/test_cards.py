@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,18 +13,13 @@ from lxml import etree
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from rigs import results as made
 from rigs.arms import SEEDS
-from rigs.bodies import COVARIANCE, SHAPES, body_estimate, random_body
+from rigs.bodies import SHAPES, body_estimate, card_of, random_body
 from robot_sysid import spatial
 from robot_sysid.errors import ExportError
-from robot_sysid.records import Flange
-from robot_sysid.records.controllers import CHOICES
-from robot_sysid.results.cards import NOT_KNOWN, card_text, number_groups
+from robot_sysid.results.cards import number_groups
 from robot_sysid.results.quantities import load_errors
-from robot_sysid.results.record import Payload
 
-FLANGE = Flange("site 'tool'", np.eye(3), np.array([0.0, 0.0, 0.107]), "link7")
 EXACT = np.eye(10) * 1e-40
 """Covariance of a body that is known to the last digit."""
 
@@ -38,10 +31,8 @@ def symmetric(xx, yy, zz, xy, xz, yz):
 
 def floats(text):
     """All numbers of a text."""
-    return [
-        float(number)
-        for number in re.findall(r"(?<![\w.])-?\d+\.?\d*(?:e[+-]?\d+)?", text)
-    ]
+    numbers = re.findall(r"(?<![\w.])-?\d+\.?\d*(?:e[+-]?\d+)?", text)
+    return [*map(float, numbers)]
 
 
 def rotate_moments(rotation, moments):
@@ -124,40 +115,23 @@ def read_mjcf(text):
     return float(element.get("mass")), floats(element.get("pos")), symmetric(*tensor)
 
 
-READERS = {
-    "franka": [read_franka, read_desk],
-    "ur": [read_six, read_six],
-    "kuka": [read_kuka],
-    "abb": [read_abb],
-    "kinova": [read_kinova],
-    "xarm": [read_point],
-    "mecademic": [read_point],
-    "urdf": [read_urdf],
-    "mujoco": [read_mjcf],
-}
-"""Maker or format to a reader for each of its cards."""
+READERS = (
+    *(read_franka, read_desk, read_six, read_six, read_kuka, read_kinova),
+    *(read_point, read_abb, read_point, read_urdf, read_mjcf),
+)
+"""A reader for each card, in their order."""
 WITH_AXES = (read_kuka, read_abb)
 """Readers of cards that state principal moments and the turn of their axes."""
-EXAMPLE = (1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3]))
-"""Mass, centre of mass and inertia about it of the body whose cards are read line by line."""
-
-
-def text_of(body, choice="auto", path="m.xml"):
-    """The text of payload_card.txt for an arm in a file of this name."""
-    flange = replace(FLANGE, note="found by name")
-    recordings = {"empty": ("a",), "loaded": ("b", "c")}
-    payload = Payload(**vars(body), flange=flange, recordings=recordings)
-    arm = replace(made.ARM, path=Path(path))
-    return card_text(payload, number_groups(body), arm, choice)
 
 
 def bodies_in(body):
     """Yield each card's reader and what it reads: mass, centre of mass and inertia."""
-    for choice, readers in READERS.items():
-        _, *cards = text_of(body, choice).split("\n== ")
-        assert len(cards) == len(readers)
-        for read, card in zip(readers, cards):
-            yield read, read(card.strip().splitlines()[-1])
+    _, *cards = card_of(body, "all").split("\n== ")
+    # Not all controllers read a number with an exponent.
+    assert not re.search(r"\d[eE][-+\d]", "".join(cards))
+    assert len(cards) == len(READERS)
+    for read, card in zip(READERS, cards):
+        yield read, read(card.strip().splitlines()[-1])
 
 
 @given(SEEDS, st.sampled_from(SHAPES))
@@ -198,85 +172,6 @@ def test_cards_are_rounded_by_less_than_their_errors_to_a_possible_body(
         least = np.linalg.eigvalsh(inertia)[0]
         assert 2.0 * moments[-1] - np.sum(moments) <= 2e-6 * np.sum(moments) + 1e-15
         assert moments[0] >= 0.49 * least - 1e-15
-
-
-@given(SEEDS, st.sampled_from(SHAPES))
-def test_no_number_has_an_exponent_which_not_all_controllers_read(seed, shape):
-    mass, com, inertia = random_body(np.random.default_rng(seed), shape)
-    text = text_of(body_estimate(mass, com, inertia, COVARIANCE), "all")
-    cards = text.partition("\n== ")[2]
-    assert not re.search(r"\d[eE][-+\d]", cards), cards
-
-
-def test_a_card_states_frame_and_numbers_with_errors():
-    text = text_of(body_estimate(*EXAMPLE), "all")
-    for phrase in (
-        "Payload of 1.517 ± 0.015 kg, identified with m.xml from 1 empty and 2 loaded recordings.",
-        "frame           site 'tool': origin at 0.0, 0.0, 0.107 m",
-        "of body 'link7'",
-        "# Found by name.",
-        "mass            1.517 ± 0.015 kg",
-        "centre of mass  0.00100 ± 0.00013, -0.02000 ± 0.00024, 0.04530 ± 0.00048 m",
-        "inertia         xx 0.00200 ± 0.00011, xy 0 ± 0.00010, xz 0 ± 0.00010 kg m^2",
-        "                yy 0.00250 ± 0.00011, yz 0 ± 0.00010, zz 0.00100 ± 0.00010 kg m^2",
-        "set_target_payload(1.517, [0.001, -0.02, 0.0453], [0.002, 0.0025, 0.001, 0.0, 0.0, 0.0])",
-        "SetPayload(1.517, 1.0, -20.0, 45.3)",
-        "arm.set_tcp_load(1.517, [1.0, -20.0, 45.3])",
-    ):
-        assert phrase in text, phrase
-    comments = [line for line in text.splitlines() if line.startswith("#")]
-    assert max(map(len, comments)) <= 100
-
-
-def cards_in(text):
-    """Return the makers and formats whose cards are in a text, in their order."""
-    titles = {
-        "Franka load": "franka",
-        "Universal Robots:": "ur",
-        "UFACTORY": "xarm",
-        "KUKA": "kuka",
-        "Kinova": "kinova",
-        "ABB": "abb",
-        "Mecademic": "mecademic",
-        "URDF": "urdf",
-        "MuJoCo": "mujoco",
-    }
-    headings = re.findall(r"^== (.*) ==$", text, re.MULTILINE)
-    return [titles[t] for h in headings for t in titles if h.startswith(t)]
-
-
-@pytest.mark.parametrize("choice", CHOICES)
-def test_a_choice_has_its_own_cards_alone_and_the_arms_own_maker_comes_first(choice):
-    body = body_estimate(*EXAMPLE)
-    own = ["kuka"]
-    others = [key for key in READERS if key not in own]
-    expected = {"auto": own, "all": own + others}.get(choice, [choice])
-    shown = cards_in(text_of(body, choice, path="kuka.xml"))
-    assert (shown[:1], set(shown)) == (expected[:1], set(expected))
-    if choice == "auto":
-        assert cards_in(text_of(body)) == []
-        assert cards_in(text_of(body, path="panda_on_ur5e.xml")) == ["franka", "ur"]
-
-
-def test_a_round_body_is_not_turned():
-    ball = spatial.com_from_theta(spatial.aluminium_ball(0.3, np.array([0, 0.03, 0.1])))
-    assert number_groups(body_estimate(*ball))["axes_yaw_pitch_roll_deg"] == [0.0] * 3
-
-
-def test_an_inertia_that_is_not_known_has_no_error_and_few_digits():
-    text = text_of(body_estimate(*EXAMPLE, n_identified=4), choice="all")
-    assert text.count(NOT_KNOWN) == 1
-    assert "inertia         xx 0.002, xy 0.0, xz 0.0 kg m^2" in text
-    ball = spatial.com_from_theta(spatial.aluminium_ball(0.31, np.zeros(3)))
-    text = text_of(body_estimate(*ball, n_identified=4), choice="ur")
-    assert re.search(r"\[(0\.000\d{3}), \1, \1, 0\.0, 0\.0, 0\.0\]", text)
-
-
-@pytest.mark.parametrize(("largest", "is_refused"), [(133.0, False), (133.001, True)])
-def test_an_inertia_that_a_ur_controller_refuses_is_noted(largest, is_refused):
-    inertia = np.diag([100.0, 120.0, largest])
-    text = text_of(body_estimate(50.0, np.zeros(3), inertia, EXACT), choice="ur")
-    assert ("may exceed 133." in text) == is_refused
 
 
 @pytest.mark.parametrize(

@@ -18,62 +18,44 @@ from robot_sysid.results.quantities import (
 )
 
 
-def random_body_estimate(seed):
-    """A random body with a small covariance (10, 10), and a factor of the covariance."""
+@given(SEEDS)
+def test_errors_of_a_load_and_of_principal_moments_follow_from_those_of_theta(seed):
+    """By central differences along columns of a factor of the covariance."""
     rng = np.random.default_rng(seed)
     factor = 1e-7 * rng.normal(size=(10, 10))
-    return body_estimate(*random_body(rng, "any"), factor @ factor.T), factor
-
-
-def propagated_errors(outcome, theta, factor):
-    """Standard errors of outcome(theta), by central differences along columns of the factor."""
-    changes = [outcome(theta + step) - outcome(theta - step) for step in factor.T]
-    return 0.5 * np.linalg.norm(changes, axis=0)
-
-
-@given(SEEDS)
-def test_errors_of_centre_of_mass_and_inertia_follow_from_those_of_theta(seed):
-    body, factor = random_body_estimate(seed)
+    body = body_estimate(*random_body(rng, "any"), factor @ factor.T)
+    moments, moment_errors = principal_moments(body)
+    order = np.argsort(np.argsort(moments))
+    assume(np.min(np.diff(np.sort(moments))) > 1e-3 * np.max(moments))
 
     def outcome(theta):
+        """Mass, centre of mass, inertia about it and principal moments."""
         mass, com, inertia = spatial.com_from_theta(theta)
-        return np.array([mass, *com, *spatial.six_from_symmetric(inertia)])
+        principal = np.linalg.eigvalsh(inertia)[order]
+        return np.array([mass, *com, *spatial.six_from_symmetric(inertia), *principal])
 
-    errors = load_errors(body)
-    expected = propagated_errors(outcome, body.theta, factor)
-    assert_allclose(errors, expected, rtol=1e-4)
+    theta = body.theta
+    changes = [outcome(theta + step) - outcome(theta - step) for step in factor.T]
+    expected = 0.5 * np.linalg.norm(changes, axis=0)
+    assert_allclose(load_errors(body), expected[:10], rtol=1e-4)
+    assert_allclose(moment_errors, expected[10:], rtol=1e-2)
     assert CENTRAL[:5] == ("mass", "com_x", "com_y", "com_z", "Ixx_about_com")
 
 
-@pytest.mark.parametrize("mass_error", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("mass_error", [0.1, 0.5])
 def test_intervals_of_a_centre_of_mass_cover_it_where_the_mass_is_uncertain(mass_error):
     rng = np.random.default_rng(0)
     inertia = np.eye(3)
     com = np.array([0.1, -0.05, 0.2])
     errors = np.concatenate(([mass_error], np.full(3, 0.005), np.full(6, 1e-6)))
     is_held = []
-    for mass in 1.0 + mass_error * rng.standard_normal(2000):
+    for mass in 1.0 + mass_error * rng.standard_normal(1000):
         # Torques show the first moment, whatever the mass is.
         first_moment = com + errors[1:4] * rng.standard_normal(3)
         if mass > 0.0:
             body = body_estimate(mass, first_moment / mass, inertia, np.diag(errors**2))
             is_held.append(np.abs(body.com - com) < 1.96 * load_errors(body)[1:4])
     assert 0.93 <= np.mean(is_held) <= 0.98
-
-
-@given(SEEDS)
-def test_errors_of_principal_moments_follow_from_those_of_theta(seed):
-    body, factor = random_body_estimate(seed)
-    moments, errors = principal_moments(body)
-    order = np.argsort(np.argsort(moments))
-    assume(np.min(np.diff(np.sort(moments))) > 1e-3 * np.max(moments))
-
-    def outcome(theta):
-        """Principal moments."""
-        return np.linalg.eigvalsh(spatial.com_from_theta(theta)[2])[order]
-
-    expected = propagated_errors(outcome, body.theta, factor)
-    assert_allclose(errors, expected, rtol=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -156,55 +156,41 @@ def test_without_a_file_the_terminal_link_alone_is_written(robots, suffix):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "flange_position"),
-    # Where roll and yaw turn about one axis, or nearly so, a URDF can state a flange all the same.
+    ("suffix", "flange_position", "name", "has_file"),
     [
-        ("xml", None),
-        *(("urdf", p) for p in (None, "0,0,0.1,90,90,0", "0,0,0.1,90,89.99979,7")),
+        ("xml", None, None, True),
+        ("xml", None, "load & co", False),
+        ("urdf", None, None, False),
+        # Where roll and yaw turn about one axis, or nearly so, a URDF states a flange all the same.
+        ("urdf", "0,0,0.1,90,90,0", "load & co", True),
+        ("urdf", "0,0,0.1,90,89.99979,7", "load & co", False),
     ],
 )
-def test_a_payload_becomes_a_body_of_its_own(robots, suffix, flange_position):
-    robot = robots[suffix]
-    theta = some_payload(np.random.default_rng(1))
-    payload = payload_of(robot, theta, flange_position)
-    result = result_of(robot, payload=payload)
-    _, mj_model, notes = write_and_compile(robot, result, as_body="load & co")
-    assert notes == ()
-    load = mj_model.body("load & co")
-    assert_same_theta(body_theta(mj_model, load.id), theta)
-    assert mj_model.body(int(load.parentid[0])).name == robot.body_name
-    total = robot.prior.theta + payload.flange.from_flange(theta)
-    assert_same_theta(terminal_composite(mj_model, robot), total)
-
-
-@SUFFIXES
-@pytest.mark.parametrize("name", [None, "load"])
-@pytest.mark.parametrize("with_file", [False, True])
 def test_a_payload_goes_onto_the_links_of_the_file_or_model(
-    robots, suffix, name, with_file
+    robots, suffix, flange_position, name, has_file
 ):
+    """Merged with the last link, or as a body of its own."""
     robot = robots[suffix]
     rng = np.random.default_rng(3)
-    link = robot.prior.theta + random_theta(rng, 0.4)
-    payload = payload_of(robot, some_payload(rng))
-    file = None
+    theta = some_payload(rng)
+    payload = payload_of(robot, theta, flange_position)
     thetas = robot.thetas
-    if with_file:  # what it says of the terminal link counts, not what the payload does
-        thetas[0] += random_theta(rng, 0.3)
-        thetas[-1] = link = link + random_theta(rng, 0.1)
-        friction = {"frictionloss": 0.25}
-        joints = dict.fromkeys(robot.joint_names, friction)
+    file = None
+    if has_file:  # what it says of the terminal link counts, not what the payload does
+        thetas = new_links(robot, rng)
+        joints = dict.fromkeys(robot.joint_names, {"frictionloss": 0.25})
         file = file_of(robot, thetas, joints, TURNED)
     result = result_of(robot, file=file, payload=payload)
-    path, mj_model, _ = write_and_compile(robot, result, as_body=name)
-    bare_link = (
-        link if with_file else robot.prior.theta
-    )  # without a file the model's own stays
-    expected = bare_link + payload.flange.from_flange(payload.theta)
+    path, mj_model, notes = write_and_compile(robot, result, as_body=name)
+    assert notes == ()
+    expected = thetas[-1] + payload.flange.from_flange(theta)
     assert_same_theta(terminal_composite(mj_model, robot), expected)
-    if name is not None and with_file:
-        assert "without the payload" in path.read_text()
-    if with_file:
+    if name is not None:
+        load = mj_model.body(name)
+        assert_same_theta(body_theta(mj_model, load.id), theta)
+        assert mj_model.body(int(load.parentid[0])).name == robot.body_name
+        assert ("without the payload" in path.read_text()) == has_file
+    if has_file:
         assert_array_equal(mj_model.opt.gravity, TURNED)
         assert_array_equal(mj_model.dof_frictionloss[robot.dof_index], 0.25)
         reloaded = load_robot_model(path, joint=JOINTS[suffix])
@@ -252,10 +238,17 @@ def new_joints(robot, rng):
     return joints
 
 
-@pytest.mark.parametrize("name", ["seven", "coupled fingers", "springs"])
-def test_all_links_joints_and_gravity_are_written(tmp_path, name):
+@pytest.mark.parametrize(
+    "source",
+    [
+        *(arms.SEVEN, arms.COUPLED_FINGERS, arms.SPRINGS),
+        pytest.param(arms.NONLINEAR_DAMPING, marks=since(3, 7)),
+    ],
+)
+def test_all_links_joints_and_gravity_are_written(tmp_path, source):
+    """Nonlinear damping stays."""
     rng = np.random.default_rng(7)
-    robot = load_arm(tmp_path, arms.MODELS[name])
+    robot = load_arm(tmp_path, source)
     thetas = new_links(robot, rng)
     joints = new_joints(robot, rng)
     result = result_of(robot, file=file_of(robot, thetas, joints, TURNED))
@@ -267,13 +260,15 @@ def test_all_links_joints_and_gravity_are_written(tmp_path, name):
             assert_same_theta(link.theta, theta)
     for field in FIELDS:
         expected = [joints[joint][field] for joint in robot.joint_names]
-        assert_array_equal(
-            getattr(reloaded.mj_model, f"dof_{field}")[robot.dof_index], expected
-        )
+        written = getattr(reloaded.mj_model, f"dof_{field}")[robot.dof_index]
+        assert_array_equal(written, expected)
+    if source == arms.NONLINEAR_DAMPING:
+        coefficients = reloaded.mj_model.dof_dampingpoly
+        assert_array_equal(coefficients, robot.mj_model.dof_dampingpoly)
     assert_array_equal(reloaded.mj_model.opt.gravity, TURNED)
     assert "System ID: gravity identified with" in text
-    written = sum(link.has_mass for link in robot.links)
-    assert text.count("System ID: body") == written
+    n_written = sum(link.has_mass for link in robot.links)
+    assert text.count("System ID: body") == n_written
 
 
 ROTORS = """<actuator><motor joint="joint1" gear="3" armature=".02" damping=".1"/>
@@ -282,44 +277,24 @@ ROTORS = """<actuator><motor joint="joint1" gear="3" armature=".02" damping=".1"
 
 
 @since(3, 7)
-@pytest.mark.parametrize("factor", [0.0, 0.4, 1.0, 2.5])
+@pytest.mark.parametrize("factor", [0.0, 2.5])
 def test_rotors_and_damping_stated_at_actuators_move_to_their_joints(tmp_path, factor):
     """The sum is what was identified; the written file has it at the joint."""
     xml = arms.serial_arm((arms.Z, arms.Y, arms.X), joint='armature=".1"', extra=ROTORS)
     robot = load_arm(tmp_path, xml)
-    assert_allclose(robot.armature, [0.1, 0.1 + 0.18, 0.1 + 0.3 + 0.04])
-    assert_allclose(robot.friction.viscous, [0.0, 0.9, 0.2])
+    numbers = np.array([[0.1, 0.1 + 0.18, 0.1 + 0.3 + 0.04], [0.0, 0.9, 0.2]])
+    assert_allclose((robot.armature, robot.friction.viscous), numbers)
     joints = {}
-    for index, name in enumerate(robot.joint_names):
-        values = {
-            "armature": factor * robot.armature[index],
-            "damping": factor * robot.friction.viscous[index],
-        }
-        joints[name] = values
-    written = write_and_compile(
-        robot, result_of(robot, file=file_of(robot, joints=joints))
-    )
-    reloaded = load_robot_model(written.path)
-    assert_allclose(reloaded.armature, factor * robot.armature, rtol=1e-12)
-    assert_allclose(
-        reloaded.friction.viscous, factor * robot.friction.viscous, rtol=1e-12
-    )
-    models = reloaded.mj_model, robot.mj_model
-    assert_allclose(*(model.dof_dampingpoly for model in models), rtol=1e-12)
-    for name in ("armature", "damping", "dampingpoly"):
-        assert not np.any(getattr(written.mj_model, f"actuator_{name}"))
-
-
-@since(3, 7)
-def test_nonlinear_damping_of_the_model_stays(tmp_path):
-    robot = load_arm(tmp_path, arms.NONLINEAR_DAMPING)
-    joints = new_joints(robot, np.random.default_rng(7))
+    for name, values in zip(robot.joint_names, factor * numbers.T):
+        joints[name] = dict(zip(FIELDS, values))
     result = result_of(robot, file=file_of(robot, joints=joints))
     reloaded = load_robot_model(write_and_compile(robot, result).path)
-    expected = [joints[joint]["damping"] for joint in robot.joint_names]
-    assert_array_equal(reloaded.friction.viscous, expected)
-    coefficients = reloaded.mj_model.dof_dampingpoly[reloaded.dof_index]
-    assert_array_equal(coefficients, [(0.3, 0.2)] * robot.n_joints)
+    model = reloaded.mj_model
+    written = reloaded.armature, reloaded.friction.viscous
+    assert_allclose(written, factor * numbers, rtol=1e-12)
+    assert_allclose(model.dof_dampingpoly, robot.mj_model.dof_dampingpoly, rtol=1e-12)
+    for name in ("armature", "damping", "dampingpoly"):
+        assert not np.any(getattr(model, f"actuator_{name}"))
 
 
 SLACK = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"', "")
@@ -381,68 +356,49 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     assert_array_equal(motor.model[0], file.joints[motor.name]["frictionloss"])
 
 
-def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path):
-    links = {"l1": urdf.inertial(), "l2": HEAVY, "l3": LIGHT}
-    robot = load_robot_model(
-        write_files(tmp_path, {"arm.urdf": urdf.robot(urdf.serial(links))})
-    )
-    motor = coupling(robot, np.array([1.0, 1.0]))
-    terms = {"frictionloss": 0.5}
-    links_file = file_of(robot, new_links(robot, np.random.default_rng(0)), {})
-    rotor = {"armature": 0.1}
-    file = replace(
-        links_file, joints={motor.name: terms, "l1_l2": rotor}, motors=(motor,)
-    )
-    result = result_of(robot, file=file)
-    reloaded = load_robot_model(write_and_compile(robot, result).path)
-    assert reloaded.kind == "mjcf" and reloaded.joint_names == robot.joint_names
-    assert reloaded.mj_model.tendon_frictionloss.tolist() == [0.5]
-    assert reloaded.armature.tolist() == [0.0, 0.1, 0.0]
-    for theta, link in zip(file.thetas, reloaded.links):
-        assert_same_theta(link.theta, theta)
+@pytest.mark.parametrize("ratio", [1.0, 50.0])
+def test_what_no_urdf_can_hold_is_in_an_mjcf_beside_it(tmp_path, ratio):
+    """Both have the same links; the URDF has rotors in transmissions and no motor of two joints.
 
-
-@pytest.mark.parametrize("reduction", [None, "-50"])
-def test_a_urdf_has_the_links_of_the_mjcf_and_its_rotors_in_transmissions(
-    tmp_path, reduction
-):
-    """So that gravity is the same; no reader takes links for the rotors that it does not know."""
+    So gravity is the same; no reader takes links for the rotors that it does not know.
+    """
     links = {"l1": urdf.inertial(), "l2": HEAVY, "l3": LIGHT}
     stated = (
-        ""
-        if reduction is None
-        else (
-            f'<transmission name="t"><joint name="l1_l2"/><actuator name="m">'
-            f"<mechanicalReduction>{reduction}</mechanicalReduction></actuator></transmission>"
-        )
+        '<transmission name="t"><joint name="l1_l2"/><actuator name="m">'
+        "<mechanicalReduction>-50</mechanicalReduction></actuator></transmission>"
     )
-    text = urdf.robot(urdf.serial(links), stated)
+    text = urdf.robot(urdf.serial(links), stated if ratio > 1.0 else "")
     robot = load_robot_model(write_files(tmp_path, {"arm.urdf": text}))
-    thetas = new_links(robot, np.random.default_rng(0))
-    file = replace(
-        file_of(robot, thetas, {}),
-        joints={"l1_l2": {"armature": 0.1, "frictionloss": 0.2}},
-    )
-    result = result_of(robot, file=file)
-    written = []
-    for kind in ("mjcf", "urdf"):
-        path = write_and_compile(robot, result, tmp_path / kind, file_kind=kind).path
-        written.append(load_robot_model(path))
-    mjcf, of_urdf = written
-    q = np.random.default_rng(1).uniform(-1.0, 1.0, (1000, robot.n_joints))
-    weights = [LinkDynamics(arm).motion(q, 0.0 * q, 0.0 * q) for arm in written]
-    torques = [moves.torque(arm.thetas) for moves, arm in zip(weights, written)]
-    # MuJoCo writes an MJCF's frames with six digits.
-    assert_allclose(torques[1], torques[0], rtol=1e-4, atol=1e-5)
+    motor = coupling(robot, np.array([1.0, 1.0]))
+    joints = {
+        motor.name: {"frictionloss": 0.5},
+        "l1_l2": {"armature": 0.1, "frictionloss": 0.2},
+    }
+    file = file_of(robot, new_links(robot, np.random.default_rng(0)), joints)
+    result = result_of(robot, file=replace(file, motors=(motor,)))
+    mjcf = load_robot_model(write_and_compile(robot, result).path)
+    folder = tmp_path / "urdf"
+    written = write_and_compile(robot, result, folder, file_kind="urdf")
+    of_urdf = load_robot_model(written.path)
+    assert mjcf.kind == "mjcf" and mjcf.joint_names == robot.joint_names
+    assert mjcf.mj_model.tendon_frictionloss.tolist() == [0.5]
     assert mjcf.armature.tolist() == [0.0, 0.1, 0.0]
     assert not np.any(of_urdf.armature) and of_urdf.friction.coulomb[1] == 0.2
+    for theta, link, other in zip(file.thetas, mjcf.links, of_urdf.links):
+        assert_same_theta(link.theta, theta)
+        assert_same_theta(other.theta, theta)
+    q = np.random.default_rng(1).uniform(-1.0, 1.0, (100, robot.n_joints))
+    weights = []
+    for arm in (mjcf, of_urdf):
+        moves = LinkDynamics(arm).motion(q, 0.0 * q, 0.0 * q)
+        weights.append(moves.torque(arm.thetas))
+    # MuJoCo writes an MJCF's frames with six digits.
+    assert_allclose(*weights, rtol=1e-4, atol=1e-5)
     (transmission,) = etree.parse(str(of_urdf.path)).getroot().findall("transmission")
-    ratio = 1.0 if reduction is None else 50.0
-    numbers = {
-        etree.QName(node).localname: float(node.get("value"))
-        for node in transmission.find("actuator")
-        if node.get("value")
-    }
+    numbers = {}
+    for node in transmission.find("actuator"):
+        if node.get("value"):
+            numbers[etree.QName(node).localname] = float(node.get("value"))
     assert transmission.find("joint").get("name") == "l1_l2"
     assert numbers == {"rotor_inertia": approx(0.1 / ratio**2), "gear_ratio": ratio}
 
