@@ -144,29 +144,16 @@ def test_committed_meshes_are_what_the_script_writes(name, tmp_path):
     assert shapes.volume(committed) > 1e-6
 
 
-def test_regressor_script_agrees_with_mujoco(capsys):
-    assert validate_regressor.main() == 0
-    assert "regressor agrees with MuJoCo" in capsys.readouterr().out
-
-
-def test_identification_script_finds_the_truth(capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("script", "message"),
+    [
+        (validate_regressor, "regressor agrees with MuJoCo"),
+        (validate_identification, "4 of 4 exact cases are exact"),
+        pytest.param(validate_uncertainty, "all limits hold", marks=pytest.mark.slow),
+        pytest.param(validate_measurements, "all limits hold", marks=pytest.mark.slow),
+    ],
+)
+def test_scripts_find_what_they_are_about(script, message, capsys, monkeypatch):
     monkeypatch.setattr(validate_identification, "SAMPLE_RATE", 100.0)
-    assert validate_identification.main() == 0
-    assert "4 of 4 exact cases are exact" in capsys.readouterr().out
-
-
-@pytest.fixture(scope="module")
-def noise_study():
-    return validate_uncertainty.NoiseStudy()
-
-
-@pytest.mark.slow
-def test_uncertainty_script_finds_its_limits_kept(noise_study, capsys):
-    assert validate_uncertainty.main(study=noise_study) == 0
-    assert "all limits hold" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_measurements_script_finds_its_limits_kept(capsys):
-    assert validate_measurements.main() == 0
-    assert "all limits hold" in capsys.readouterr().out
+    assert script.main() == 0
+    assert message in capsys.readouterr().out

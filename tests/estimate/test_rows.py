@@ -67,7 +67,7 @@ def successive_products(recordings, joint):
     return 0.5 * (products + products.T)
 
 
-@settings(max_examples=3)
+@settings(max_examples=2)
 @given(SEEDS)
 def test_sums_are_those_of_all_rows_in_use(seed):
     """Weighted by joint, of residuals, and of successive rows; a torque that is not used may be
@@ -99,7 +99,7 @@ def test_sums_are_those_of_all_rows_in_use(seed):
     assert np.all(left_out <= 1e-20 * np.max(expected))
 
 
-@settings(max_examples=3)
+@settings(max_examples=2)
 @given(SEEDS, st.integers(3, 20))
 def test_neither_chunks_nor_the_order_of_recordings_change_the_sums(seed, size):
     recordings = logs_of(seed)

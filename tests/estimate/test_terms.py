@@ -31,7 +31,6 @@ from robot_sysid.spatial import PARAMETER_NAMES
 
 ARMS = {
     "four": four_joint_arm('range="-2 2" armature=".3"'),
-    "tilted gravity": arms.robot_of(arms.TILTED_GRAVITY),
     "slide": arms.robot_of(arms.SLIDE_IN_CHAIN),
 }
 MEAN_OF_SEVEN = replace(UNFILTERED, kernel=np.full(7, 1.0 / 7.0), step=3)
@@ -129,12 +128,7 @@ def record(motion, tau, arm, loaded=True, low_pass=UNFILTERED):
 
 @pytest.mark.parametrize(
     ("name", "torques", "loaded"),
-    [
-        ("four", "chain", True),
-        ("four", "terminal", True),
-        ("tilted gravity", "chain", False),
-        ("slide", "chain", True),
-    ],
+    [("four", "chain", True), ("four", "terminal", True), ("slide", "chain", False)],
 )
 @settings(max_examples=1)
 @given(seed=arms.SEEDS)

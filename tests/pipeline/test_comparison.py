@@ -31,7 +31,7 @@ def rows_of(seed, body=NOTHING, friction=0.0, swapped=False):
     arm = TrueArm(ROBOT, seed, model_error=0.1, payload=body)
     recordings = []
     for is_second in (False, True):
-        motion = wide_motion([seed, is_second], duration=20.0)
+        motion = wide_motion([seed, is_second], duration=12.0)
         name = f"log{is_second}"
         log = arm.recording(motion, is_second, float(is_second), name, friction)
         is_later = is_second != swapped

@@ -40,16 +40,6 @@ def test_motion_of_a_quantised_log_is_recovered(seed):
     assert_close(signals.tau, swing.tau(signals.time), atol=1e-12)
 
 
-@pytest.mark.parametrize(("seed", "rate"), [(0, 10.0), (1, 1000.0)])
-def test_positions_without_noise_are_differentiated_unfiltered(seed, rate):
-    """To 1e-8, most of it in the time stamps."""
-    swing = Swing(seed)
-    cutoff = 0.2 * min(rate, 60.0)
-    signals = filtered(swing.measurement(seconds(20.0, rate)), cutoff=cutoff)
-    true = swing.q(signals.time, 2)
-    assert root_mean_square(signals.qdd - true) < 1e-8 * root_mean_square(true)
-
-
 def test_columns_do_not_depend_on_the_blocks_that_they_are_made_in():
     signals = filtered(Swing().measurement(seconds(90.0, 100.0)), cutoff=15.0)
     columns = signals.filter_columns(lambda motion: np.sign(motion.qd) * motion.q)
