@@ -322,6 +322,8 @@ def _random_axis(rng, axis_law):
         return np.array([0.0, 0.0, 1.0])
     if axis_law == "nearly parallel":
         return np.array([0.0, 0.0, 1.0]) + 1e-6 * rng.normal(size=3)
+    if axis_law == "aligned":
+        return np.eye(3)[rng.integers(3)]
     return rng.normal(size=3)
 
 

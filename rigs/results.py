@@ -87,24 +87,22 @@ class Estimate(NamedTuple):
     quality: FitQuality = QUALITY
 
 
-def estimate(**changes) -> Estimate:
-    """Such parameters, some of them others."""
-    return Estimate(**changes)
+ESTIMATE = Estimate()
 
 
-def found(result: Estimate | None = None, **changes) -> Result:
+def found(result: Estimate = ESTIMATE, **changes) -> Result:
     """Everything around it, of measured data: the terminal link and the joints as in it.
 
     A ``verdict`` among the changes is its remark.
     """
-    result = result or estimate()
     if "verdict" in changes:
         verdict = changes.pop("verdict")
         reason = "because" if verdict.level is not Level.SAYS else ""
         changes.setdefault("remarks", (verdict.remark(reason),))
-    links = changes.get("links", by_name(terminal(result)))
-    rows = [row for link in links.values() for row in body_quantities(link)]
-    rows += [row for joint in JOINTS for row in joint_rows(result, joint)]
+    last = terminal(result)
+    rows = [*body_quantities(last)]
+    for joint in JOINTS:
+        rows += joint_rows(result, joint)
     defaults = Result(
         question=LINK,
         robot=ARM,
@@ -114,19 +112,14 @@ def found(result: Estimate | None = None, **changes) -> Result:
         torques="chain",
         data=DataOrigin("log arm.csv", 15.0, 1000.0),
         quantities=tuple(rows),
-        links=links,
-        total=terminal(result),
+        links={last.name: last},
+        total=last,
         friction_model="coulomb-viscous",
     )
     return replace(defaults, **changes)
 
 
-def by_name(*bodies: BodyEstimate) -> dict[str, BodyEstimate]:
-    """Bodies as ``Result.links`` has them."""
-    return {body.name: body for body in bodies}
-
-
-def terminal(result: Estimate) -> BodyEstimate:
+def terminal(result: Estimate = ESTIMATE) -> BodyEstimate:
     """The terminal link as an estimate has it; its errors are of noise and of other links."""
     errors = np.array(result.standard_errors)[:10]
     seen = np.isfinite(errors)
@@ -153,14 +146,12 @@ def joint_rows(result: Estimate, joint: str) -> list[Quantity]:
     return rows
 
 
-def itself(result: Estimate | None = None, **changes) -> Result:
+def itself() -> Result:
     """The model's own simulation, of which most is not asked."""
-    full = result or estimate()
-    exact = replace(terminal(full), covariance=np.zeros((10, 10)), budget={})
-    joints = [replace(row, error=None) for row in joint_rows(full, "j6")]
+    exact = replace(terminal(), covariance=np.zeros((10, 10)), budget={})
+    joints = [replace(row, error=None) for row in joint_rows(ESTIMATE, "j6")]
     rows = [*body_quantities(exact), *joints]
-    defaults = found(
-        full,
+    return found(
         data=DataOrigin(ITSELF, 15.0, 1000.0, 1),
         verdict=Verdict.OK,
         links={},
@@ -169,16 +160,15 @@ def itself(result: Estimate | None = None, **changes) -> Result:
         quantities=tuple(rows),
         friction_model=None,
     )
-    return replace(defaults, **changes)
 
 
 def with_value(name: str, value: float, error: float) -> Estimate:
     """The estimate with one parameter changed."""
     values = VALUES.copy()
-    errors = np.array(estimate().standard_errors)
+    errors = ERRORS.copy()
     values[NAMES.index(name)] = value
     errors[NAMES.index(name)] = error
-    return estimate(values=values, standard_errors=errors)
+    return Estimate(NAMES, values, errors)
 
 
 def without_mass() -> Estimate:
@@ -213,12 +203,7 @@ def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyE
     return BodyEstimate(theta, name, covariance, seen, budget)
 
 
-def payload(
-    own: BodyEstimate | None = None,
-    result: Estimate | None = None,
-    torque_scale=(),
-    **changes,
-) -> Result:
+def payload(own: BodyEstimate | None = None, torque_scale=(), **changes) -> Result:
     """A payload of 1.2 kg; what is no field of the result is one of ``Payload``.
 
     ``torque_scale`` has pairs of a joint and its scale.
@@ -237,9 +222,7 @@ def payload(
     for joint, scale in torque_scale:
         rows.append(Quantity("torque_scale", joint, "", 1.0, scale, 0.004))
     changes = {"verdict": Verdict.OK, "quantities": tuple(rows), **changes}
-    return found(
-        result, question=PAYLOAD, payload=payload_record, total=total, **changes
-    )
+    return found(question=PAYLOAD, payload=payload_record, total=total, **changes)
 
 
 def model_file(**changes) -> ModelFile:
@@ -260,13 +243,12 @@ def model_file(**changes) -> ModelFile:
 
 def whole(**changes) -> Result:
     """A result of which nothing is missing."""
-    first = replace(terminal(estimate()), name="link5")
-    last = terminal(estimate())
+    first = replace(terminal(), name="link5")
+    last = terminal()
     bodies = (SubtreeBody(6, "link6", THETA, True),)
     links = (replace(ARM.links[0], bodies=bodies),)
     file = model_file()
-    rows = [*body_quantities(first), *body_quantities(last)]
-    rows += [row for joint in JOINTS for row in joint_rows(estimate(), joint)]
+    rows = [*body_quantities(first), *found().quantities]
     rows += [
         Quantity("viscous", "j5+j6", "N·m·s/rad", None, 0.05, 0.002),
         Quantity("scale", "j5", "", None, 1.01, 0.004),
@@ -279,7 +261,7 @@ def whole(**changes) -> Result:
     ]
     result = found(
         robot=replace(ARM, is_slide=np.array([True, False]), links=links),
-        links=by_name(first, last),
+        links={first.name: first, last.name: last},
         quantities=tuple(rows),
         file=file,
         validation=(

@@ -274,7 +274,7 @@ def test_one_schema_holds_the_answer_to_every_question(result):
 def test_reading_back_gives_the_same_bits(tmp_path_factory, seed):
     theta = random_theta(np.random.default_rng(seed))
     path = tmp_path_factory.mktemp("p") / "params.json"
-    result = made.found(made.estimate(values=np.append(theta, made.VALUES[10:])))
+    result = made.found(made.Estimate(values=np.append(theta, made.VALUES[10:])))
     path.write_text(json_text(rows.content_of(result)), encoding="utf-8")
     assert_array_equal(made.theta_in(path), theta)
 

@@ -13,13 +13,10 @@ from rigs import arms
 from rigs.core_fits import BASIC, ORIGIN, filter_logs, fit_logs
 from rigs.measured_logs import XML, log_of, plan_of
 from robot_sysid import spatial
-from robot_sysid.errors import InputError
 from robot_sysid.estimate.restricted_fit import fit_file
 from robot_sysid.estimate.result import link_result, traces_of
-from robot_sysid.records import Recording
 from robot_sysid.records.messages import Level
 from robot_sysid.results.record import FILE, LINK, Verdict
-from robot_sysid.signals.process import low_pass_recordings
 
 
 def fits_of(robot, log, **options):
@@ -50,12 +47,6 @@ def test_all_logs_pass_the_lowest_cutoff_that_one_requires(plant, robot, noisy):
         cutoffs += [recording.cutoff for recording in recordings]
     fine_cutoff, coarse_cutoff, *common_cutoffs = cutoffs
     assert common_cutoffs == [coarse_cutoff] * 2 and coarse_cutoff < fine_cutoff
-    is_kept = noisy.time % 0.3 > 0.12
-    fields = (noisy.time, noisy.q, None, noisy.tau)
-    damaged = Recording(*(f if f is None else f[is_kept] for f in fields))
-    pieces = [replace(noisy, name="complete"), replace(damaged, name="damaged")]
-    with pytest.raises(InputError, match="damaged: only .* free of lost samples"):
-        low_pass_recordings(robot, pieces)
 
 
 def test_bodies_joints_and_sensors_are_those_of_the_plant(plant, result):

@@ -14,14 +14,14 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from rigs import arms
-from rigs.arms import SEEDS, robot_of
+from rigs.arms import SEEDS, robot_of, seeded_motion
 from rigs.excitation_arms import TUBES, make_problem, robot
 from robot_sysid import spatial
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
 from robot_sysid.errors import InputError
 from robot_sysid.motion import TOP_FREQUENCY_HZ, LimitOptions
 from robot_sysid.motion.problem import build_problem
-from robot_sysid.records import Limits, Motion
+from robot_sysid.records import Limits
 
 
 def limited_arm(lower=-2.0, upper=2.0, velocity=1.0, torque=np.inf):
@@ -59,17 +59,11 @@ def test_without_a_band_only_an_option_limits_accelerations():
     assert np.array_equal(limited.limits.acceleration, expected)
 
 
-def random_motion(joints, seed, count=6):
-    """Return a random Motion of ``count`` samples."""
-    derivatives = default_rng(seed).normal(size=(3, count, joints))
-    return Motion(np.arange(float(count)), *derivatives)
-
-
 @given(SEEDS)
 def test_no_point_of_the_tool_exceeds_its_speed(seed):
     """Points of the last tube, by v + w x p; nor is the stated speed much larger."""
     problem = make_problem(TUBES)
-    motion = random_motion(4, seed)
+    motion = seeded_motion(seed, 4, 6)
     links = problem.dynamics.motion(motion.q, motion.qd, motion.qdd)
     w, v = np.split(links.velocity[-1].T[:, None], 2, axis=2)
     rng = default_rng(seed)
@@ -93,7 +87,7 @@ def loaded_torque(motion, mass):
 @given(SEEDS, st.floats(0.1, 5.0))
 def test_the_torque_of_a_load_equals_that_of_a_loaded_arm(seed, mass):
     arm = robot(arms.SEVEN)
-    motion = random_motion(7, seed)
+    motion = seeded_motion(seed, 7, 6)
     # The farthest corner of the tool's box.
     tip = SEVEN.tool[np.argmax(np.linalg.norm(SEVEN.tool, axis=1))]
     load = spatial.theta_from_com(mass, tip, np.zeros((3, 3)))
@@ -106,7 +100,7 @@ def test_the_torque_of_a_load_equals_that_of_a_loaded_arm(seed, mass):
 
 @given(SEEDS, st.floats(0.0, 3.0))
 def test_the_torque_with_a_reserve_covers_every_load_up_to_it(seed, mass):
-    motion = random_motion(7, seed)
+    motion = seeded_motion(seed, 7, 6)
     reserved = np.abs(replace(SEVEN, reserve=3.0).torque(motion))
     assert np.all(np.abs(loaded_torque(motion, mass)) <= reserved + 1e-12)
 
@@ -161,7 +155,7 @@ def test_the_torque_reserve_is_two_deviations_of_the_link_errors(seed, uncertain
     arm = limited_arm(torque=100.0)
     arm.limits.torque[1] = np.inf
     problem = build_problem(arm, LimitOptions(), link_uncertainty=uncertainty)
-    motion = random_motion(3, seed, 5)
+    motion = seeded_motion(seed, 3, 5)
     reserve = 2.0 * np.sqrt(torque_variance(problem, motion)) * [1.0, 0.0, 1.0]
     assert np.allclose(problem.torque_reserve(motion), reserve)
     needed = np.abs(problem.arm_torque(motion)) + reserve

@@ -31,7 +31,7 @@ def test_numbers_and_errors_end_at_the_same_digit_and_no_zero_has_a_sign(rows):
 
 
 def test_a_share_of_the_prior_is_that_of_mass_and_moment_together():
-    body = made.terminal(made.estimate())
+    body = made.terminal()
     shares = np.array([0.9, 0.2, 0.9, 0.9, *[0.9] * 6])
     for mass_share, sources in ((0.9, (MODEL, DATA)), (0.1, (MODEL, MODEL))):
         shares[0] = mass_share
@@ -44,7 +44,7 @@ def test_a_share_of_the_prior_is_that_of_mass_and_moment_together():
 def test_rounding_is_no_number():
     """A product of inertia of a symmetric body comes back as 1e-18."""
     noisy = made.THETA + np.array([0, 1e-16, 0, 0, 0, 1e-18, 0, 0, 0, 0])
-    terminal = made.terminal(made.estimate())
+    terminal = made.terminal()
     rows = {row.name: row for row in body_quantities(replace(terminal, theta=noisy))}
     assert (rows["hx"].value, rows["Ixy"].value) == (0.0, 0.0)
     # A gripper jaw's numbers are small, not rounding.

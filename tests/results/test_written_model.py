@@ -238,39 +238,6 @@ def new_joints(robot, rng):
     return joints
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        *(arms.SEVEN, arms.COUPLED_FINGERS, arms.SPRINGS),
-        pytest.param(arms.NONLINEAR_DAMPING, marks=since(3, 7)),
-    ],
-)
-def test_all_links_joints_and_gravity_are_written(tmp_path, source):
-    """Nonlinear damping stays."""
-    rng = np.random.default_rng(7)
-    robot = load_arm(tmp_path, source)
-    thetas = new_links(robot, rng)
-    joints = new_joints(robot, rng)
-    result = result_of(robot, file=file_of(robot, thetas, joints, TURNED))
-    path = write_and_compile(robot, result).path
-    text = path.read_text()
-    reloaded = load_robot_model(path)
-    for theta, link in zip(thetas, reloaded.links):
-        if np.any(theta):
-            assert_same_theta(link.theta, theta)
-    for field in FIELDS:
-        expected = [joints[joint][field] for joint in robot.joint_names]
-        written = getattr(reloaded.mj_model, f"dof_{field}")[robot.dof_index]
-        assert_array_equal(written, expected)
-    if source == arms.NONLINEAR_DAMPING:
-        coefficients = reloaded.mj_model.dof_dampingpoly
-        assert_array_equal(coefficients, robot.mj_model.dof_dampingpoly)
-    assert_array_equal(reloaded.mj_model.opt.gravity, TURNED)
-    assert "System ID: gravity identified with" in text
-    n_written = sum(link.has_mass for link in robot.links)
-    assert text.count("System ID: body") == n_written
-
-
 ROTORS = """<actuator><motor joint="joint1" gear="3" armature=".02" damping=".1"/>
 <motor joint="joint2" armature=".3"/><motor joint="joint2" gear="2" armature=".01" damping=".05"/>
 </actuator>"""
@@ -461,35 +428,58 @@ def test_links_that_are_the_models_own_are_left_alone(tmp_path):
     assert text.count(arms.LINK) == arms.THREE.count(arms.LINK) == 2
 
 
-@pytest.mark.slow
+NAMED = [arms.SEVEN, arms.COUPLED_FINGERS, arms.SPRINGS]
+if hasattr(mujoco.MjModel, "dof_dampingpoly"):
+    NAMED.append(arms.NONLINEAR_DAMPING)
+
+
 @given(
-    arms.random_chain(), arms.SEEDS, st.sampled_from(["links", "merged", "own body"])
+    st.sampled_from(NAMED) | arms.random_chain(),
+    arms.rigid_bodies(),
+    arms.SEEDS,
+    st.sampled_from(["links", "merged", "own body"]),
 )
-def test_any_arm_takes_any_links_and_any_payload(tmp_path_factory, xml, seed, target):
-    """Several joints to a body, slides, fingers, any frame: every written model is compiled,
-    compared and moved by the writing itself."""
+def test_any_arm_takes_any_links_and_any_payload(
+    tmp_path_factory, xml, last_body, seed, target
+):
+    """Several joints to a body, slides, fingers, any frame, nonlinear damping.
+
+    Every written model is compiled, compared and moved by the writing itself.
+    """
     rng = np.random.default_rng(seed)
     numbers = itertools.count()
     xml = re.sub(
         "<joint type", lambda _: f'<joint name="joint{next(numbers)}" type', xml
     )
     path = write_files(tmp_path_factory.mktemp("any"), {"arm.xml": xml})
-    last = xml.count('<joint name="joint') - 1
-    robot = load_robot_model(path, joint=f"joint{last}")
-    flange_position = ", ".join(
-        str(value) for value in (*rng.uniform(-1.0, 1.0, 3), 10, 20, 30)
-    )
-    file = file_of(
-        robot, new_links(robot, rng), new_joints(robot, rng), 9.8 * rng.normal(size=3)
-    )
-    payload = (
-        None
-        if target == "links"
-        else payload_of(robot, some_payload(rng), flange_position)
-    )
-    result = result_of(robot, file=file, payload=payload)
+    last = f"joint{len(re.findall('joint name=.joint', xml)) - 1}"
+    robot = load_robot_model(path, joint=last)
+    at = ", ".join(str(value) for value in (*rng.uniform(-1.0, 1.0, 3), 10, 20, 30))
+    thetas = new_links(robot, rng)
+    thetas[-1] = robot.prior.theta + last_body
+    joints = new_joints(robot, rng)
+    gravity = 9.8 * rng.normal(size=3)
+    has_payload = target != "links"
+    payload = payload_of(robot, some_payload(rng), at) if has_payload else None
+    file = file_of(robot, thetas, joints, gravity)
     name = "load" if target == "own body" else None
-    assert write_and_compile(robot, result, as_body=name).path.is_file()
+    result = result_of(robot, file=file, payload=payload)
+    path = write_and_compile(robot, result, as_body=name).path
+    written = load_robot_model(path, joint=last)
+    for theta, link in zip(thetas[: -1 if has_payload else None], written.links):
+        if np.any(theta):
+            assert_same_theta(link.theta, theta, 1e-9)
+    model = written.mj_model
+    for field in FIELDS:
+        expected = [joints[joint][field] for joint in robot.joint_names]
+        assert_array_equal(getattr(model, f"dof_{field}")[robot.dof_index], expected)
+    assert_array_equal(model.opt.gravity, gravity)
+    if xml == arms.NONLINEAR_DAMPING:
+        assert_array_equal(model.dof_dampingpoly, robot.mj_model.dof_dampingpoly)
+    text = path.read_text()
+    assert "System ID: gravity identified with" in text
+    n_written = sum(link.has_mass for link in robot.links)
+    assert text.count("System ID: body") >= n_written - has_payload
 
 
 def test_a_compilers_bound_on_moments_is_kept_with_a_note(tmp_path):
