@@ -31,27 +31,54 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from benchmarks.speed_table import rewrite
-from rigs.fault_bench import BenchRun, Case, SetUp, outcomes_of
-from rigs.fault_lines import (
+from rigs.fault_bench import (
+    CASES,
     DAMAGE_BOUND,
-    LINES,
     SHOULDER,
     UNSEEN,
-    Line,
+    BenchRun,
+    Case,
+    Outcome,
+    SecondMaster,
+    SetUp,
     damage_cases,
     hold_cases,
+    outcomes_of,
 )
-from rigs.motor_causes import SecondMaster
 from rigs.places import ROOT
 
 PAGE = ROOT / "benchmarks" / "motor_faults.md"
 PAGE_BEGIN = "<!-- faults: python -m benchmarks.motor_faults page -->"
 PAGE_END = "<!-- end of faults -->"
 PAGE_HEAD = "| Fault | Departure [rad] | The message contains |\n| --- | --- | --- |"
-_UNSEEN_MASTER = SecondMaster(SHOULDER, 0.5, False)
-FAULTS = (*LINES, Line("second master, shoulder, not seen", _UNSEEN_MASTER, UNSEEN))
+_UNSEEN_MASTER = SecondMaster(SHOULDER, is_seen=False)
+FAULTS = (*CASES, Case("second master, shoulder, not seen", _UNSEEN_MASTER, UNSEEN))
 """Faults of ``faults``: those of the page, and one more."""
 RATES = (50.0, 100.0, 250.0, 500.0)
+
+
+def setup_text(setup: SetUp) -> str:
+    """Return the text of a set-up for tables."""
+    model = setup.belief if setup.model_is_given else f"none ({setup.belief} fed)"
+    park = f", park {setup.park}" if setup.park else ""
+    stiffness = f", kp {setup.kp:g}" if setup.kp else ""
+    pose = f", pose {setup.pose}" if setup.pose else ""
+    return f"model {model}, {setup.rate:g} Hz{park}{stiffness}{pose}"
+
+
+def outcome_text(outcome: Outcome) -> str:
+    """Return a line about an outcome."""
+    delay = "   -  " if outcome.stop_delay is None else f"{outcome.stop_delay:6.3f}"
+    return (
+        f"{outcome.name:34.34s} {outcome.phase[:10]:10s} "
+        f"{outcome.figures['departure']:6.3f} rad {delay} s {outcome.ending:9s} "
+        f"{outcome.words[:90]}  [{setup_text(outcome.setup)}]"
+    )
+
+
+def departure_of(outcome: Outcome) -> float:
+    """Return how far a joint got from its path [rad]."""
+    return outcome.figures["departure"]
 
 
 def fault_cases(belief: str = "guess") -> list[Case]:
@@ -59,7 +86,7 @@ def fault_cases(belief: str = "guess") -> list[Case]:
     cases = []
     for is_given in (True, False):
         setup = SetUp(belief, is_given)
-        cases += [replace(line.case, setup=setup) for line in FAULTS]
+        cases += [replace(case, setup=setup) for case in FAULTS]
     return cases
 
 
@@ -71,9 +98,9 @@ def clean_setups(rates: Sequence[float]) -> list[SetUp]:
 
 def clean_result(setup: SetUp) -> dict:
     """Play a set-up undisturbed and return what came of it."""
-    record, _ = BenchRun(setup).play()
+    record = BenchRun(setup).play()
     is_complete = not record.error
-    return {"setup": str(setup), "completed": is_complete, "words": record.error}
+    return {"setup": setup_text(setup), "completed": is_complete, "words": record.error}
 
 
 def shorten_message(message: str, length: int = 78) -> str:
@@ -92,7 +119,7 @@ def print_outcomes(cases: list[Case], jobs: int) -> list:
     begun = time.monotonic()
     outcomes = []
     for outcome in outcomes_of(cases, jobs):
-        print(outcome.line(), flush=True)
+        print(outcome_text(outcome), flush=True)
         outcomes.append(outcome)
     seconds = (time.monotonic() - begun) / max(len(outcomes), 1)
     print(f"{len(outcomes)} runs, {seconds:.1f} s per run\n", flush=True)
@@ -110,17 +137,17 @@ def print_damage_table(outcomes: list) -> None:
     print("| field, size | runs | stopped | worst departure [rad] | in phase | words |")
     print("|---|---|---|---|---|---|")
     for name, group in _by_name(outcomes):
-        worst = max(group, key=lambda outcome: outcome.departure)
+        worst = max(group, key=departure_of)
         stopped = [o for o in group if o.ending in ("stopped", "refused")]
         endings = Counter(_rough(outcome.words) for outcome in stopped)
         texts = [f"{count}x {text}" for text, count in endings.most_common(3)]
         summary = "; ".join(texts)
         print(
-            f"| {name} | {len(group)} | {len(stopped)} | {worst.departure:.3f} "
+            f"| {name} | {len(group)} | {len(stopped)} | {departure_of(worst):.3f} "
             f"| {worst.phase[:12]} | {summary} |"
         )
-    worst = max(outcome.departure for outcome in outcomes)
-    beyond = sum(outcome.departure > DAMAGE_BOUND for outcome in outcomes)
+    worst = max(map(departure_of, outcomes))
+    beyond = sum(departure_of(outcome) > DAMAGE_BOUND for outcome in outcomes)
     print(
         f"\nworst departure {worst:.3f} rad; {beyond} of {len(outcomes)} beyond {DAMAGE_BOUND}\n"
     )
@@ -134,8 +161,8 @@ _WORDS = ("words", lambda o: shorten_message(o.words) or o.ending)
 FAULT_COLUMNS = (
     ("fault", lambda o: o.name),
     ("model", lambda o: o.setup.belief if o.setup.model_is_given else "none"),
-    ("departure [rad]", lambda o: f"{o.departure:.3f}"),
-    ("others' departure [rad]", lambda o: f"{o.others_departure:.3f}"),
+    ("departure [rad]", lambda o: f"{o.figures['departure']:.3f}"),
+    ("others' departure [rad]", lambda o: f"{o.figures['others departure']:.3f}"),
     _DELAY,
     _WORDS,
 )
@@ -144,11 +171,11 @@ HOLD_COLUMNS = (
     ("kp", lambda o: f"{o.setup.kp:g}"),
     ("pose", lambda o: str(o.setup.pose)),
     _DELAY,
-    ("off before and after [rad]", lambda o: f"{o.departure:.3f}"),
-    ("fall after the stop [rad]", lambda o: f"{o.fall:.3f}"),
-    ("others' fall [rad]", lambda o: f"{o.others_fall:.3f}"),
-    ("others' speed [rad/s]", lambda o: f"{o.others_speed:.2f}"),
-    ("0.1 s later [rad/s]", lambda o: f"{o.others_later_speed:.2f}"),
+    ("off before and after [rad]", lambda o: f"{o.figures['departure']:.3f}"),
+    ("fall after the stop [rad]", lambda o: f"{o.figures['own fall']:.3f}"),
+    ("others' fall [rad]", lambda o: f"{o.figures['others fall']:.3f}"),
+    ("others' speed [rad/s]", lambda o: f"{o.figures['others speed']:.2f}"),
+    ("0.1 s later [rad/s]", lambda o: f"{o.figures['others later speed']:.2f}"),
     ("energy gained [J]", lambda o: f"{o.energy_gain:.2f}"),
     _WORDS,
 )
@@ -183,15 +210,12 @@ def print_clean_runs(rates: Sequence[float], jobs: int) -> list[dict]:
 def write_page(jobs: int) -> None:
     """Write the table of faults into benchmarks/motor_faults.md."""
     rows = [PAGE_HEAD]
-    cases = [line.case for line in LINES]
-    outcomes = {outcome.name: outcome for outcome in outcomes_of(cases, jobs)}
-    for line in LINES:
-        outcome = outcomes[line.name]
-        message = re.sub(r" \(joint [^)]*\)", "", line.words)
-        mark = "*" if line.quantity != "departure" else ""
-        measured = f"{getattr(outcome, line.quantity):.2f}{mark}"
+    for case, outcome in zip(CASES, outcomes_of(CASES, jobs)):
+        message = re.sub(r"\(joint [^)]*\) ", "", case.words)
+        mark = "*" if case.quantity != "departure" else ""
+        measured = f"{outcome.figures[case.quantity]:.2f}{mark}"
         rows.append(
-            f"| {line.name} | {measured} | {message or 'nothing: it plays to the end'} |"
+            f"| {case.name} | {measured} | {message or 'nothing: it plays to the end'} |"
         )
     rewrite(PAGE, PAGE_BEGIN, PAGE_END, rows)
 
@@ -229,7 +253,7 @@ def main() -> int:
         cases = damage_cases(options.runs, options.seed)
         outcomes = print_outcomes(cases, options.jobs)
         print_damage_table(outcomes)
-        has_failed |= any(outcome.departure > DAMAGE_BOUND for outcome in outcomes)
+        has_failed |= any(departure_of(outcome) > DAMAGE_BOUND for outcome in outcomes)
         results["damage"] = [asdict(outcome) for outcome in outcomes]
     if is_all or options.campaign == "faults":
         cases = fault_cases(options.belief)

@@ -1,24 +1,27 @@
-"""A simulated arm on a simulated bus in simulated time, with everything a run needs around it."""
+"""Simulated motors on a simulated bus in simulated time, what may be wrong with them, and a run."""
 
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
 from rigs.clocks import ScriptedClock
-from rigs.links import RememberingLink, SlowAdapter
+from rigs.links import RememberingLink
 from rigs.recordings import read_recording
-from robot_sysid.damiao import protocol
+from robot_sysid.damiao import execution, protocol
 from robot_sysid.damiao.bus import GuardedLink, inspect_bus
-from robot_sysid.damiao.execution import run
-from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints
+from robot_sysid.damiao.joints import DamiaoJoint, Mounting, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import bus_checks
-from robot_sysid.damiao.protocol import Register
+from robot_sysid.damiao.protocol import BusTiming, MitCommand, Register
 from robot_sysid.damiao.references import file_holding
+from robot_sysid.damiao.safety.guards import Replies
+from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import (
     Permissions,
     Plan,
@@ -35,33 +38,70 @@ from robot_sysid.damiao.trajectory import (
     export_damiao_trajectory,
     read_damiao_trajectory,
 )
+from robot_sysid.records import Limits
 from robot_sysid.records.file_access import atomic_file
 from robot_sysid.simulation import plant
 from robot_sysid.simulation.plant import ArmStepper
 
 INERTIA = 0.1
 GRAVITY = 2.0
-CLASSIC = protocol.BusTiming()
 # Register of the code of the bit rate: above 4 a motor answers in CAN-FD.
 BIT_RATE = 35
+# Registers that the motors write.
+WRITABLE = tuple(Register)
 
 
-class Pendulums:
-    """Independent pendulums: INERTIA qdd + GRAVITY sin(q) = torque; those jammed stand."""
+# --- motions and files ----------------------------------------------------------------------------
 
-    timestep = 4e-3
 
-    def __init__(self, n_joints, q=None):
-        self.n_joints = n_joints
-        self.q = np.zeros(n_joints) if q is None else np.array(q, dtype=float)
-        self.qd = np.zeros(n_joints)
-        self.jammed = np.zeros(n_joints, bool)
+def rest_to_rest(amplitude, turns, duration=2.0, rate=250.0):
+    """Return (time, q, qd, qdd) of joints that swing from zero to an amplitude and back.
 
-    def step(self, torque, damping, h):
-        damping = np.where(self.jammed, 1e6, damping)
-        force = torque - GRAVITY * np.sin(self.q)
-        self.qd = (self.qd + h * force / INERTIA) / (1.0 + h * damping / INERTIA)
-        self.q = self.q + h * self.qd
+    They do so ``turns`` times. Amplitudes [rad] and turns are (n,); of further axes in front of it,
+    with one in between, each is a motion.
+    """
+    time = np.arange(round(duration * rate) + 1) / rate
+    w = 2 * np.pi / duration * turns
+    phase = w * time[:, None]
+    q = 0.5 * amplitude * (1 - np.cos(phase))
+    qd = 0.5 * amplitude * w * np.sin(phase)
+    return time, q, qd, 0.5 * amplitude * w**2 * np.cos(phase)
+
+
+def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
+    """Joint motion from rest to rest with its exact torque: (time, q, qd, tau)."""
+    turns = 1 + np.arange(n_joints) % 2
+    time, q, qd, qdd = rest_to_rest(amplitude, turns, duration, rate)
+    return time, q, qd, INERTIA * qdd + GRAVITY * np.sin(q)
+
+
+def lifted_swing(angle, **options):
+    """The swing of two joints about an angle [rad], with the torque of gravity there [N m]."""
+    time, q, qd, tau = swing(2, **options)
+    lifted = q + angle
+    return time, lifted, qd, tau + GRAVITY * (np.sin(lifted) - np.sin(q))
+
+
+def map_line(name, can_id, master_id, *mounted):
+    """A line of a joint map."""
+    return DamiaoJoint("", can_id, master_id, name, *mounted)
+
+
+def export(chunks, types, path, **ids):
+    """Write a motion for motors of these types, and return the report."""
+    joints = damiao_joints(types, len(types), **ids)
+    with atomic_file(path) as file:
+        return export_damiao_trajectory(chunks, joints, file)
+
+
+def trajectory_file(folder, motion, *types):
+    """A motion as a trajectory file for motors of these types, else of one, read back."""
+    path = folder / "damiao_trajectory.csv"
+    export([motion], types or ["DM4340"] * motion[1].shape[1], path)
+    return read_damiao_trajectory(path)
+
+
+# --- motors, arms and buses, and what may be wrong with them --------------------------------------
 
 
 @dataclass
@@ -71,24 +111,45 @@ class FaultyMotor(SimulatedMotor):
     Attributes:
         silent: it hears nothing and says nothing.
         lost_replies: it obeys but its answers do not arrive.
+        is_stale: it repeats its last answer, bit by bit.
         velocity_factor, torque_factor: factors on the velocity and the torque it reports.
         shift: angle added to the position it reports, as since a zero was set [rad].
-        stored: registers in flash.
-        is_stale: it repeats its last answer, bit by bit.
-        answers_first: it answers before another motor with its id.
         frozen_position: position that it reports, at no speed [rad]; NaN while it reports its own.
+        frozen_encoder: the same, and it also controls this position.
+        encoder_error: encoder minus joint position [rad].
+        slip_rate: how fast that grows [rad/s].
+        slip_is_felt: whether the encoder's speed includes the slip.
+        torque_share: torque that it makes per torque that it is to make.
+        jam_damping: damping of what holds its joint [N m s/rad].
+        stored: registers in flash.
     """
 
     silent: bool = False
     lost_replies: bool = False
+    is_stale: bool = False
     velocity_factor: float = 1.0
     torque_factor: float = 1.0
     shift: float = 0.0
-    stored: dict = field(default_factory=dict)
-    is_stale: bool = False
-    answers_first: bool = False
     frozen_position: float = np.nan
+    frozen_encoder: float = np.nan
+    encoder_error: float = 0.0
+    slip_rate: float = 0.0
+    slip_is_felt: bool = True
+    torque_share: float = 1.0
+    jam_damping: float = 0.0
+    stored: dict = field(default_factory=dict)
     last_answer: bytes = b""
+    ticked_at: float = 0.0
+
+    @property
+    def felt_slip(self):
+        """How much faster the encoder turns than the joint [rad/s]."""
+        return self.slip_rate * self.slip_is_felt
+
+    def tick(self, time):
+        self.encoder_error += self.slip_rate * (time - self.ticked_at)
+        self.ticked_at = time
+        return super().tick(time) or self.slip_rate != 0.0
 
     def handle(self, frame, time):
         answer = None if self.silent else super().handle(frame, time)
@@ -99,11 +160,12 @@ class FaultyMotor(SimulatedMotor):
     def _feedback(self):
         if self.is_stale and self.last_answer:
             return self.last_answer
-        position = self.position + self.shift
-        velocity = self.velocity * self.velocity_factor
-        if not np.isnan(self.frozen_position):
-            position = self.frozen_position
-            velocity = 0.0
+        position = self.position + self.encoder_error + self.shift
+        velocity = (self.velocity + self.felt_slip) * self.velocity_factor
+        for frozen in (self.frozen_position, self.frozen_encoder):
+            if not np.isnan(frozen):
+                position = frozen
+                velocity = 0.0
         torque = self.torque * self.torque_factor
         self.last_answer = self._pack(position, velocity, torque)
         return self.last_answer
@@ -125,10 +187,6 @@ class FaultyMotor(SimulatedMotor):
         return data[:4] + protocol.bytes_from_value(number, self.registers[number])
 
 
-# Registers that the motors write.
-WRITABLE = tuple(protocol.Register)
-
-
 def motor(joint, watchdog=0.1):
     """A joint's motor, in which nothing is wrong yet."""
     sound = simulated_motor(joint, watchdog)
@@ -136,49 +194,218 @@ def motor(joint, watchdog=0.1):
     return FaultyMotor(**vars(sound))
 
 
-REGISTERS = {"tmax": Register.TMAX, "vmax": Register.VMAX, "mode": Register.CTRL_MODE}
+class Pendulums:
+    """Independent pendulums: INERTIA qdd + GRAVITY sin(q) = torque."""
+
+    timestep = 4e-3
+
+    def __init__(self, n_joints, q=None):
+        self.n_joints = n_joints
+        self.q = np.zeros(n_joints) if q is None else np.array(q, dtype=float)
+        self.qd = np.zeros(n_joints)
+
+    def step(self, torque, damping, h):
+        force = torque - GRAVITY * np.sin(self.q)
+        self.qd = (self.qd + h * force / INERTIA) / (1.0 + h * damping / INERTIA)
+        self.q = self.q + h * self.qd
 
 
-def fault(name, joint, value=1):
-    """Function: let something go wrong with a motor of a rig, or of the motors in a list."""
+class FaultyArm(SimulatedArm):
+    """An arm of faulty motors, which are mounted straight where their encoders are wrong.
 
-    def cause(rig):
-        hit = (rig if isinstance(rig, list) else rig.motors)[joint]
-        if name == "status":
-            hit.fail(int(value))
-        elif name == "watchdog":
-            hit.registers[Register.TIMEOUT] = round(value / protocol.TIMEOUT_UNIT)
-        elif name in REGISTERS:
-            hit.registers[REGISTERS[name]] = float(value)
-        elif name == "jammed":
-            rig.arm.mechanism.jammed[joint] = True
+    Attributes:
+        truth: time [s], positions and velocities (n,) of its joints, as they really were, per step.
+        push: (n,) torque on the joints from outside [N m].
+        takes_whole_steps: whether steps are never cut short at the time of a frame: this is fast.
+    """
+
+    def __init__(self, mechanism, motors):
+        super().__init__(mechanism, motors)
+        self.truth = []
+        self.push = np.zeros(mechanism.n_joints)
+        self.takes_whole_steps = False
+        self._step = mechanism.step
+        mechanism.step = self._step_truly
+
+    def advance(self, until):
+        if self.takes_whole_steps and self._was_enabled:
+            step = self.mechanism.timestep
+            until = self.time + np.floor((until - self.time) / step + 1e-6) * step
+        super().advance(until)
+
+    def _step_truly(self, torque, damping, duration):
+        torque = self._share * torque + self.push
+        self._step(torque, self._share * damping + self._jam, duration)
+        state = self.mechanism.q.copy(), self.mechanism.qd.copy()
+        self.truth.append((self.time, *state))
+
+    def _gather(self):
+        super()._gather()
+        motors = self.motors[: self.mechanism.n_joints]
+        encoders = [(m.encoder_error, m.frozen_encoder, m.felt_slip) for m in motors]
+        self._error, self._frozen, slip = np.transpose(encoders)
+        self._share, self._jam = np.transpose(
+            [(m.torque_share, m.jam_damping) for m in motors]
+        )
+        self._offset = self._offset - np.where(self._limited, self._kd * slip, 0.0)
+        is_frozen = self._limited & np.isfinite(self._frozen)
+        self._kd = np.where(is_frozen, 0.0, self._kd)
+
+    def _motor_torques(self, q):
+        if self._changed:
+            self._gather()
+        is_true = np.isnan(self._frozen)
+        return super()._motor_torques(np.where(is_true, q + self._error, self._frozen))
+
+
+# Characters of the line of text of a feedback frame that carry a field.
+_SPANS = {
+    "arbitration id": (1, 4),
+    "status": (5, 6),
+    "id nibble": (6, 7),
+    "position": (7, 11),
+    "velocity": (11, 14),
+    "torque": (14, 17),
+}
+
+
+@dataclass(frozen=True)
+class Damage:
+    """What happens to the next feedback frame of a joint, where nothing protects it.
+
+    An adapter that speaks slcan sends a frame as a line of text: ``t``, the id in three hexadecimal
+    digits, the number of bytes in one, the bytes in two each. No check sum protects it.
+
+    ``field`` is one of the frame's, or "text"; ``size`` is an angle [rad] for the position, a bit
+    for velocity and torque, the number of a flipped bit of the whole line for "text", and else the
+    code that stands there instead.
+    """
+
+    field: str
+    size: float
+    joint: int
+
+    def __call__(self, run):
+        run.bus.damage = self
+
+    def damaged(self, frame, position_limit):
+        """Return a motor's frame as it comes, by its PMAX [rad]; ValueError where it is none."""
+        line = f"t{frame.id:03X}8{frame.data.hex().upper()}"
+        if self.field == "text":
+            index = self.size // 8 % len(line)
+            character = chr(ord(line[index]) ^ (1 << self.size % 7))
+            line = line[:index] + character + line[index + 1 :]
         else:
-            setattr(hit, name, value)
+            begin, end = _SPANS[self.field]
+            code = self._code(int(line[begin:end], 16), position_limit)
+            line = f"{line[:begin]}{code:0{end - begin}X}{line[end:]}"
+        text = line[5 : 5 + 2 * int(line[4], 16)]
+        if line[0] != "t" or len(text) != 2 * int(line[4], 16):
+            raise ValueError("not a frame")
+        return frame._replace(id=int(line[1:4], 16), data=bytes.fromhex(text))
 
-    return cause
-
-
-def swing(n_joints=3, duration=2.0, rate=250.0, amplitude=0.4):
-    """Joint motion from rest to rest with its exact torque: (time, q, qd, tau)."""
-    time = np.arange(round(duration * rate) + 1) / rate
-    w = 2 * np.pi / duration * (1 + np.arange(n_joints) % 2)
-    phase = w * time[:, None]
-    q = 0.5 * amplitude * (1 - np.cos(phase))
-    qd = 0.5 * amplitude * w * np.sin(phase)
-    qdd = 0.5 * amplitude * w**2 * np.cos(phase)
-    return time, q, qd, INERTIA * qdd + GRAVITY * np.sin(q)
-
-
-def lifted_swing(angle, **options):
-    """The swing of two joints about an angle [rad], with the torque of gravity there [N m]."""
-    time, q, qd, tau = swing(2, **options)
-    lifted = q + angle
-    return time, lifted, qd, tau + GRAVITY * (np.sin(lifted) - np.sin(q))
+    def _code(self, code, position_limit):
+        if self.field == "position":
+            change = round(self.size * 0xFFFF / (2.0 * position_limit))
+            return code + change if 0 <= code + change <= 0xFFFF else code - change
+        if self.field in ("velocity", "torque"):
+            return code ^ (1 << self.size)
+        return self.size
 
 
-def map_line(name, can_id, master_id, *mounted):
-    """A line of a joint map."""
-    return DamiaoJoint("", can_id, master_id, name, *mounted)
+class FaultyBus(SimulatedLink):
+    """A bus on which frames come late or damaged, or others talk.
+
+    Attributes:
+        delay: returns by how much the next answer is late [s]; none overtakes another.
+        damage: what happens to the next answer of its joint; None once it has happened.
+    """
+
+    delay = None
+    damage = None
+    _last_arrival = 0.0
+
+    def send_foreign(self, frame, is_seen):
+        """Let another program send a frame, which this computer's adapter sees or does not."""
+        has_echo = self._echo
+        self._echo = False
+        self.send(frame)
+        self._echo = has_echo
+        if is_seen:
+            self._deliver(frame._replace(time=self._free_at))
+
+    def _deliver(self, frame):
+        if self.delay is not None and not frame.echo:
+            self._last_arrival = max(self._last_arrival, frame.time + self.delay())
+            frame = frame._replace(time=self._last_arrival)
+        damage = self.damage
+        if damage is not None and self._is_feedback(frame, damage.joint):
+            self.damage = None
+            limit = self.arm.motors[damage.joint].joint.spec.limits[0]
+            try:
+                frame = damage.damaged(frame, limit)
+            except ValueError:
+                # As ``BusLink`` does, pass over a line that is no frame.
+                return
+        super()._deliver(frame)
+
+    def _is_feedback(self, frame, j):
+        joint = self.arm.motors[j].joint
+        is_answer = frame.id == joint.master_id and not frame.echo
+        # Answers to questions about registers repeat the id in their first two bytes.
+        is_state = frame.data[0] & 0xF == joint.can_id & 0xF and frame.data[0] >> 4
+        return is_answer and len(frame.data) == 8 and bool(is_state)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something goes wrong with a motor: attributes or registers get other values.
+
+    A value may be a function of the motor; a ``status`` takes the motor out of the enabled state.
+    """
+
+    joint: int
+    values: dict[str, Any]
+
+    def __call__(self, rig):
+        hit = rig.motors[self.joint]
+        for name, value in self.values.items():
+            if name == "status":
+                hit.fail(value)
+            elif name.isupper():
+                hit.registers[Register[name]] = float(value)
+            else:
+                assert hasattr(hit, name), name
+                setattr(hit, name, value(hit) if callable(value) else value)
+
+
+def fault(joint, **values):
+    """Return the fault that gives a joint's motor these values."""
+    return Fault(joint, values)
+
+
+def later(seconds, cause):
+    """Return the cause that lets another one happen so many seconds later."""
+    return lambda rig: rig.at(seconds, lambda: cause(rig))
+
+
+def both(*causes):
+    """Return the cause of several ones at once."""
+    return lambda rig: [cause(rig) for cause in causes]
+
+
+# --- programs on the bus --------------------------------------------------------------------------
+
+
+def only_asks(sent):
+    """Whether none of these frames can move a motor or change what it holds."""
+    asking = protocol.READ, protocol.REFRESH
+    return all(f.id == protocol.REGISTER_ID and f.data[2] in asking for f in sent)
+
+
+def with_coarse_physics(monkeypatch):
+    """Let simulated arms of models take steps of 4 ms; a step of the usual size takes as long."""
+    monkeypatch.setattr(plant, "ArmStepper", partial(ArmStepper, timestep=4e-3))
 
 
 @cache
@@ -188,151 +415,184 @@ def freeze_heap():
     gc.freeze()
 
 
-def two_motor_arm(watchdog=0.1):
-    """Two pendulums with their motors."""
-    freeze_heap()
-    joints = damiao_joints(["DM4340"] * 2, 2)
-    return SimulatedArm(Pendulums(2), [motor(joint, watchdog) for joint in joints])
+def mit_command(position=0.0, velocity=0.0, kp=0.0, kd=1.0, torque=0.0):
+    """A command of one joint, or of as many as the longest of these has."""
+    fields = np.broadcast_arrays(
+        *map(np.atleast_1d, (position, velocity, kp, kd, torque))
+    )
+    return MitCommand(*(values.astype(float) for values in fields))
 
 
-def export(chunks, types, path, **ids):
-    """Write a motion for motors of these types, and return the report."""
-    joints = damiao_joints(types, len(types), **ids)
-    with atomic_file(path) as file:
-        return export_damiao_trajectory(chunks, joints, file)
+def undoubted(answered, time, feedback, requested, command=None):
+    """Replies in a cycle in which nothing was doubted, surplus or foreign."""
+    no_count = np.zeros(len(answered), int)
+    counts = no_count != 0, 0.0 * no_count, no_count, no_count
+    return Replies(answered, time, feedback, requested, command, *counts)
 
 
-def trajectory_file(folder, motion, *types):
-    """A motion as a trajectory file for motors of these types, else of one, read back."""
-    path = folder / "damiao_trajectory.csv"
-    export([motion], types or ["DM4340"] * motion[1].shape[1], path)
-    return read_damiao_trajectory(path)
+class MotorBus:
+    """Motors on a bus in simulated time.
 
-
-def with_coarse_physics(monkeypatch):
-    """Let simulated arms of models take steps of 4 ms; a step of the usual size takes as long."""
-    monkeypatch.setattr(plant, "ArmStepper", partial(ArmStepper, timestep=4e-3))
-
-
-def only_asks(sent):
-    """Whether none of these frames can move a motor or change what it holds."""
-    asking = protocol.READ, protocol.REFRESH
-    return all(f.id == protocol.REGISTER_ID and f.data[2] in asking for f in sent)
-
-
-class Rig:
-    """Builds an arm, plays a swing on it, and keeps what happened.
-
-    ``faults`` are there from the beginning.
+    Attributes:
+        motors: those of the joints, base first.
+        wire: what the program sends and receives.
+        link: what it plays by.
     """
+
+    def __init__(
+        self,
+        joints=None,
+        mechanism=None,
+        extra_motors=(),
+        timing=None,
+        watchdog=0.1,
+        echo=False,
+    ):
+        freeze_heap()
+        joints = joints or damiao_joints(["DM4340"] * 2, 2)
+        timing = timing or BusTiming()
+        self.motors = [motor(joint, watchdog) for joint in joints]
+        mechanism = mechanism or Pendulums(len(joints))
+        self.arm = FaultyArm(mechanism, [*self.motors, *extra_motors])
+        self.clock = ScriptedClock()
+        self.bus = FaultyBus(self.clock, self.arm, timing, echo)
+        self.wire = RememberingLink(self.bus, self.clock)
+        self.link = GuardedLink(self.wire, self.clock, timing.fd)
+
+    def states(self):
+        """The status code of each motor."""
+        return [motor.status for motor in self.arm.motors]
+
+    def at(self, delay, action):
+        """Do something some time [s] from now."""
+        self.clock.at(self.clock.now() + delay, action)
+
+    def open_for_commands(self, monkeypatch):
+        """Let commands open this bus in place of a real one, with its clock."""
+        monkeypatch.setattr(execution, "SystemClock", lambda: self.clock)
+        monkeypatch.setattr(execution, "open_bus", lambda *_: self.wire)
+        return self
+
+    def open_session(self, limits=None):
+        """Return a session of all motors."""
+        joints = [motor.joint for motor in self.motors]
+        anywhere = Limits(-99.0, np.full(len(joints), 99.0), 99.0)
+        scaling = protocol.Scaling(joint.spec.limits for joint in joints)
+        return MotorSession(self.link, joints, scaling, limits or anywhere)
+
+
+class MotorRun(MotorBus):
+    """A plan that is played on motors, and what happens.
+
+    Attributes:
+        phases: what the run said that it was doing: (time [s], sentence).
+        error, report: what came of it.
+    """
+
+    def __init__(self, plan, mechanism, **options):
+        super().__init__(
+            plan.trajectory.joints, mechanism, timing=plan.timing, **options
+        )
+        self.plan = plan
+        self.holding = file_holding(plan.trajectory)
+        self.stop = StopRequest()
+        self.phases = []
+        self.console = lambda sentence: None
+        self.error = self.report = None
+        self._hooks = []
+
+    def during(self, phase, delay, action: Callable[[MotorRun], Any]):
+        """Call ``action(run)`` some seconds after a phase has begun."""
+        self._hooks.append((phase, delay, action))
+        return self
+
+    def note_phase(self, sentence):
+        """Keep when a phase began, and let happen what is to happen during it."""
+        self.phases.append((self.clock.now(), sentence))
+        for phase, delay, action in self._hooks:
+            if sentence.startswith(phase):
+                self.at(delay, partial(action, self))
+        self.console(sentence)
+
+    def run(self, settle=0.5):
+        """Inspect, play, record; keep error or report; then let the arm be for a while."""
+        inspection = inspect_bus(self.link)
+        try:
+            self.checks = [*bus_checks(self.plan, inspection)]
+            self.plan.recording.require_free()
+            others = self.stop, self.note_phase, self.holding
+            self.report = execution.run(self.link, self.plan, inspection, *others)
+        except Exception as error:
+            self.error = error
+        self.arm.advance(self.clock.now() + settle)
+        return self
+
+
+class Rig(MotorRun):
+    """Plays a swing on pendulums and records it; ``faults`` are there from the beginning."""
 
     def __init__(
         self,
         folder,
         n_joints=2,
         faults=(),
-        timing=CLASSIC,
-        extra_motors=(),
         start=None,
         permissions=None,
-        watchdog=0.1,
         motion=None,
         name="measured",
-        adapter=None,
-        console=lambda sentence: None,
+        extra_motors=(),
         **settings,
     ):
-        freeze_heap()
         trajectory = trajectory_file(folder, motion or swing(n_joints, duration=1.0))
-        self.motors = [motor(joint, watchdog) for joint in trajectory.joints]
-        self.arm = SimulatedArm(
-            Pendulums(n_joints, start), [*self.motors, *extra_motors]
+        self.record_path = folder / f"{name}.csv"
+        quick = {"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1}
+        plan = Plan(
+            trajectory,
+            PlaySettings(**{**quick, **settings}),
+            permissions=permissions or Permissions(),
+            recording=RecordingOptions(self.record_path),
         )
+        pendulums = Pendulums(trajectory.n_joints, start)
+        super().__init__(plan, pendulums, extra_motors=extra_motors)
         for cause in faults:
             cause(self)
         self.states_before = self.states()
-        self.clock = ScriptedClock()
-        self.bus = SimulatedLink(self.clock, self.arm, timing)
-        self.adapter = SlowAdapter(self.bus, self.clock, adapter)
-        self.console = console
-        self.wire = RememberingLink(self.adapter, self.clock)
-        self.link = GuardedLink(self.wire, self.clock, timing.fd)
-        self.record_path = folder / f"{name}.csv"
-        quick = {"ramp_time": 0.3, "approach_time": 0.3, "rest_time": 0.1}
-        self.plan = Plan(
-            trajectory,
-            PlaySettings(**{**quick, **settings}),
-            timing,
-            permissions or Permissions(),
-            RecordingOptions(self.record_path),
-        )
-        self.stop = StopRequest()
-        self.hooks = {}
-        self.phase_times = []
-        self.first_played = None
-        self.last_played = None
-        self.error = self.report = None
+        self._n_frames = []
 
-    def mount(self, j, **mounting):
+    def mount(self, j, in_plan=True, **mounting):
         """Mount a motor in another way, and let the plan know it."""
         joints = list(self.plan.trajectory.joints)
         self.motors[j].joint = joints[j] = replace(joints[j], **mounting)
-        trajectory = replace(self.plan.trajectory, joints=tuple(joints))
-        self.plan = replace(self.plan, trajectory=trajectory)
-        self.bus.arm = self.arm = SimulatedArm(self.arm.mechanism, self.arm.motors)
+        self.arm._mounting = Mounting.of(joints)
+        if in_plan:
+            trajectory = replace(self.plan.trajectory, joints=tuple(joints))
+            self.plan = replace(self.plan, trajectory=trajectory)
 
-    @property
-    def phases(self):
-        """What the run said that it was doing."""
-        return [sentence for sentence, _ in self.phase_times]
+    def note_phase(self, sentence):
+        self._n_frames.append(len(self.wire.frames))
+        super().note_phase(sentence)
+
+    def has_begun(self, phase):
+        """Whether a phase whose name begins so has begun."""
+        return any(sentence.startswith(phase) for _, sentence in self.phases)
 
     @property
     def play_frames(self):
         """What arrived while the trajectory itself was played."""
-        if self.first_played is None:
-            return []
-        frames = self.wire.frames[self.first_played : self.last_played]
-        return [frame for frame, sent in frames if not sent]
-
-    def _phase(self, sentence):
-        if sentence.startswith("playing"):
-            self.first_played = len(self.wire.frames)
-        elif self.first_played is not None and self.last_played is None:
-            self.last_played = len(self.wire.frames)
-        self.phase_times.append((sentence, self.clock.now()))
-        for beginning, hook in self.hooks.items():
-            if sentence.startswith(beginning):
-                hook(self)
-        self.console(sentence)
-
-    def during(self, phase, delay, action):
-        """Call action(rig) some seconds after a phase has begun."""
-
-        def hang(rig):
-            rig.clock.at(rig.clock.now() + delay, lambda: action(rig))
-
-        self.hooks[phase] = hang
-        return self
-
-    def run(self, settle=0.5):
-        """Inspect, play, record; keep error or report; then let the arm be for a while."""
-        inspection = inspect_bus(self.link)
-        others = self._phase, file_holding(self.plan.trajectory)
-        try:
-            self.checks = [*bus_checks(self.plan, inspection)]
-            self.plan.recording.require_free()
-            self.report = run(self.link, self.plan, inspection, self.stop, *others)
-        except Exception as error:
-            self.error = error
-        self.arm.advance(self.clock.now() + settle)
-        return self
+        for (_, sentence), *between in zip(
+            self.phases, self._n_frames, [*self._n_frames[1:], None]
+        ):
+            if sentence.startswith("playing"):
+                return [
+                    frame
+                    for frame, sent in self.wire.frames[slice(*between)]
+                    if not sent
+                ]
+        return []
 
     @property
     def recording(self):
         return read_recording(self.record_path)
-
-    def states(self):
-        return [motor.status for motor in self.arm.motors]
 
     def assert_never_moved(self):
         """No motor was ever enabled, commanded or written to."""
@@ -370,7 +630,6 @@ class Rig:
         for j, joint in enumerate(self.plan.trajectory.joints):
             arrived = [f for f in self.play_frames if f.id == joint.master_id]
             n_recorded = np.count_nonzero(np.isfinite(positions[:, j]))
-            assert n_recorded + np.nansum(
-                recording.joint_values("doubted")[:, j]
-            ) == len(arrived)
+            n_doubted = np.nansum(recording.joint_values("doubted")[:, j])
+            assert n_recorded + n_doubted == len(arrived)
         return recording

@@ -1,39 +1,36 @@
-"""Whole runs of arms' models on simulated motors, in simulated time, with a fault in them.
+"""Whole runs of an arm's model on simulated motors, in simulated time, with a fault in them.
 
 Each run is compared with an undisturbed one of the same set-up: ``departure`` says how far a joint
-got from the path that it would have taken.
+got from the path that it would have taken. The table of what may go wrong says how far joints may
+get, and what has to be said; benchmarks/motor_faults.md shows what ``benchmarks/motor_faults.py``
+makes of it.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import pickle
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
-from rigs.clocks import ScriptedClock
-from rigs.damaged_links import FaultyLink
-from rigs.damiao_rig import BIT_RATE, motor, trajectory_file
-from rigs.faulty_arm import FaultyArm
+from rigs.damiao_rig import Damage, MotorRun, fault, later, mit_command, motor
 from rigs.places import GUESS, TRUTH
 from rigs.wrong_arms import resting_torque
-from robot_sysid.damiao.bus import GuardedLink, inspect_bus
-from robot_sysid.damiao.execution import run as play_plan
+from robot_sysid.damiao import protocol
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.model_check import gravity_check
-from robot_sysid.damiao.player import StopRequest
-from robot_sysid.damiao.protocol import BusTiming
-from robot_sysid.damiao.references import file_holding
+from robot_sysid.damiao.protocol import DISABLED, ENABLED, BusTiming
 from robot_sysid.damiao.settings import Plan, PlaySettings
-from robot_sysid.damiao.simulated import SimulatedLink
+from robot_sysid.damiao.trajectory import DamiaoTrajectory
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics
-from robot_sysid.errors import SysidError
 from robot_sysid.parser import load_robot_model
 from robot_sysid.records import Motion
 from robot_sysid.simulation.plant import ArmStepper
@@ -45,9 +42,10 @@ OBSERVED = 1.0
 """How long after a stop begins it is observed [s]; the motors may be disabled before."""
 LATER = 0.1
 """From when on after a stop begins joints have lost the speed that they had then [s]."""
+STEP = 0.02
 WINDOW_BEFORE = 0.1
 WINDOW_AFTER = 0.5
-"""Which part of the undisturbed path a joint may be on: around the stop [s]."""
+"""Which part of the undisturbed path a joint may be on: around each step, and the stop [s]."""
 FASTEST_CLASSIC = 250.0
 """Highest rate at which seven motors fit onto a classic CAN bus [Hz]."""
 CLEAN_MARGIN = 1.0
@@ -81,21 +79,9 @@ class SetUp:
     duration: float = DURATION
 
     @property
-    def timing(self):
-        """Bit rates of the bus: CAN-FD where classic CAN would be full."""
-        return BusTiming(fd=self.rate > FASTEST_CLASSIC)
-
-    @property
     def watchdog(self):
         """What the motors' watchdogs are set to [s]: ten cycles at least."""
         return max(0.1, 10.0 / self.rate)
-
-    def __str__(self):
-        model = self.belief if self.model_is_given else f"none ({self.belief} fed)"
-        park = f", park {self.park}" if self.park else ""
-        stiffness = f", kp {self.kp:g}" if self.kp else ""
-        pose = f", pose {self.pose}" if self.pose else ""
-        return f"model {model}, {self.rate:g} Hz{park}{stiffness}{pose}"
 
 
 @cache
@@ -123,67 +109,38 @@ def loaded_joint(setup):
     return int(np.argmax(np.abs(resting_torque(robot, pose, robot.thetas))))
 
 
-def multi_sine(pose, seed, duration, rate=FILE_RATE):
-    """Return a smooth motion from rest to rest around a pose: time, q, qd, qdd."""
+def multi_sine(pose, seed, duration, stands=False):
+    """Return a smooth motion from rest to rest around a pose, or one that stands there."""
     random = np.random.default_rng(seed)
-    t = np.arange(round(duration * rate) + 1)[:, None] / rate
-    fade, fade_rate, fade_acceleration = _fade(t, duration)
-    n = len(pose)
-    s = np.zeros((3, len(t), n))
-    for frequency in (0.25, 0.45):
-        omega = 2.0 * np.pi * frequency * random.uniform(0.9, 1.1, n)
-        phase = random.uniform(0.0, 2.0 * np.pi, n)
-        s[0] += np.sin(omega * t + phase)
-        s[1] += omega * np.cos(omega * t + phase)
-        s[2] -= omega**2 * np.sin(omega * t + phase)
-    q = fade * s[0]
-    qd = fade_rate * s[0] + fade * s[1]
-    qdd = fade_acceleration * s[0] + 2.0 * fade_rate * s[1] + fade * s[2]
-    amplitude = random.uniform(0.3, 0.6, n)
-    scale = np.minimum(amplitude / np.abs(q).max(axis=0), 1.0 / np.abs(qd).max(axis=0))
-    return t[:, 0], pose + scale * q, scale * qd, scale * qdd
-
-
-def _fade(t, duration, length=1.0):
-    """Return a quintic fade in and out (N, 1), its rate and its acceleration."""
-    left = np.minimum(t, duration - t) / length
-    sign = np.where(t < 0.5 * duration, 1.0, -1.0)
-    s = np.clip(left, 0.0, 1.0)
-    fade = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-    rate = sign * 30.0 * s**2 * (1.0 - s) ** 2 / length
-    acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length**2
-    return fade, rate, acceleration
-
-
-@cache
-def exported_trajectory(setup):
-    """Return a set-up's trajectory as the player reads it from the exported file."""
-    pose = loaded_poses()[setup.pose]
-    time_, q, qd, qdd = multi_sine(pose, seed=3, duration=setup.duration)
-    if setup.stands:
-        q = np.tile(pose, (len(time_), 1))
-        qd = np.zeros_like(q)
-        qdd = np.zeros_like(q)
-    robot = robot_of(setup.belief)
-    tau = np.asarray(ArmDynamics(robot)(Motion(time_, q, qd, qdd)))
-    with tempfile.TemporaryDirectory() as folder:
-        return trajectory_file(Path(folder), (time_, q, qd, tau), *MOTOR_TYPES)
+    time = np.arange(round(duration * FILE_RATE) + 1) / FILE_RATE
+    share, turn = np.moveaxis(random.uniform(size=(2, 2, 1, len(pose))), 1, 0)
+    omega = 2.0 * np.pi * np.array([0.25, 0.45])[:, None, None] * (0.9 + 0.2 * share)
+    sines = np.sin(omega * time[:, None] + 2.0 * np.pi * turn).sum(axis=0)
+    fade = np.clip(np.minimum(time, duration - time), 0.0, 1.0)[:, None]
+    q = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2) * sines
+    speed = np.abs(np.gradient(q, time, axis=0)).max(axis=0)
+    amplitude = random.uniform(0.3, 0.6, len(pose))
+    q *= 0.0 if stands else np.minimum(amplitude / np.abs(q).max(axis=0), 1.0 / speed)
+    qd = np.gradient(q, time, axis=0)
+    return Motion(time, pose + q, qd, np.gradient(qd, time, axis=0))
 
 
 @cache
 def plan_of(setup):
     """Return the plan of a set-up, with the inertias of the model if there is one."""
-    trajectory = exported_trajectory(setup)
     robot = robot_of(setup.belief)
-    names = robot.joint_names
-    mobility = None
-    if setup.model_is_given:
-        joints = damiao_joints(MOTOR_TYPES, robot.n_joints, names=names)
-        trajectory = replace(trajectory, joints=joints)
-        mobility = ArmStepper(robot, trajectory.q[0]).mobility()
+    motion = multi_sine(loaded_poses()[setup.pose], 3, setup.duration, setup.stands)
+    tau = np.asarray(ArmDynamics(robot)(motion))
+    names = robot.joint_names if setup.model_is_given else ()
+    joints = damiao_joints(MOTOR_TYPES, robot.n_joints, names=names)
+    trajectory = DamiaoTrajectory(Path(), joints, motion.time, motion.q, motion.qd, tau)
     stiffness = {} if setup.kp is None else {"kp": (setup.kp,)}
     settings = PlaySettings(rate=setup.rate, park=setup.park, **stiffness)
-    return Plan(trajectory, settings, setup.timing, mobility=mobility)
+    timing = BusTiming(fd=setup.rate > FASTEST_CLASSIC)
+    mobility = None
+    if setup.model_is_given:
+        mobility = ArmStepper(robot, trajectory.q[0]).mobility()
+    return Plan(trajectory, settings, timing, mobility=mobility)
 
 
 @dataclass
@@ -199,7 +156,6 @@ class RunRecord:
     q: np.ndarray
     qd: np.ndarray
     energy: np.ndarray
-    commands: list[np.ndarray]
     phases: list[tuple[float, str]]
     stop_at: float | None
     disabled_at: float | None
@@ -209,91 +165,104 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class Case:
-    """A fault in a run.
+    """A fault in a run, the greatest departure that it may cause [rad], and what has to be said.
 
     Attributes:
         cause: what lets it happen; is called with the run.
-        phase: the phase in which it does; "" at the very beginning.
+        words: of the message.
+        bound: on ``quantity``, a figure of ``Outcome``: where a motor does not drive any more, that
+            of the other joints.
+        phase: the phase in which it happens; "" at the very beginning.
         after: when, after the phase has begun [s].
-        patience: how long after that a run that nothing stops is ended [s]; None plays on.
-        joint: the joint at fault, where it is one's.
+        patience: how long after that a run that nothing stops is ended [s]; None plays on. It is
+            the same for all cases of a set-up.
     """
 
     name: str
-    setup: SetUp
-    cause: Callable[[BenchRun], None]
+    cause: Callable[[BenchRun], object]
+    words: str = ""
+    bound: float = 0.15
+    quantity: str = "departure"
+    setup: SetUp = SetUp()
     phase: str = "playing"
     after: float = 1.5
     patience: float | None = None
-    joint: int | None = None
+
+    @property
+    def joint(self):
+        """The joint at fault, where it is one's."""
+        return getattr(self.cause, "joint", None)
 
 
-class BenchRun:
-    """One run of a set-up; causes reach motors, arm, link and clock through it.
+def energy_of(mechanism, q, qd):
+    """Return the mechanical energy (N,) [J] of an arm at positions and velocities (N, n)."""
+    robot = mechanism._robot
+    model = mechanism._model
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.reference_qpos
+    energy = []
+    for position, velocity in zip(q, qd):
+        data.qpos[robot.qpos_index] = position
+        data.qvel[robot.dof_index] = velocity
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_energyPos(model, data)
+        mujoco.mj_energyVel(model, data)
+        energy.append(data.energy.sum())
+    return np.array(energy)
+
+
+class BenchRun(MotorRun):
+    """One run of a set-up; causes reach motors, arm, bus and clock through it.
 
     Each case goes on in a process of its own from where its fault begins, so that what comes before
     is computed once; the run itself stays undisturbed.
     """
 
     def __init__(self, setup, cases=(), folder=None, jobs=2):
-        self.setup = setup
-        self.plan = plan_of(setup)
-        self.clock = ScriptedClock()
-        joints = self.plan.trajectory.joints
-        self.motors = [motor(joint, setup.watchdog) for joint in joints]
-        first = self.plan.trajectory.q[0]
+        plan = plan_of(setup)
+        first = plan.trajectory.q[0]
         toward_start = np.where(np.arange(len(first)) % 2, 0.1, -0.1)
         start = first if setup.stands else first + toward_start
         mechanism = ArmStepper(robot_of("truth"), start, PHYSICS_STEP)
-        self.arm = FaultyArm(mechanism, self.motors)
-        for played in self.motors:
-            played.registers[BIT_RATE] = 9.0 if setup.timing.fd else 4.0
-        wire = SimulatedLink(self.clock, self.arm, setup.timing, echo=True)
-        self.link = FaultyLink(wire, self.clock, joints)
-        self.stop = StopRequest()
-        self.phases = []
+        super().__init__(plan, mechanism, watchdog=setup.watchdog, echo=True)
+        self.arm.takes_whole_steps = True
+        if setup.model_is_given:
+            robot = robot_of(setup.belief)
+            self.holding = gravity_check(robot, plan.trajectory.joints)
         self.stop_at = None
         self.was_ended = False
         self._cases = dict(enumerate(cases))
-        patience = [
-            np.inf if case.patience is None else case.patience for case in cases
-        ]
-        self._patience = max(patience, default=np.inf)
         self._folder = folder
         self._jobs = jobs
         self._children = set()
         self._case_number = None
         self._onset = 0.0
 
-    def at(self, delay, action):
-        """Do something some time [s] from now."""
-        self.clock.at(self.clock.now() + delay, action)
-
     def play(self):
         """Play the plan; return the undisturbed record and those of the cases, by their number."""
-        self._branch_in("")
-        record = self._record(self._played())
+        for number, case in self._cases.items():
+            branch = partial(self._branch, number, case)
+            if case.phase:
+                self.during(case.phase, case.after, branch)
+            else:
+                self.at(case.after, partial(branch, self))
+        self.run(settle=0.05)
+        record = self._record()
         if self._case_number is not None:
-            (self._folder / f"{self._case_number}.pickle").write_bytes(
-                pickle.dumps(record)
-            )
+            self._path_of(self._case_number).write_bytes(pickle.dumps(record))
             os._exit(0)
         while self._children:
             self._wait_for_one()
-        return record, self._case_records()
+        return record
 
-    def _case_records(self):
-        paths = [] if self._folder is None else self._folder.glob("*.pickle")
-        return {int(path.stem): pickle.loads(path.read_bytes()) for path in paths}
+    def _path_of(self, number):
+        return self._folder / f"{number}.pickle"
 
-    def _branch_in(self, phase):
-        """Let the cases of a phase that has just begun, or of the very beginning, branch off."""
-        for number, case in self._cases.items():
-            begins = phase.startswith(case.phase) if case.phase else not phase
-            if begins:
-                self.at(case.after, partial(self._branch, number, case))
+    def record_of(self, number):
+        """Return the record of a case."""
+        return pickle.loads(self._path_of(number).read_bytes())
 
-    def _branch(self, number, case):
+    def _branch(self, number, case, run):
         """Go on undisturbed here, and with a case's fault in a new process."""
         if self._case_number is not None:
             return
@@ -303,9 +272,9 @@ class BenchRun:
         child = os.fork()
         if child:
             self._children.add(child)
-            del self._cases[number]
-            if not self._cases:
-                self.at(self._patience + CLEAN_MARGIN, self._end)
+            self._cases.pop(number)
+            if not self._cases and case.patience is not None:
+                self.at(case.patience + CLEAN_MARGIN, self._end)
             return
         self._case_number = number
         self._onset = self.clock.now()
@@ -317,58 +286,43 @@ class BenchRun:
         child, _ = os.wait()
         self._children.discard(child)
 
-    def _record(self, error):
-        if self.link.damage is not None:
+    def _record(self):
+        error = str(self.error or "")
+        if self.bus.damage is not None:
             error = "Error: no frame was damaged"
-        self.arm.advance(self.clock.now() + 0.05)
         times, q, qd = map(np.array, zip(*self.arm.truth))
         since = np.searchsorted(times, self._onset - 0.01)
-        energy = self.arm.energy(q[since::20], qd[since::20])
+        energy = energy_of(self.arm.mechanism, q[since::20], qd[since::20])
+        disable = protocol.special_frame(protocol.DISABLE, 0).data
+        disabled = [frame.time for frame in self.wire.sent if frame.data == disable]
         return RunRecord(
             self._onset,
             times[since:],
             q[since:],
             qd[since:],
             np.column_stack([times[since::20], energy]),
-            self.link.command_paths(),
             self.phases,
             self.stop_at,
-            self.link.disabled_at,
+            next(iter(disabled), None),
             error,
             self.was_ended,
         )
 
-    def _played(self):
-        guarded = GuardedLink(self.link, self.clock, self.setup.timing.fd)
-        holding = file_holding(self.plan.trajectory)
-        if self.setup.model_is_given:
-            robot = robot_of(self.setup.belief)
-            holding = gravity_check(robot, self.plan.trajectory.joints)
-        try:
-            inspection = inspect_bus(guarded)
-            play_plan(
-                guarded, self.plan, inspection, self.stop, self._note_phase, holding
-            )
-        except SysidError as error:
-            return str(error)
-        except Exception as error:
-            return f"{type(error).__name__}: {error}"
-        return ""
-
-    def _note_phase(self, name):
-        now = self.clock.now()
-        self.phases.append((now, name))
-        if name.startswith("stopping") and self.stop_at is None and not self.was_ended:
-            self.stop_at = now
+    def note_phase(self, sentence):
+        super().note_phase(sentence)
+        if (
+            sentence.startswith("stopping")
+            and self.stop_at is None
+            and not self.was_ended
+        ):
+            self.stop_at = self.clock.now()
             # Lowering an arm takes up to 20 s, of which nothing is measured.
-            self.clock.at(now + OBSERVED + 0.2, self._insist)
-        if self._case_number is None:
-            self._branch_in(name)
+            self.at(OBSERVED + 0.2, self._insist)
 
     def _end(self):
         if self.stop_at is None:
             self.was_ended = True
-            self.stop("ended by the bench", insist=True)
+            self._insist()
 
     def _insist(self):
         self.stop("ended by the bench", insist=True)
@@ -376,40 +330,13 @@ class BenchRun:
 
 def outcomes_of(cases, jobs=2):
     """Yield the outcomes of cases, set-up by set-up."""
-    setups = dict.fromkeys(case.setup for case in cases)
-    for setup in setups:
+    for setup in dict.fromkeys(case.setup for case in cases):
         setup_cases = [case for case in cases if case.setup == setup]
         with tempfile.TemporaryDirectory() as folder:
-            clean, records = BenchRun(setup, setup_cases, Path(folder), jobs).play()
-        for number, case in enumerate(setup_cases):
-            if number in records:
-                yield judged_outcome(case, records[number], clean)
-            else:
-                print(
-                    f"{case.name}: phase {case.phase!r} never began, or the run crashed"
-                )
-
-
-def _path_hull(clean, begin, end):
-    """Return the least and the greatest position (n,) of a clean run between two moments [s].
-
-    Both the true and the commanded positions count: a joint sags below its command.
-    """
-    inside = (clean.time >= begin) & (clean.time <= end)
-    q = clean.q[inside] if np.any(inside) else clean.q[-1:]
-    lower = q.min(axis=0)
-    upper = q.max(axis=0)
-    for joint_index, (times, positions) in enumerate(clean.commands):
-        commanded = positions[(times >= begin) & (times <= end)]
-        if len(commanded):
-            lower[joint_index] = min(lower[joint_index], commanded.min())
-            upper[joint_index] = max(upper[joint_index], commanded.max())
-    return lower, upper
-
-
-def _beyond(q, lower, upper):
-    """Return how far positions (..., n) are outside of an interval [rad]."""
-    return np.maximum(np.maximum(lower - q, q - upper), 0.0)
+            run = BenchRun(setup, setup_cases, Path(folder), jobs)
+            clean = run.play()
+            for number, case in enumerate(setup_cases):
+                yield judged_outcome(case, run.record_of(number), clean)
 
 
 @dataclass(frozen=True)
@@ -417,14 +344,12 @@ class Outcome:
     """What came of a fault.
 
     Attributes:
-        departure: farthest that a joint was from the undisturbed run's path, from the onset until
-            a second after the stop began, while motors were enabled [rad].
-        others_departure: the same of the joints that are not at fault: where a motor has lost its
-            supply, no software keeps its own joint.
-        fall: farthest of the joint at fault, if one is named, else of all, after the stop began
-            from where it was then [rad]; ``others_fall`` of the other joints.
-        others_speed: greatest speed of the other joints after the stop began [rad/s];
-            ``others_later_speed`` later than ``LATER`` after that.
+        figures: greatest values of all joints; "own ..." is that of the joint at fault, if one is
+            named, and "others ..." that of the other ones: where a motor has lost its supply, no
+            software keeps its own joint. "departure" is the distance from the undisturbed run's
+            path, from the onset until a second after the stop began, while motors were enabled
+            [rad]; "fall" that after the stop began from where it was then [rad]; "speed" that after
+            the stop began, "later speed" later than ``LATER`` after that [rad/s].
         energy_gain: most that the mechanical energy rose after the stop began [J].
         stop_delay: from the onset to the beginning of the stop [s]; None without a stop.
         ending: "stopped", "completed", "refused" (before anything moved) or "ended" by the bench.
@@ -433,29 +358,11 @@ class Outcome:
     name: str
     setup: SetUp
     phase: str
-    departure: float
-    others_departure: float
-    fall: float
-    others_fall: float
-    others_speed: float
-    others_later_speed: float
+    figures: dict[str, float]
     energy_gain: float
     stop_delay: float | None
     ending: str
     words: str
-
-    def line(self):
-        """Return a line for people."""
-        delay = "   -  " if self.stop_delay is None else f"{self.stop_delay:6.3f}"
-        return (
-            f"{self.name:34.34s} {self.phase[:10]:10s} {self.departure:6.3f} rad {delay} s "
-            f"{self.ending:9s} {self.words[:90]}  [{self.setup}]"
-        )
-
-
-def _phase_at(record, moment):
-    names = [name for begin, name in record.phases if begin <= moment]
-    return names[-1] if names else "before"
 
 
 def _clean_span(record, clean, begin, end):
@@ -464,45 +371,37 @@ def _clean_span(record, clean, begin, end):
     A fault may make earlier phases longer, so time counts from the beginning of a phase; where the
     phase itself has another length, all of it counts.
     """
-    begun = [(moment, name) for moment, name in record.phases if moment <= begin]
     phases = [
-        (moment, name) for moment, name in begun if not name.startswith("stopping")
+        (since, text)
+        for since, text in record.phases
+        if since <= end and not text.startswith("stopping")
     ]
     if not phases:
         return begin, end
-    phase_begin, phase_text = phases[-1]
-    name = phase_text.split(" (")[0]
-    moments = [moment for moment, _ in clean.phases] + [clean.time[-1]]
-    for number, (moment, text) in enumerate(clean.phases):
-        if text == phase_text:
-            return begin - phase_begin + moment, end - phase_begin + moment
-        if text.startswith(name):
-            return moment, moments[number + 1]
+    since, text = phases[-1]
+    clean_ends = [moment for moment, _ in clean.phases[1:]] + [clean.time[-1]]
+    for (clean_since, clean_text), clean_end in zip(clean.phases, clean_ends):
+        if clean_text == text:
+            return begin - since + clean_since, end - since + clean_since
+        if clean_text.startswith(text.split(" (")[0]):
+            return clean_since, clean_end
     return begin, end
 
 
-def _departures(record, clean, onset, until):
+def _departures(record, clean, until):
     """Return the departure (n,) of each joint between the onset and a moment [rad]."""
-    stop_at = np.inf if record.stop_at is None else record.stop_at
+    stop_at = until if record.stop_at is None else record.stop_at
+    steps = np.arange(record.onset, min(stop_at, until), STEP)
+    windows = [(begin, begin + STEP, begin + STEP + WINDOW_BEFORE) for begin in steps]
+    windows.append((stop_at, until + PHYSICS_STEP, stop_at + WINDOW_AFTER))
     departure = np.zeros(record.q.shape[1])
-    step = 0.02
-    for begin in np.arange(onset, min(stop_at, until), step):
-        inside = (record.time >= begin) & (
-            record.time < min(begin + step, stop_at, until)
-        )
-        if np.any(inside):
-            clean_begin, clean_end = _clean_span(record, clean, begin, begin + step)
-            hull = _path_hull(
-                clean, clean_begin - WINDOW_BEFORE, clean_end + WINDOW_BEFORE
-            )
-            departure = np.maximum(
-                departure, _beyond(record.q[inside], *hull).max(axis=0)
-            )
-    inside = (record.time >= stop_at) & (record.time <= until)
-    if np.any(inside):
-        clean_begin, clean_end = _clean_span(record, clean, stop_at, stop_at)
-        hull = _path_hull(clean, clean_begin - WINDOW_BEFORE, clean_end + WINDOW_AFTER)
-        departure = np.maximum(departure, _beyond(record.q[inside], *hull).max(axis=0))
+    for begin, end, ahead in windows:
+        q = record.q[(record.time >= begin) & (record.time < end)]
+        span = _clean_span(record, clean, begin - WINDOW_BEFORE, ahead)
+        since, to = np.searchsorted(clean.time, span)
+        path = clean.q[min(since, len(clean.q) - 1) : to + 1]
+        beyond = np.maximum(path.min(axis=0) - q, q - path.max(axis=0))
+        departure = np.maximum(departure, beyond.max(axis=0, initial=0.0))
     return departure
 
 
@@ -518,43 +417,252 @@ def judged_outcome(case, record, clean):
     """Return what came of a case, by its record and that of the undisturbed run."""
     # The player stops at errors of the bench, too.
     assert "Error: " not in record.error, record.error
-    onset = record.onset
-    stop_at = record.stop_at
-    last = record.time[-1] if record.disabled_at is None else record.disabled_at
-    until = last if stop_at is None else min(last, stop_at + OBSERVED)
-    departure = _departures(record, clean, onset, until)
-    distance, speed, later_speed, gain = _motion_after_stop(record, until)
-    is_other = np.arange(len(distance)) != case.joint
+    stop_at = np.inf if record.stop_at is None else record.stop_at
+    until = min(record.disabled_at or record.time[-1], stop_at + OBSERVED)
+    inside = (record.time >= stop_at) & (record.time <= until)
+    is_later = inside & (record.time >= stop_at + LATER)
+    q = record.q[inside]
+    values = {
+        "departure": _departures(record, clean, until),
+        "fall": np.abs(q - q[:1]).max(axis=0, initial=0.0),
+        "speed": np.abs(record.qd[inside]).max(axis=0, initial=0.0),
+        "later speed": np.abs(record.qd[is_later]).max(axis=0, initial=0.0),
+    }
+    is_other = np.arange(record.q.shape[1]) != case.joint
+    figures = {}
+    for name, joint_values in values.items():
+        figures[name] = float(joint_values.max())
+        figures[f"others {name}"] = float(joint_values[is_other].max())
+        figures[f"own {name}"] = float(joint_values[~is_other].max(initial=0.0))
+    times, energy = record.energy.T
+    energy = energy[(times >= stop_at - 0.02) & (times <= until)]
+    phases = [text for begin, text in record.phases if begin <= record.onset]
     return Outcome(
         name=case.name,
         setup=case.setup,
-        phase=_phase_at(record, onset),
-        departure=float(departure.max()),
-        others_departure=float(departure[is_other].max()),
-        fall=float(distance.max() if case.joint is None else distance[case.joint]),
-        others_fall=float(distance[is_other].max()),
-        others_speed=float(speed[is_other].max()),
-        others_later_speed=float(later_speed[is_other].max()),
-        energy_gain=gain,
-        stop_delay=None if stop_at is None else stop_at - onset,
+        phase=["before", *phases][-1],
+        figures=figures,
+        energy_gain=float(np.max(energy - energy[:1], initial=0.0)),
+        stop_delay=record.stop_at and record.stop_at - record.onset,
         ending=_ending(record),
         words=record.error,
     )
 
 
-def _motion_after_stop(record, until):
-    """Return how far, how fast, and later how fast joints got after the stop, each (n,), and the
-    energy gained.
+# --- what may go wrong ----------------------------------------------------------------------------
+
+_FOREIGN_PERIOD = 0.01
+UNDER_VOLTAGE = 0x9
+JAMMED = 1e5
+"""Damping of a joint that is jammed [N m s/rad]."""
+SHOULDER = 1
+WRIST = 5
+
+
+def lost_motor(joint):
+    """Return the fault of a motor without supply: it is silent, and its windings are open."""
+    return fault(joint, silent=True, brake=0.0, torque_share=0.0)
+
+
+@dataclass(frozen=True)
+class SecondMotor:
+    """Another motor with the same id comes alive, elsewhere by an angle [rad].
+
+    It answers before the first one, or after it.
     """
-    n = record.q.shape[1]
-    stop_at = np.inf if record.stop_at is None else record.stop_at
-    inside = (record.time >= stop_at) & (record.time <= until)
-    if not np.any(inside):
-        return np.zeros(n), np.zeros(n), np.zeros(n), 0.0
-    q = record.q[inside]
-    distance = np.abs(q - q[0]).max(axis=0)
-    speed = np.abs(record.qd[inside])
-    later_speed = speed[record.time[inside] >= stop_at + LATER].max(axis=0, initial=0.0)
-    times, energy = record.energy.T
-    total = energy[(times >= stop_at - 0.02) & (times <= until)]
-    return distance, speed.max(axis=0), later_speed, float(np.max(total) - total[0])
+
+    joint: int
+    angle: float = 0.7
+    status: int = ENABLED
+    is_first: bool = True
+
+    def __call__(self, run):
+        twin = motor(run.motors[self.joint].joint)
+        twin.status = self.status
+        twin.position = run.motors[self.joint].position + self.angle
+        # Its watchdog has heard something just now.
+        twin.fed_at = run.clock.now()
+        run.arm.motors.append(twin)
+        if self.is_first:
+            answers = run.arm.answers
+            run.arm.answers = lambda *frame: answers(*frame)[::-1]
+
+
+@dataclass(frozen=True)
+class SecondMaster:
+    """Another computer commands one motor to a place an angle [rad] away, 100 times a second."""
+
+    joint: int
+    is_seen: bool = True
+    angle: float = 0.5
+
+    def __call__(self, run):
+        self._send(run, run.arm.mechanism.q[self.joint] + self.angle)
+
+    def _send(self, run, target):
+        joint = run.motors[self.joint].joint
+        scaling = protocol.Scaling([joint.spec.limits])
+        data = protocol.encode_mit(mit_command(target, kp=60.0), scaling)[0].tobytes()
+        run.bus.send_foreign(protocol.CanFrame(joint.can_id, data), self.is_seen)
+        run.at(_FOREIGN_PERIOD, partial(self._send, run, target))
+
+
+@dataclass(frozen=True)
+class SaggingSupply:
+    """The supply of all motors sags to 40 % within a second; after two, one reports it."""
+
+    joint: int
+
+    def __call__(self, run):
+        for tenth in range(10):
+            run.at(0.1 * tenth, partial(self._sag, run))
+        later(2.0, fault(self.joint, status=UNDER_VOLTAGE))(run)
+
+    def _sag(self, run):
+        for weak in run.motors:
+            weak.peak_torque *= 0.4**0.1
+
+
+def grip_mass(run):
+    """The terminal link takes up 3 kg."""
+    model = run.arm.mechanism._model
+    model.body_mass[run.arm.mechanism._robot.body_id] += 3.0
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def push(run):
+    """Somebody pushes the terminal link sideways, with 60 N for 0.3 s."""
+    mechanism = run.arm.mechanism
+    robot = mechanism._robot
+    data = mechanism._data
+    torque = np.zeros(mechanism._model.nv)
+    force = np.array([0.0, 36.0, -48.0])
+    tip = data.xipos[robot.body_id]
+    mujoco.mj_applyFT(
+        mechanism._model, data, force, np.zeros(3), tip, robot.body_id, torque
+    )
+    run.arm.push = torque[robot.dof_index]
+    run.at(0.3, lambda: setattr(run.arm, "push", 0.0))
+
+
+AT_START = {"phase": "", "after": 0.0}
+OTHERS = "others departure"
+SECOND = "a second motor has its id"
+FOREIGN = "gets commands of another program"
+UNSEEN = "another program commands it"
+MOVED = "its zero has moved"
+DIFFERS = "are commanded: it is weak, its supply sags"
+UNANSWERED = "did not answer in time"
+FROZEN = "its encoder is frozen"
+STALE = "its answers are stale"
+shoulder = partial(fault, SHOULDER)
+wrist = partial(fault, WRIST)
+
+
+def _position(hit):
+    return hit.position
+
+
+CASES = (
+    Case("motor makes half its torque", shoulder(torque_share=0.5), "suddenly needs"),
+    Case("motor makes 0.6 of its torque, at kp 500", shoulder(torque_share=0.6), ""),
+    Case("motor makes half and says so", shoulder(torque_share=0.5, torque_factor=0.5), DIFFERS),
+    Case("motor lost", lost_motor(SHOULDER), UNANSWERED, quantity=OTHERS),
+    Case("motor reports a fault", shoulder(status=0xA), "reports status A", quantity=OTHERS),
+    Case("second motor of the same id, wrist", SecondMotor(WRIST), SECOND),
+    Case("second motor of the same id, shoulder", SecondMotor(SHOULDER), SECOND),
+    Case("second motor that answers last", SecondMotor(WRIST, is_first=False), SECOND),
+    Case("second motor that is disabled", SecondMotor(WRIST, status=DISABLED), SECOND),
+    Case("second master, wrist", SecondMaster(WRIST), FOREIGN),
+    Case("second master, not seen", SecondMaster(WRIST, is_seen=False), UNSEEN),
+    Case("second master, shoulder", SecondMaster(SHOULDER), FOREIGN),
+    Case("encoder frozen, shoulder", shoulder(frozen_encoder=_position), FROZEN),
+    Case("encoder frozen, wrist", wrist(frozen_encoder=_position), FROZEN),
+    Case("reported position frozen", shoulder(frozen_position=_position), STALE),
+    Case("gear slips 0.3 rad/s", shoulder(slip_rate=0.3), "its gear slips", bound=0.4),
+    Case(
+        "gear slips, velocity is the joint's", shoulder(slip_rate=0.3, slip_is_felt=False),
+        "its gear or its encoder slips", bound=0.3,
+    ),
+    Case("gear of an unloaded wrist slips", wrist(slip_rate=0.25), "its gear slips", bound=0.7),
+    Case("stale answers", shoulder(is_stale=True), STALE),
+    Case("velocity reversed", shoulder(velocity_factor=-1.0), "off its speed"),
+    Case("torque reversed", shoulder(torque_factor=-1.0), DIFFERS),
+    Case("supply sags", SaggingSupply(SHOULDER), "reports status 9", quantity=OTHERS),
+    Case("3 kg gripped", grip_mass, "suddenly needs"),
+    Case("push of 60 N", push, "suddenly needs"),
+    Case("joint jammed, shoulder", shoulder(jam_damping=JAMMED), "(joint joint1) stands still"),
+    Case("joint jammed, wrist", wrist(jam_damping=JAMMED), "or it is blocked"),
+    Case("answers lost", shoulder(lost_replies=True), UNANSWERED),
+    Case("zero 0.3 rad off", shoulder(encoder_error=0.3), MOVED, 0.35, **AT_START),
+    Case("zero -0.3 rad off", shoulder(encoder_error=-0.3), MOVED, 0.35, **AT_START),
+)  # fmt: skip
+
+DAMAGES = [
+    *(("position", angle) for angle in (0.2, 0.78, 3.9)),
+    *((name, bit) for name in ("velocity", "torque") for bit in (5, 8, 11)),
+    *(("status", code) for code in (0x0, 0x9, 0xA, 0xD)),
+    ("id nibble", "other"),
+    ("id nibble", 0xF),
+    ("arbitration id", "other"),
+    ("arbitration id", 0x7A),
+    ("text", "any"),
+]
+"""Fields of a feedback frame, and what happens to them; see ``Damage``."""
+MOMENTS = {
+    "enabling": (0.0, 0.0, 0.05),
+    "raising": (0.0, 0.75, 0.15),
+    "moving": (0.0, 1.45, 0.2),
+    "playing": (0.0, 4.95, 0.4),
+    "coming": (0.0, 0.45, 0.1),
+    "lowering": (0.0, 2.0, 0.1),
+}
+"""Phases: the earliest and the latest onset after their beginning [s], and their share of runs."""
+DAMAGE_BOUND = 0.05
+"""Largest departure of a joint after a damaged frame [rad]."""
+
+
+def damage_cases(runs, seed):
+    """Return cases of one damaged frame each, spread over fields, sizes, phases and joints."""
+    random = np.random.default_rng(seed)
+    shares = [share for *_, share in MOMENTS.values()]
+    cases = []
+    for number in range(runs):
+        name, size = DAMAGES[number % len(DAMAGES)]
+        phase = str(random.choice(list(MOMENTS), p=shares))
+        park = "rest" if phase == "lowering" or random.random() < 0.5 else None
+        setup = SetUp(model_is_given=bool(random.random() < 0.5), park=park)
+        joint = int(random.integers(len(MOTOR_TYPES)))
+        cause = Damage(name, _size(name, size, joint, random), joint)
+        begin, end, _ = MOMENTS[phase]
+        onset = phase, random.uniform(begin, end), 1.0
+        cases.append(
+            Case(f"{name}, {size}", cause, "", DAMAGE_BOUND, "departure", setup, *onset)
+        )
+    return cases
+
+
+def _size(name, size, joint, random):
+    """Return the size of a damage of the feedback frame of a joint (from 0)."""
+    n = len(MOTOR_TYPES)
+    other = 1 + (joint + int(random.integers(1, n))) % n
+    if name == "position":
+        return float(size * random.choice([-1.0, 1.0]))
+    if size == "other":
+        return other + 0x10 * (name == "arbitration id")
+    return int(random.integers(21 * 8)) if size == "any" else size
+
+
+def hold_cases():
+    """Return a case for each fault of a motor that holds the arm still, pose and stiffness."""
+    cases = []
+    for kp, pose in itertools.product((60.0, 180.0), range(5)):
+        setup = SetUp("truth", kp=kp, pose=pose, stands=True, duration=2.5)
+        joint = loaded_joint(setup)
+        for name, cause in (
+            ("weak motor, half", fault(joint, torque_share=0.5)),
+            ("weak motor, 0.6", fault(joint, torque_share=0.6)),
+            ("motor lost", lost_motor(joint)),
+        ):
+            cases.append(Case(name, cause, setup=setup, after=1.0))
+    return cases

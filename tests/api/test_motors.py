@@ -10,12 +10,11 @@ import pytest
 
 import robot_sysid as rs
 from rigs import arms
-from rigs.damiao_rig import swing, trajectory_file, with_coarse_physics
+from rigs.damiao_rig import MotorBus, swing, trajectory_file, with_coarse_physics
 from rigs.recordings import read_recording
 from robot_sysid.api import calls
 from robot_sysid.config import MotorOptions
 from robot_sysid.damiao.protocol import DISABLED
-from tests.commands.conftest import SimulatedBus
 
 
 @pytest.fixture
@@ -76,7 +75,7 @@ def test_what_cannot_be_used_is_said(trajectory, message):
 @pytest.fixture
 def arm(monkeypatch):
     """Two motors on a bus in simulated time."""
-    return SimulatedBus(monkeypatch).arm
+    return MotorBus(echo=True).open_for_commands(monkeypatch)
 
 
 def test_an_arm_is_moved_from_any_thread(trajectory, arm):
@@ -86,7 +85,7 @@ def test_an_arm_is_moved_from_any_thread(trajectory, arm):
     thread = threading.Thread(target=play)
     thread.start()
     thread.join()
-    assert reports[0].cycles > 1 and [m.status for m in arm.motors] == [DISABLED] * 2
+    assert reports[0].cycles > 1 and arm.states() == [DISABLED] * 2
 
 
 BUS = {"channel": "can0", "rate": 100}

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rigs.clocks import ScriptedClock, heard_signals
-from rigs.damiao_rig import two_motor_arm
-from rigs.links import RememberingLink
-from robot_sysid.damiao import execution
-from robot_sysid.damiao.simulated import SimulatedLink
+from rigs.clocks import heard_signals
+from rigs.damiao_rig import MotorBus
 from robot_sysid.motion.prediction import limit_lines, motion_lines
 from robot_sysid.pipeline import planning
 
@@ -23,32 +20,6 @@ def without_prediction(monkeypatch):
 
     monkeypatch.setattr(planning, "predict_plan", predict_plan)
     monkeypatch.setattr(planning, "_shortfall", lambda *_: "")
-
-
-class SimulatedBus:
-    """A bus with a simulated arm on it, which the command opens in place of a real one.
-
-    Attributes:
-        arm: who answers.
-        clock: simulated time, also that of the command.
-        wire: the frames of the last link that was opened, or None.
-    """
-
-    def __init__(self, monkeypatch):
-        self.arm = two_motor_arm()
-        self.clock = ScriptedClock()
-        self.wire = None
-        monkeypatch.setattr(execution, "SystemClock", lambda: self.clock)
-        monkeypatch.setattr(execution, "open_bus", self.open_link)
-
-    def open_link(self, address, timing, clock):
-        link = SimulatedLink(self.clock, self.arm, timing, echo=True)
-        self.wire = RememberingLink(link, self.clock)
-        return self.wire
-
-    @property
-    def motors(self):
-        return self.arm.motors
 
 
 @pytest.fixture
@@ -69,5 +40,6 @@ def person(monkeypatch):
 
 @pytest.fixture
 def bus(monkeypatch):
+    """Two motors, which commands find in place of real ones."""
     with heard_signals():
-        yield SimulatedBus(monkeypatch)
+        yield MotorBus(echo=True).open_for_commands(monkeypatch)

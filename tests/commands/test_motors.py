@@ -31,7 +31,7 @@ from robot_sysid import parser
 from robot_sysid.cli import main
 from robot_sysid.damiao.bus import SystemClock
 from robot_sysid.damiao.joints import write_joint_map
-from robot_sysid.damiao.protocol import DISABLED, Register
+from robot_sysid.damiao.protocol import DISABLED
 
 CAN0 = "--channel can0"
 AT_100 = "--rate 100"
@@ -72,14 +72,14 @@ def no_real_time(monkeypatch):
 
 
 def test_check_prints_a_table_and_enables_nothing(capsys, bus, trajectory):
-    bus.motors[1].registers[Register.TIMEOUT] = 100000.0
+    fault(1, TIMEOUT=1e5)(bus)
     out = succeed(capsys, "check", trajectory, CAN0)
     assert "ready to play" in out
     assert re.search(
         r"2 +0x12 +MIT +12.5 +10 +28 +DM4340 +5000 ms .* 31/29 +status 0", out
     )
     assert only_asks(bus.wire.sent)
-    assert [m.status for m in bus.motors] == [DISABLED] * 2
+    assert bus.states() == [DISABLED] * 2
 
 
 def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
@@ -99,7 +99,7 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
     assert answer["verdict"][0] == "Usable: ready to play"
     assert shlex.split(answer["verdict"][2]) == following
     assert answer["next_step"]["command"] == following
-    fault("mode", 0, 2)(bus)
+    fault(0, CTRL_MODE=2)(bus)
     assert main(words_of(("motors play", trajectory, CAN0, "--yes --json"))) == 3
     answer = json.loads(capsys.readouterr().out)
     assert answer["verdict"][0].startswith(
@@ -108,8 +108,8 @@ def test_what_is_said_is_the_result_as_json(capsys, bus, trajectory):
 
 
 def test_check_says_what_has_to_change(capsys, bus, trajectory):
-    fault("mode", 0, 2)(bus)
-    fault("tmax", 1, 40.0)(bus)
+    fault(0, CTRL_MODE=2)(bus)
+    fault(1, TMAX=40)(bus)
     code, out, _ = run(capsys, "check", trajectory, CAN0)
     assert code == 1
     assert "[STOP] motor 1 is in mode 2 (POS_VEL); set CTRL_MODE to 1 (MIT)" in out
@@ -125,7 +125,7 @@ def test_play_records_and_disables(capsys, bus, trajectory, tmp_path):
         capsys, "play", trajectory, CAN0, AT_100, "--yes --kd 2 --record", record
     )
     assert "all motors are disabled" in out
-    assert [m.status for m in bus.motors] == [DISABLED] * 2
+    assert bus.states() == [DISABLED] * 2
     recording = read_recording(record)
     assert recording.ending == "completed" and "kd=2 2" in recording.head
     assert len(recording.columns["time"]) == 51
@@ -135,7 +135,7 @@ def test_check_without_a_bus_checks_the_file(capsys, bus, trajectory):
     succeed(capsys, "check", trajectory)
     code, out, _ = run(capsys, "check", trajectory, "--rate 2000")
     assert code == 1 and "limit 70 %; use --rate 250" in out
-    assert bus.wire is None
+    assert bus.wire.frames == []
 
 
 def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
@@ -253,7 +253,7 @@ def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):
 def test_a_model_with_other_joints_is_refused(capsys, bus, trajectory, arm_file):
     err = fail(capsys, 2, "play", trajectory, CAN0, "--model", arm_file(arms.THREE))
     assert "has 2 joints but the chain" in err and "has 3" in err
-    assert bus.wire is None
+    assert bus.wire.frames == []
 
 
 # --- simulate -----------------------------------------------------------------------------------
@@ -284,7 +284,7 @@ def test_a_map_names_the_joints_in_what_is_said_about_motors(
 ):
     table = tmp_path / "map.csv"
     write_joint_map(table, [map_line("hip", 1, 0x11), map_line("knee", 2, 0x12)])
-    fault("watchdog", 1, 0.0)(bus)
+    fault(1, TIMEOUT=0)(bus)
     code, out, _ = run(capsys, "check", trajectory, CAN0, "--joint-map", table)
     assert code == 1 and "[STOP] motor 2 (joint knee)'s watchdog of 0 ms" in out
     message = [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import os
 import subprocess
 import sys
 import time
@@ -14,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rigs.realtime_arm import NEEDS_TERMINALS, slcan_terminal
+from rigs.realtime_arm import NEEDS_TERMINALS, NearEnd, slcan_terminal
 from robot_sysid.damiao.adapters import (
     INTERFACES,
     PACKET,
@@ -247,40 +246,36 @@ def test_other_packets_and_broken_ones_are_passed_over():
 
 @pytest.fixture
 def line():
-    """(link, our end of its serial line)."""
-    import tty
-
-    port, far = os.openpty()
-    tty.setraw(far)
-    address = BusAddress("damiao", os.ttyname(far), ("baudrate=115200",))
+    """(link, the far end of its serial line)."""
+    far = NearEnd()
+    address = BusAddress("damiao", far.device, ("baudrate=115200",))
     link = open_bus(address, BusTiming(), SystemClock())
-    yield link, port
+    yield link, far
     link.close()
-    for end in (port, far):
-        os.close(end)
+    far.close()
 
 
 @NEEDS_TERMINALS
 def test_thirty_bytes_go_out_per_frame(line):
     """Typed from the maker's description."""
-    link, port = line
+    link, far = line
     link.send(special_frame(DISABLE, 3))
-    assert os.read(port, 100) == bytes.fromhex(
+    assert far.read(1) == bytes.fromhex(
         "55aa1e03 01000000 0a000000 00 03000000 00 08 00 00 ffffffffffffff fd 00"
     )
 
 
 @NEEDS_TERMINALS
 def test_sixteen_bytes_come_in_per_frame(line):
-    link, port = line
+    link, far = line
     clock = SystemClock()
     sent = bytes.fromhex("aa1108 13000000 138b217d3866231f 55")
-    os.write(port, b"\x00\x55" + sent + sent[:7])
+    far.write(b"\x00\x55" + sent + sent[:7])
     frame = link.receive(clock.now() + 1.0)
     assert (frame.id, frame.data.hex(), frame.echo) == (0x13, "138b217d3866231f", False)
     assert abs(frame.time - clock.now()) < 0.5
     assert link.receive(clock.now() + 0.01) is None
-    os.write(port, sent[7:])
+    far.write(sent[7:])
     assert link.receive(clock.now() + 1.0).data == frame.data
 
 

@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from rigs.motor_bench import Bench
+from rigs.damiao_rig import MotorBus
 from robot_sysid.damiao.bus import undisturbed_processor
 from robot_sysid.damiao.protocol import CanFrame
 from robot_sysid.errors import SysidError
@@ -98,7 +98,7 @@ def test_simulated_time_takes_no_priority(monkeypatch):
 
 
 def test_a_refused_frame_does_not_reach_the_bus():
-    bench = Bench()
+    bus = MotorBus()
     with pytest.raises(SysidError):
-        bench.link.send(CanFrame(1, b"\xff" * 7 + b"\xfe"))
-    assert bench.bus.sent == []
+        bus.link.send(CanFrame(1, b"\xff" * 7 + b"\xfe"))
+    assert bus.wire.sent == []

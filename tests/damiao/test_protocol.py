@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigs.damiao_rig import mit_command
 from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
 from robot_sysid.damiao.protocol import (
@@ -41,12 +42,6 @@ def scaling_of(*names: str) -> Scaling:
     return Scaling(MOTORS[name].limits for name in names)
 
 
-def command(position, velocity, kp, kd, torque) -> MitCommand:
-    return MitCommand(
-        *(np.array([float(x)]) for x in (position, velocity, kp, kd, torque))
-    )
-
-
 def refusal(*arguments):
     """What ``encode_mit`` says against a command."""
     with pytest.raises(InputError) as refused:
@@ -63,9 +58,9 @@ def refusal(*arguments):
     ],
 )
 def test_known_commands_have_known_bytes(values, limits, expected):
-    assert encode_mit(command(*values), Scaling([limits])).tobytes() == bytes.fromhex(
-        expected
-    )
+    assert encode_mit(
+        mit_command(*values), Scaling([limits])
+    ).tobytes() == bytes.fromhex(expected)
 
 
 @pytest.mark.parametrize(
@@ -108,7 +103,7 @@ def test_many_joints_and_samples_survive_within_half_a_step(names, seed, shape):
         for j, name in enumerate(names):
             at = (*index, j)
             alone = encode_mit(
-                command(p[at], v[at], kp[at], kd[at], t[at]), scaling_of(name)
+                mit_command(p[at], v[at], kp[at], kd[at], t[at]), scaling_of(name)
             )
             assert alone[0].tobytes() == frames[at].tobytes()
 
@@ -147,11 +142,11 @@ def test_what_is_beyond_its_limit_by_a_millionth_of_it_is_refused(field, sign):
         values | {field: exact[field] + sign * share * limits[field]}
         for share in (0.9e-6, 1.1e-6)
     )
-    frames = [encode_mit(command(**v), scaling).tobytes() for v in (exact, almost)]
+    frames = [encode_mit(mit_command(**v), scaling).tobytes() for v in (exact, almost)]
     assert frames[0] == frames[1]
-    assert f"{field} " in refusal(command(**beyond), scaling)
+    assert f"{field} " in refusal(mit_command(**beyond), scaling)
     for limit_value in (np.nan, np.inf):
-        assert field in refusal(command(**{**values, field: limit_value}), scaling)
+        assert field in refusal(mit_command(**{**values, field: limit_value}), scaling)
 
 
 def test_stiffness_without_damping_is_refused():
@@ -163,10 +158,10 @@ def test_stiffness_without_damping_is_refused():
         "the command of motor number 2 has kp > 0, which needs kd of at least 0.0012"
     )
     # The least that a frame carries will do; the nearest code to anything below half of it is 0.
-    encode_mit(command(0, 0, 10, 0.51 * KD_STEP, 0), scaling_of("DM4340"))
-    refusal(command(0, 0, 10, 0.49 * KD_STEP, 0), scaling_of("DM4340"))
-    refusal(command(0, 0, 1e-9, 0, 0), scaling_of("DM4340"))
-    encode_mit(command(0, 0, 0, 0, 0), scaling_of("DM4340"))
+    encode_mit(mit_command(0, 0, 10, 0.51 * KD_STEP, 0), scaling_of("DM4340"))
+    refusal(mit_command(0, 0, 10, 0.49 * KD_STEP, 0), scaling_of("DM4340"))
+    refusal(mit_command(0, 0, 1e-9, 0, 0), scaling_of("DM4340"))
+    encode_mit(mit_command(0, 0, 0, 0, 0), scaling_of("DM4340"))
 
 
 @pytest.mark.parametrize("share", [0.876, 1.0])

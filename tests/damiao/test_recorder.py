@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.motor_bench import undoubted
+from rigs.damiao_rig import mit_command, undoubted
 from rigs.recordings import read_recording
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
-from robot_sysid.damiao.protocol import Feedback, MitCommand, Scaling, decode_feedback
+from robot_sysid.damiao.protocol import Feedback, Scaling, decode_feedback
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
@@ -50,7 +50,6 @@ def test_every_frame_can_be_told_back_from_the_recording(types, seed, tmp_path_f
     stamps = times[:, None] + rng.uniform(1e-4, 2e-3, (cycles, n))
     sent = decode_feedback(raw, scaling)
     path = tmp_path_factory.mktemp("rec") / "measured.csv"
-    zero = np.zeros(n)
     with recorder_for(path, types) as recorder:
         for k, time in enumerate(times):
             feedback = decode_feedback(raw[k], scaling)
@@ -59,7 +58,7 @@ def test_every_frame_can_be_told_back_from_the_recording(types, seed, tmp_path_f
             stamp = np.where(answered[k], stamps[k], np.nan)
             replies = undoubted(answered[k], stamp + 7.0, feedback, answered[k])
             position, velocity, torque = commands[k]
-            acted = MitCommand(position, velocity, zero, zero, torque)
+            acted = mit_command(position, velocity, torque=torque)
             recorder.write(time, 7.0, replies, acted)
     recording = read_recording(path)
     assert recording.ending == "completed"
@@ -85,7 +84,7 @@ def one_cycle(n, value=1.0):
     """Arguments of ``MeasurementRecorder.write`` for n joints."""
     same = np.full(n, value)
     replies = replies_of(same, same, same, torque=same)
-    return 0.0, 0.0, replies, MitCommand(*[same] * 5)
+    return 0.0, 0.0, replies, mit_command(*[same] * 5)
 
 
 def replies_of(q, qd, time, command=None, torque=0.0):
@@ -165,12 +164,6 @@ def test_somebody_who_does_not_answer_is_not_waited_for():
 PERIOD = 0.01
 
 
-def stiff(position, kp=100.0, kd=2.0):
-    """A command to be at positions (n,)."""
-    zero = np.zeros_like(position)
-    return MitCommand(position, zero, zero + kp, zero + kd, zero)
-
-
 def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
     """The fundamental of a held sine lags by half a period and is lower by sinc."""
     frequency = 5.0
@@ -183,8 +176,8 @@ def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
     positions = np.sin(angular * times)
     torques = []
     for k, time in enumerate(times[1:-1]):
-        acted = stiff(positions[k : k + 1], kp)
-        command = stiff(positions[k + 1 : k + 2], kp)
+        acted = mit_command(positions[k], kp=kp)
+        command = mit_command(positions[k + 1], kp=kp)
         replies = replies_of(zero, zero, zero + time, command)
         correction = centring.torques(replies, acted)
         torques.append(correction[0] + kp * positions[k])
@@ -196,61 +189,25 @@ def test_a_joint_that_holds_still_gets_the_mean_of_held_commands():
     assert error < 0.25 * half_step_only
 
 
-def one_period(mobility, damping, torques, start):
-    """Positions and velocities (2, n) after each short step of a period of held torques."""
-    h = PERIOD / len(torques)
-    n = len(start[0])
-    resistance = 0.5 * h * mobility * damping
-    next_step = np.linalg.inv(np.eye(n) + resistance)
-    previous_step = np.eye(n) - resistance
-    q, v = start
-    states = []
-    for torque in torques:
-        earlier = v
-        v = next_step @ (previous_step @ v + h * mobility @ torque)
-        q = q + 0.5 * h * (earlier + v)
-        states.append((q, v))
-    return np.array(states)
-
-
-def sampled_ripple(mobility, damping, step, growth, time):
-    """Velocities of the motion that sawteeth of torque make and that recurs."""
-    fine = 800
-    n = len(step)
-    share = ((np.arange(fine)[:, None] + 0.5) / fine - time / PERIOD) % 1.0
-    torques = step * (0.5 - share) + 0.5 * growth * (share**2 - share + 1.0 / 6.0)
-    arm = mobility, damping
-    from_rest = one_period(*arm, torques, np.zeros((2, n)))[-1].ravel()
-    units = np.eye(2 * n).reshape(-1, 2, n)
-    carried = np.array(
-        [one_period(*arm, 0.0 * torques, unit)[-1].ravel() for unit in units]
-    ).T
-    start = np.linalg.lstsq(np.eye(2 * n) - carried, from_rest, rcond=1e-12)[0].reshape(
-        2, n
-    )
-    states = one_period(*arm, torques, start)
-    at = np.round(time / PERIOD * fine).astype(int) - 1
-    sampled = states[at, :, np.arange(n)].T
-    return sampled[1]
-
-
 @pytest.mark.parametrize("damping", [0.05, 1.0, 20.0])
 def test_a_step_falls_until_it_is_sampled_as_damping_lets_it(damping):
-    """The periodic response to a sawtooth of torque, of a joint with inertia and damping."""
-    inertia = np.array([0.05])
-    kd = np.array([damping])
-    step = np.array([0.7])
+    """The periodic response to a sawtooth of torque, of a joint with inertia and damping.
+
+    I v' + d v = step (1/2 - t / T) has the solution v = level + slope t + fading exp(-d t / I).
+    """
+    inertia = 0.05
+    step = 0.7
+    slope = -step / (damping * PERIOD)
+    level = 0.5 * step / damping - inertia * slope / damping
+    fading = slope * PERIOD / -np.expm1(-damping * PERIOD / inertia)
+    velocity = level + fading
     zero = np.zeros(1)
-    arm = 1.0 / inertia[:, None], kd
-    velocity = sampled_ripple(*arm, step, zero, zero)
-    acted = MitCommand(zero, zero, zero, kd, zero)
-    replies = replies_of(zero, zero, zero, acted._replace(torque=step))
-    centring = Centring(PERIOD, 1.0 / inertia[:, None])
-    centring._last = np.array([zero, step])
+    acted = mit_command(kd=damping)
+    replies = replies_of(zero, zero, zero, acted._replace(torque=zero + step))
+    centring = Centring(PERIOD, np.array([[1.0 / inertia]]))
+    centring._last = np.array([zero, zero + step])
     centre = centring.torques(replies, acted)
-    np.testing.assert_allclose(
-        centre, 0.5 * step + kd * velocity, atol=0.02 * np.max(np.abs(step))
-    )
+    assert centre[0] == pytest.approx(0.5 * step + damping * velocity, abs=0.02 * step)
 
 
 def test_a_missing_answer_leaves_the_other_joints_torques_as_they_are():
@@ -263,8 +220,8 @@ def test_a_missing_answer_leaves_the_other_joints_torques_as_they_are():
             silent = np.array([False, k in silent_cycles])
             q = np.where(silent, np.nan, 0.0)
             stamps = np.where(silent, np.nan, time + k * PERIOD)
-            acted = stiff(np.full(2, 0.01 * k))
-            sent = stiff(np.full(2, 0.01 * (k + 1)))
+            acted = mit_command(np.full(2, 0.01 * k), kp=100.0)
+            sent = mit_command(np.full(2, 0.01 * (k + 1)), kp=100.0)
             centre = centring.torques(replies_of(q, q, stamps, sent), acted)
             np.testing.assert_array_equal(np.isfinite(centre), ~silent)
             step = 0.01 * sent.kp[0]

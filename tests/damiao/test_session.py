@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import defaultdict
 
 import numpy as np
@@ -10,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigs import damiao_rig
-from rigs.motor_bench import Bench
+from rigs.damiao_rig import MotorBus, mit_command
 from robot_sysid.damiao.bus import GuardedLink, RegisterClient, inspect_bus
+from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import (
     DISABLED,
     ENABLED,
@@ -24,14 +26,31 @@ from robot_sysid.damiao.session import PAUSE, Outstanding
 from robot_sysid.errors import HardwareAbort
 
 
-def statuses(bench):
-    """The status code of each motor."""
-    return [motor.status for motor in bench.motors]
+class Bench(MotorBus):
+    """Motors of one type with a session."""
+
+    def __init__(self, n=2, echo=False):
+        super().__init__(damiao_joints(["DM4340"] * n, n), echo=echo)
+        self.session = self.open_session()
+
+    @contextlib.contextmanager
+    def enabled(self):
+        """Enable the motors for a block."""
+        with self.session:
+            self.session.enable()
+            yield
+
+    def exchange(self, q=0.0, kp=20.0, seconds=0.004, joints=True):
+        """Command joints, or all, to q [rad] and return their replies of so many seconds."""
+        n = len(self.motors)
+        command = mit_command(np.full(n, q), kp=kp)
+        until = self.clock.now() + seconds
+        return self.session.exchange(command, until, np.broadcast_to(joints, n), False)
 
 
 def setup_client(bench):
     """What setting up a motor writes with: a run may not."""
-    link = GuardedLink(bench.bus, bench.clock, refuses=is_motion)
+    link = GuardedLink(bench.wire, bench.clock, refuses=is_motion)
     return RegisterClient(link)
 
 
@@ -44,8 +63,8 @@ def test_inspection_reads_everything_and_changes_nothing():
     assert inspection.motors[2].limits == (12.5, 10.0, 28.0)
     assert inspection.motors[2].feedback.temperature_mos[0] == 31
     assert [m.registers for m in bench.motors] == registers_before
-    assert statuses(bench) == [DISABLED] * 2
-    assert {frame.id for frame in bench.bus.sent} == {REGISTER_ID}
+    assert bench.states() == [DISABLED] * 2
+    assert {frame.id for frame in bench.wire.sent} == {REGISTER_ID}
 
 
 def test_a_refused_write_is_noticed(monkeypatch):
@@ -57,7 +76,7 @@ def test_a_refused_write_is_noticed(monkeypatch):
 
 def test_a_motor_that_is_not_there_does_not_answer():
     bench = Bench()
-    assert bench.client.read(9, Register.PMAX) is None
+    assert RegisterClient(bench.link).read(9, Register.PMAX) is None
     with pytest.raises(
         HardwareAbort, match="motor 9 did not answer to writing TIMEOUT"
     ):
@@ -74,14 +93,14 @@ def test_feedback_is_not_taken_for_a_register_reply():
         return [feedback, *ours(frame, time)]
 
     bench.arm.handle = with_feedback_first
-    assert bench.client.read(1, Register.PMAX) == 12.5
+    assert RegisterClient(bench.link).read(1, Register.PMAX) == 12.5
 
 
 def test_leaving_without_having_enabled_sends_nothing():
     bench = Bench()
     with bench.session:
         pass
-    assert bench.bus.sent == []
+    assert bench.wire.sent == []
 
 
 @pytest.mark.parametrize(
@@ -92,21 +111,21 @@ def test_every_way_out_disables(error):
     try:
         with bench.session as session:
             session.enable()
-            assert statuses(bench) == [ENABLED] * 2
+            assert bench.states() == [ENABLED] * 2
             bench.exchange()
             if error:
                 raise error
     except BaseException as raised:
         assert raised is error
-    assert statuses(bench) == [DISABLED] * 2
+    assert bench.states() == [DISABLED] * 2
 
 
 def test_a_reply_is_the_state_before_the_command_acted():
     bench = Bench()
     with bench.enabled():
-        bench.wait(0.004)
+        bench.clock.stall(0.004)
         first = bench.exchange(0.03, kp=500.0)
-        bench.wait(0.004)
+        bench.clock.stall(0.004)
         second = bench.exchange(0.03, kp=500.0)
     half = 0.5 * 28.0 * 2 / 4095
     assert np.all(np.abs(first.feedback.torque) <= half * 1.01)

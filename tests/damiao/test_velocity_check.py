@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigs.arms import SEEDS
+from rigs.damiao_rig import rest_to_rest
 from robot_sysid.damiao.trajectory import DamiaoTrajectory, velocity_mismatch
 
 RATES = st.sampled_from([50.0, 100.0, 250.0, 500.0, 1000.0])
@@ -17,15 +18,11 @@ RATES = st.sampled_from([50.0, 100.0, 250.0, 500.0, 1000.0])
 def smooth_motion(rate, seed, seconds=3.0):
     """(time, q, qd) of two joints from rest to rest, with up to 2 Hz in it."""
     rng = np.random.default_rng(seed)
-    time = np.arange(round(seconds * rate) + 1) / rate
-    w = 2.0 * np.pi / seconds * rng.integers(1, 7, (3, 1, 2))
-    a = rng.uniform(0.05, 0.3, (3, 1, 2)) * rng.choice([-1.0, 1.0], (3, 1, 2))
-    phase = w * time[:, None]
-    return (
-        time,
-        (a * (1.0 - np.cos(phase))).sum(axis=0),
-        (a * w * np.sin(phase)).sum(axis=0),
-    )
+    amplitude = rng.uniform(0.1, 0.6, (3, 1, 2)) * rng.choice([-1.0, 1.0], (3, 1, 2))
+    turns = rng.integers(1, 7, (3, 1, 2))
+    time, *signals = rest_to_rest(amplitude, turns, seconds, rate)
+    q, qd, _ = np.sum(signals, axis=1)
+    return time, q, qd
 
 
 def mismatch(time, q, qd):

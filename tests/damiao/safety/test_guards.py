@@ -7,25 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.clocks import ScriptedClock
+from rigs.damiao_rig import MotorBus, mit_command
 from robot_sysid.damiao import protocol
-from robot_sysid.damiao.bus import GuardedLink
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.protocol import (
-    REGISTER_ID,
-    CanFrame,
-    Feedback,
-    MitCommand,
-    Scaling,
-    is_special,
-)
+from robot_sysid.damiao.protocol import Feedback, Scaling
 from robot_sysid.damiao.safety.guards import (
     SampleFilter,
     VelocityCheck,
     confine,
     require_allowed,
 )
-from robot_sysid.damiao.session import MotorSession
 from robot_sysid.errors import HardwareAbort, SysidError
 from robot_sysid.records import Limits
 
@@ -44,7 +35,7 @@ def swing(k):
 def answer(k, q=None, qd=None, tau=None, status=1, heat=30):
     """What one joint answers in a cycle in which it follows its command, or says something else."""
     p, v = swing(k)
-    command = MitCommand(*(np.array([x]) for x in (p, v, KP, 4.5, 3.0)))
+    command = mit_command(p, v, KP, 4.5, 3.0)
     q = p if q is None else q
     qd = v if qd is None else qd
     commanded = command.motor_torque(np.array([q]), np.array([qd]))[0]
@@ -198,38 +189,6 @@ NUMBERS = st.floats(-30.0, 30.0) | ANY
 PAIRS = st.tuples(NUMBERS, NUMBERS)
 
 
-class AbsurdLink:
-    """Motors that answer each frame with what they are given, right for enabling at first."""
-
-    def __init__(self, clock, answers):
-        self.clock = clock
-        self.answers = answers
-        self.sent = []
-        self._waiting = []
-
-    def send(self, frame):
-        self.sent.append((self.clock.now(), frame))
-        j = (frame.data[0] if frame.id == REGISTER_ID else frame.id) - 1
-        if len(self.sent) <= 4 or is_special(frame.data) or not self.answers:
-            status = 1 if frame.data[7:] == b"\xfc" else 0
-            payload = bytes(
-                [status << 4 | (j + 1), 0x80, 0x00, 0x80, 0x08, 0x00, 30, 30]
-            )
-        else:
-            payload = self.answers.pop(0)
-        if payload is not None:
-            self._waiting.append(CanFrame(0x11 + j, payload, self.clock.now()))
-
-    def receive(self, until):
-        if self._waiting:
-            return self._waiting.pop(0)
-        self.clock.sleep_until(until)
-        return None
-
-    def close(self):
-        pass
-
-
 # Anything at all, or a frame that at least names its sender and says that it is enabled.
 PAYLOADS = (
     st.binary(min_size=8, max_size=8)
@@ -249,12 +208,14 @@ REQUESTS = st.lists(
 
 @given(requests=REQUESTS, answers=st.lists(PAYLOADS, max_size=60))
 def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
-    clock = ScriptedClock()
-    link = AbsurdLink(clock, list(answers))
-    session = MotorSession(
-        GuardedLink(link, clock), JOINTS, SCALING, Limits(LOWER, UPPER, SPEED)
-    )
+    bus = MotorBus(JOINTS)
+    session = bus.open_session(Limits(LOWER, UPPER, SPEED))
     start = session.enable()
+    waiting = list(answers)
+    for motor in bus.motors:
+        sound = motor._feedback
+        motor._feedback = lambda sound=sound: waiting.pop(0) if waiting else sound()
+    clock = bus.clock
     last = start.copy()
     enabled_at = clock.now()
     sent_at = np.full(2, clock.now())
@@ -263,19 +224,18 @@ def test_no_history_makes_a_command_leave_its_bounds(requests, answers):
     position_step, velocity_step, torque_step = session.steps
     for position, velocity, torque, braking, pause in requests:
         clock.sleep_until(clock.now() + pause)
-        n_sent_before = len(link.sent)
+        n_sent_before = len(bus.wire.sent)
         believe_answers, _ = session.believed_motion
-        requested = MitCommand(
-            np.array(position), np.array(velocity), np.array([180.0, 60.0]),
-            np.array([4.5, 1.5]), np.array(torque),
-        )  # fmt: skip
+        gains = np.array([180.0, 60.0]), np.array([4.5, 1.5])
+        requested = mit_command(position, velocity, *gains, torque)
         try:
             session.exchange(requested, clock.now() + 0.004, BOTH, braking)
         except SysidError:
-            assert len(link.sent) == n_sent_before and not braking
+            assert len(bus.wire.sent) == n_sent_before and not braking
             continue
-        for moment, frame in link.sent[n_sent_before:]:
+        for frame in bus.wire.sent[n_sent_before:]:
             j = frame.id - 1
+            moment = frame.time
             raw = np.frombuffer(frame.data, dtype=np.uint8)[None]
             one = Scaling([JOINTS[j].spec.limits])
             p, v, kp, _, t = (
@@ -311,8 +271,7 @@ STANDING = np.zeros(2), np.full(2, 0.01), np.zeros(2)
 
 def command(position=0.0, velocity=0.0, torque=0.0, kp=100.0):
     """A command to both joints, out of bounds for the second one at most."""
-    fields = (np.array([0.0, value]) for value in (position, velocity, kp, 1.0, torque))
-    return MitCommand(*fields)
+    return mit_command([0.0, position], [0.0, velocity], kp, 1.0, [0.0, torque])
 
 
 @pytest.mark.parametrize(
@@ -335,17 +294,13 @@ def test_what_is_asked_too_much_is_named(requested, message):
 
 def test_a_range_wider_than_frames_can_say_is_cut_to_what_they_can():
     """In a stop a command beyond the frames' scale would be an error, and nothing be sent."""
-    clock = ScriptedClock()
-    link = AbsurdLink(clock, [])
-    wide = Limits(np.full(2, -99.0), np.full(2, 99.0), np.full(2, 5e3))
-    session = MotorSession(GuardedLink(link, clock), JOINTS, SCALING, wide)
+    bus = MotorBus(JOINTS)
+    session = bus.open_session(Limits(-99.0, np.full(2, 99.0), 5e3))
     session.enable()
-    n_sent = len(link.sent)
-    clock.sleep_until(clock.now() + 0.1)
-    far = MitCommand(
-        np.full(2, 90.0), np.full(2, 90.0), np.zeros(2), np.ones(2), np.zeros(2)
-    )
-    session.exchange(far, clock.now() + 0.004, BOTH, braking=True)
-    assert len(link.sent) == n_sent + 2
+    n_sent = len(bus.wire.sent)
+    bus.clock.stall(0.1)
+    far = mit_command(np.full(2, 90.0), 90.0)
+    session.exchange(far, bus.clock.now() + 0.004, BOTH, braking=True)
+    assert len(bus.wire.sent) == n_sent + 2
     np.testing.assert_array_equal(session.limits.upper, SCALING.limits[:, 0])
     np.testing.assert_array_equal(session.limits.velocity, SCALING.limits[:, 1])

@@ -28,14 +28,11 @@ def play_motion(
     """
     random = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, PERIOD)
-    frequencies = random.uniform(0.15, 0.5, (3, 3))
-    phases = random.uniform(0.0, 6.0, (3, 3))
-    q, qd, qdd = np.zeros((3, len(time), 3))
-    for frequency, phase in zip(frequencies, phases):
-        omega = 2.0 * np.pi * frequency
-        q += 0.3 * np.sin(np.outer(time, omega) + phase)
-        qd += 0.3 * omega * np.cos(np.outer(time, omega) + phase)
-        qdd -= 0.3 * omega**2 * np.sin(np.outer(time, omega) + phase)
+    omega = 2.0 * np.pi * random.uniform(0.15, 0.5, (3, 1, 3))
+    phase = omega * time[:, None] + random.uniform(0.0, 6.0, (3, 1, 3))
+    q = 0.3 * np.sin(phase).sum(axis=0)
+    qd = 0.3 * (omega * np.cos(phase)).sum(axis=0)
+    qdd = -0.3 * (omega**2 * np.sin(phase)).sum(axis=0)
     thetas = robot.thetas * (1.0 + links * random.normal(size=(3, 1)))
     loaded = thetas.copy()
     loaded[-1, 0] += load

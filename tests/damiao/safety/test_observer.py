@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigs.motor_bench import undoubted
+from rigs.damiao_rig import undoubted
 from robot_sysid.damiao.joints import damiao_joints
 from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
