@@ -19,7 +19,7 @@ BUDGETS = {
     "robot_sysid/api": 3865,
     "robot_sysid/commands": 9794,
     "robot_sysid/damiao": 30130,
-    "robot_sysid/diagnosis": 15713,
+    "robot_sysid/diagnosis": 15755,
     "robot_sysid/dynamics": 3036,
     "robot_sysid/estimate": 29133,
     "robot_sysid/logs": 14553,
@@ -34,7 +34,7 @@ BUDGETS = {
     "robot_sysid/signals": 5306,
     "robot_sysid/simulation": 3465,
     "robot_sysid": 10663,
-    "tests": 214237,
+    "tests": 214352,
 }
 """Most code tokens of each folder; tests count with their arms and rigs."""
 SLACK = 0.02

@@ -463,16 +463,21 @@ def over_time(fitted: Fit) -> Iterator[Explanation]:
         factor=TIME,
     )
     if "coulomb" in fitted.arm.terms:
-        dry = fitted.arm.terms["coulomb"].names
-        sizes = np.abs([fitted.by_name[name] for name in dry])
-        least = 0.01 * typical_torque(fitted)
-        yield Explanation(
-            "friction",
-            effect(dry, 0.6 * np.maximum(sizes, least), None, along),
-            "friction changes over the log",
-            "let the arm warm up before it is recorded",
-            level=Level.SAYS,
-        )
+        names = [*fitted.arm.terms["coulomb"].names, *fitted.arm.terms["viscous"].names]
+        # Of joints that turn at about 1 rad/s.
+        least = np.tile(0.01 * typical_torque(fitted), 2)
+        sizes = np.maximum(np.abs([fitted.by_name[name] for name in names]), least)
+        for shares, change in (
+            (along, "changes over the log"),
+            (None, "is not that of the other logs"),
+        ):
+            yield Explanation(
+                "friction",
+                effect(names, 0.6 * sizes, None, shares),
+                f"friction {change}",
+                "let the arm warm up before it is recorded",
+                level=Level.SAYS,
+            )
 
 
 def changes_of_load(fitted: Fit) -> Iterator[Explanation]:

@@ -69,6 +69,17 @@ def test_logs_that_each_show_some_joints_are_judged_together(four_joints):
     assert finding.about == "sign" and "joint joint1 has" in finding.text
 
 
+def test_friction_of_one_log_that_is_not_that_of_the_others_is_no_delay(four_joints):
+    cold = four_joints.arm
+    warm = replace(cold, coulomb=0.6 * cold.coulomb, viscous=0.6 * cold.viscous)
+    motion = truth_of(four_joints.robot, seed=5).motion
+    noise = 0.02 * np.random.default_rng(0).standard_normal(motion.q.shape)
+    other = warm.log(motion, noise)
+    (finding,) = findings_of(four_joints.robot, four_joints.log, other)
+    assert finding.about == "friction" and finding.level is Level.SAYS
+    assert "friction is not that of the other logs" in finding.text
+
+
 @pytest.mark.parametrize("factor", [0.4, 1.7, 2.5])
 def test_a_payload_is_refused_for_what_its_logs_are_refused_for(four_joints, factor):
     """Torques that are all scaled do not cancel in the difference of the logs."""
