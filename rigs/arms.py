@@ -4,8 +4,6 @@
 public model files do. ``random_chain`` and ``rigid_bodies`` are hypothesis strategies.
 """
 
-from __future__ import annotations
-
 import copy
 
 import mujoco

@@ -1,7 +1,5 @@
 """Random rigid bodies and estimates of them, for tests of cards and of their errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

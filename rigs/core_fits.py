@@ -1,7 +1,5 @@
 """Fits of small arms whose truth is known, for tests of the core."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

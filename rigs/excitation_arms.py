@@ -1,7 +1,5 @@
 """Arms with geometry, and excitation problems that are small enough to search in a moment."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A judge of model files: the torques of a compiled model, by its own inverse dynamics."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from robot_sysid.dynamics.inverse_dynamics import ArmDynamics

@@ -1,7 +1,5 @@
 """Logs of a small arm whose truth is known, for tests of everything that reads measured data."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rigs import arms

@@ -1,7 +1,5 @@
 """A listener that keeps what the user would be told."""
 
-from __future__ import annotations
-
 from robot_sysid.records.messages import Progress
 
 

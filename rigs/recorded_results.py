@@ -5,11 +5,8 @@
 records it anew.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -24,19 +21,19 @@ from robot_sysid.results.cards import number_groups
 from robot_sysid.results.content import content_of
 from robot_sysid.results.lines import block_lines, more_lines, verdict_line
 from robot_sysid.results.quantities import BEYOND, MOMENT
-from robot_sysid.results.record import BOUND, DATA, MODEL, Quantity, Result, Verdict
+from robot_sysid.results.record import BOUND, DATA, MODEL, Quantity, Verdict
 from robot_sysid.results.table import beyond_line, cells, table_lines
 
 FOLDER = ROOT / "tests" / "results" / "recorded"
 
 
-def with_rows(*rows: Quantity) -> Result:
+def with_rows(*rows):
     """The usual result with further rows."""
     found = made.found()
     return replace(found, quantities=(*found.quantities, *rows))
 
 
-def bolted_on(mass: float, error: float) -> Result:
+def bolted_on(mass, error):
     """A result with a mass [kg] beyond the model, 0.1 m from the frame of the link."""
     source = DATA if np.isfinite(error) else MODEL
     return with_rows(
@@ -97,7 +94,7 @@ CHANGES = (
 """Rows of a table: the model's value, the identified one, its error and source."""
 
 
-def console(result: Result) -> str:
+def console(result):
     """Return the printed lines of a result; those of --verbose begin with "-v"."""
     content = content_of(result)
     lines = [*block_lines(content, False), *more_lines(content), verdict_line(content)]
@@ -106,7 +103,7 @@ def console(result: Result) -> str:
     return "\n".join(f"-v {x}" if isinstance(x, Detail) else x for x in lines)
 
 
-def consoles() -> str:
+def consoles():
     """Return the printed lines of all cases."""
     texts = [f"== {name}\n{console(result)}\n" for name, result in RESULTS.items()]
     lines = [beyond_line(content_of(bolted_on(*numbers))) for numbers in BOLTED_ON]
@@ -116,7 +113,7 @@ def consoles() -> str:
     return "\n".join([*texts, "== bolted on", *lines, ""])
 
 
-def rounded(value: Any) -> Any:
+def rounded(value):
     """Return JSON with numbers of nine digits, zero below 1e-12."""
     if isinstance(value, dict):
         return {key: rounded(entry) for key, entry in value.items()}
@@ -125,7 +122,7 @@ def rounded(value: Any) -> Any:
     return float(f"{round(value, 12):.9g}") if isinstance(value, float) else value
 
 
-def params() -> str:
+def params():
     """Return the params.json of some cases, a line per key or row, without versions."""
     lines = []
     for name in WRITTEN:
@@ -146,7 +143,7 @@ EXAMPLE = (1.517, [0.001, -0.02, 0.0453], np.diag([2e-3, 2.5e-3, 1e-3]))
 """Mass, centre of mass and inertia about it of the body whose cards are recorded."""
 
 
-def cards() -> str:
+def cards():
     """Return cards of known bodies and of balls, and which cards each choice has."""
     known = body_estimate(*EXAMPLE)
     ball = spatial.com_from_theta(spatial.aluminium_ball(0.31, np.zeros(3)))
@@ -168,7 +165,7 @@ RECORDED = {"cards.txt": cards, "consoles.txt": consoles, "params.txt": params}
 """Name of a recorded file to what makes its text."""
 
 
-def main() -> None:
+def main():
     """Record all cases."""
     FOLDER.mkdir(exist_ok=True)
     for name, text in RECORDED.items():

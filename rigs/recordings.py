@@ -25,7 +25,7 @@ class MotorLog:
     ending: str
     columns: Mapping[str, Array]
 
-    def joint_values(self, what: str) -> Array:
+    def joint_values(self, what):
         """Return (N, n) values of, for instance, "pos" or "cmd_tau"."""
         names = [name for name in self.columns if name.partition("_")[2] == what]
         return np.stack([self.columns[name] for name in names], axis=1)

@@ -1,7 +1,5 @@
 """Which MuJoCo is installed, for tests of what older releases cannot read."""
 
-from __future__ import annotations
-
 import mujoco
 import pytest
 

@@ -1,7 +1,5 @@
 """Made-up runs of a small arm whose logs' names are markup and formulas, and the pages of them."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 
@@ -61,22 +59,14 @@ def payload_result(path, verdict=Verdict.OK):
     return on_arm(made.payload(**options), path)
 
 
-def traces(result):
-    """Torques of sines, the residual white."""
-    rng = np.random.default_rng(0)
-    time = np.arange(600) * 0.01
-    names = result.robot.joint_names
-    omega = 1.0 + np.arange(len(names))
-    phases = time[:, None] * omega
-    q = np.sin(phases)
-    qd = omega * np.cos(phases)
-    friction = 0.31 * np.sign(qd) + 0.2 * qd
-    predicted = 3.0 * q + friction
-    measured = predicted + 0.05 * rng.normal(size=q.shape)
-    measured[np.abs(qd) < 0.1] = np.nan
-    torques = (measured, predicted, 0.8 * predicted, friction)
-    is_slide = (False,) * len(names)
-    return Traces(names, is_slide, time, qd, *torques)
+def traces(count=500):
+    """Random signals of two joints at 100 Hz, with one missing torque sample."""
+    table = np.random.default_rng(0).normal(size=(count, 2))
+    measured = table.copy()
+    measured[count // 2] = np.nan
+    time = np.arange(count) * 0.01
+    columns = (table, measured, 0.9 * table, table, table)
+    return Traces(made.JOINTS, (False, True), time, *columns)
 
 
 def fingerprint(folder):
@@ -107,7 +97,7 @@ def link_run(tmp_path_factory):
     model.write_text(arm_text(), encoding="utf-8")
     result = link_result(model)
     run = saved(folder / "link", result)
-    save_data(run, traces(result), fingerprint(run))
+    save_data(run, traces(), fingerprint(run))
     comment = "<!-- System ID: body 'x' identified with RMSE 0.030000 Nm -->"
     (run / "updated_model.xml").write_text(comment + arm_text(), encoding="utf-8")
     return run

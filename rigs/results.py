@@ -90,7 +90,7 @@ class Estimate(NamedTuple):
 ESTIMATE = Estimate()
 
 
-def found(result: Estimate = ESTIMATE, **changes) -> Result:
+def found(result=ESTIMATE, **changes):
     """Everything around it, of measured data: the terminal link and the joints as in it.
 
     A ``verdict`` among the changes is its remark.
@@ -119,7 +119,7 @@ def found(result: Estimate = ESTIMATE, **changes) -> Result:
     return replace(defaults, **changes)
 
 
-def terminal(result: Estimate = ESTIMATE) -> BodyEstimate:
+def terminal(result=ESTIMATE):
     """The terminal link as an estimate has it; its errors are of noise and of other links."""
     errors = np.array(result.standard_errors)[:10]
     seen = np.isfinite(errors)
@@ -134,7 +134,7 @@ def terminal(result: Estimate = ESTIMATE) -> BodyEstimate:
     )
 
 
-def joint_rows(result: Estimate, joint: str) -> list[Quantity]:
+def joint_rows(result, joint):
     """The friction of a joint as an estimate has it."""
     rows = []
     numbers = zip(result.names, result.values, result.standard_errors)
@@ -146,7 +146,7 @@ def joint_rows(result: Estimate, joint: str) -> list[Quantity]:
     return rows
 
 
-def itself() -> Result:
+def itself():
     """The model's own simulation, of which most is not asked."""
     exact = replace(terminal(), covariance=np.zeros((10, 10)), budget={})
     joints = [replace(row, error=None) for row in joint_rows(ESTIMATE, "j6")]
@@ -162,7 +162,7 @@ def itself() -> Result:
     )
 
 
-def with_value(name: str, value: float, error: float) -> Estimate:
+def with_value(name, value, error):
     """The estimate with one parameter changed."""
     values = VALUES.copy()
     errors = ERRORS.copy()
@@ -171,15 +171,13 @@ def with_value(name: str, value: float, error: float) -> Estimate:
     return Estimate(NAMES, values, errors)
 
 
-def without_mass() -> Estimate:
+def without_mass():
     """The mass does not show in the data."""
     seen = replace(QUALITY, n_base_params=11, unidentifiable=("mass",))
     return with_value("m", 2.0, np.inf)._replace(quality=seen)
 
 
-def validation_of(
-    rmse: float, source: str = "other.csv", relative: float = 0.02
-) -> Validation:
+def validation_of(rmse, source="other.csv", relative=0.02):
     """A validation with this error, in ten blocks."""
     blocks = np.outer(np.linspace(0.7, 1.3, 10), [rmse**2])
     joints = {"j5": rmse, "j6": rmse}
@@ -188,7 +186,7 @@ def validation_of(
     )
 
 
-def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyEstimate:
+def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload"):
     """A body whose mass is known to 0.01 kg, 0.006 of it noise and 0.008 torque scale."""
     inertia = mass * np.diag([0.005, 0.006, 0.004])
     theta = theta_from_com(mass, np.array(com), inertia)
@@ -203,7 +201,7 @@ def body(mass=1.2, com=(0.03, -0.02, 0.08), shown=True, name="payload") -> BodyE
     return BodyEstimate(theta, name, covariance, seen, budget)
 
 
-def payload(own: BodyEstimate | None = None, torque_scale=(), **changes) -> Result:
+def payload(own=None, torque_scale=(), **changes):
     """A payload of 1.2 kg; what is no field of the result is one of ``Payload``.
 
     ``torque_scale`` has pairs of a joint and its scale.
@@ -225,7 +223,7 @@ def payload(own: BodyEstimate | None = None, torque_scale=(), **changes) -> Resu
     return found(question=PAYLOAD, payload=payload_record, total=total, **changes)
 
 
-def model_file(**changes) -> ModelFile:
+def model_file(**changes):
     """A written model that predicts torques to 0.25 % instead of 27 %."""
     file = ModelFile(
         thetas=np.array([1.5 * THETA, 0.9 * THETA]),
@@ -241,7 +239,7 @@ def model_file(**changes) -> ModelFile:
     return replace(file, **changes)
 
 
-def whole(**changes) -> Result:
+def whole(**changes):
     """A result of which nothing is missing."""
     first = replace(terminal(), name="link5")
     last = terminal()
@@ -280,7 +278,7 @@ def whole(**changes) -> Result:
     return replace(result, **changes)
 
 
-def theta_in(path: Path) -> np.ndarray:
+def theta_in(path):
     """The ten parameters (10,) that a params.json holds."""
     content = json.loads(path.read_text(encoding="utf-8"))
     six = [content["inertia_tensor"][name] for name in PARAMETER_NAMES[4:]]

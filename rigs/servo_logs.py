@@ -1,7 +1,5 @@
 """Short logs of a small arm behind servos, for tests."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rigs.arms import Y, Z, serial_arm

@@ -1,7 +1,5 @@
 """Logs of an arm that MuJoCo moves step by step, under its own dry friction."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

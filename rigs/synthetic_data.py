@@ -1,7 +1,5 @@
 """Equations of a made-up arm, for tests of the estimators: no model file, no simulator."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from robot_sysid import spatial

@@ -1,7 +1,5 @@
 """The Kinova example: published geometry and inertials, meshes, scripts."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys
@@ -36,15 +34,15 @@ validate_uncertainty = importlib.import_module("validate_uncertainty")
 sys.path.remove(str(EXAMPLE))
 
 
-def load(file: str) -> mujoco.MjModel:
+def load(file):
     return mujoco.MjModel.from_xml_path(str(EXAMPLE / "model" / file))
 
 
-def theta_of(model: mujoco.MjModel, body: str) -> np.ndarray:
+def theta_of(model, body):
     return body_theta(model, model.body(body).id)
 
 
-def at(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+def at(model, qpos):
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)

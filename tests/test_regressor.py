@@ -1,7 +1,5 @@
 """The regressor against its symbolic derivation and against MuJoCo."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from hypothesis import given

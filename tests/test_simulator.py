@@ -1,7 +1,5 @@
 """The simulated arm: MuJoCo's inverse dynamics plus Coulomb and viscous friction."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

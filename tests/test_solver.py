@@ -1,7 +1,5 @@
 """Laws of the solver: exact recovery, prior kept where nothing shows, scaling, order of joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

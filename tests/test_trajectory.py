@@ -1,7 +1,5 @@
 """Laws of trajectories: exact derivatives, limits kept at all times, rest at both ends."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -34,7 +34,7 @@ def _runs() -> tuple[tuple[Mapping[str, bytes], Any], ...]:
         model.write_text(reports.arm_text())
         result = reports.link_result(model)
         run = reports.saved(folder / "link", result)
-        save_data(run, reports.traces(result), reports.fingerprint(run))
+        save_data(run, reports.traces(), reports.fingerprint(run))
         link = {name: (run / name).read_bytes() for name in (PARAMS_NAME, DATA_NAME)}
         other = reports.saved(folder / "payload", reports.payload_result(model))
         payload = json.loads((other / PARAMS_NAME).read_bytes())

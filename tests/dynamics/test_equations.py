@@ -1,7 +1,5 @@
 """Noise-free data gives back the link's parameters, on any chain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

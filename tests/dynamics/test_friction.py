@@ -1,7 +1,5 @@
 """Friction bases: linear in their coefficients, odd in velocity, named."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -2,8 +2,6 @@
 slopes by tilt and encoder zeros equal differences.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Recordings and fits made once for all tests that look at them."""
 
-from __future__ import annotations
-
 import pytest
 
 from rigs.core_fits import fit_logs, fit_recordings

@@ -1,7 +1,5 @@
 """What the data decides: shared motors that it clearly shows, and how wrong models' links are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco

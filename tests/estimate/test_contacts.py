@@ -1,7 +1,5 @@
 """What touches the arm for a moment is left out of the fit, and nothing else is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal

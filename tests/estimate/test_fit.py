@@ -1,7 +1,5 @@
 """The fit: the truth comes back within its errors, what is put in is found, and nothing else is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors on rows that were not fitted: what they are, and whether they say something of the fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Offered effects: what is said of them is what a fit with their columns finds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

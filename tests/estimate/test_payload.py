@@ -1,7 +1,5 @@
 """A payload: weighed rightly, refused where it is none, and compared between recordings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A model file predicts as well as is stated, and leaves out what it cannot hold."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

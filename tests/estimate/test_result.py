@@ -1,7 +1,5 @@
 """From logs to a result: a common filter, its numbers, its verdict, its notes and its traces."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

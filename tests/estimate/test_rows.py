@@ -1,7 +1,5 @@
 """Sums of rows: as of all rows at once, in any chunks and order, of used rows alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

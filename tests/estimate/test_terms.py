@@ -1,7 +1,5 @@
 """Each term's columns are the derivative of the torque by its parameters, at any point."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

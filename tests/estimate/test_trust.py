@@ -1,7 +1,5 @@
 """Each implausible estimate is refused with its reason; a wide error alone is no reason."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

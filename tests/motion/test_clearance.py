@@ -1,7 +1,5 @@
 """Distances between the bodies of an arm and its scene: gradients, bounds, tested pairs."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import mujoco

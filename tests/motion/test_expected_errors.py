@@ -1,7 +1,5 @@
 """Predicted errors of a motion equal those of an identification from its recording."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

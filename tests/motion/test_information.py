@@ -1,7 +1,5 @@
 """The number that a search minimises is a dense fit's covariance; its gradient is exact."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.random import default_rng

@@ -1,7 +1,5 @@
 """The continuous check finds violations between samples, and reports no others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

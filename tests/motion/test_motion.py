@@ -1,7 +1,5 @@
 """Every excitation option is checked once, with a message that names it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Predicted deviations equal those of Monte Carlo, and the report states true figures."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

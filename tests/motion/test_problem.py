@@ -1,7 +1,5 @@
 """Limits of joints and of space, and the tool's speed and load."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Searches for a motion: gradients, limits, repeatable by seed, interruptions keep the best."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Shapes of bodies, half-spaces and swept boxes, against points of their surfaces."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import mujoco

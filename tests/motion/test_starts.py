@@ -1,7 +1,5 @@
 """Start poses keep all limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

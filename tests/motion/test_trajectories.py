@@ -1,7 +1,5 @@
 """Kinds of trajectories: derivatives, rest at both ends, slower playback, and files."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace
@@ -89,46 +87,29 @@ def test_invalid_trajectories_are_refused():
         replace(sines(0), amplitude=np.ones((3, 6)))
 
 
-EARLIER = {
-    "format": "robot-sysid trajectory",
-    "version": 2,
-    "joints": list(NAMES),
-    "kind": "sines",
-    "duration": 5.0,
-    "fade": 1.0,
-    "center": [0.0, 0.0, 0.0],
-    "amplitude": [[0.1]] * 3,
-    "frequency_hz": [[0.1]] * 3,
-    "phase": [[0.0]] * 3,
-}
-
-
-def saved_text(**changes):
-    """Return the JSON text of a saved trajectory with changed entries; None removes one."""
-    content = {**EARLIER, **changes}
-    entries = {key: value for key, value in content.items() if value is not None}
-    return json.dumps(entries)
-
-
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("changes", "message"),
     [
+        ({"version": 1}, "not a trajectory of version 2 .*; plan the motion again"),
+        ({"phase": None}, "lacks the entry 'phase'"),
+        ({"center": ["x", 0, 0]}, "not a usable trajectory"),
+        ({"joints": NAMES[:2]}, "a trajectory of 3 joints names 2: base, elbow"),
+        ({"center": [0.0, float("nan"), 0.0]}, "center"),
         ("time,q1\n0,0\n", "takes the .json file"),
-        (
-            saved_text(version=1),
-            "not a trajectory of version 2 .*; plan the motion again",
-        ),
-        (saved_text(phase=None), "lacks the entry 'phase'"),
-        (saved_text(center=["x", 0, 0]), "not a usable trajectory"),
-        (saved_text(joints=NAMES[:2]), "a trajectory of 3 joints names 2: base, elbow"),
-        (saved_text(center=[0.0, float("nan"), 0.0]), "center"),
         (None, "cannot read .*plan.json"),
     ],
 )
-def test_an_invalid_file_is_refused_in_one_line(tmp_path, text, message):
+def test_an_invalid_file_is_refused_in_one_line(tmp_path, changes, message):
+    """Entries of a saved trajectory are changed, or removed by None."""
     path = tmp_path / "plan.json"
-    if text is not None:
-        path.write_text(text, encoding="utf-8")
+    if isinstance(changes, dict):
+        save_trajectory(path, sines(0), NAMES)
+        content = {**json.loads(path.read_text()), **changes}
+        entries = {key: value for key, value in content.items() if value is not None}
+        changes = json.dumps(entries)
+    path.unlink(missing_ok=True)
+    if changes is not None:
+        path.write_text(changes, encoding="utf-8")
     with pytest.raises(InputError, match=message) as caught:
         load_trajectory(path)
     assert "\n" not in str(caught.value)

@@ -1,7 +1,5 @@
 """Two runs of one arm: what has changed is found with its value, and nothing else is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

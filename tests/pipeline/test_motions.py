@@ -1,7 +1,5 @@
 """Every trajectory that is played, saved or limited is checked against all limits."""
 
-from __future__ import annotations
-
 from functools import cache, partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every state's command is one that its parser takes, and the last lines name what was written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco

@@ -1,7 +1,5 @@
 """The order of recordings decides whether a drift can be told from a payload."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +20,7 @@ from robot_sysid.records import Recording
 from robot_sysid.records.messages import Progress
 
 
-def recording(start: float) -> Recording:
+def recording(start):
     """A log of 10 s that begins at a time on a clock that all recordings share [s]."""
     time = np.linspace(start, start + 10.0, 5)
     return Recording(time, *np.zeros((3, 5, 1)))

@@ -1,7 +1,5 @@
 """The planning stage: the torque that motors are sent, and when a motion may be played."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

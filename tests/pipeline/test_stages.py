@@ -1,11 +1,8 @@
 """The pipeline as a library: what it returns, writes and says."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,7 +38,7 @@ def arm(arm_file):
     return arm_file(XML)
 
 
-def config(arm: Path, **more) -> SelfTestConfig:
+def config(arm, **more):
     values = {
         "duration": 3.0,
         "sample_rate": 200.0,

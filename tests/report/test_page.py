@@ -1,7 +1,5 @@
 """The page is one file that loads no other, escapes names, is complete and reproducible."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Pictures of an arm, and one clear line where nothing can be drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

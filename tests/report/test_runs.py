@@ -2,26 +2,15 @@
 earlier runs may be older, damaged, of another run, without their torques.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from rigs.reports import traces
 from robot_sysid.errors import InputError
 from robot_sysid.records import SIGNAL_NAMES
 from robot_sysid.records.data import Traces
 from robot_sysid.report.runs import DATA_NAME, load_data, load_run, save_data
-
-
-def traces(count=500):
-    """Random signals of two joints at 100 Hz, with one missing torque sample."""
-    table = np.random.default_rng(0).normal(size=(count, 2))
-    measured = table.copy()
-    measured[count // 2] = np.nan
-    time = np.arange(count) * 0.01
-    columns = (table, measured, 0.9 * table, table, table)
-    return Traces(("j0", "j1"), (False, True), time, *columns)
 
 
 def test_signals_are_read_as_they_were_written(tmp_path):

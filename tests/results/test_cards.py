@@ -1,7 +1,5 @@
 """Cards for controllers, read back by the definition of each controller, give the body again."""
 
-from __future__ import annotations
-
 import json
 import re
 

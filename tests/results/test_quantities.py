@@ -1,7 +1,5 @@
 """Errors of a centre of mass, an inertia about it and principal axes follow from those of theta."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

@@ -3,8 +3,6 @@
 ``python -m rigs.recorded_results`` records it anew; read the difference before it is committed.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from rigs import results as made

@@ -1,7 +1,5 @@
 """The rows of a result as tables: each number once, with its unit and with the digits of its ±."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A written model differs from the original in nothing but what it was to change."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -44,7 +42,7 @@ def model(text=FULL):
     return mujoco.MjModel.from_xml_string(text)
 
 
-def require_same_after_edit(original_text: str, replacement: str):
+def require_same_after_edit(original_text, replacement):
     """Require that the model with one text replaced differs in the inertia of link2 alone."""
     original = model()
     other = model(FULL.replace(original_text, replacement))

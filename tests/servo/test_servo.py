@@ -1,7 +1,5 @@
 """Implausible commands are refused; what is written and said of servos that were identified."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

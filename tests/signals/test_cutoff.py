@@ -1,7 +1,5 @@
 """The chosen cut-off: noise is estimated from the spectrum, encoder steps are not motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A pass and a stop band, derivatives exact for polynomials."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From a log to signals: masks of rows, motion recovered from an encoder."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -23,7 +21,7 @@ assert_close = partial(assert_allclose, rtol=0.0)
 """Compare arrays within the absolute tolerance ``atol`` alone."""
 
 
-def root_mean_square(values: np.ndarray) -> float:
+def root_mean_square(values):
     """Return the root mean square of all values."""
     return float(np.sqrt(np.mean(values**2)))
 

@@ -1,7 +1,5 @@
 """Samples are put on a uniform grid, gaps are marked, long logs are split."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Laws of simulated arms: of an arm that motors drive, and of a plant's sensors."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np
