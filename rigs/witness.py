@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
-from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -114,28 +113,6 @@ def fastest_point(robot, plan, body, rate=500.0):
             fastest = max(fastest, rate * np.max(moved))
         previous = current
     return float(fastest)
-
-
-def nearest(robot, plan, rate=500.0):
-    """Smallest distance of any two geoms that collide and move against each other, by MuJoCo.
-
-    Bodies with one joint between them are left out.
-    """
-    model = robot.mj_model
-    joints = [_joints_above(model, body) for body in model.geom_bodyid]
-    contype = model.geom_contype
-    conaffinity = model.geom_conaffinity
-    pairs = []
-    for a, b in combinations(range(model.ngeom), 2):
-        collide = contype[a] & conaffinity[b] | contype[b] & conaffinity[a]
-        if collide and len(joints[a] ^ joints[b]) > 1:
-            pairs.append((a, b))
-    least = np.inf
-    for data in _poses(robot, plan, rate):
-        for pair in pairs:
-            distance = mujoco.mj_geomDistance(model, data, *pair, 1.0, None)
-            least = min(least, distance)
-    return float(least)
 
 
 def new_contacts(robot, plan, rate=500.0):

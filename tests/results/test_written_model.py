@@ -91,15 +91,6 @@ def write_and_compile(robot, result, folder=None, as_body=None, file_kind=None):
     return WrittenModel(path, compile_model(path).mj_model, notes)
 
 
-def body_estimate(theta):
-    """A body with the same standard error of every parameter, half of it noise."""
-    errors = np.full(10, 1e-4)
-    covariance = np.diag(errors**2)
-    return record.BodyEstimate(
-        theta, "b", covariance, errors > 0.0, {"noise": 0.5 * errors}
-    )
-
-
 def file_of(robot, thetas=None, joints=None, gravity=None):
     """What a written model should hold: the model's own links and gravity where none are given."""
     thetas = robot.thetas if thetas is None else thetas
@@ -110,7 +101,7 @@ def payload_of(robot, theta, flange_position=None):
     """A payload with the parameters theta (10,) in the flange frame."""
     flange = find_flange(robot, flange_position)
     recordings = {"empty": ("a",), "loaded": ("b", "c")}
-    body = vars(body_estimate(theta))
+    body = vars(record.BodyEstimate(theta, "load"))
     return record.Payload(**body, flange=flange, recordings=recordings)
 
 
@@ -202,9 +193,8 @@ def test_a_payload_goes_onto_the_links_of_the_file_or_model(
 def test_a_name_that_is_taken_is_refused_and_leaves_nothing(robots, suffix, name):
     robot = robots[suffix]
     folder = robot.path.parent / "refused"
-    result = result_of(
-        robot, payload=payload_of(robot, some_payload(np.random.default_rng(0)))
-    )
+    theta = some_payload(np.random.default_rng(0))
+    result = result_of(robot, payload=payload_of(robot, theta))
     with pytest.raises(ExportError, match="cannot be called"):
         write_and_compile(robot, result, folder, as_body=name)
     assert not folder.exists()
@@ -268,48 +258,38 @@ SLACK = arms.TENDON_SPRING.replace('stiffness="25" springlength=".2" damping="3"
 RATIOS = np.array([0.0, 1.0, -2.0])
 
 
-def with_motor(robot, rng):
+def with_motor(robot, seed):
     """What a file holds: every link, every joint, and a motor that turns two joints."""
+    rng = np.random.default_rng(seed)
     (motor,) = motors_of(robot, "chain")[0] or (coupling(robot, RATIOS),)
-    joints = {
-        **new_joints(robot, rng),
-        motor.name: dict(new_joints(robot, rng)["joint1"]),
-    }
+    joints = new_joints(robot, rng)
+    joints[motor.name] = new_joints(robot, rng)["joint1"]
     if "armature" not in robot.path.read_text().partition("<fixed")[2]:
         # MuJoCo before 3.2.7 has no rotor inertia of tendons.
         del joints[motor.name]["armature"]
     return replace(file_of(robot, new_links(robot, rng), joints), motors=(motor,))
 
 
-WITH_MOTOR = pytest.mark.parametrize(
+@pytest.mark.parametrize(
     "source", [arms.THREE, SLACK, pytest.param(arms.SHARED_MOTOR, marks=since(3, 3))]
 )
-
-
-@WITH_MOTOR
 def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     robot = load_arm(tmp_path, source)
-    file = with_motor(robot, np.random.default_rng(7))
+    file = with_motor(robot, 7)
     path = write_and_compile(robot, result_of(robot, file=file)).path
     assert "motor that turns joint1 and joint2 identified with" in path.read_text()
     reloaded = load_robot_model(path)
     model = reloaded.mj_model
-    terms = file.joints["joint1-2*joint2"]
     assert model.ntendon == max(robot.mj_model.ntendon, 1) + (source == SLACK)
-    for term in terms:
-        assert getattr(model, f"tendon_{term}")[-1] == terms[term]
     assert model.tendon_stiffness[-1] == 0.0
 
     # What the file takes is the torque of what was identified.
     motion = checkpoints(robot)
-    expected = (
-        LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd).torque(file.thetas)
-    )
+    links = LinkDynamics(robot).motion(motion.q, motion.qd, motion.qdd)
+    expected = links.torque(file.thetas)
     # Row i of the transmission (4, 3) is the speed of owner i: the joints, then the motor.
     transmission = np.vstack((np.eye(3), RATIOS))
-    owners = (*robot.joint_names, "joint1-2*joint2")
-    for owner, ratios in zip(owners, transmission):
-        values = dict(file.joints[owner])
+    for values, ratios in zip(file.joints.values(), transmission):
         speed = motion.qd @ ratios
         torque = values["frictionloss"] * np.sign(speed) + values["damping"] * speed
         torque += values.get("armature", 0.0) * (motion.qdd @ ratios)
@@ -317,7 +297,7 @@ def test_a_motor_that_turns_two_joints_is_a_fixed_tendon(tmp_path, source):
     assert_allclose(ArmDynamics(reloaded)(motion), expected, rtol=1e-9, atol=1e-9)
 
     # Written again, it is the same motor with other numbers.
-    file = with_motor(reloaded, np.random.default_rng(8))
+    file = with_motor(reloaded, 8)
     path = write_and_compile(reloaded, result_of(reloaded, file=file)).path
     (motor,) = motors_of(load_robot_model(path), "chain")[0]
     assert_array_equal(motor.model[0], file.joints[motor.name]["frictionloss"])
