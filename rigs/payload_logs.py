@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rigs import arms
+from rigs.swing import Swing
 from rigs.wrong_arms import WrongArm
 from robot_sysid import spatial
 from robot_sysid.estimate.terms import PAYLOAD_NAMES
@@ -38,20 +39,11 @@ def four_joint_arm(joint='range="-2.5 2.5"'):
     return arms.robot_of(four_joint_xml(joint))
 
 
-def wide_motion(seed, joints=4, duration=DURATION, rate=RATE, delay=0.0):
-    """Return a motion in which every joint follows a random sum of sines, all of it late [s]."""
-    rng = np.random.default_rng(seed)
+def wide_motion(seed, joints=4, duration=DURATION, rate=RATE):
+    """Return a motion in which every joint follows a random sum of sines."""
+    swing = Swing(seed, _FREQUENCIES, joints, (0.15, 0.5))
     time = np.arange(round(duration * rate)) / rate
-    shape = (len(_FREQUENCIES), joints)
-    size = rng.uniform(0.15, 0.5, shape)
-    phase = rng.uniform(0.0, 6.0, shape)
-    omega = 2.0 * np.pi * _FREQUENCIES[:, None]
-    angle = (time - delay)[:, None, None] * omega + phase
-    derivatives = []
-    for k in range(3):
-        waves = size * omega**k * np.sin(angle + k * np.pi / 2.0)
-        derivatives.append(np.sum(waves, axis=1))
-    return Motion(time, *derivatives)
+    return Motion(time, *(swing.q(time, order) for order in range(3)))
 
 
 class TrueArm(WrongArm):

@@ -10,16 +10,17 @@ FREQUENCIES = np.array([0.13, 0.29, 0.43, 0.59])
 
 
 class Swing:
-    """Sums of sines with exact derivatives, three joints."""
+    """Sums of sines with exact derivatives, of amplitudes in a range [rad]."""
 
-    def __init__(self, seed=0, frequencies=FREQUENCIES):
+    def __init__(self, seed=0, frequencies=FREQUENCIES, joints=3, sizes=(0.1, 0.4)):
         rng = np.random.default_rng(seed)
+        shape = (len(frequencies), joints)
         self.omega = 2.0 * np.pi * frequencies
-        self.amplitude = rng.uniform(0.1, 0.4, (len(frequencies), 3))
-        self.phase = rng.uniform(0.0, 6.0, (len(frequencies), 3))
+        self.amplitude = rng.uniform(*sizes, shape)
+        self.phase = rng.uniform(0.0, 6.0, shape)
 
     def q(self, time, order=0):
-        """The derivative of this order (N, 3)."""
+        """The derivative of this order (N, joints)."""
         omega = self.omega[:, None]
         angle = time[:, None, None] * omega + self.phase + order * np.pi / 2.0
         return np.sum(self.amplitude * omega**order * np.sin(angle), axis=1)
@@ -31,7 +32,7 @@ class Swing:
         return Recording(time, positions, None, self.tau(time))
 
     def tau(self, time):
-        """Torque at any time (N, 3)."""
+        """Torque at any time (N, joints)."""
         return 2.0 * self.q(time) + 3.0 * self.q(time, 1) + 0.5 * self.q(time, 2)
 
 

@@ -172,19 +172,19 @@ def path(tmp_path):
     return tmp_path / "plan.json"
 
 
-def test_a_trajectory_from_a_file_that_breaks_a_limit_fails(path):
-    save_trajectory(path, unlimited_plan(), robot(TUBES).joint_names)
-    from_file = partial(plan_motion, TUBES, trajectory={"file": path})
-    assert from_file().failure is None
+def test_a_trajectory_from_a_file_is_checked(path):
+    """Against limits and obstacles."""
+    names = robot(TUBES).joint_names
+    save_trajectory(path, unlimited_plan(), names)
+    request = {"trajectory": {"file": path}}
+    assert plan_motion(TUBES, **request).failure is None
     for case in ("torque", "workspace"):
-        failure = from_file(limits=LIMITS[case]).failure
+        failure = plan_motion(TUBES, limits=LIMITS[case], **request).failure
         assert failure.startswith("this trajectory must not be run: it breaks ")
-
-
-def test_a_trajectory_from_a_file_is_checked_for_collisions(path):
-    plan = unlimited_plan().scale_amplitudes((8.0, 4.0, 1.0, 1.0))
-    save_trajectory(path, plan, robot(TUBES).joint_names)
-    request = {"trajectory": {"file": path}, "limits": {"max_velocity": 1e3}}
+    save_trajectory(
+        path, unlimited_plan().scale_amplitudes((8.0, 4.0, 1.0, 1.0)), names
+    )
+    request["limits"] = {"max_velocity": 1e3}
     assert plan_motion(TUBES, **request).failure is None
     assert "post" in plan_motion(TUBES_AND_POST, **request).failure
 
