@@ -131,8 +131,8 @@ def data_set(folder, robot, truth, roll_shares):
     """Logs of an arm, in each of which the last joint gets a share of its motion."""
     paths = []
     for k, share in enumerate(roll_shares):
-        time, two = commanded(16.0, seed=k)
-        _, other = commanded(16.0, seed=k + 10)
+        time, two = commanded(12.0, seed=k)
+        _, other = commanded(12.0, seed=k + 10)
         command = np.column_stack((two, share * other[:, 0]))
         q = positions(robot, time, command, truth)
         path = folder / f"log{k}.csv"
