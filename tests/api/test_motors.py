@@ -35,9 +35,9 @@ def quickly(monkeypatch):
 def test_a_run_is_that_of_the_command(trajectory, model, tmp_path, capfd):
     sentences = []
     record = tmp_path / "measured.csv"
-    options = {"model": model, "simulate": True, "record": record, "rate": 250}
+    options = {"model": model, "simulate": True, "record": record, "rate": 50}
     report = rs.motors.play(trajectory, **options, say=sentences.append)
-    assert report.cycles == 126 and "enabling the motors" in sentences
+    assert report.cycles == 26 and "enabling the motors" in sentences
     assert read_recording(record).ending == "completed"
     assert tuple(capfd.readouterr()) == ("", "")
 
@@ -47,8 +47,8 @@ def test_a_plan_is_played_on_the_arm_that_it_was_made_for(model, monkeypatch):
     monkeypatch.setattr(calls, "predict_plan", lambda *_: (None, ()))
     motion = {"excitation": "sines", "duration": 0.6, "sample_rate": 250.0, "seed": 0}
     plan = rs.plan(model, **motion, export_damiao=True, motor_type=["DM4340"] * 2)
-    report = rs.motors.play(plan, simulate=True, rate=250)
-    assert report.cycles == 151 and np.max(report.worst_tracking) < 0.1
+    report = rs.motors.play(plan, simulate=True, rate=50)
+    assert report.cycles == 31 and np.max(report.worst_tracking) < 0.1
     for_none = replace(plan, config=replace(plan.config, motors=MotorOptions()))
     with pytest.raises(
         rs.InputError, match="give rs.plan export_damiao and motor_type"
@@ -75,7 +75,7 @@ def test_what_cannot_be_used_is_said(trajectory, message):
 @pytest.fixture
 def arm(monkeypatch):
     """Two motors on a bus in simulated time."""
-    return MotorBus(echo=True).open_for_commands(monkeypatch)
+    return MotorBus(watchdog=0.5, echo=True).open_for_commands(monkeypatch)
 
 
 def test_an_arm_is_moved_from_any_thread(trajectory, arm):
@@ -88,7 +88,7 @@ def test_an_arm_is_moved_from_any_thread(trajectory, arm):
     assert reports[0].cycles > 1 and arm.states() == [DISABLED] * 2
 
 
-BUS = {"channel": "can0", "rate": 100}
+BUS = {"channel": "can0", "rate": 50}
 
 
 def test_nothing_that_is_read_is_recorded_over(trajectory, arm):

@@ -42,4 +42,4 @@ def person(monkeypatch):
 def bus(monkeypatch):
     """Two motors, which commands find in place of real ones."""
     with heard_signals():
-        yield MotorBus(echo=True).open_for_commands(monkeypatch)
+        yield MotorBus(watchdog=0.5, echo=True).open_for_commands(monkeypatch)

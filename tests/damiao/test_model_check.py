@@ -106,7 +106,7 @@ def test_what_the_positions_do_counts_also_where_the_file_states_no_velocity(
     arm, folder, speed, share, rate
 ):
     """Four printed decimals of a position are left to it: 1e-4 rad between two rows."""
-    time, q, qd, tau = swing(3, duration=1.0, rate=rate, amplitude=2.0)
+    time, q, qd, tau = swing(3, duration=0.5, rate=rate, amplitude=2.0)
     steepest = (np.abs(np.diff(q, axis=0)).max(axis=0) - 1e-4) * rate * speed
     free = np.full(3, np.inf)
     robot = replace(arm, limits=Limits(-free, free, steepest / share, torque=free))

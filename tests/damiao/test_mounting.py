@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigs.damiao_rig import Rig, lifted_swing, map_line, swing, trajectory_file
+from rigs.damiao_rig import lifted_swing, map_line, swing, trajectory_file
 from rigs.places import EXAMPLE
 from robot_sysid.damiao.bus import inspect_bus
 from robot_sysid.damiao.joints import DamiaoJoint, damiao_joints, map_joints
@@ -23,30 +23,24 @@ from robot_sysid.errors import HardwareAbort, InputError
 STANDING = 0.7
 
 
-def rig(folder, **options):
-    return Rig(
-        folder, 2, **{"motion": swing(2, duration=0.8), "rate": 125.0, **options}
-    )
-
-
-def standing_rig(folder):
+@pytest.fixture
+def standing_rig(rig):
     """A rig of an arm that gravity pulls down, and that is lowered at the end."""
     motion = lifted_swing(STANDING, duration=0.8)
-    return rig(folder, motion=motion, start=[STANDING] * 2, park="rest")
+    return rig(motion=motion, start=[STANDING] * 2, park="rest")
 
 
 # --- mounting -------------------------------------------------------------------------------------
 
 
-def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(tmp_path):
+def test_a_mirrored_and_shifted_motor_moves_its_joint_as_the_file_says(rig, plain_run):
     """The recording is the same as that of a motor that sits straight."""
-    plain = rig(tmp_path, name="plain").run()
-    odd = rig(tmp_path, name="odd")
+    odd = rig(motion=swing(2, duration=0.8))
     odd.mount(1, direction=-1, offset=0.6)
     odd.run()
-    assert plain.error is None and odd.error is None
+    assert plain_run.error is None and odd.error is None
     for signal, close in (("pos", 2e-3), ("vel", 0.05), ("tau", 0.15)):
-        straight, turned = (r.recording.joint_values(signal) for r in (plain, odd))
+        straight, turned = (r.recording.joint_values(signal) for r in (plain_run, odd))
         np.testing.assert_allclose(turned, straight, atol=close)
     assert odd.motors[1].position == pytest.approx(
         0.6 - odd.arm.mechanism.q[1], abs=0.01
@@ -64,21 +58,21 @@ def gripper():
     return motor
 
 
-def test_other_motors_are_left_limp(tmp_path, gripper):
+def test_other_motors_are_left_limp(rig, gripper):
     phases = []
-    run = rig(tmp_path, extra_motors=[gripper])
-    run.during("playing", 0.3, lambda r: phases.append(gripper.status)).run()
+    run = rig(motion=swing(2, duration=0.8), extra_motors=[gripper])
+    run.during("playing", 0.2, lambda r: phases.append(gripper.status)).run()
     run.assert_played()
     assert "left limp: motor 8" in " ".join(check.text for check in run.checks)
     assert phases == [DISABLED]
     assert run.recording.joint_values("pos").shape[1] == 2
 
 
-def test_a_motor_that_another_program_has_enabled_is_refused(tmp_path, gripper):
+def test_a_motor_that_another_program_has_enabled_is_refused(rig, gripper):
     """Left alone it would go on driving while the run says that all motors are disabled."""
     gripper.status = ENABLED
     gripper.registers[Register.TIMEOUT] = 9e4
-    run = rig(tmp_path, extra_motors=[gripper]).run()
+    run = rig(extra_motors=[gripper]).run()
     words = "motor 8 is not in the trajectory, and is enabled by another program"
     assert words in str(run.error)
     run.assert_never_moved()
@@ -91,8 +85,8 @@ def test_a_motor_that_another_program_has_enabled_is_refused(tmp_path, gripper):
 
 
 @pytest.mark.slow
-def test_an_arm_is_lowered_until_nothing_pulls(tmp_path):
-    run = standing_rig(tmp_path).run(settle=1.0)
+def test_an_arm_is_lowered_until_nothing_pulls(standing_rig):
+    run = standing_rig.run(settle=1.0)
     run.assert_played()
     assert np.max(np.abs(run.arm.mechanism.q)) < 0.1
     (begin,) = [time for time, sentence in run.phases if sentence[:8] == "lowering"]
@@ -101,8 +95,8 @@ def test_an_arm_is_lowered_until_nothing_pulls(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_arm_that_is_stopped_is_lowered_too(tmp_path):
-    run = standing_rig(tmp_path)
+def test_an_arm_that_is_stopped_is_lowered_too(standing_rig):
+    run = standing_rig
     run.during("playing", 0.3, lambda r: r.stop("stopped by SIGTERM"))
     run.run(settle=0.0)
     assert str(run.error) == "stopped by SIGTERM"

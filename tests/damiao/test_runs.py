@@ -45,22 +45,14 @@ from robot_sysid.damiao.session import MotorSession
 from robot_sysid.damiao.settings import Permissions
 from robot_sysid.errors import HardwareAbort
 
-SHORT = {"ramp_time": 0.1, "approach_time": 0.1, "rate": 125.0}
 USUAL = {"rate": 250.0}
-
-
-@pytest.fixture
-def rig(tmp_path):
-    return lambda *arguments, **options: Rig(
-        tmp_path, *arguments, **{**SHORT, **options}
-    )
 
 
 # --- runs that end well -------------------------------------------------------------------------
 
 
-def test_an_undisturbed_run_plays_everything_and_disables(rig):
-    run = rig(3, ramp_time=0.3, rest_time=0.5, motion=swing(3, duration=0.8)).run()
+def test_an_undisturbed_run_plays_everything_and_disables(plain_run):
+    run = plain_run
     recording = run.assert_played()
     assert recording.ending == "completed"
     assert len(recording.columns["time"]) == run.report.cycles == 101
@@ -80,32 +72,30 @@ def test_a_stop_that_was_asked_for_before_enables_nothing(rig):
     run.assert_never_moved()
 
 
-def test_a_few_lost_replies_leave_gaps_but_do_not_stop(rig):
+def test_lost_replies_and_a_short_stall_leave_gaps_and_nothing_is_replayed(rig):
     run = rig(**USUAL)
-
     found = later(0.008, fault(1, lost_replies=False))
-    run.during("playing", 0.3, both(fault(1, lost_replies=True), found)).run()
-    q = run.assert_played().joint_values("pos")
+    run.during("playing", 0.3, both(fault(1, lost_replies=True), found))
+    run.during("playing", 0.5, lambda r: r.clock.stall(0.015)).run()
+    recording = run.assert_played()
+    q = recording.joint_values("pos")
     assert np.isfinite(q[:, 0]).all() and np.isnan(q[:, 1]).sum() == 5
     # One command is not answered; the motor is not asked again for four cycles.
     assert run.report.missed.tolist() == [0, 1]
-
-
-def test_a_short_stall_skips_cycles_and_never_replays_them(rig):
-    run = rig(**USUAL).during("playing", 0.5, lambda r: r.clock.stall(0.015)).run()
-    time = run.assert_played().columns["time"]
+    time = recording.columns["time"]
     assert run.report.skipped in (2, 3) and len(time) == 251 - run.report.skipped
     assert np.max(np.diff(time)) == pytest.approx(
         0.004 * (1 + run.report.skipped), abs=1e-9
     )
-    assert np.all(np.diff(run.recording.columns["j0_cmd_pos"][:120]) >= 0.0)
+    assert np.all(np.diff(recording.columns["j0_cmd_pos"][:120]) >= 0.0)
 
 
-def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(rig):
-    plain = rig(name="plain").run().recording.joint_values("tau")
-    faults = [fault(0, TMAX=20)]
-    permissions = Permissions(register_limits=True)
-    run = rig(faults=faults, permissions=permissions).run()
+def test_register_limits_can_be_accepted_by_name_and_are_what_the_codec_uses(
+    rig, plain_run
+):
+    plain = plain_run.recording.joint_values("tau")
+    options = {"motion": swing(2, duration=0.8), "faults": [fault(0, TMAX=20)]}
+    run = rig(permissions=Permissions(register_limits=True), **options).run()
     recording = run.assert_played()
     assert any("TMAX=20" in line for line in recording.head)
     np.testing.assert_allclose(recording.joint_values("tau"), plain, rtol=0, atol=0.05)
@@ -260,9 +250,9 @@ def feed_near_peak(q, qd, tau):
     ],
 )
 def test_what_cannot_be_known_before_is_stopped_before_it_plays(
-    tmp_path, motion, options, message
+    rig, motion, options, message
 ):
-    run = Rig(tmp_path, motion=motion, **options).run()
+    run = rig(motion=motion, **options).run()
     assert message in str(run.error) and run.states() == [DISABLED] * 2
     assert not run.has_begun("playing")
     assert np.max(np.abs(run.arm.mechanism.qd)) < 1.0
@@ -486,15 +476,20 @@ def test_a_value_that_no_frame_carries_stops_the_run(rig, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "kp", [(), (0.0, 60.0)], ids=["usual", "a joint without stiffness"]
+    "kp",
+    [
+        pytest.param((), id="usual", marks=pytest.mark.slow),
+        pytest.param((0.0, 60.0), id="a joint without stiffness"),
+    ],
 )
 def test_velocities_that_do_not_add_up_to_positions_stop_the_run(rig, kp):
     faults = [fault(1, velocity_factor=0.8)]
-    motion = swing(2, 4.0)
+    motion = swing(2, 3.0, amplitude=0.3)
     run = rig(motion=motion, faults=faults, rate=250.0, kp=kp).run()
     run.assert_stopped("motor 2 moves 1.2")
 
 
+@pytest.mark.slow
 def test_what_a_slow_adapter_delivers_is_never_paired_with_another_command(rig):
     """Answers begin to come 5 to 16 ms late: each one that is believed answers the last command."""
     run = rig(1, max_missed=50, **DEAF, **USUAL)
