@@ -36,15 +36,15 @@ from pathlib import Path
 
 from rigs.places import MODELS
 from rigs.rehearsals import ARMS as REHEARSED_ARMS
-from rigs.rehearsals import FAST, Arm, model, plan
+from rigs.rehearsals import FAST, Arm, plan
 
 STRONG = ("DM10010L",) * 4 + ("DM4340",) * 3
 ARMS = {
     "kinova": REHEARSED_ARMS["kinova"],
     "openarm": REHEARSED_ARMS["openarm"],
     # No test of motors names these two.
-    "iiwa": Arm(MODELS / "kuka_iiwa_14" / "iiwa14.xml", None, STRONG),
-    "fr3": Arm(MODELS / "franka_fr3" / "FrankaFR3_7DoF.urdf", None, STRONG),
+    "iiwa": Arm(MODELS / "kuka_iiwa_14" / "iiwa14.xml", "", STRONG),
+    "fr3": Arm(MODELS / "franka_fr3" / "FrankaFR3_7DoF.urdf", "", STRONG),
 }
 RATES = (50.0, 100.0, 250.0, 500.0)
 DURATION = 4.0
@@ -185,7 +185,7 @@ def simulated_arm(arguments: list[str]) -> Iterator[tuple[str, list[str]]]:
 def bus_arguments(name: str, rate: float, trajectory: Path) -> list[str]:
     """Return the arguments that play and simulate have in common."""
     fd = ["--fd"] if rate > FAST else []
-    arm = [str(word) for word in model(ARMS[name])]
+    arm = [str(ARMS[name].model), *ARMS[name].joint.split()]
     return [str(trajectory), "--model", *arm, *fd, "--rate", f"{rate:g}"]
 
 

@@ -18,7 +18,7 @@ from robot_sysid.damiao.bus import GuardedLink, inspect_bus
 from robot_sysid.damiao.joints import DamiaoJoint, Mounting, damiao_joints
 from robot_sysid.damiao.player import StopRequest
 from robot_sysid.damiao.preflight import bus_checks
-from robot_sysid.damiao.protocol import BusTiming, MitCommand, Register
+from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand, Register
 from robot_sysid.damiao.references import file_holding
 from robot_sysid.damiao.safety.guards import Replies
 from robot_sysid.damiao.session import MotorSession
@@ -417,10 +417,14 @@ def freeze_heap():
 
 def mit_command(position=0.0, velocity=0.0, kp=0.0, kd=1.0, torque=0.0):
     """A command of one joint, or of as many as the longest of these has."""
-    fields = np.broadcast_arrays(
-        *map(np.atleast_1d, (position, velocity, kp, kd, torque))
-    )
-    return MitCommand(*(values.astype(float) for values in fields))
+    fields = map(np.atleast_1d, (position, velocity, kp, kd, torque))
+    return MitCommand(*(field.astype(float) for field in np.broadcast_arrays(*fields)))
+
+
+def state(position=0.0, velocity=0.0, torque=0.0, status=1, mos=30, rotor=30):
+    """What one joint reports, or as many as the longest of these has."""
+    fields = map(np.atleast_1d, (status, position, velocity, torque, mos, rotor))
+    return Feedback(*np.broadcast_arrays(*fields))
 
 
 def undoubted(answered, time, feedback, requested, command=None):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +9,7 @@ from pathlib import Path
 
 from rigs.params import rows
 from rigs.places import EXAMPLE, MODELS
-from robot_sysid import cli
+from rigs.walk import run_here
 from robot_sysid.results.quantities import BEYOND
 
 FAST = 400.0
@@ -20,10 +18,10 @@ FAST = 400.0
 
 @dataclass(frozen=True)
 class Arm:
-    """A model, its terminal joint where that is not found, and its motors, base first."""
+    """A model, the option of its terminal joint if it needs one, and its motors, base first."""
 
     model: Path
-    joint: str | None
+    joint: str
     motors: tuple[str, ...]
 
 
@@ -31,17 +29,17 @@ _OPENARM_MOTORS = ("DM8009",) * 2 + ("DM4340",) * 2 + ("DM4310",) * 2 + ("DM3507
 ARMS = {
     "openarm": Arm(
         MODELS / "openarm_v2" / "openarm_bimanual.xml",
-        "openarm_left_joint7",
+        "--joint openarm_left_joint7",
         _OPENARM_MOTORS,
     ),
     "kinova": Arm(
         EXAMPLE / "model" / "kinova_fullinertia.xml",
-        None,
+        "",
         ("DM8009",) * 4 + ("DM4340",) * 3,
     ),
     "wxai": Arm(
         MODELS / "trossen" / "wxai" / "wxai_base.xml",
-        "joint_5",
+        "--joint joint_5",
         ("DM4340",) * 3 + ("DM4310",) * 3,
     ),
 }
@@ -64,29 +62,20 @@ class Estimate:
 
 def plan(arm: Arm, folder: Path, duration: float) -> Path:
     """Return the exported trajectory that excites the whole arm."""
-    types = [word for motor in arm.motors for word in ("--motor-type", motor)]
-    motion = (
-        "--for",
-        "arm",
-        "--excitation",
-        "sines",
-        "--duration",
-        duration,
-        "--seed",
-        0,
-    )
-    run("plan", *model(arm), *motion, "--export-damiao", *types, folder=folder)
+    types = " ".join(f"--motor-type {motor}" for motor in arm.motors)
+    motion = f"--for arm --excitation sines --duration {duration} --seed 0 --output-dir {folder}"
+    run(f"plan {arm.model} {arm.joint} --export-damiao {types} {motion}")
     return folder / "damiao_trajectory.csv"
 
 
 def rehearse(arm: Arm, trajectory: Path, rate: float, folder: Path) -> list[Estimate]:
     """Play a trajectory at a rate [Hz], identify the arm, and return what was found."""
     record = folder / f"measured_{rate:g}.csv"
-    path, *joint = model(arm)
-    played = (trajectory, "--model", path, *joint, "--record", record, "--rate", rate)
-    run("motors", "simulate", *played, *["--fd"] * (rate > FAST))
     identified = folder / f"identified_{rate:g}"
-    run("identify", path, record, *joint, folder=identified)
+    fd = "--fd" * (rate > FAST)
+    model = f"--model {arm.model} {arm.joint}"
+    run(f"motors simulate {trajectory} {model} --record {record} --rate {rate} {fd}")
+    run(f"identify {arm.model} {record} {arm.joint} --output-dir {identified}")
     return list(estimates(json.loads((identified / "params.json").read_text())))
 
 
@@ -99,17 +88,9 @@ def estimates(result: dict) -> Iterator[Estimate]:
             yield Estimate(f"{name} of {owner}", truth, row["value"], row["error"])
 
 
-def model(arm: Arm) -> list[object]:
-    """Return the words that name an arm's model and terminal joint."""
-    return [arm.model, *(() if arm.joint is None else ("--joint", arm.joint))]
-
-
-def run(*words: object, folder: Path | None = None) -> None:
+def run(line: str) -> None:
     """Run a command of robot-sysid; SystemExit with what it printed where it fails."""
-    output = () if folder is None else ("--output-dir", folder)
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-        code = cli.main([str(word) for word in (*words, *output)])
+    code, output = run_here(f"robot-sysid {line}")
     # Identification with code 1 has numbers too.
     if code not in (0, 1):
-        raise SystemExit(printed.getvalue())
+        raise SystemExit(output)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from rigs import arms
 from rigs.clocks import heard_signals
 from rigs.damiao_rig import MotorBus
 from robot_sysid.motion.prediction import limit_lines, motion_lines
@@ -20,6 +21,12 @@ def without_prediction(monkeypatch):
 
     monkeypatch.setattr(planning, "predict_plan", predict_plan)
     monkeypatch.setattr(planning, "_shortfall", lambda *_: "")
+
+
+@pytest.fixture
+def model(arm_file):
+    """A model of an arm of two joints."""
+    return arm_file(arms.serial_arm((arms.Z, arms.Y)))
 
 
 @pytest.fixture

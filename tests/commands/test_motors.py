@@ -47,11 +47,6 @@ def write_trajectory(folder, motion):
 
 
 @pytest.fixture
-def model(arm_file):
-    return arm_file(arms.serial_arm((arms.Z, arms.Y)))
-
-
-@pytest.fixture
 def quickly(monkeypatch):
     with_coarse_physics(monkeypatch)
 
@@ -153,12 +148,16 @@ def test_playing_needs_a_confirmation(capsys, bus, trajectory, monkeypatch):
 def test_existing_recordings_are_kept_and_nobody_is_asked_first(
     capsys, bus, trajectory, tmp_path, person
 ):
-    record = ("--record", tmp_path / "measured.csv")
     existing = tmp_path / "measured.csv"
+    record = "--record", existing
     existing.write_text("precious")
+    played = trajectory.read_bytes()
     err = fail(capsys, 2, "play", trajectory, CAN0, *record)
     assert f"{existing.name} exists" in err
-    assert existing.read_text() == "precious"
+    over_itself = "--record", trajectory, "--overwrite"
+    err = fail(capsys, 2, "play", trajectory, CAN0, *over_itself)
+    assert "would overwrite a file that is read" in err
+    assert existing.read_text() == "precious" and trajectory.read_bytes() == played
     assert sorted(tmp_path.iterdir()) == sorted([trajectory, existing])
     succeed(capsys, "play", trajectory, CAN0, *record, AT_50, "--yes", "--overwrite")
     assert (
@@ -201,44 +200,32 @@ def test_bad_usage_is_one_line_and_exit_code_2(capsys, trajectory):
 NARROW = 'range="-.3 .3"'
 
 
-def refused_by(capsys, folder, trajectory, path):
-    """What play and simulate refuse with, and check has to say: the same."""
-    record = folder / "measured.csv"
-    files = set(folder.iterdir())
-    message = []
-    for arguments in (
-        ("play", trajectory, "--model", path, CAN0, "--yes --record", record),
-        ("simulate", trajectory, "--model", path, "--record", record),
-        ("simulate", trajectory, "--model", path, CAN0),
-    ):
-        err = fail(capsys, 3, *arguments)
-        text = err.splitlines()[0]
-        message.append(
-            text.partition(" played: ")[2] or text.partition("not rehearsed: ")[2]
-        )
-    for channel in ((CAN0,), ()):
-        code, out, _ = run(capsys, "check", trajectory, "--model", path, *channel)
-        assert code == 1
-        lines = [line.partition("[STOP] ") for line in out.splitlines()]
-        stops = [text for _, mark, text in lines if mark]
-        assert set(folder.iterdir()) == files
-        assert {text.strip() for text in message} == {stops[0]}
-    return stops
-
-
-def test_a_trajectory_beyond_the_joint_ranges_is_refused(
+def test_a_trajectory_beyond_the_joint_ranges_is_refused_by_all(
     capsys, bus, tmp_path, arm_file
 ):
+    """Play and simulate refuse what check has to say."""
     trajectory = write_trajectory(tmp_path, swing(2, amplitude=0.98))
-    path = arm_file(arms.serial_arm((arms.Z, arms.Y), joint=NARROW))
-    first, second, *_ = refused_by(capsys, tmp_path, trajectory, path)
-    assert first.startswith(
-        "motor 1 (joint joint0): position 0.98 rad is beyond the model's limit 0.3, at "
-    )
-    assert second.startswith(
-        "motor 2 (joint joint1): position 0.98 rad is beyond the model's limit 0.3, at "
-    )
-    assert only_asks(bus.wire.sent)
+    model = "--model", arm_file(arms.serial_arm((arms.Z, arms.Y), joint=NARROW))
+    record = "--record", tmp_path / "measured.csv"
+    files = set(tmp_path.iterdir())
+    messages = set()
+    for command, *options in (
+        ("play", CAN0, "--yes", *record),
+        ("simulate", *record),
+        ("simulate", CAN0),
+    ):
+        err = fail(capsys, 3, command, trajectory, *model, *options)
+        messages.add(re.search("not (played|rehearsed): (.*)", err)[2])
+    (message,) = messages
+    for channel in ((CAN0,), ()):
+        code, out, _ = run(capsys, "check", trajectory, *model, *channel)
+        stops = re.findall(r"\[STOP\] +(.*)", out)
+        assert code == 1 and stops[0] == message
+        for number, stop in enumerate(stops[:2]):
+            name = f"motor {number + 1} (joint joint{number})"
+            beyond = "position 0.98 rad is beyond the model's limit 0.3, at "
+            assert stop.startswith(f"{name}: {beyond}")
+    assert set(tmp_path.iterdir()) == files and only_asks(bus.wire.sent)
 
 
 def test_limits_hold_for_what_is_played(capsys, bus, trajectory, model):

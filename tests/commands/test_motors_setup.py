@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from rigs import arms
 from rigs.command_line import fail, succeed
 from rigs.damiao_rig import only_asks
 from robot_sysid.damiao.joints import read_joint_map
@@ -111,11 +110,6 @@ def test_monitor_shows_the_motors_and_enables_nothing(capsys, bus):
     out = succeed(capsys, "monitor --channel can0 --for 1 --every 0.3")
     assert out.count("0x11") == 4 and " 0.250 " in out and "-0.500" in out
     assert only_asks(bus.wire.sent)
-
-
-@pytest.fixture
-def model(arm_file):
-    return arm_file(arms.serial_arm((arms.Z, arms.Y)))
 
 
 def test_a_map_is_made_by_hand(capsys, bus, person, tmp_path, model):

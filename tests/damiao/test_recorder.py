@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import mit_command, undoubted
+from rigs.damiao_rig import mit_command, state, undoubted
 from rigs.recordings import read_recording
 from robot_sysid.damiao.joints import MOTORS, damiao_joints
-from robot_sysid.damiao.protocol import Feedback, Scaling, decode_feedback
+from robot_sysid.damiao.protocol import Scaling, decode_feedback
 from robot_sysid.damiao.recorder import Aside, Centring, MeasurementRecorder
 from robot_sysid.damiao.settings import Plan, RecordingOptions
 from robot_sysid.damiao.simulated import simulated_motor
@@ -80,25 +80,17 @@ def test_every_frame_can_be_told_back_from_the_recording(types, seed, tmp_path_f
         np.testing.assert_allclose(values, commands[:, row], atol=6e-7)
 
 
-def one_cycle(n, value=1.0):
-    """Arguments of ``MeasurementRecorder.write`` for n joints."""
-    same = np.full(n, value)
-    replies = replies_of(same, same, same, torque=same)
-    return 0.0, 0.0, replies, mit_command(*[same] * 5)
-
-
 def replies_of(q, qd, time, command=None, torque=0.0):
     """The answers of a cycle, in which the motors took a new command."""
-    codes = np.zeros(len(q), int)
     answered = np.isfinite(q)
-    feedback = Feedback(codes, q, qd, torque + 0.0 * qd, codes, codes)
-    return undoubted(answered, time, feedback, answered, command)
+    return undoubted(answered, time, state(q, qd, torque, 0), answered, command)
 
 
 def test_rows_are_in_the_file_before_the_run_ends(tmp_path):
     path = tmp_path / "measured.csv"
     recorder = recorder_for(path)
-    recorder.write(*one_cycle(1))
+    replies = replies_of(*np.ones((3, 1)), torque=1.0)
+    recorder.write(0.0, 0.0, replies, mit_command(torque=1.0))
     recording = read_recording(path)
     assert len(recording.columns["time"]) == 1 and recording.ending == "cut short"
     assert list(recording.columns)[-1] == "j0_temp_rotor"

@@ -21,12 +21,6 @@ from robot_sysid.damiao.trajectory import (
 from robot_sysid.errors import InputError
 
 
-def motion(samples=5, joints=2, dt=0.001, scale=1.0):
-    time = dt * np.arange(samples)
-    phase = time[:, None] + np.arange(joints)
-    return time, scale * np.sin(phase), scale * np.cos(phase), scale * np.sin(2 * phase)
-
-
 def export_motion(chunks, types):
     text = io.StringIO()
     report = export(chunks, types, text)
@@ -77,7 +71,7 @@ def test_what_is_written_is_read_back_within_the_printed_digits(data, tmp_path_f
 
 @given(cuts=st.lists(st.integers(1, 39), max_size=5))
 def test_the_chunk_size_changes_nothing(cuts):
-    motion_chunk = motion(40)
+    motion_chunk = swing(2, 0.156)
     edges = [0, *sorted(set(cuts)), 40]
     pieces = (tuple(x[a:b] for x in motion_chunk) for a, b in zip(edges, edges[1:]))
     one = export_motion([motion_chunk], ["DM4340"] * 2)[1]
@@ -87,7 +81,7 @@ def test_the_chunk_size_changes_nothing(cuts):
 def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
     path = tmp_path / "t.csv"
     types = ["DM4340", "DM4310"]
-    export([motion()], types, path, can_ids=[5, 3], master_ids=[0x15, 0x33])
+    export([swing(2)], types, path, can_ids=[5, 3], master_ids=[0x15, 0x33])
     lines = path.read_text().splitlines()
     assert lines[0] == "# motor_type=DM4340,can_id=5,mode=MIT"
     assert lines[1] == "# motor_type=DM4310,can_id=3,mode=MIT,master_id=51"
@@ -100,7 +94,7 @@ def test_ids_are_written_read_and_default_to_an_offset_of_sixteen(tmp_path):
 
 @pytest.mark.parametrize("where", [1, 2, 3])
 def test_values_that_are_not_finite_are_refused(where, tmp_path):
-    chunk = [np.array(x) for x in motion()]
+    chunk = [np.array(x) for x in swing(2)]
     chunk[where][2, 1] = np.nan
     with pytest.raises(InputError, match="not finite"):
         export([tuple(chunk)], ["DM4340"] * 2, tmp_path / "t.csv")

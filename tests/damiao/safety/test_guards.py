@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigs.damiao_rig import MotorBus, mit_command
+from rigs.damiao_rig import MotorBus, mit_command, state
 from robot_sysid.damiao import protocol
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.protocol import Feedback, Scaling
+from robot_sysid.damiao.protocol import Scaling
 from robot_sysid.damiao.safety.guards import (
     SampleFilter,
     VelocityCheck,
@@ -39,10 +39,9 @@ def answer(k, q=None, qd=None, tau=None, status=1, heat=30):
     q = p if q is None else q
     qd = v if qd is None else qd
     commanded = command.motor_torque(np.array([q]), np.array([qd]))[0]
-    fields = (np.array([float(x)]) for x in (q, qd, commanded if tau is None else tau))
-    codes = (np.array([x]) for x in (heat, 30))
-    feedback = Feedback(np.array([status]), *fields, *codes)
-    return np.ones(1, bool), np.array([k * CYCLE]), feedback, command
+    tau = commanded if tau is None else tau
+    seen = state(q, qd, tau, status, heat)
+    return np.ones(1, bool), np.array([k * CYCLE]), seen, command
 
 
 def started_filter():

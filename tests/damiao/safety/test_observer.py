@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigs.damiao_rig import undoubted
+from rigs.damiao_rig import mit_command, state, undoubted
 from robot_sysid.damiao.joints import damiao_joints
-from robot_sysid.damiao.protocol import BusTiming, Feedback, MitCommand
+from robot_sysid.damiao.protocol import BusTiming
 from robot_sysid.damiao.references import HoldingCheck, torque_doubt
 from robot_sysid.damiao.safety.guards import NO_STATUS
 from robot_sysid.damiao.safety.observer import Observer
@@ -44,27 +44,21 @@ def observer(**settings):
 
 def sample(time=0.0, q=0.0, qd=0.0, tau=0.0, status=1, mos=30, rotor=30, answered=True):
     """What two joints answer: the first as it should, the second these values."""
-    two = [np.array([normal, odd]) for normal, odd in ((0, q), (0, qd), (0, tau))]
-    codes = [
-        np.array([normal, odd]) for normal, odd in ((1, status), (30, mos), (30, rotor))
-    ]
-    if not answered:
-        for values in two:
-            values[1] = np.nan
-        codes[0][1] = NO_STATUS
-    stamps = np.where([True, answered], time, np.nan)
-    feedback = Feedback(codes[0], *two, *codes[1:])
-    return undoubted(np.array([True, answered]), stamps, feedback, np.ones(2, bool))
+    seen = np.where([True, answered], 0.0, np.nan)
+    signals = (seen + [0.0, value] for value in (q, qd, tau))
+    codes = [1, status if answered else NO_STATUS], [30, mos], [30, rotor]
+    requested = np.ones(2, bool)
+    return undoubted(np.isfinite(seen), seen + time, state(*signals, *codes), requested)
 
 
 def stop_words(*samples, reference=(0.0, 0.0, 0.0), flags=(), **settings):
     """What an observer says to samples under one command of the second joint, or None."""
     watched = observer(**settings)
-    p, v, t = (np.array([0.0, value]) for value in reference)
+    p, v, t = ([0.0, value] for value in reference)
     try:
         for replies in samples:
             watched.update(replies)
-            watched.check(replies, MitCommand(p, v, 0 * p, 0 * p, t), *flags)
+            watched.check(replies, mit_command(p, v, kd=0.0, torque=t), *flags)
     except HardwareAbort as stopped:
         return str(stopped)
     return None
@@ -159,13 +153,12 @@ def motion(cycles, sinks=lambda p: 0.0, carries=lambda p: 3.0 * np.cos(p)):
         time = k * CYCLE
         p = 0.3 * np.sin(2.0 * time)
         v = 0.6 * np.cos(2.0 * time)
-        commands = (0.0, p), (0.0, v), (180.0, 180.0), (4.5, 4.5), (8.0, carries(p))
-        command = MitCommand(*map(np.array, commands))
+        command = mit_command([0.0, p], [0.0, v], 180.0, 4.5, [8.0, carries(p)])
         q = p + sinks(p)
         commanded = command.motor_torque(np.array([0.0, q]), np.array([0.0, v]))
-        replies = sample(time, q, v, commanded[1])
-        replies.feedback.torque[0] = 8.0
-        yield replies, command
+        both = np.ones(2, bool)
+        seen = state([0.0, q], [0.0, v], [8.0, commanded[1]])
+        yield undoubted(both, np.full(2, time), seen, both), command
 
 
 def stop_words_of(cycles):
